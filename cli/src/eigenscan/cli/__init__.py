@@ -1,0 +1,1 @@
+"""The eigenscan command."""

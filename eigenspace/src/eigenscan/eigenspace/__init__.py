@@ -1,0 +1,1 @@
+"""Panoramas, their principal components, and the model that carries them."""

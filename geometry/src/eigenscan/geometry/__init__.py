@@ -1,0 +1,1 @@
+"""Poses on the plane, maps and rays."""

@@ -1,0 +1,180 @@
+"""Occupancy grid maps in ROS map_server form (yaml + pgm/png) and as foxglove.Grid."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from eigenscan.geometry.pose import from_pose3, inverse, to_pose3, transform
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image, UnidentifiedImageError
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, 255
+FIELD = "occupancy"
+
+
+class MapError(ValueError):
+    """A map that cannot be used; the message names the file, the field and the fix."""
+
+
+@dataclass(frozen=True)
+class GridMap:
+    """Cells (H, W) uint8 of FREE, OCCUPIED or UNKNOWN; row 0 and column 0 at the origin.
+
+    `origin` (3,): pose of the outer corner of cell (0, 0) in the map frame; `resolution` in m per cell.
+    """
+
+    cells: NDArray[np.uint8]
+    resolution: float
+    origin: NDArray[np.float64]
+
+    @property
+    def free_area(self) -> float:
+        """Area of the free cells, m^2."""
+        return float(np.count_nonzero(self.cells == FREE)) * self.resolution**2
+
+    @property
+    def version(self) -> str:
+        """SHA-256 of the content, hex."""
+        digest = hashlib.sha256(self.cells.tobytes())
+        digest.update(np.array([self.resolution, *self.origin, *self.cells.shape]).tobytes())
+        return digest.hexdigest()
+
+    def to_grid(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map-frame points (..., 2), m, as continuous (column, row); cell (r, c) spans
+        [c, c+1) x [r, r+1).
+        """
+        return transform(inverse(self.origin), points) / self.resolution
+
+    def to_map(self, grid: ArrayLike) -> NDArray[np.float64]:
+        """Continuous (column, row) (..., 2) as map-frame points, m."""
+        return transform(self.origin, np.asarray(grid, dtype=np.float64) * self.resolution)
+
+    def at(self, points: ArrayLike) -> NDArray[np.uint8]:
+        """Cell values at map-frame points (..., 2); UNKNOWN outside."""
+        index = np.floor(self.to_grid(points)).astype(np.int64)
+        height, width = self.cells.shape
+        column, row = index[..., 0], index[..., 1]
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        values = self.cells[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+        return np.where(inside, values, np.uint8(UNKNOWN)).astype(np.uint8)
+
+
+def read_map(path: Path) -> GridMap:
+    """Map of a map_server yaml (modes trinary, scale and raw).
+
+    Raises MapError naming the file, the field and the fix.
+    """
+    try:
+        meta = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise MapError(f"{path}: is not YAML: {error}") from error
+    if not isinstance(meta, dict):
+        raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
+    resolution = _number(path, meta, "resolution", None)
+    if not 0 < resolution < 10:
+        raise MapError(f"{path}: resolution = {resolution}: give metres per pixel, such as 0.05")
+    origin = meta.get("origin")
+    if not (
+        isinstance(origin, list)
+        and len(origin) == 3
+        and all(isinstance(v, int | float) and np.isfinite(v) for v in origin)
+    ):
+        raise MapError(f"{path}: origin = {origin!r}: give [x, y, yaw] in metres and radians")
+    if not isinstance(meta.get("image"), str):
+        raise MapError(f"{path}: image is missing: name the pgm or png beside this file")
+    cells = _cells(path, meta)
+    return GridMap(np.ascontiguousarray(cells[::-1]), resolution, np.array(origin, dtype=np.float64))
+
+
+def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) -> float:
+    value = meta.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise MapError(f"{path}: {name} {'is missing' if value is None else f'= {value!r}'}: give a number")
+    return float(value)
+
+
+def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
+    file = path.parent / meta["image"]
+    try:
+        with Image.open(file) as image:
+            bands = image.getbands()
+            pixels = np.asarray(
+                image.convert("RGBA" if "A" in bands or "transparency" in image.info else "RGB")
+            )
+    except (UnidentifiedImageError, OSError, ValueError) as error:
+        raise MapError(f"{path}: image {file} cannot be read: {error}") from error
+    grey = pixels[..., :3].mean(axis=-1)
+    mode = meta.get("mode", "trinary")
+    if mode not in ("trinary", "scale", "raw"):
+        raise MapError(f"{path}: mode = {mode!r}: there are trinary, scale and raw")
+    if mode == "raw":
+        known = grey <= OCCUPIED
+        occupied, free = known & (grey >= 50), known & (grey < 50)
+    else:
+        occupancy = grey / 255.0 if meta.get("negate", 0) else 1.0 - grey / 255.0
+        occupied = occupancy > _number(path, meta, "occupied_thresh", 0.65)
+        free = occupancy < _number(path, meta, "free_thresh", 0.196)
+        if mode == "scale" and pixels.shape[-1] == 4:
+            transparent = pixels[..., 3] == 0
+            occupied, free = occupied & ~transparent, free & ~transparent
+    cells = np.full(grey.shape, UNKNOWN, dtype=np.uint8)
+    cells[free] = FREE
+    cells[occupied] = OCCUPIED
+    if not np.any(free):
+        raise MapError(f"{path}: no free cell in {file}: check negate, free_thresh and occupied_thresh")
+    return cells
+
+
+def write_map(grid: GridMap, path: Path) -> None:
+    """Writes `path` (yaml) and a pgm of the same name beside it."""
+    grey = np.full(grid.cells.shape, 205, dtype=np.uint8)
+    grey[grid.cells == FREE] = 254
+    grey[grid.cells == OCCUPIED] = 0
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(grey[::-1]).save(path.with_suffix(".pgm"))
+    meta = {
+        "image": path.with_suffix(".pgm").name,
+        "resolution": grid.resolution,
+        "origin": [float(v) for v in grid.origin],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    path.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
+
+
+def to_message(grid: GridMap, frame_id: str) -> Grid:
+    """foxglove.Grid with one uint8 field, `occupancy`."""
+    width = grid.cells.shape[1]
+    return Grid(
+        frame_id=frame_id,
+        pose=to_pose3(grid.origin),
+        column_count=width,
+        cell_size=Vector2(x=grid.resolution, y=grid.resolution),
+        row_stride=width,
+        cell_stride=1,
+        fields=[PackedElementField(name=FIELD, offset=0, type=PackedElementField.UINT8)],
+        data=grid.cells.tobytes(),
+    )
+
+
+def from_message(message: Grid) -> GridMap:
+    """Inverse of to_message. Raises MapError where the grid is not of that form."""
+    width = message.column_count
+    if not width or message.row_stride != width or message.cell_stride != 1 or len(message.data) % width:
+        raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")
+    resolution = message.cell_size.x
+    if not 0 < resolution < 10 or resolution != message.cell_size.y:
+        raise MapError(f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares")
+    cells = np.frombuffer(message.data, dtype=np.uint8).reshape(-1, width)
+    return GridMap(cells, resolution, from_pose3(message.pose))

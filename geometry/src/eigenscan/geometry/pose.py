@@ -1,0 +1,96 @@
+"""Poses on the plane, SE(2): arrays (..., 3) of x [m], y [m], theta [rad], theta in [-pi, pi)."""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.circle import wrap
+from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def compose(a: ArrayLike, b: ArrayLike) -> Array:
+    """Pose `b`, given in the frame of `a`, in the frame that `a` is given in; shapes broadcast."""
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + cos * b[..., 0] - sin * b[..., 1]
+    y = a[..., 1] + sin * b[..., 0] + cos * b[..., 1]
+    return np.stack([x, y, wrap(a[..., 2] + b[..., 2])], axis=-1)
+
+
+def inverse(a: ArrayLike) -> Array:
+    """Pose that composes with `a` to the identity."""
+    a = np.asarray(a, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = -cos * a[..., 0] - sin * a[..., 1]
+    y = sin * a[..., 0] - cos * a[..., 1]
+    return np.stack([x, y, wrap(-a[..., 2])], axis=-1)
+
+
+def between(a: ArrayLike, b: ArrayLike) -> Array:
+    """Pose `b` seen from `a`, so that composing `a` with it gives `b`."""
+    return compose(inverse(a), b)
+
+
+def transform(pose: ArrayLike, points: ArrayLike) -> Array:
+    """Points (..., 2), given in the frame of `pose` (3,), in the frame that `pose` is given in."""
+    x, y, theta = np.asarray(pose, dtype=np.float64)
+    rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    moved: Array = np.asarray(points, dtype=np.float64) @ rotation.T + np.array([x, y])
+    return moved
+
+
+def from_message(message: Pose2) -> Array:
+    """Array (3,) of a Pose2."""
+    return np.array([message.x, message.y, message.theta])
+
+
+def to_message(pose: ArrayLike) -> Pose2:
+    """Pose2 of an array (3,)."""
+    x, y, theta = np.asarray(pose, dtype=np.float64).tolist()
+    return Pose2(x=x, y=y, theta=theta)
+
+
+def covariance_from_message(message: Covariance3) -> Array:
+    """Symmetric matrix (3, 3) of a Covariance3."""
+    m = message
+    return np.array([[m.xx, m.xy, m.xt], [m.xy, m.yy, m.yt], [m.xt, m.yt, m.tt]])
+
+
+def covariance_to_message(covariance: ArrayLike) -> Covariance3:
+    """Covariance3 of a symmetric matrix (3, 3)."""
+    c = np.asarray(covariance, dtype=np.float64)
+    return Covariance3(
+        xx=float(c[0, 0]),
+        xy=float(c[0, 1]),
+        xt=float(c[0, 2]),
+        yy=float(c[1, 1]),
+        yt=float(c[1, 2]),
+        tt=float(c[2, 2]),
+    )
+
+
+def quaternion(theta: float) -> Quaternion:
+    """Rotation by `theta` about z."""
+    return Quaternion(z=float(np.sin(theta / 2)), w=float(np.cos(theta / 2)))
+
+
+def yaw(rotation: Quaternion) -> float:
+    """Turn about z of any rotation (REP 103)."""
+    q = rotation
+    return float(np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z)))
+
+
+def to_pose3(pose: ArrayLike) -> Pose:
+    """foxglove.Pose in the plane z = 0."""
+    x, y, theta = np.asarray(pose, dtype=np.float64).tolist()
+    return Pose(position=Vector3(x=x, y=y), orientation=quaternion(theta))
+
+
+def from_pose3(message: Pose) -> Array:
+    """Array (3,) of a foxglove.Pose, height and tilt left out."""
+    return np.array([message.position.x, message.position.y, yaw(message.orientation)])

@@ -1,0 +1,170 @@
+"""The pipeline's own MCAP: a channel per key, protobuf schemas in the file, zstd chunks, indexed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from eigenscan.schemas.channels import CONTRACT_VERSION, Channel, ContractError, find
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.wire import decode, encode
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+PROFILE = "eigenscan"
+CHUNK_BYTES = 256 * 1024
+
+
+class RecordingError(ValueError):
+    """A file that is no readable recording; the message names it."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One message of a recording. Times are ns since the epoch."""
+
+    envelope: Envelope
+    log_time: int
+    publish_time: int
+    size: int
+
+
+class RecordingWriter:
+    """Writes envelopes to one MCAP file. Close it (or use `with`), else it has no index."""
+
+    def __init__(self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self._file: IO[bytes] = path.open("wb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile=PROFILE, library="eigenscan")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequence: dict[str, int] = {}
+        for name, entries in (metadata or {}).items():
+            self._writer.add_metadata(name, dict(entries))
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def write(self, envelope: Envelope, log_time: int, publish_time: int | None = None) -> None:
+        """Adds a message. `publish_time` is `log_time` where it is not known."""
+        self.write_bytes(envelope.channel, envelope.key, encode(envelope.message), log_time, publish_time)
+
+    def write_bytes(
+        self,
+        channel: Channel,
+        key: str,
+        payload: bytes,
+        log_time: int,
+        publish_time: int | None = None,
+    ) -> None:
+        """Adds a message that is already encoded."""
+        number = self._sequence.get(key, 0)
+        self._sequence[key] = number + 1
+        self._writer.add_message(
+            channel_id=self._channel(channel, key),
+            log_time=log_time,
+            publish_time=log_time if publish_time is None else publish_time,
+            sequence=number,
+            data=payload,
+        )
+
+    def flush(self) -> None:
+        """Hands what is complete to the operating system."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Writes the index and closes the file."""
+        if not self._file.closed:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+
+    def _channel(self, channel: Channel, key: str) -> int:
+        if key not in self._channels:
+            name = channel.schema_name
+            if name not in self._schemas:
+                self._schemas[name] = self._writer.register_schema(
+                    name, "protobuf", _descriptors(channel.message)
+                )
+            qos = channel.qos
+            self._channels[key] = self._writer.register_channel(
+                topic=key,
+                message_encoding="protobuf",
+                schema_id=self._schemas[name],
+                metadata={
+                    "contract": str(CONTRACT_VERSION),
+                    "channel": channel.name,
+                    "priority": qos.priority.value,
+                    "block": str(qos.block).lower(),
+                    "latched": str(qos.latched).lower(),
+                },
+            )
+        return self._channels[key]
+
+
+def read(path: Path) -> Iterator[Record]:
+    """Messages of our channels, in order of log time; what is not ours is skipped.
+
+    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            for _, channel, message in make_reader(file).iter_messages():
+                found = find(channel.topic)
+                if found is None:
+                    continue
+                payload = decode(found[0], message.data)
+                yield Record(
+                    Envelope(found[0], found[1], payload),
+                    message.log_time,
+                    message.publish_time,
+                    len(message.data),
+                )
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except (McapError, ContractError) as error:
+        raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def read_metadata(path: Path) -> dict[str, dict[str, str]]:
+    """Metadata records by name. Raises RecordingError."""
+    try:
+        with path.open("rb") as file:
+            return {entry.name: dict(entry.metadata) for entry in make_reader(file).iter_metadata()}
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except McapError as error:
+        raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def _descriptors(message: type[Message]) -> bytes:
+    """FileDescriptorSet of a message and all that it imports, dependencies first."""
+    ordered: dict[str, Any] = {}
+
+    def visit(file: Any) -> None:
+        if file.name in ordered:
+            return
+        for needed in file.dependencies:
+            visit(needed)
+        ordered[file.name] = file
+
+    visit(message.DESCRIPTOR.file)
+    result = FileDescriptorSet()
+    for file in ordered.values():
+        file.CopyToProto(result.file.add())
+    return bytes(result.SerializeToString())

@@ -1,0 +1,1 @@
+"""The contract between services: messages, keys, quality of service."""

@@ -1,0 +1,204 @@
+"""The one table of all that is said: key, message, and how it travels.
+
+A channel's key is a template such as `{site}/robot/{robot}/scan/{lidar}`; its fields are single
+key chunks. Keys are built and parsed here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
+from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import Message
+
+CONTRACT_VERSION = 1
+"""Counts the breaking changes of the contract; it travels in every sample's encoding."""
+
+DEFAULT_SITE = "site"
+DEFAULT_ROBOT = "robot"
+
+_CHUNK = re.compile(r"[^/*$#?@\s]+")
+
+
+class ContractError(ValueError):
+    """A key or a sample that is not of this contract."""
+
+
+class Priority(Enum):
+    """Zenoh's priorities that the contract uses, most urgent first."""
+
+    REAL_TIME = "real_time"
+    INTERACTIVE_HIGH = "interactive_high"
+    DATA = "data"
+    DATA_LOW = "data_low"
+    BACKGROUND = "background"
+
+
+@dataclass(frozen=True)
+class Qos:
+    """How a channel's samples travel.
+
+    `block`: the publisher waits rather than drops. `express`: never batched, for low latency.
+    `latched`: a late joiner gets the newest sample of each key by a query on that key.
+    `depth`: samples that wait at a subscriber before the oldest is dropped (0: never dropped).
+    `rate_hz`: what is usual, for health and for planning. `on_robot`: does not cross the air by default.
+    """
+
+    priority: Priority = Priority.DATA
+    block: bool = False
+    express: bool = False
+    latched: bool = False
+    depth: int = 64
+    rate_hz: float = 0.0
+    on_robot: bool = True
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One kind of message and where it is said."""
+
+    name: str
+    template: str
+    message: type[Message]
+    qos: Qos = field(default_factory=Qos)
+
+    @cached_property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the template's fields, in order."""
+        return tuple(re.findall(r"{(\w+)}", self.template))
+
+    @cached_property
+    def schema_name(self) -> str:
+        """Full protobuf name, such as `eigenscan.Scan`."""
+        return str(self.message.DESCRIPTOR.full_name)
+
+    @cached_property
+    def _pattern(self) -> re.Pattern[str]:
+        return re.compile(re.sub(r"{(\w+)}", r"(?P<\1>[^/*$#?@\\s]+)", self.template))
+
+    def key(self, address: Mapping[str, str]) -> str:
+        """Full key for `address`; fields of other channels are ignored.
+
+        Raises ContractError where a field is missing or is not one plain key chunk.
+        """
+        for name in self.fields:
+            value = address.get(name, "")
+            if not _CHUNK.fullmatch(value):
+                raise ContractError(f"{self.name}: key field {name!r} cannot be {value!r}")
+        return self.template.format_map({name: address[name] for name in self.fields})
+
+    def selector(self, address: Mapping[str, str] | None = None) -> str:
+        """Key expression for all keys of this channel with the fields that `address` gives."""
+        given = address or {}
+        return self.template.format_map({name: given.get(name, "*") for name in self.fields})
+
+    def parse(self, key: str) -> dict[str, str] | None:
+        """Address in `key`, or None where the key is not of this channel."""
+        match = self._pattern.fullmatch(key)
+        return match.groupdict() if match else None
+
+
+_LIVE = Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=40.0)
+
+SCAN_RAW = Channel("scan_raw", "{site}/robot/{robot}/scan/raw/{lidar}", RawScan, _LIVE)
+SCAN = Channel("scan", "{site}/robot/{robot}/scan/{lidar}", Scan, _LIVE)
+ODOMETRY = Channel(
+    "odometry",
+    "{site}/robot/{robot}/odom",
+    Odometry,
+    Qos(Priority.REAL_TIME, express=True, depth=1024, rate_hz=50.0),
+)
+HYPOTHESES = Channel("hypotheses", "{site}/robot/{robot}/hypotheses/{lidar}/{projector}", Hypotheses, _LIVE)
+OBSTACLES = Channel(
+    "obstacles",
+    "{site}/robot/{robot}/obstacles/{lidar}/{projector}",
+    Obstacles,
+    Qos(Priority.DATA, rate_hz=40.0),
+)
+POSE = Channel(
+    "pose",
+    "{site}/robot/{robot}/pose",
+    PoseEstimate,
+    Qos(Priority.INTERACTIVE_HIGH, express=True, rate_hz=40.0, on_robot=False),
+)
+TRACKS = Channel("tracks", "{site}/robot/{robot}/tracks", Tracks, Qos(rate_hz=40.0))
+TRANSFORM = Channel(
+    "transform",
+    "{site}/robot/{robot}/tf",
+    FrameTransform,
+    Qos(Priority.REAL_TIME, express=True, rate_hz=50.0),
+)
+TRUTH = Channel("truth", "{site}/robot/{robot}/truth", PoseInFrame, Qos(Priority.DATA_LOW, rate_hz=40.0))
+MAP = Channel(
+    "map",
+    "{site}/map",
+    Grid,
+    Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False),
+)
+MODEL = Channel(
+    "model",
+    "{site}/model/{region}",
+    RegionModel,
+    Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False),
+)
+MODEL_SET = Channel(
+    "model_set",
+    "{site}/models",
+    ModelSet,
+    Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False),
+)
+HEALTH = Channel(
+    "health",
+    "{site}/health/{service}/{instance}",
+    Health,
+    Qos(Priority.BACKGROUND, rate_hz=1.0, on_robot=False),
+)
+
+CHANNELS: tuple[Channel, ...] = (
+    SCAN_RAW,
+    SCAN,
+    ODOMETRY,
+    HYPOTHESES,
+    OBSTACLES,
+    POSE,
+    TRACKS,
+    TRANSFORM,
+    TRUTH,
+    MAP,
+    MODEL,
+    MODEL_SET,
+    HEALTH,
+)
+
+ALIVE_TEMPLATE = "{site}/alive/{service}/{instance}/{contract}"
+"""Key of the liveliness token that each service instance holds."""
+
+
+def find(key: str) -> tuple[Channel, dict[str, str]] | None:
+    """Channel and address of a key, or None where the key is not ours."""
+    for channel in CHANNELS:
+        address = channel.parse(key)
+        if address is not None:
+            return channel, address
+    return None
+
+
+def by_name(name: str) -> Channel:
+    """Channel called `name`. Raises ContractError where there is none."""
+    for channel in CHANNELS:
+        if channel.name == name:
+            return channel
+    known = ", ".join(channel.name for channel in CHANNELS)
+    raise ContractError(f"no channel {name!r}; there are {known}")

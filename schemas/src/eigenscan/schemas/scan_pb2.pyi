@@ -1,0 +1,55 @@
+import datetime
+
+from eigenscan.schemas import geometry_pb2 as _geometry_pb2
+from google.protobuf import timestamp_pb2 as _timestamp_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class RawScan(_message.Message):
+    __slots__ = ("timestamp", "frame_id", "mount", "upside_down", "angle_min", "angle_increment", "range_min", "range_max", "ranges")
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    MOUNT_FIELD_NUMBER: _ClassVar[int]
+    UPSIDE_DOWN_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_MIN_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_INCREMENT_FIELD_NUMBER: _ClassVar[int]
+    RANGE_MIN_FIELD_NUMBER: _ClassVar[int]
+    RANGE_MAX_FIELD_NUMBER: _ClassVar[int]
+    RANGES_FIELD_NUMBER: _ClassVar[int]
+    timestamp: _timestamp_pb2.Timestamp
+    frame_id: str
+    mount: _geometry_pb2.Pose2
+    upside_down: bool
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    ranges: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., upside_down: _Optional[bool] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Scan(_message.Message):
+    __slots__ = ("timestamp", "frame_id", "mount", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "sequence")
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    MOUNT_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_MIN_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_INCREMENT_FIELD_NUMBER: _ClassVar[int]
+    RANGE_MIN_FIELD_NUMBER: _ClassVar[int]
+    RANGE_MAX_FIELD_NUMBER: _ClassVar[int]
+    RANGES_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    timestamp: _timestamp_pb2.Timestamp
+    frame_id: str
+    mount: _geometry_pb2.Pose2
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    ranges: _containers.RepeatedScalarFieldContainer[float]
+    sequence: int
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., sequence: _Optional[int] = ...) -> None: ...

@@ -1,0 +1,1 @@
+"""One scan and a model in, candidate poses and obstacles out."""

@@ -1,0 +1,1 @@
+"""All traffic to MCAP and Rerun."""

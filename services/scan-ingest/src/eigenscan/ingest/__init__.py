@@ -1,0 +1,1 @@
+"""Any lidar frame in, one canonical scan out."""

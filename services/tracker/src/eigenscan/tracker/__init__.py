@@ -1,0 +1,1 @@
+"""Hypotheses and odometry in, one honest pose out."""
