@@ -1,0 +1,160 @@
+"""The core: raw scans in, canonical scans out, what cannot be used is counted by reason."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.ingest.normalize import Ranges, ScanError, Sweep, limit, orient, resample
+from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
+from eigenscan.schemas.channels import SCAN, SCAN_RAW, Channel, ContractError
+from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
+from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+
+RECENT = 50
+MAX_LIDARS = 4096
+
+
+@dataclass
+class _Lidar:
+    """What is remembered of one lidar of one robot."""
+
+    newest: int | None = None  # ns, stamp of the last scan published
+    late: int = 0  # scans in a row that lie before it
+    latest_late: int = 0  # ns, stamp of the last of those
+    published: int = 0
+
+
+class ScanIngestCore:
+    """Normalizes the scans of any number of lidars; see the README for the rules."""
+
+    hears: tuple[Channel, ...] = (SCAN_RAW,)
+    says: tuple[Channel, ...] = (SCAN,)
+
+    def __init__(self, settings: ScanIngestSettings) -> None:
+        self._settings = settings
+        self._step = None if settings.angle_step is None else math.radians(settings.angle_step)
+        self._lidars: dict[tuple[str, str], _Lidar] = {}
+        self._counts: Counter[str] = Counter(heard=0, published=0)
+        self._recent: deque[str] = deque(maxlen=RECENT)
+
+    def start(self) -> Iterable[Envelope]:
+        """Nothing is said unasked."""
+        return ()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """The canonical scan of a raw one, or nothing where it was set aside."""
+        self._counts["heard"] += 1
+        try:
+            scan = self._normalize(heard)
+        except ContractError:
+            return self._set_aside("other_message")
+        except ScanError as unusable:
+            return self._set_aside(unusable.reason)
+        self._counts["published"] += 1
+        self._recent.append("")
+        return (Envelope(SCAN, heard.address, scan),)
+
+    def finish(self) -> Iterable[Envelope]:
+        """Nothing is held back."""
+        return ()
+
+    def condition(self) -> Condition:
+        """DEGRADED where most of the latest scans were set aside."""
+        counters = dict(self._counts) | {"lidars": len(self._lidars)}
+        if not self._recent:
+            return Condition(Health.STATUS_WAITING, "no scan heard yet", counters)
+        reasons = Counter(reason for reason in self._recent if reason)
+        if 2 * reasons.total() <= len(self._recent):
+            return Condition(Health.STATUS_OK, "", counters)
+        worst, _ = reasons.most_common(1)[0]
+        detail = f"{reasons.total()} of the last {len(self._recent)} scans set aside, most: {worst}"
+        return Condition(Health.STATUS_DEGRADED, detail, counters)
+
+    def _set_aside(self, reason: str) -> Iterable[Envelope]:
+        self._counts[f"set_aside_{reason}"] += 1
+        self._recent.append(reason)
+        return ()
+
+    def _normalize(self, heard: Envelope) -> Scan:
+        raw = heard.open(RawScan)
+        lidar = self._lidar(heard.address["robot"], heard.address["lidar"])
+        stamp = nanoseconds(raw.timestamp)
+        self._check_order(lidar, stamp)
+        mount, upside_down = self._mount(heard.address["lidar"], raw)
+        range_min, range_max = self._limits(raw)
+        sweep = orient(Sweep(self._ranges(raw), raw.angle_min, raw.angle_increment), upside_down)
+        sweep = Sweep(limit(sweep.ranges, range_min, range_max), sweep.angle_min, sweep.angle_increment)
+        if np.isnan(sweep.ranges).all():
+            raise ScanError("no_valid_range")
+        if self._step is not None:
+            sweep = resample(sweep, self._step)
+        scan = Scan(
+            timestamp=raw.timestamp,
+            frame_id=self._settings.base_frame,
+            mount=mount,
+            angle_min=sweep.angle_min,
+            angle_increment=sweep.angle_increment,
+            range_min=range_min,
+            range_max=range_max,
+            ranges=sweep.ranges.tolist(),
+            sequence=lidar.published,
+        )
+        lidar.newest, lidar.late, lidar.published = stamp, 0, lidar.published + 1
+        return scan
+
+    def _lidar(self, robot: str, name: str) -> _Lidar:
+        lidar = self._lidars.get((robot, name))
+        if lidar is None:
+            if len(self._lidars) >= MAX_LIDARS:
+                raise ScanError("too_many_lidars")
+            lidar = self._lidars[robot, name] = _Lidar()
+        return lidar
+
+    def _check_order(self, lidar: _Lidar, stamp: int) -> None:
+        """Raises ScanError for a stamp that is not after the newest.
+
+        A row of such scans with stamps that increase among themselves means that the clock was set
+        back (or ran ahead once): then the new time holds.
+        """
+        if lidar.newest is None or stamp > lidar.newest:
+            return
+        if stamp == lidar.newest:
+            raise ScanError("duplicate_stamp")
+        lidar.late = lidar.late + 1 if lidar.late and stamp > lidar.latest_late else 1
+        lidar.latest_late = stamp
+        if lidar.late < self._settings.clock_step_scans:
+            raise ScanError("out_of_order")
+        self._counts["clock_steps"] += 1
+
+    def _mount(self, name: str, raw: RawScan) -> tuple[Pose2, bool]:
+        override = self._settings.mounts.get(name) or self._settings.mounts.get(EVERY_LIDAR)
+        if override is not None:
+            pose = Pose2(x=override.x, y=override.y, theta=math.radians(override.yaw))
+            return pose, override.upside_down
+        if not all(map(math.isfinite, (raw.mount.x, raw.mount.y, raw.mount.theta))):
+            raise ScanError("mount_not_finite")
+        return raw.mount, raw.upside_down
+
+    def _limits(self, raw: RawScan) -> tuple[float, float]:
+        """Both limits, m; a maximum of 0 is not stated."""
+        settings = self._settings
+        low = raw.range_min if settings.range_min is None else settings.range_min
+        high = raw.range_max if settings.range_max is None else settings.range_max
+        low, high = max(low, 0.0), 0.0 if high == math.inf else high
+        if not (math.isfinite(low) and math.isfinite(high) and high >= 0.0) or 0.0 < high <= low:
+            raise ScanError("limits_inconsistent")
+        return low, high
+
+    def _ranges(self, raw: RawScan) -> Ranges:
+        count = len(raw.ranges)
+        if count == 0:
+            raise ScanError("no_beams")
+        if count > self._settings.max_beams:
+            raise ScanError("too_many_beams")
+        return np.fromiter(raw.ranges, dtype=np.float32, count=count)

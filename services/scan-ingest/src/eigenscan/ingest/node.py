@@ -1,0 +1,16 @@
+"""scan-ingest as a process."""
+
+from __future__ import annotations
+
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.runtime.node import main as run
+
+
+def main() -> None:
+    """Entry point of `eigenscan-scan-ingest`."""
+    run("scan-ingest", ScanIngestSettings, ScanIngestCore)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""What scan-ingest can be told."""
+
+from __future__ import annotations
+
+from eigenscan.runtime.settings import ServiceSettings
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+EVERY_LIDAR = "*"
+
+
+class Mount(BaseModel):
+    """Where a lidar sits on its robot."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    x: float = Field(0.0, description="m ahead of the base's origin")
+    y: float = Field(0.0, description="m to the left of it")
+    yaw: float = Field(0.0, ge=-360.0, le=360.0, description="deg, counter-clockwise seen from above")
+    upside_down: bool = Field(False, description="mounted head down")
+
+
+class ScanIngestSettings(ServiceSettings):
+    """Settings of scan-ingest: any lidar frame in, one canonical scan out."""
+
+    base_frame: str = Field("base_link", description="name of the robot's base frame in what is published")
+    angle_step: float | None = Field(
+        None,
+        ge=0.05,
+        le=10.0,
+        description="deg, angular grid that scans are brought to; without it the sensor's own",
+    )
+    range_min: float | None = Field(
+        None, ge=0.0, allow_inf_nan=False, description="m, instead of the limit that the driver states"
+    )
+    range_max: float | None = Field(
+        None, gt=0.0, allow_inf_nan=False, description="m, instead of the limit that the driver states"
+    )
+    mounts: dict[str, Mount] = Field(
+        default_factory=dict,
+        description="mount by lidar name (or *), instead of the driver's; "
+        'as JSON: {"front": {"x": 0.2, "yaw": 180, "upside_down": true}}',
+    )
+    max_beams: int = Field(
+        16_384, ge=2, le=1_000_000, description="beams of a raw scan; larger scans are set aside"
+    )
+    clock_step_scans: int = Field(
+        10,
+        ge=2,
+        le=1000,
+        description="late scans in a row after which the clock of the lidar counts as set back",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> ScanIngestSettings:
+        if self.range_min is not None and self.range_max is not None and self.range_min >= self.range_max:
+            raise ValueError(f"range_min = {self.range_min} must be below range_max = {self.range_max}")
+        return self
