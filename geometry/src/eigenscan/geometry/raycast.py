@@ -1,0 +1,191 @@
+"""Ranges to the walls of a map: single rays, and panoramas of many positions at once.
+
+A ray runs from cell to cell as in exact grid traversal (Amanatides and Woo 1987). It ends at the face of the
+first OCCUPIED cell. It ends without a wall (+inf) at `range_max`, at the map's edge, and in the dark:
+UNKNOWN farther than DARK_CELLS cells from anything known. So specks of UNKNOWN are looked
+through, while a ray that leaks out of the mapped space knows nothing of what is there.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.gridmap import OCCUPIED, UNKNOWN, GridMap
+from eigenscan.geometry.sweep import sweep, transpose, visits
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt
+
+DARK_CELLS = 2.0
+"""Depth in UNKNOWN, in cells from anything known, beyond which nothing is known."""
+
+WALL, DARK = np.uint8(255), np.uint8(254)
+_STEPS_PER_CELL = 4.0
+_NO_WALL = np.float32(np.inf)
+_OVER = 1e-6
+"""Cells by which a step goes over a cell's edge."""
+
+
+@dataclass(frozen=True)
+class RayCaster:
+    """A map made ready for casting.
+
+    `leap` (H + 2, W + 2) uint8, one cell of DARK around the map: how far any ray can go from anywhere in
+    the cell without meeting WALL or DARK, in quarters of a cell, rounded down.
+    """
+
+    leap: NDArray[np.uint8]
+    grid: GridMap
+
+    @classmethod
+    def of(cls, grid: GridMap) -> RayCaster:
+        """Caster for `grid`; keep it where a map is cast against more than once."""
+        wall = np.pad(grid.cells == OCCUPIED, 1)
+        unknown = np.pad(grid.cells == UNKNOWN, 1, constant_values=True)
+        dark = unknown & (unknown.all() | (distance_transform_edt(unknown) > DARK_CELLS))
+        dark[[0, -1], :] = dark[:, [0, -1]] = True
+        stops = wall | dark
+        # distance of cell centres to the walls grown by one cell = distance between the cells' outlines
+        outline = distance_transform_edt(~binary_dilation(stops, np.ones((3, 3), dtype=bool)))
+        leap = np.minimum(np.floor(outline * _STEPS_PER_CELL), DARK - 1).astype(np.uint8)
+        leap[wall] = WALL
+        leap[dark] = DARK
+        return cls(leap, grid)
+
+    def to_cells(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map-frame points (..., 2), m, as continuous (column, row) of `leap`."""
+        return self.grid.to_grid(points) + 1.0
+
+    def cast(self, poses: ArrayLike, bearings: ArrayLike, range_max: float) -> NDArray[np.float32]:
+        """Ranges (P, B), m, from poses (P, 3) along theta + bearings (B,); +inf where no wall is in sight.
+
+        A pose in a wall gives 0, one that is not finite NaN.
+        """
+        pose = np.atleast_2d(np.asarray(poses, dtype=np.float64))
+        angles = np.atleast_1d(np.asarray(bearings, dtype=np.float64))
+        starts = np.column_stack([self.to_cells(pose[:, :2]), pose[:, 2] - self.grid.origin[2]])
+        resolution = self.grid.resolution
+        out: NDArray[np.float32] = _cast(self.leap, starts, angles, float(range_max) / resolution, resolution)
+        return out
+
+    def panoramas(
+        self, positions: ArrayLike, beams: int, range_max: float, threads: int = 1
+    ) -> NDArray[np.float32]:
+        """Ranges (P, N), m, from positions (P, 2) along world directions k 2 pi / N; +inf: no wall in sight.
+
+        All positions are swept together, direction by direction: exact but for rays that pass an
+        edge of a wall within 1/32 of a cell. Threads share the directions and do not change the result.
+        """
+        points = self.to_cells(np.asarray(positions, dtype=np.float64).reshape(-1, 2))
+        if beams < 1:
+            raise ValueError(f"a panorama of {beams} beams")
+        if not np.isfinite(points).all():
+            raise ValueError("panoramas: a position is not finite")
+        if not len(points):
+            return np.empty((0, beams), dtype=np.float32)
+        wall, dark, corner = self._within(points, range_max / self.grid.resolution)
+        seen = visits(wall, dark, points - corner)
+        angles = np.arange(beams) * (2.0 * np.pi / beams) - self.grid.origin[2]
+        by_direction = np.empty((beams, len(points)), dtype=np.float32)
+
+        def work(block: NDArray[np.int64]) -> None:
+            limit, unit = range_max / self.grid.resolution, self.grid.resolution
+            sweep(seen, angles, block, limit, unit, by_direction)
+
+        blocks = [block for block in np.array_split(np.arange(beams), 4 * max(threads, 1)) if len(block)]
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(work, blocks))
+        else:
+            for block in blocks:
+                work(block)
+        ranges: NDArray[np.float32] = transpose(by_direction)
+        start = _stop_at(self.leap, points)
+        ranges[start == WALL] = 0.0
+        ranges[start == DARK] = _NO_WALL
+        return ranges
+
+    def _within(
+        self, points: NDArray[np.float64], reach: float
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
+        """Walls and dark cells that a ray of `reach` cells can meet, and (column, row) of their corner."""
+        height, width = self.leap.shape
+        low, high = points.min(axis=0) - reach - 1, points.max(axis=0) + reach + 1
+        c0, r0 = np.clip(np.floor(low), 0, (width, height)).astype(np.int64)
+        c1, r1 = np.clip(np.ceil(high), 0, (width, height)).astype(np.int64)
+        near = self.leap[r0:r1, c0:c1]
+        return near == WALL, near == DARK, np.array([c0, r0], dtype=np.float64)
+
+
+def cast(
+    grid: GridMap | RayCaster, poses: ArrayLike, bearings: ArrayLike, range_max: float
+) -> NDArray[np.float32]:
+    """RayCaster.cast, also straight from a map."""
+    caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
+    return caster.cast(poses, bearings, range_max)
+
+
+def panoramas(
+    grid: GridMap | RayCaster, positions: ArrayLike, beams: int, range_max: float, threads: int = 1
+) -> NDArray[np.float32]:
+    """RayCaster.panoramas, also straight from a map."""
+    caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
+    return caster.panoramas(positions, beams, range_max, threads)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def trace(leap: NDArray[np.uint8], x: float, y: float, dx: float, dy: float, limit: float) -> float:
+    """Cells that a ray travels from continuous (column, row) along (dx, dy), a unit vector; inf: no wall."""
+    height, width = leap.shape
+    if not (0.0 <= x < width and 0.0 <= y < height):
+        return np.inf
+    inverse_x = 1.0 / dx if dx != 0.0 else np.inf
+    inverse_y = 1.0 / dy if dy != 0.0 else np.inf
+    ahead_x, ahead_y = 1.0 if dx > 0.0 else 0.0, 1.0 if dy > 0.0 else 0.0
+    travelled = 0.0
+    while travelled <= limit:
+        at_x, at_y = x + dx * travelled, y + dy * travelled
+        column, row = int(at_x), int(at_y)
+        free = leap[row, column]
+        if free >= DARK:
+            return travelled if free == WALL else np.inf
+        if free > 0:
+            travelled += free / _STEPS_PER_CELL
+        else:
+            to_x = (column + ahead_x - at_x) * inverse_x if dx != 0.0 else np.inf
+            to_y = (row + ahead_y - at_y) * inverse_y if dy != 0.0 else np.inf
+            travelled += min(to_x, to_y) + _OVER
+    return np.inf
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _cast(
+    leap: NDArray[np.uint8],
+    starts: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    limit: float,
+    resolution: float,
+) -> NDArray[np.float32]:
+    cos, sin = np.cos(bearings), np.sin(bearings)
+    out = np.empty((len(starts), len(bearings)), dtype=np.float32)
+    for p in range(len(starts)):
+        x, y, theta = starts[p]
+        if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(theta)):
+            out[p] = np.nan
+            continue
+        ahead, aside = np.cos(theta), np.sin(theta)
+        for b in range(len(bearings)):
+            dx, dy = ahead * cos[b] - aside * sin[b], aside * cos[b] + ahead * sin[b]
+            out[p, b] = trace(leap, x, y, dx, dy, limit) * resolution
+    return out
+
+
+def _stop_at(leap: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Value of `leap` at continuous (column, row) (P, 2); DARK outside."""
+    height, width = leap.shape
+    column, row = np.floor(points).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    values = leap[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return np.where(inside, values, DARK).astype(np.uint8)

@@ -1,0 +1,157 @@
+"""Parallel rays from many positions at once: one sweep over the map for each direction.
+
+All rays of one direction are parallel. Walls and positions are visited in the order in which such a ray
+meets them, backwards. Each wall cell paints the lanes across the direction that it blocks; a position
+reads the two lanes beside it and so knows the first wall before it: a ray costs a few loads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+LANES_PER_CELL = 4
+_PARALLEL = 1e-12
+
+
+@dataclass(frozen=True)
+class Visits:
+    """Stops and points in the order in which rays meet them, backwards.
+
+    There is one run `bounds[i]:bounds[i + 1]` for each i = 2 * quadrant + (1 where |dy| > |dx|), with
+    quadrant = (dx < 0) + 2 * (dy < 0). `x`, `y` (V,): column and row, in cells, of a stop's near corner or
+    of a point. `what` (V,): the point's index, WALL_VISIT or DARK_VISIT.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    what: NDArray[np.int32]
+    bounds: NDArray[np.int64]
+
+
+WALL_VISIT, DARK_VISIT = -1, -2
+
+
+def visits(wall: NDArray[np.bool_], dark: NDArray[np.bool_], points: NDArray[np.float64]) -> Visits:
+    """Visits for a map (H, W) of cells that stop a ray, and points (P, 2) in continuous (column, row).
+
+    Only stops that face the open space around the points are kept.
+    """
+    open_space = _around(~(wall | dark), points)
+    columns, rows = np.floor(points).astype(np.int64).T
+    runs: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]] = []
+    for quadrant in range(4):
+        left, down = bool(quadrant & 1), bool(quadrant & 2)
+        # a ray enters a cell through its near vertical or its near horizontal side
+        facing = _shifted(open_space, 1, not left) | _shifted(open_space, 0, not down)
+        r, c = np.nonzero(facing & (wall | dark))
+        kind = np.where(wall[r, c], WALL_VISIT, DARK_VISIT)
+        what = np.concatenate([kind, np.arange(len(points))]).astype(np.int32)
+        x = np.concatenate([c + left, points[:, 0]])
+        y = np.concatenate([r + down, points[:, 1]])
+        by_x = np.concatenate([c, columns]) * (1 if left else -1)
+        by_y = np.concatenate([r, rows]) * (1 if down else -1)
+        for keys in ((by_y, by_x), (by_x, by_y)):
+            order = np.lexsort(keys)
+            runs.append((x[order], y[order], what[order]))
+    bounds = np.concatenate([[0], np.cumsum([len(run[0]) for run in runs])])
+    x, y, what = (np.concatenate([run[i] for run in runs]) for i in range(3))
+    return Visits(x, y, what.astype(np.int32), bounds)
+
+
+def _around(free: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """The connected parts of `free` that hold a point."""
+    parts, _ = label(free)
+    height, width = free.shape
+    columns, rows = np.floor(points).astype(np.int64).T
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    held = np.unique(parts[rows[inside], columns[inside]])
+    kept: NDArray[np.bool_] = np.isin(parts, held[held > 0])
+    return kept
+
+
+def _shifted(cells: NDArray[np.bool_], axis: int, forwards: bool) -> NDArray[np.bool_]:
+    """Each cell's neighbour before it (forwards) or behind it along `axis`; False at the edge."""
+    moved = np.zeros_like(cells)
+    source, target = (slice(None, -1), slice(1, None)) if forwards else (slice(1, None), slice(None, -1))
+    if axis:
+        moved[:, target] = cells[:, source]
+    else:
+        moved[target] = cells[source]
+    return moved
+
+
+def sweep(
+    seen: Visits,
+    angles: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    limit: float,
+    unit: float,
+    out: NDArray[np.float32],
+) -> None:
+    """Fills `rows` of `out` (N, P), m, for the directions `angles` (N,), rad, in the grid's frame.
+
+    `limit` in cells, `unit` in m per cell; inf where no wall is in sight. Lets other threads run.
+    """
+    if len(seen.x):
+        _sweep(seen.x, seen.y, seen.what, seen.bounds, angles, rows, limit, unit, out)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _sweep(x, y, what, bounds, angles, rows, limit, unit, out):  # type: ignore[no-untyped-def]
+    low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
+    for k in rows:
+        dx, dy = np.cos(angles[k]), np.sin(angles[k])
+        # a lane is a coordinate across the direction; a cell reaches 2 beyond its corner at most
+        least = min(-dy * low_x, -dy * high_x) + min(dx * low_y, dx * high_y) - 2.0
+        width = abs(dy) * (high_x - low_x) + abs(dx) * (high_y - low_y) + 4.0
+        lanes = np.full(int(width * LANES_PER_CELL) + 2, -1, dtype=np.int32)
+        run = 2 * ((1 if dx < 0.0 else 0) + (2 if dy < 0.0 else 0)) + (1 if abs(dy) > abs(dx) else 0)
+        part = slice(bounds[run], bounds[run + 1])
+        _sweep_one(x[part], y[part], what[part], dx, dy, least, limit, unit, lanes, out[k])
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _sweep_one(x, y, what, dx, dy, least, limit, unit, lanes, out):  # type: ignore[no-untyped-def]
+    inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
+    inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
+    across_x, across_y, offset = -dy * LANES_PER_CELL, dx * LANES_PER_CELL, -least * LANES_PER_CELL
+    # a cell's extent across the direction, from its near corner
+    step_x, step_y = -1.0 if dx < 0.0 else 1.0, -1.0 if dy < 0.0 else 1.0
+    down = min(0.0, across_x * step_x) + min(0.0, across_y * step_y)
+    up = max(0.0, across_x * step_x) + max(0.0, across_y * step_y)
+    for i in range(len(x)):
+        place = across_x * x[i] + across_y * y[i] + offset
+        if what[i] < 0:
+            for lane in range(int(place + down) + 1, int(place + up) + 1):
+                lanes[lane] = i
+            continue
+        lane = int(place)
+        hit, nearest, struck = -1, np.inf, False
+        for stop in (lanes[lane], lanes[lane + 1]):
+            if stop < 0:
+                continue
+            beside = place - (across_x * x[stop] + across_y * y[stop] + offset)
+            strikes = down <= beside <= up
+            far = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y)
+            if strikes > struck or (strikes == struck and far < nearest):
+                hit, nearest, struck = stop, far, strikes
+        seen = hit >= 0 and nearest <= limit and what[hit] == WALL_VISIT
+        out[what[i]] = max(nearest, 0.0) * unit if seen else np.inf
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def transpose(source: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Contiguous transpose, tile by tile so that both sides stay in the cache."""
+    rows, columns = source.shape
+    out = np.empty((columns, rows), dtype=np.float32)
+    for r0 in range(0, rows, 32):
+        for c0 in range(0, columns, 32):
+            for c in range(c0, min(c0 + 32, columns)):
+                for r in range(r0, min(r0 + 32, rows)):
+                    out[c, r] = source[r, c]
+    return out
