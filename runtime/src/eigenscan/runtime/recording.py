@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from eigenscan.schemas.channels import CONTRACT_VERSION, Channel, ContractError, find
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import decode, encode
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Channel as McapChannel
+from mcap.records import Message as McapMessage
+from mcap.records import Schema
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from zstandard import ZstdError
 
 PROFILE = "eigenscan"
 CHUNK_BYTES = 256 * 1024
+_DAMAGE = (McapError, ContractError, ZstdError, struct.error, ValueError, KeyError)
+"""What reading a damaged file may raise."""
 
 
 class RecordingError(ValueError):
@@ -85,13 +94,22 @@ class RecordingWriter:
         )
 
     def flush(self) -> None:
-        """Hands what is complete to the operating system."""
-        self._file.flush()
+        """Ends the chunk in progress and hands it to the operating system: a kill loses nothing before.
+
+        Each flush costs some compression; once a second is cheap.
+        """
+        self._writer.flush()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
         """Writes the index and closes the file."""
         if not self._file.closed:
             self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Closes the file as it is, after a write that failed: without an index, but readable."""
+        # closing writes what is buffered, which fails for the same reason
+        with suppress(OSError):
             self._file.close()
 
     def _channel(self, channel: Channel, key: str) -> int:
@@ -118,13 +136,15 @@ class RecordingWriter:
 
 
 def read(path: Path) -> Iterator[Record]:
-    """Messages of our channels, in order of log time; what is not ours is skipped.
+    """Messages of our channels; what is not ours is skipped.
 
+    In order of log time, by the index. Where the writer was killed and there is no index: in order of the
+    file, up to its last whole chunk (see `is_complete`).
     Raises RecordingError where the file is missing, no MCAP, or damaged.
     """
     try:
         with path.open("rb") as file:
-            for _, channel, message in make_reader(file).iter_messages():
+            for _, channel, message in _messages(file, indexed=_is_indexed(file)):
                 found = find(channel.topic)
                 if found is None:
                     continue
@@ -137,8 +157,53 @@ def read(path: Path) -> Iterator[Record]:
                 )
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except (McapError, ContractError) as error:
+    except _DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def is_complete(path: Path) -> bool:
+    """Whether the file was closed by its writer. Raises RecordingError where it cannot be read at all."""
+    try:
+        with path.open("rb") as file:
+            return _is_indexed(file)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except _DAMAGE as error:
+        raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def _is_indexed(file: IO[bytes]) -> bool:
+    """Whether the file ends as an MCAP; raises InvalidMagic where it does not start as one."""
+    start = file.read(len(MCAP0_MAGIC))
+    if start != MCAP0_MAGIC:
+        raise InvalidMagic(start)
+    rest = file.seek(0, os.SEEK_END) - len(MCAP0_MAGIC)
+    file.seek(-min(rest, len(MCAP0_MAGIC)), os.SEEK_END)
+    end = file.read()
+    file.seek(0)
+    return end == MCAP0_MAGIC
+
+
+def _messages(file: IO[bytes], *, indexed: bool) -> Iterator[tuple[Schema | None, McapChannel, McapMessage]]:
+    if indexed:
+        yield from make_reader(file, validate_crcs=True).iter_messages()
+        return
+    whole = cast(IO[bytes], _WholeReads(file))
+    with suppress(EndOfFile):
+        yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
+
+
+class _WholeReads:
+    """A file whose reads give all that was asked for; `mcap` takes a cut chunk for a whole one."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def read(self, size: int) -> bytes:
+        data = self._file.read(size)
+        if len(data) < size:
+            raise EndOfFile
+        return data
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
@@ -148,7 +213,7 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
             return {entry.name: dict(entry.metadata) for entry in make_reader(file).iter_metadata()}
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except McapError as error:
+    except _DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
 
 
