@@ -1,0 +1,150 @@
+"""Principal components of all windows of a set of panoramas (paper, section 2).
+
+Every heading of every position is in the set. So the mean scan is one constant, and the covariance of
+two beams depends only on their distance: it is the Toeplitz matrix of the panoramas' mean circular
+autocorrelation, which takes one FFT a panorama instead of N outer products.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+from scipy.linalg import eigh, toeplitz
+
+_BLOCK = 1024
+"""Panoramas transformed at once, which bounds the memory."""
+
+
+@dataclass(frozen=True)
+class Eigenspace:
+    """Mean constant, unit eigenvectors (M, B) by decreasing eigenvalue (M,), and the covariance's trace.
+
+    Units follow the values that were analysed: m and m^2 for plain ranges.
+    """
+
+    mean: float
+    vectors: NDArray[np.float32]
+    eigenvalues: NDArray[np.float32]
+    total_variance: float
+
+    @property
+    def beams(self) -> int:
+        """B of a scan."""
+        return int(self.vectors.shape[1])
+
+    @property
+    def explained(self) -> float:
+        """Share of the variance that the kept components hold."""
+        return float(self.eigenvalues.sum(dtype=np.float64)) / max(self.total_variance, 1e-300)
+
+    def project(self, scans: ArrayLike) -> NDArray[np.float32]:
+        """Coefficients (..., M) of scans (..., B): the inner products with S - mean (paper, eq. 2)."""
+        offset: NDArray[np.float32] = np.asarray(scans, dtype=np.float32) - np.float32(self.mean)
+        coefficients: NDArray[np.float32] = np.matmul(offset, self.vectors.T)
+        return coefficients
+
+    def reconstruct(self, coefficients: ArrayLike) -> NDArray[np.float32]:
+        """Scans (..., B) that coefficients (..., M) stand for (paper, eq. 3)."""
+        scans: NDArray[np.float32] = np.asarray(coefficients, dtype=np.float32) @ self.vectors + np.float32(
+            self.mean
+        )
+        return scans
+
+    def error(self, scans: ArrayLike) -> NDArray[np.float32]:
+        """Error vectors E = S - S^ (..., B) of scans (..., B) (paper, eq. 4)."""
+        error: NDArray[np.float32] = np.asarray(scans, dtype=np.float32) - self.reconstruct(
+            self.project(scans)
+        )
+        return error
+
+    def energy(self, scans: ArrayLike) -> NDArray[np.float32]:
+        """Norms ||E|| (...,) of the error vectors of scans (..., B)."""
+        norms: NDArray[np.float32] = np.linalg.norm(self.error(scans), axis=-1)
+        return norms
+
+
+def autocovariance(values: NDArray[np.float32], workers: int = 1) -> tuple[float, NDArray[np.float64]]:
+    """Mean of panoramas (P, N), and their mean circular autocovariance (N,) about it."""
+    mean = float(values.mean(dtype=np.float64))
+    turn = values.shape[1]
+    power = np.zeros(turn // 2 + 1)
+    for block in _blocks(values):
+        spectrum = fft.rfft(block.astype(np.float64) - mean, axis=1, workers=workers)
+        power += (spectrum.real**2 + spectrum.imag**2).sum(axis=0)
+    return mean, fft.irfft(power, turn) / (turn * len(values))
+
+
+def analyse(
+    values: NDArray[np.float32],
+    beams: int,
+    count: int | None = None,
+    share: float = 0.9,
+    workers: int = 1,
+) -> Eigenspace:
+    """Eigenspace of all N windows of `beams` beams of panoramas (P, N).
+
+    Keeps `count` components, or the fewest that hold `share` of the variance. Raises ValueError for an empty
+    set, values that are not finite (see RangeTransform), or a window beyond a turn.
+    """
+    if values.ndim != 2 or not values.size:
+        raise ValueError(f"no panoramas to analyse: shape {values.shape}")
+    if not 1 <= beams <= values.shape[1]:
+        raise ValueError(f"a window of {beams} beams in a panorama of {values.shape[1]}")
+    mean, covariance = autocovariance(values, workers)
+    if not np.isfinite(covariance).all():
+        raise ValueError("panoramas hold values that are not finite: clip them first")
+    matrix = toeplitz(covariance[:beams])
+    total = float(covariance[0]) * beams
+    if count is not None:
+        count = min(count, beams)
+        eigenvalues, vectors = eigh(matrix, subset_by_index=(beams - count, beams - 1))
+    else:
+        eigenvalues, vectors = eigh(matrix)
+        held = np.cumsum(eigenvalues[::-1])
+        # rounding must not ask for components that hold nothing
+        count = min(int(np.searchsorted(held, share * total * (1 - 1e-12))) + 1, beams)
+    kept = np.maximum(eigenvalues[::-1][:count], 0.0)
+    return Eigenspace(mean, _upright(vectors.T[::-1][:count]), kept.astype(np.float32), total)
+
+
+def all_coefficients(values: NDArray[np.float32], space: Eigenspace, workers: int = 1) -> NDArray[np.float32]:
+    """Coefficients (P, N, M) of every window of panoramas (P, N): [p, k] is the window k of panorama p."""
+    turn = values.shape[1]
+    filters = np.conj(fft.rfft(space.vectors, turn, axis=1))
+    out = np.empty((len(values), turn, len(space.vectors)), dtype=np.float32)
+    for start in range(0, len(values), _BLOCK):
+        block = values[start : start + _BLOCK] - np.float32(space.mean)
+        spectrum = fft.rfft(block, axis=1, workers=workers)
+        for m, one in enumerate(filters):
+            out[start : start + _BLOCK, :, m] = fft.irfft(spectrum * one, turn, axis=1, workers=workers)
+    return out
+
+
+def all_norms(values: NDArray[np.float32], space: Eigenspace) -> NDArray[np.float32]:
+    """Norms ||S - mean|| (P, N) of every window of panoramas (P, N).
+
+    With the coefficients a they give the error's energy: e^2 = norm^2 - ||a||^2.
+    """
+    beams = space.beams
+    squares = (values.astype(np.float64) - space.mean) ** 2
+    ring = np.concatenate([np.zeros((len(values), 1)), squares, squares[:, : beams - 1]], axis=1)
+    running = np.cumsum(ring, axis=1)
+    norms: NDArray[np.float32] = np.sqrt(np.maximum(running[:, beams:] - running[:, :-beams], 0.0)).astype(
+        np.float32
+    )
+    return norms
+
+
+def _blocks(values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    return [values[start : start + _BLOCK] for start in range(0, len(values), _BLOCK)]
+
+
+def _upright(vectors: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Each row with the sign that makes its first large element positive: the same on every machine."""
+    large = np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True)
+    first = np.take_along_axis(vectors, large.argmax(axis=1)[:, None], axis=1)
+    upright: NDArray[np.float32] = np.ascontiguousarray(vectors * np.sign(first), dtype=np.float32)
+    return upright
