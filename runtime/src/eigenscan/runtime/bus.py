@@ -1,10 +1,16 @@
-"""Zenoh as the contract uses it: envelopes out, samples into an inbox, latched channels by query."""
+"""Zenoh as the contract uses it: envelopes out, samples into an inbox, latched channels by query.
+
+A latched channel's newest samples are held by who said them and given to every query on their keys.
+Who holds some shows a liveliness token; who hears the channel queries again at each new token, so
+that it matters neither who came first nor whether a link was down meanwhile.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from functools import lru_cache
 from types import TracebackType
 from typing import Any
 
@@ -13,47 +19,33 @@ from eigenscan.runtime.inbox import Inbox
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,
+    HEALTH,
+    LATCHED_TEMPLATE,
     Channel,
-    ContractError,
     Priority,
     find,
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import encode, encoding
 
-_PRIORITY = {
-    Priority.REAL_TIME: zenoh.Priority.REAL_TIME,
-    Priority.INTERACTIVE_HIGH: zenoh.Priority.INTERACTIVE_HIGH,
-    Priority.DATA: zenoh.Priority.DATA,
-    Priority.DATA_LOW: zenoh.Priority.DATA_LOW,
-    Priority.BACKGROUND: zenoh.Priority.BACKGROUND,
-}
+LATCHED_TIMEOUT_S = 120.0
+"""What a holder's answer may take: 100 MB of models on a slow link."""
 
-
-def open_session(path: Path | None) -> zenoh.Session:
-    """Session from a JSON5 file, or an embedded peer that finds its neighbours by multicast.
-
-    Raises ContractError naming the file where it is no Zenoh configuration or no session opens.
-    """
-    try:
-        config = zenoh.Config.from_file(str(path)) if path else zenoh.Config()
-    except zenoh.ZError as error:
-        raise ContractError(f"{path}: is no Zenoh configuration: {error}") from error
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise ContractError(f"{path or 'embedded peer'}: no Zenoh session: {error}") from error
+_PRIORITY = {priority: getattr(zenoh.Priority, priority.name) for priority in Priority}
 
 
 class Bus:
-    """One service's connection. Closing it undeclares all and joins Zenoh's threads."""
+    """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._publishers: dict[str, Any] = {}
-        self._latched: dict[str, tuple[Channel, bytes]] = {}
+        self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
         self._lock = threading.Lock()
         self._declared: list[Any] = []
+        self._closed = False
+        self.twins = 0
+        """Health messages heard from another process under this one's own name."""
 
     def __enter__(self) -> Bus:
         return self
@@ -67,9 +59,18 @@ class Bus:
         self.close()
 
     def announce(self, site: str, service: str, instance: str) -> None:
-        """Holds a liveliness token for as long as this bus lives."""
-        key = ALIVE_TEMPLATE.format(site=site, service=service, instance=instance, contract=CONTRACT_VERSION)
-        self._declared.append(self._session.liveliness().declare_token(key))
+        """Holds a liveliness token for as long as this bus lives, and counts `twins` of that name."""
+        address = {"site": site, "service": service, "instance": instance}
+        self._declare_token(ALIVE_TEMPLATE.format(**address, contract=CONTRACT_VERSION))
+
+        def on_health(_sample: Any) -> None:
+            self.twins += 1
+
+        self._declared.append(
+            self._session.declare_subscriber(
+                HEALTH.key(address), on_health, allowed_origin=zenoh.Locality.REMOTE
+            )
+        )
 
     def offer(self, channels: Sequence[Channel], address: Mapping[str, str]) -> None:
         """Answers queries for the newest samples of the latched ones among `channels`."""
@@ -78,68 +79,151 @@ class Bus:
                 self._declared.append(
                     self._session.declare_queryable(channel.selector(address), self._answer)
                 )
+                self._declare_token(
+                    LATCHED_TEMPLATE.format(
+                        site=address["site"], channel=channel.name, session=self._session.zid()
+                    )
+                )
+
+    def _declare_token(self, key: str) -> None:
+        self._declared.append(self._session.liveliness().declare_token(key))
 
     def _answer(self, query: Any) -> None:
         with self._lock:
-            found = [(key, held) for key, held in self._latched.items() if query.key_expr.intersects(key)]
-        for key, (channel, payload) in found:
-            query.reply(key, payload, encoding=zenoh.Encoding(encoding(channel)))
+            held = [(key, *sample) for key, sample in self._latched.items()]
+        with query:
+            for key, channel, payload, stamp in held:
+                if query.key_expr.intersects(key):
+                    query.reply(
+                        key,
+                        payload,
+                        encoding=zenoh.Encoding(encoding(channel)),
+                        timestamp=stamp,
+                        express=channel.qos.express,
+                    )
 
     def listen(self, channels: Sequence[Channel], address: Mapping[str, str], inbox: Inbox) -> None:
         """Fills `inbox` from all keys of `channels` that fit `address`; latched ones also from the past."""
         for channel in channels:
-            self._listen(channel, channel.selector(address), inbox)
+            intake = _Intake([channel], inbox)
+            selector = channel.selector(address)
+            self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
+            if channel.qos.latched:
+                self._follow(channel, address.get("site", "*"), selector, intake)
 
     def listen_all(self, channels: Sequence[Channel], selector: str, inbox: Inbox) -> None:
-        """Fills `inbox` from every key that `selector` matches; each sample goes to its own channel."""
+        """Fills `inbox` from every key that `selector` matches; each sample goes to its own channel.
 
-        def on_sample(sample: Any) -> None:
-            key = str(sample.key_expr)
-            found = find(key)
-            if found and found[0] in channels:
-                inbox.put(found[0], key, sample.payload.to_bytes(), str(sample.encoding))
-            else:
-                inbox.dropped["foreign_key"] += 1
+        Latched channels are heard from the past as well.
+        """
+        intake = _Intake(channels, inbox)
+        self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
+        site = selector.partition("/")[0].replace("**", "*")
+        for channel in channels:
+            past = channel.selector({"site": site})
+            if channel.qos.latched and zenoh.KeyExpr(selector).intersects(past):
+                self._follow(channel, site, past, intake)
 
-        self._declared.append(self._session.declare_subscriber(selector, on_sample))
+    def _follow(self, channel: Channel, site: str, selector: str, intake: _Intake) -> None:
+        """Asks for the newest samples of `channel` whenever somebody appears who holds some."""
 
-    def _listen(self, channel: Channel, selector: str, inbox: Inbox) -> None:
-        def on_sample(sample: Any) -> None:
-            inbox.put(channel, str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+        def on_token(token: Any) -> None:
+            if token.kind == zenoh.SampleKind.PUT and not self._closed:
+                self._session.get(
+                    selector,
+                    intake.on_reply,
+                    target=zenoh.QueryTarget.ALL,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                    timeout=LATCHED_TIMEOUT_S,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                    priority=_PRIORITY[channel.qos.priority],
+                )
 
-        def on_reply(reply: Any) -> None:
-            if reply.ok is not None:
-                on_sample(reply.ok)
-
-        self._declared.append(self._session.declare_subscriber(selector, on_sample))
-        if channel.qos.latched:
-            self._session.get(selector, on_reply, target=zenoh.QueryTarget.ALL)
+        tokens = LATCHED_TEMPLATE.format(site=site, channel=channel.name, session="*")
+        self._declared.append(self._session.liveliness().declare_subscriber(tokens, on_token, history=True))
 
     def say(self, envelope: Envelope) -> None:
         """Publishes one message with its channel's quality of service."""
         channel, key = envelope.channel, envelope.key
         payload = encode(envelope.message)
-        if channel.qos.latched:
-            with self._lock:
-                self._latched[key] = (channel, payload)
-        publisher = self._publishers.get(key)
-        if publisher is None:
-            publisher = self._session.declare_publisher(
-                key,
-                encoding=zenoh.Encoding(encoding(channel)),
-                priority=_PRIORITY[channel.qos.priority],
-                express=channel.qos.express,
-                congestion_control=zenoh.CongestionControl.BLOCK
-                if channel.qos.block
-                else zenoh.CongestionControl.DROP,
-            )
-            self._publishers[key] = publisher
-        publisher.put(payload)
+        stamp = None
+        with self._lock:
+            if channel.qos.latched:
+                stamp = self._session.new_timestamp()
+                self._latched[key] = (channel, payload, stamp)
+            publisher = self._publishers.get(key)
+            if publisher is None:
+                publisher = self._publishers[key] = self._publisher(channel, key)
+        publisher.put(payload, timestamp=stamp)
+
+    def _publisher(self, channel: Channel, key: str) -> Any:
+        block = channel.qos.block
+        return self._session.declare_publisher(
+            key,
+            encoding=zenoh.Encoding(encoding(channel)),
+            priority=_PRIORITY[channel.qos.priority],
+            express=channel.qos.express,
+            congestion_control=zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP,
+        )
 
     def close(self) -> None:
-        """Undeclares everything, then closes the session."""
-        for declared in [*self._publishers.values(), *self._declared]:
-            declared.undeclare()
-        self._publishers.clear()
-        self._declared.clear()
+        """Undeclares everything, then closes the session. What another thread says after that fails."""
+        with self._lock:
+            self._closed = True
+            declared = [*self._declared, *self._publishers.values()]
+            self._declared.clear()
+            self._publishers.clear()
+        for one in declared:
+            with contextlib.suppress(zenoh.ZError):  # the link may be gone already
+                one.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+class _Intake:
+    """Puts samples into an inbox; of a latched key only what is newer than what it has put before."""
+
+    def __init__(self, channels: Sequence[Channel], inbox: Inbox) -> None:
+        self._channels = channels
+        self._inbox = inbox
+        self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub does not say that it can be compared
+        self._lock = threading.Lock()
+
+    def on_sample(self, sample: Any) -> None:
+        """A live sample."""
+        self._take(sample, live=True)
+
+    def on_reply(self, reply: Any) -> None:
+        """A held sample, or the news that there is no answer."""
+        if reply.ok is not None:
+            self._take(reply.ok, live=False)
+        else:
+            self._inbox.drop("unanswered")
+
+    def _take(self, sample: Any, live: bool) -> None:
+        key = str(sample.key_expr)
+        channel = _channel_of(key)
+        if channel is None or channel not in self._channels:
+            self._inbox.drop("foreign_key")
+        elif sample.kind != zenoh.SampleKind.PUT:
+            self._inbox.drop("deletion")
+        else:
+            payload, declared = sample.payload.to_bytes(), str(sample.encoding)
+            with self._lock:  # held over the put: a newer sample must not be overtaken by this one
+                if not channel.qos.latched or self._is_news(key, sample.timestamp, live):
+                    self._inbox.put(channel, key, payload, declared)
+
+    def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
+        """Clocks of two publishers may differ: between them only a held sample must prove to be newer."""
+        if stamp is None:
+            return True
+        held = self._newest.get(key)
+        if held and (not live or held.get_id() == stamp.get_id()) and stamp <= held:
+            return False
+        self._newest[key] = stamp
+        return True
+
+
+@lru_cache(maxsize=65536)
+def _channel_of(key: str) -> Channel | None:
+    found = find(key)
+    return found[0] if found else None

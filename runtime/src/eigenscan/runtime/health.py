@@ -8,15 +8,17 @@ import time
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from eigenscan.runtime.settings import SettingsError
+from eigenscan.schemas.channels import CONTRACT_VERSION
 from eigenscan.schemas.envelope import Condition, stamp
 from eigenscan.schemas.health_pb2 import Health
-from prometheus_client import CollectorRegistry, Histogram
+from prometheus_client import CollectorRegistry, Histogram, Info, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector
 
 STALLED_AFTER_S = 10.0
-"""A loop that has not turned for this long makes /healthz fail."""
+"""A core that has not turned for this long makes /healthz fail."""
 
 
 class _Counters(Collector):
@@ -26,7 +28,7 @@ class _Counters(Collector):
     def collect(self) -> Iterator[Metric]:
         condition = self._read()
         counts = CounterMetricFamily(
-            "eigenscan_messages", "messages taken, said and set aside", labels=["what"]
+            "eigenscan_messages", "messages heard, said and set aside", labels=["what"]
         )
         for name, value in sorted(condition.counters.items()):
             counts.add_metric([name], value)
@@ -37,14 +39,26 @@ class _Counters(Collector):
 
 
 class Monitor:
-    """Keeps a service's condition; read from any thread."""
+    """Keeps a service's condition; safe to use from any thread."""
 
-    def __init__(self, service: str, instance: str, version: str) -> None:
+    def __init__(
+        self, service: str, instance: str, version: str, stalled_after_s: float = STALLED_AFTER_S
+    ) -> None:
         self.service, self.instance, self.version = service, instance, version
         self._condition = Condition(Health.STATUS_WAITING, "starting")
-        self._turned = time.monotonic()
+        self._turned: float | None = None
+        self._stalled_after_s = stalled_after_s
         self._registry = CollectorRegistry()
-        self._registry.register(_Counters(lambda: self._condition))
+        self._registry.register(_Counters(self.condition))
+        ProcessCollector(registry=self._registry)
+        Info("eigenscan", "what runs here", registry=self._registry).info(
+            {
+                "service": service,
+                "instance": instance,
+                "version": version,
+                "contract": str(CONTRACT_VERSION),
+            }
+        )
         self.handling = Histogram(
             "eigenscan_handling_seconds",
             "time in the core per message",
@@ -55,14 +69,26 @@ class Monitor:
         self._server: ThreadingHTTPServer | None = None
 
     def turn(self, condition: Condition) -> bool:
-        """Notes that the loop turned; True where the status or its detail changed."""
+        """Notes that the core turned; True where the status or its detail changed."""
         self._turned = time.monotonic()
         before, self._condition = self._condition, condition
         return (before.status, before.detail) != (condition.status, condition.detail)
 
+    def busy_s(self) -> float:
+        """Seconds since the core turned last; 0 while it starts."""
+        return 0.0 if self._turned is None else time.monotonic() - self._turned
+
+    def condition(self) -> Condition:
+        """The core's condition; degraded where it has not turned for long."""
+        condition = self._condition
+        if self.busy_s() > self._stalled_after_s:
+            detail = f"no answer from the core for {self.busy_s():.0f} s"
+            return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
+        return condition
+
     def message(self) -> Health:
         """The condition as the contract says it."""
-        condition = self._condition
+        condition = self.condition()
         return Health(
             timestamp=stamp(time.time_ns()),
             service=self.service,
@@ -73,38 +99,34 @@ class Monitor:
             package_version=self.version,
         )
 
+    def probe(self) -> tuple[int, dict[str, object]]:
+        """HTTP code and body of /healthz: 200 from when the core has started for as long as it turns."""
+        condition = self.condition()
+        starting, stalled = self._turned is None, self.busy_s() > self._stalled_after_s
+        body = {
+            "status": Health.Status.Name(condition.status),
+            "detail": condition.detail,
+            "starting": starting,
+            "stalled": stalled,
+        }
+        return 503 if starting or stalled else 200, body
+
+    def metrics(self) -> bytes:
+        """All metrics in Prometheus' text format."""
+        return generate_latest(self._registry)
+
     def serve(self, host: str, port: int) -> int:
-        """Serves /metrics and /healthz on a thread of their own; gives the port."""
-        monitor = self
+        """Serves /metrics and /healthz on a thread of their own; gives the port.
 
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                if self.path.startswith("/metrics"):
-                    self._reply(200, "text/plain; version=0.0.4", generate_latest(monitor._registry))
-                elif self.path.startswith("/healthz"):
-                    stalled = time.monotonic() - monitor._turned > STALLED_AFTER_S
-                    condition = monitor._condition
-                    body = {
-                        "status": Health.Status.Name(condition.status),
-                        "detail": condition.detail,
-                        "stalled": stalled,
-                    }
-                    self._reply(503 if stalled else 200, "application/json", json.dumps(body).encode())
-                else:
-                    self._reply(404, "text/plain", b"there are /metrics and /healthz\n")
-
-            def _reply(self, code: int, kind: str, body: bytes) -> None:
-                self.send_response(code)
-                self.send_header("Content-Type", kind)
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
-
-            def log_message(self, *arguments: object) -> None:
-                """Probes are not news."""
-
-        self._server = ThreadingHTTPServer((host, port), Handler)
-        threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
+        Raises SettingsError where it cannot listen there.
+        """
+        try:
+            self._server = _Server((host, port), self)
+        except OSError as error:
+            raise SettingsError(
+                f"metrics_port = {port}: cannot listen on {host}: {error.strerror}: choose another, or 0"
+            ) from error
+        threading.Thread(target=self._server.serve_forever, args=(0.1,), name="metrics", daemon=True).start()
         return int(self._server.server_address[1])
 
     def close(self) -> None:
@@ -112,3 +134,40 @@ class Monitor:
         if self._server:
             self._server.shutdown()
             self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, address: tuple[str, int], monitor: Monitor) -> None:
+        self.monitor = monitor
+        super().__init__(address, _Handler)
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A probe that hangs up is not news."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    timeout = 5
+    server: _Server
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        if path == "/metrics":
+            self._reply(200, "text/plain; version=0.0.4; charset=utf-8", self.server.monitor.metrics())
+        elif path == "/healthz":
+            code, body = self.server.monitor.probe()
+            self._reply(code, "application/json", json.dumps(body).encode())
+        else:
+            self._reply(404, "text/plain", b"there are /metrics and /healthz\n")
+
+    def _reply(self, code: int, kind: str, body: bytes) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *arguments: object) -> None:
+        """Probes are not news."""

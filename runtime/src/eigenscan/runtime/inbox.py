@@ -6,7 +6,7 @@ Zenoh's threads only append here; a slow callback would stall its whole session.
 from __future__ import annotations
 
 import threading
-from collections import Counter, deque
+from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass
 
 from eigenscan.schemas.channels import Channel
@@ -20,37 +20,61 @@ class Arrival:
     key: str
     payload: bytes
     encoding: str
-    order: int
 
 
 class Inbox:
-    """Thread-safe queue over several channels; each is bounded by its own depth."""
+    """Thread-safe queue over many keys, each bounded by its channel's depth. All it does takes O(1)."""
 
     def __init__(self) -> None:
-        self._waiting: dict[str, deque[Arrival]] = {}
+        self._waiting: OrderedDict[int, Arrival] = OrderedDict()  # by order of arrival
+        self._orders: dict[str, deque[int]] = {}  # of the samples that wait, by key
+        self._next = 0
+        self._closed = False
         self._ready = threading.Condition()
-        self._order = 0
-        self.dropped: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
 
     def put(self, channel: Channel, key: str, payload: bytes, encoding: str) -> None:
-        """Adds a sample; where its key's queue is full the oldest of that key goes."""
+        """Adds a sample; where its key has `depth` waiting already the oldest of that key goes."""
         with self._ready:
-            queue = self._waiting.setdefault(key, deque())
-            if channel.qos.depth and len(queue) >= channel.qos.depth:
-                queue.popleft()
-                self.dropped[channel.name] += 1
-            queue.append(Arrival(channel, key, payload, encoding, self._order))
-            self._order += 1
+            orders = self._orders.setdefault(key, deque())
+            if channel.qos.depth and len(orders) >= channel.qos.depth:
+                del self._waiting[orders.popleft()]
+                self._dropped[channel.name] += 1
+            orders.append(self._next)
+            self._waiting[self._next] = Arrival(channel, key, payload, encoding)
+            self._next += 1
             self._ready.notify()
 
     def take(self, timeout: float) -> Arrival | None:
-        """Oldest sample, or None after `timeout` seconds without one."""
+        """Oldest sample, or None after `timeout` seconds without one, or when closed."""
         with self._ready:
-            if not any(self._waiting.values()):
-                self._ready.wait(timeout)
-            waiting = [queue for queue in self._waiting.values() if queue]
-            return min(waiting, key=lambda queue: queue[0].order).popleft() if waiting else None
+            self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
+            if not self._waiting or self._closed:
+                return None
+            _, arrival = self._waiting.popitem(last=False)
+            orders = self._orders[arrival.key]
+            orders.popleft()
+            if not orders:
+                del self._orders[arrival.key]
+            return arrival
+
+    def drop(self, reason: str) -> None:
+        """Counts a sample that was not taken in."""
+        with self._ready:
+            self._dropped[reason] += 1
+
+    def close(self) -> None:
+        """Wakes whoever takes; nothing is given out any more."""
+        with self._ready:
+            self._closed = True
+            self._ready.notify_all()
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Counts of samples not given out, by channel or reason."""
+        with self._ready:
+            return dict(self._dropped)
 
     def __len__(self) -> int:
         with self._ready:
-            return sum(len(queue) for queue in self._waiting.values())
+            return len(self._waiting)

@@ -1,22 +1,29 @@
-"""The shell around a core: session, inbox, liveliness, health, metrics, shutdown."""
+"""The shell around a core: session, inbox, liveliness, health, metrics, shutdown.
+
+The core has a thread of its own. The main thread tells the service's health and answers signals,
+so that both work while the core computes for long.
+"""
 
 from __future__ import annotations
 
-import signal
+import faulthandler
+import math
+import os
 import sys
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from importlib.metadata import version
-from types import FrameType
+from importlib.metadata import PackageNotFoundError, version
 from typing import TypeVar
 
-from eigenscan.runtime.bus import Bus, open_session
+from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.health import Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.logs import configure
+from eigenscan.runtime.session import open_session
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
+from eigenscan.runtime.wake import Wake
 from eigenscan.schemas.channels import HEALTH, ContractError
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -25,122 +32,211 @@ from eigenscan.schemas.wire import decode
 S = TypeVar("S", bound=ServiceSettings)
 
 HEALTH_PERIOD_S = 1.0
+CONDITION_PERIOD_S = 0.25
+STOP_CORE_S = 1.0
+"""What the core gets to end its present message and say what it holds back, when told to stop."""
+STOP_ALL_S = 1.9
+"""After this a process that was told to stop is ended by force."""
 EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
 
-def main(service: str, kind: type[S], make_core: Callable[[S], Core]) -> None:
-    """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits."""
-    try:
-        settings = load(kind, service)
-        core = make_core(settings)
-        sys.exit(Node(service, settings, core).run())
-    except (SettingsError, ContractError, OSError, ValueError) as error:
-        print(f"eigenscan-{service}: {error}", file=sys.stderr)
-        sys.exit(EXIT_SETTINGS)
+def main(service: str, kind: type[S], make_core: Callable[[S], Core], mode: str = "peer") -> None:
+    """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
+
+    `mode` is that of the Zenoh session where the settings name no configuration file.
+    """
+    wake = Wake()
+    with wake.on_signals():
+        node = None
+        try:
+            settings = load(kind, service)
+            node = Node(service, settings, lambda: make_core(settings), mode, wake)
+            code = node.run()
+        except (SettingsError, ContractError, OSError, ValueError) as error:
+            print(f"eigenscan-{service}: {error}", file=sys.stderr)
+            code = EXIT_SETTINGS
+        if node and node.unfinished:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)  # the core's thread must not meet an interpreter that is half gone
+    sys.exit(code)
 
 
 class Node:
     """Runs one core on Zenoh. A message that the core fails on is counted and logged, not fatal."""
 
-    def __init__(self, service: str, settings: ServiceSettings, core: Core) -> None:
-        self.service, self.settings, self.core = service, settings, core
-        self._stop = threading.Event()
+    def __init__(
+        self,
+        service: str,
+        settings: ServiceSettings,
+        make_core: Callable[[], Core],
+        mode: str = "peer",
+        wake: Wake | None = None,
+    ) -> None:
+        self.service, self.settings = service, settings
+        self.unfinished = False
+        """True where the core's thread was still at work when `run` ended."""
+        self._make_core, self._mode = make_core, mode
+        self._wake = wake or Wake()
         self._counts: Counter[str] = Counter()
-        self._said_at: dict[str, float] = {}
+        self._warned_at: dict[str, float] = {}
+        self._told = (Health.STATUS_UNSPECIFIED, "")
+        self._twins = 0
         self._log = configure(
             settings.log_level, settings.log_format, service=service, instance=settings.instance
         )
-        self._monitor = Monitor(service, settings.instance, version(f"eigenscan-{service}"))
+        self._monitor = Monitor(service, settings.instance, _package_version(service))
         self._inbox = Inbox()
+        self._bus: Bus | None = None
+        self._fault: BaseException | None = None
 
-    def stop(self, _signum: int = 0, _frame: FrameType | None = None) -> None:
-        """Asks the loop to end; it does within one message."""
-        self._stop.set()
+    def stop(self) -> None:
+        """Asks the node to end, from any thread."""
+        self._wake.stop()
 
     def run(self) -> int:
-        """Runs until stopped; gives the exit code."""
-        signal.signal(signal.SIGTERM, self.stop)
-        signal.signal(signal.SIGINT, self.stop)
+        """Runs until stopped; gives the exit code. Raises what the core raised before it was ready."""
         settings = self.settings
-        address = {"site": settings.site}
-        if settings.robot != "*":
-            address["robot"] = settings.robot
         if settings.metrics_port is not None:
             port = self._monitor.serve(settings.metrics_host, settings.metrics_port)
             self._log.info("metrics", url=f"http://{settings.metrics_host}:{port}/metrics")
-        with Bus(open_session(settings.zenoh)) as bus:
-            bus.offer(self.core.says, address)
-            bus.listen(self.core.hears, address, self._inbox)
-            bus.announce(settings.site, self.service, settings.instance)
-            self._log.info("ready", site=settings.site, robot=settings.robot)
-            self._say(bus, self.core.start())
-            self._loop(bus)
-            self._say(bus, self.core.finish())
-        self._monitor.close()
-        self._log.info("stopped", **dict(self._counts))
-        return 0
+        core = threading.Thread(target=self._run_core, name="core", daemon=True)
+        core.start()
+        self._tend(core)
+        faulthandler.dump_traceback_later(STOP_ALL_S, exit=True)
+        try:
+            self._inbox.close()
+            core.join(STOP_CORE_S)
+            self.unfinished = core.is_alive()
+            if self._bus:
+                self._bus.close()
+            self._monitor.close()
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+        if self._fault:
+            raise self._fault
+        self._log.info("stopped", unfinished=self.unfinished, **self._counts)
+        return EXIT_CORE if self._counts["finish_failed"] else 0
 
-    def _loop(self, bus: Bus) -> None:
-        due = 0.0
-        while not self._stop.is_set():
-            arrival = self._inbox.take(timeout=0.1)
-            if arrival is not None:
-                self._handle(bus, arrival)
-            now = time.monotonic()
-            if now >= due:
-                changed = self._monitor.turn(self._condition())
-                health = self._monitor.message()
-                self._say(bus, [Envelope(HEALTH, self._health_address(), health)])
-                if changed:
-                    self._log.info("status", status=Health.Status.Name(health.status), detail=health.detail)
-                due = now + HEALTH_PERIOD_S
+    def _tend(self, core: threading.Thread) -> None:
+        """Tells the service's health once a second and at every change, until the end is asked for."""
+        while not self._wake.stopping and core.is_alive():
+            self._wake.wait(HEALTH_PERIOD_S)
+            if self._bus:
+                self._tell(self._bus)
 
-    def _health_address(self) -> dict[str, str]:
-        return {
+    def _tell(self, bus: Bus) -> None:
+        health = self._monitor.message()
+        address = {
             "site": self.settings.site,
             "service": self.service,
             "instance": self.settings.instance,
         }
+        bus.say(Envelope(HEALTH, address, health))
+        if (health.status, health.detail) != self._told:
+            self._told = (health.status, health.detail)
+            self._log.info("status", status=Health.Status.Name(health.status), detail=health.detail)
+        if bus.twins > self._twins:
+            self._twins = bus.twins
+            self._warn("duplicate_instance", hint="give each instance of a service its own --instance")
 
-    def _condition(self) -> Condition:
-        own = self.core.condition()
-        counters = dict(own.counters) | dict(self._counts)
-        counters |= {f"dropped_{name}": count for name, count in self._inbox.dropped.items()}
-        return Condition(own.status, own.detail, counters)
-
-    def _handle(self, bus: Bus, arrival: Arrival) -> None:
+    def _run_core(self) -> None:
         try:
-            message = decode(arrival.channel, arrival.payload, arrival.encoding)
-        except ContractError as error:
-            self._set_aside("undecodable", arrival.key, error)
-            return
-        address = arrival.channel.parse(arrival.key)
+            core = self._make_core()
+            bus = self._connect(core)
+            self._say(bus, core.start())
+        except BaseException as error:
+            self._fault = error
+        else:
+            self._log.info("ready", site=self.settings.site, robot=self.settings.robot)
+            self._loop(bus, core)
+        self._wake.set()
+
+    def _connect(self, core: Core) -> Bus:
+        settings = self.settings
+        address = {"site": settings.site}
+        if settings.robot != "*":
+            address["robot"] = settings.robot
+        bus = self._bus = Bus(open_session(settings.zenoh, self._mode))
+        bus.offer(core.says, address)
+        bus.listen(core.hears, address, self._inbox)
+        bus.announce(settings.site, self.service, settings.instance)
+        return bus
+
+    def _loop(self, bus: Bus, core: Core) -> None:
+        due = 0.0
+        while not self._wake.stopping:
+            if time.monotonic() >= due:
+                if self._monitor.turn(self._condition(core)):
+                    self._wake.set()
+                due = time.monotonic() + CONDITION_PERIOD_S
+            arrival = self._inbox.take(CONDITION_PERIOD_S)
+            if arrival is not None:
+                self._handle(bus, core, arrival)
+        try:
+            self._say(bus, core.finish())
+        except Exception as error:
+            self._set_aside("finish_failed", "", error, trace=True)
+
+    def _condition(self, core: Core) -> Condition:
+        counters = dict(self._counts)
+        counters |= {f"dropped_{name}": count for name, count in self._inbox.dropped.items()}
+        counters["waiting"] = len(self._inbox)
+        try:
+            own = core.condition()
+        except Exception as error:
+            self._set_aside("core_failed", "", error, trace=True)
+            return Condition(Health.STATUS_DEGRADED, f"the core cannot tell its condition: {error}", counters)
+        return Condition(own.status, own.detail, dict(own.counters) | counters)
+
+    def _handle(self, bus: Bus, core: Core, arrival: Arrival) -> None:
+        channel = arrival.channel
+        address = channel.parse(arrival.key)
         if address is None:
             self._set_aside("foreign_key", arrival.key, None)
             return
-        self._counts[f"heard_{arrival.channel.name}"] += 1
-        with self._monitor.handling.labels(arrival.channel.name).time():
+        try:
+            message = decode(channel, arrival.payload, arrival.encoding)
+        except ContractError as error:
+            self._set_aside("undecodable", arrival.key, error)
+            return
+        self._counts[f"heard_{channel.name}"] += 1
+        with self._monitor.handling.labels(channel.name).time():
             try:
-                self._say(bus, self.core.handle(Envelope(arrival.channel, address, message)))
+                self._say(bus, core.handle(Envelope(channel, address, message)))
             except Exception as error:
                 # the shell outlives a fault of the core: the next scan may be fine
-                self._set_aside("core_failed", arrival.key, error, trace=True)
-
-    def _set_aside(self, reason: str, key: str, error: BaseException | None, trace: bool = False) -> None:
-        self._counts[reason] += 1
-        now = time.monotonic()
-        if now - self._said_at.get(reason, -1.0) >= 1.0:
-            self._said_at[reason] = now
-            self._log.warning(
-                reason,
-                key=key,
-                error=str(error) if error else "",
-                count=self._counts[reason],
-                exc_info=error if trace else None,
-            )
+                if not self._wake.stopping:
+                    self._set_aside("core_failed", arrival.key, error, trace=True)
 
     def _say(self, bus: Bus, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
             bus.say(envelope)
             self._counts[f"said_{envelope.channel.name}"] += 1
+
+    def _set_aside(self, reason: str, key: str, error: BaseException | None, trace: bool = False) -> None:
+        self._counts[reason] += 1
+        self._warn(
+            reason,
+            key=key,
+            error=str(error) if error else "",
+            count=self._counts[reason],
+            exc_info=error if trace else None,
+        )
+
+    def _warn(self, reason: str, **context: object) -> None:
+        """Logs a warning, at most once a second for each reason."""
+        now = time.monotonic()
+        if now - self._warned_at.get(reason, -math.inf) >= 1.0:
+            self._warned_at[reason] = now
+            self._log.warning(reason, **context)
+
+
+def _package_version(service: str) -> str:
+    for distribution in (f"eigenscan-{service}", "eigenscan-runtime"):
+        try:
+            return version(distribution)
+        except PackageNotFoundError:
+            continue
+    return ""

@@ -1,22 +1,28 @@
 """Typed settings from flags, environment and a TOML file, in this order of precedence.
 
 A service's settings derive from ServiceSettings. Environment names are `EIGENSCAN_` and the field's
-name in capitals, or `EIGENSCAN_<SERVICE>_<FIELD>` for one service only. In the file, top-level keys
-hold for all services and the table `[<service>]` for one.
+name in capitals, or `EIGENSCAN_<SERVICE>_<FIELD>` for one service only, which wins; an empty variable
+counts as not set. In the file, top-level keys are those that all services have, and the table
+`[<service>]` holds what is for one of them. Lists and tables are given as JSON in flags and environment.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import os
 import sys
 import tomllib
+import types
+import typing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 
@@ -32,7 +38,10 @@ class ServiceSettings(BaseModel):
 
     site: str = Field(DEFAULT_SITE, description="site name, first chunk of every key")
     robot: str = Field(DEFAULT_ROBOT, description="robot to serve; * serves every robot of the site")
-    instance: str = Field("0", description="name of this instance among those of its service")
+    instance: str = Field(
+        default_factory=lambda given: "0" if given.get("robot", "*") == "*" else given["robot"],
+        description="name of this instance among those of its service; the robot's name without it",
+    )
     zenoh: Path | None = Field(None, description="Zenoh configuration, JSON5; without it an embedded peer")
     metrics_port: int | None = Field(
         None,
@@ -50,6 +59,21 @@ class ServiceSettings(BaseModel):
         description="json, console, or auto: console on a terminal",
     )
 
+    @field_validator("site", "robot", "instance")
+    @classmethod
+    def _one_chunk(cls, value: str, info: Any) -> str:
+        if not is_chunk(value) and not (value == "*" and info.field_name == "robot"):
+            raise ValueError("must be one chunk of a key: not empty, no blanks, none of / * $ # ? @")
+        return value
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A value and the place that gave it, as its user wrote it."""
+
+    value: Any
+    place: str
+
 
 def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
     """Settings of `service` from `arguments` (default: the command line), environment and file.
@@ -57,93 +81,118 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
     Raises SettingsError naming source, field and what would be accepted. `--help` prints and exits.
     """
     flags = _flags(kind, service, sys.argv[1:] if arguments is None else arguments)
-    config = flags.pop("config", None) or os.environ.get("EIGENSCAN_CONFIG")
-    layers = [
-        _file(kind, service, Path(config)) if config else {},
-        _environment(kind, service),
-        flags,
-    ]
-    values: dict[str, Any] = {}
-    sources: dict[str, str] = {}
-    names = [f"{config}", "environment", "flags"]
-    for layer, source in zip(layers, names, strict=True):
-        values.update(layer)
-        sources.update(dict.fromkeys(layer, source))
+    config = flags.pop("config", None)
+    path = config.value if config else os.environ.get("EIGENSCAN_CONFIG")
+    given = _file(kind, service, Path(path)) if path else {}
+    given |= _environment(kind, service) | flags
     try:
-        return kind.model_validate(values)
+        return kind.model_validate({name: entry.value for name, entry in given.items()})
     except ValidationError as error:
-        raise SettingsError(_explain(error, sources)) from error
+        raise SettingsError("; ".join(_explain(problem, given) for problem in error.errors())) from error
 
 
-def _explain(error: ValidationError, sources: dict[str, str]) -> str:
-    lines = []
-    for problem in error.errors():
-        field = ".".join(str(part) for part in problem["loc"])
-        source = sources.get(str(problem["loc"][0]) if problem["loc"] else "", "settings")
-        lines.append(f"{source}: {field} = {problem['input']!r}: {problem['msg']}")
-    return "; ".join(lines)
+def _explain(problem: ErrorDetails, given: dict[str, _Given]) -> str:
+    field, *inner = [str(part) for part in problem["loc"]] or ["settings"]
+    place = ".".join([given[field].place if field in given else field, *inner])
+    if problem["type"] == "missing":
+        return f"{place}: must be given"
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] in {"list_type", "dict_type", "tuple_type", "set_type"}:
+        message += ', written as JSON such as ["a", "b"]'
+    return f"{place} = {problem['input']!r}: {message}"
 
 
-def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, Any]:
+def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, _Given]:
     parser = argparse.ArgumentParser(
         prog=f"eigenscan-{service}",
-        description=(kind.__doc__ or "").strip(),
+        description=(kind.__doc__ or "").strip().replace("%", "%%"),
         epilog=f"example: eigenscan-{service} --site hospital --robot r17 --metrics-port 9100",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        allow_abbrev=False,
     )
-    parser.add_argument("--config", help="TOML file; flags and environment win over it", default=None)
+    parser.add_argument("--config", metavar="FILE", help="TOML file; flags and environment win over it")
     for name, field in kind.model_fields.items():
+        default = "" if field.default_factory or field.is_required() else f" (default: {field.default})"
         parser.add_argument(
-            f"--{name.replace('_', '-')}",
+            _flag(name),
             dest=name,
-            default=argparse.SUPPRESS,
             metavar="VALUE",
-            help=f"{field.description or name} (default: {field.get_default(call_default_factory=True)})",
+            help=f"{field.description or name}{default}".replace("%", "%%"),
+            nargs="?" if field.annotation is bool else None,
+            const="true" if field.annotation is bool else None,
         )
-    given = vars(parser.parse_args(arguments))
     return {
-        name: value if name == "config" else _typed(kind, name, value)
-        for name, value in given.items()
+        name: _Given(_typed(kind, name, value), _flag(name))
+        for name, value in vars(parser.parse_args(arguments)).items()
         if value is not None
     }
 
 
-def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name in kind.model_fields:
-        for variable in (
-            f"EIGENSCAN_{name.upper()}",
-            f"EIGENSCAN_{service.replace('-', '_').upper()}_{name.upper()}",
-        ):
-            if variable in os.environ:
-                found[name] = _typed(kind, name, os.environ[variable])
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _environment(kind: type[ServiceSettings], service: str) -> dict[str, _Given]:
+    own = f"EIGENSCAN_{service.replace('-', '_').upper()}_"
+    names = {name.upper(): name for name in kind.model_fields}
+    found = {}
+    for prefix in ("EIGENSCAN_", own):
+        for capitals, name in names.items():
+            if text := os.environ.get(prefix + capitals):
+                found[name] = _Given(_typed(kind, name, text), f"environment: {prefix}{capitals}")
+    for variable in os.environ:
+        rest = variable.removeprefix(own)
+        if variable.startswith(own) and rest not in names:
+            raise SettingsError(f"environment: {variable}: unknown{_nearest(rest, names, own)}")
     return found
 
 
 def _typed(kind: type[ServiceSettings], name: str, text: str) -> Any:
-    """Lists and tables are given as JSON; all else stays text, which pydantic converts."""
-    annotation = str(kind.model_fields[name].annotation)
-    if text[:1] in "[{" and not annotation.startswith("<class 'str'"):
-        try:
-            return json.loads(text)
-        except json.JSONDecodeError:
-            return text
-    return text
+    """Text as pydantic is to see it: parsed as JSON where the field is no plain value."""
+    annotation = kind.model_fields.get(name)
+    if annotation is None or _is_plain(annotation.annotation):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
 
 
-def _file(kind: type[ServiceSettings], service: str, path: Path) -> dict[str, Any]:
+def _is_plain(annotation: Any) -> bool:
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return all(_is_plain(one) for one in typing.get_args(annotation))
+    return typing.get_origin(annotation) is typing.Literal or (
+        isinstance(annotation, type) and not issubclass(annotation, (list, tuple, dict, set, BaseModel))
+    )
+
+
+def _file(kind: type[ServiceSettings], service: str, path: Path) -> dict[str, _Given]:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read ({error.strerror}): check --config") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
-    common = {
-        name: value
-        for name, value in content.items()
-        if not isinstance(value, dict) and name in kind.model_fields
+    tables = {name: value for name, value in content.items() if isinstance(value, dict)}
+    shared = {name: value for name, value in content.items() if name not in tables}
+    own = tables.get(service, {})
+    if service in shared:
+        raise SettingsError(f"{path}: {service}: must be a table, [{service}]")
+    for name in tables:
+        if name != service and difflib.get_close_matches(name, [service], cutoff=0.85):
+            raise SettingsError(f"{path}: [{name}]: unknown, did you mean [{service}]?")
+    for place, values, known in (
+        ("", shared, ServiceSettings.model_fields),
+        (f"[{service}] ", own, kind.model_fields),
+    ):
+        for name in values:
+            if name not in known:
+                hint = f", is it for [{service}]?" if name in kind.model_fields else _nearest(name, known)
+                raise SettingsError(f"{path}: {place}{name}: unknown{hint}")
+    return {name: _Given(value, f"{path}: {name}") for name, value in shared.items()} | {
+        name: _Given(value, f"{path}: [{service}] {name}") for name, value in own.items()
     }
-    own = content.get(service, {})
-    if not isinstance(own, dict):
-        raise SettingsError(f"{path}: {service} must be a table, [{service}]")
-    return common | own
+
+
+def _nearest(name: str, known: typing.Iterable[str], prefix: str = "") -> str:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", did you mean {prefix}{near[0]}?" if near else ""

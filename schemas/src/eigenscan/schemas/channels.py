@@ -36,6 +36,11 @@ class ContractError(ValueError):
     """A key or a sample that is not of this contract."""
 
 
+def is_chunk(text: str) -> bool:
+    """True where `text` can stand for one field of a key: not empty, none of `/ * $ # ? @`, no blanks."""
+    return bool(_CHUNK.fullmatch(text))
+
+
 class Priority(Enum):
     """Zenoh's priorities that the contract uses, most urgent first."""
 
@@ -95,13 +100,20 @@ class Channel:
         """
         for name in self.fields:
             value = address.get(name, "")
-            if not _CHUNK.fullmatch(value):
+            if not is_chunk(value):
                 raise ContractError(f"{self.name}: key field {name!r} cannot be {value!r}")
         return self.template.format_map({name: address[name] for name in self.fields})
 
     def selector(self, address: Mapping[str, str] | None = None) -> str:
-        """Key expression for all keys of this channel with the fields that `address` gives."""
+        """Key expression for all keys of this channel with the fields that `address` gives.
+
+        Raises ContractError where a field is neither one plain key chunk nor `*`.
+        """
         given = address or {}
+        for name in self.fields:
+            value = given.get(name, "*")
+            if value != "*" and not is_chunk(value):
+                raise ContractError(f"{self.name}: key field {name!r} cannot be {value!r}")
         return self.template.format_map({name: given.get(name, "*") for name in self.fields})
 
     def parse(self, key: str) -> dict[str, str] | None:
@@ -184,6 +196,9 @@ CHANNELS: tuple[Channel, ...] = (
 
 ALIVE_TEMPLATE = "{site}/alive/{service}/{instance}/{contract}"
 """Key of the liveliness token that each service instance holds."""
+
+LATCHED_TEMPLATE = "{site}/latched/{channel}/{session}"
+"""Key of the liveliness token of a session that answers queries for a latched channel."""
 
 
 def find(key: str) -> tuple[Channel, dict[str, str]] | None:

@@ -1,0 +1,63 @@
+"""Wakes the main thread from signal handlers and other threads without taking a lock.
+
+`threading.Event.set` in a signal handler deadlocks where the signal comes while the main thread holds
+the event's own lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import signal
+import socket
+import threading
+from collections.abc import Iterator
+from types import FrameType
+
+
+class Wake:
+    """A flag for "stop", and a sleep that `set` and the first of SIGTERM and SIGINT end."""
+
+    def __init__(self) -> None:
+        self.stopping = False
+        self._read, self._write = socket.socketpair()
+        self._read.setblocking(False)
+        self._write.setblocking(False)
+
+    def stop(self) -> None:
+        """Asks for the end; callable from anywhere."""
+        self.stopping = True
+        self.set()
+
+    def set(self) -> None:
+        """Ends the present or next `wait`."""
+        with contextlib.suppress(BlockingIOError):  # full: it is awake anyway
+            self._write.send(b"\0")
+
+    def wait(self, timeout: float) -> None:
+        """Sleeps until `set`, at most `timeout` seconds."""
+        if select.select([self._read], [], [], max(timeout, 0.0))[0]:
+            with contextlib.suppress(BlockingIOError):
+                self._read.recv(4096)
+
+    @contextlib.contextmanager
+    def on_signals(self) -> Iterator[None]:
+        """Turns SIGTERM and SIGINT into `stop`, in the main thread only."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def handler(_number: int, _frame: FrameType | None) -> None:
+            self.stop()
+
+        before = {number: signal.signal(number, handler) for number in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield
+        finally:
+            for number, previous in before.items():
+                signal.signal(number, previous)
+
+    def close(self) -> None:
+        """Frees the sockets."""
+        self._read.close()
+        self._write.close()
