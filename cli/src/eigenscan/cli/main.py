@@ -2,31 +2,51 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version as package_version
 from typing import Annotated
 
 import typer
+from eigenscan.cli.frame import lazy_group
+
+COMMANDS = {
+    "demo": ("eigenscan.cli.demo:demo", "watch a simulated robot find itself, twice"),
+    "run": ("eigenscan.cli.run:run", "start all services for your own map and robot"),
+    "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
+}
+"""Name: `module:function` and one line of help. A module is imported when its command is used."""
 
 app = typer.Typer(
     name="eigenscan",
+    cls=lazy_group(COMMANDS),
     help="Tells a robot with a 2D lidar where it is, from nothing.",
+    epilog="Exit codes: 0 done, 1 ran and failed, 2 wrong usage or bad input. "
+    "Start with: eigenscan demo. More on one command: eigenscan demo --help",
     no_args_is_help=True,
-    pretty_exceptions_show_locals=False,
+    pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(package_version("eigenscan-cli"))
+        from importlib.metadata import version
+
+        typer.echo(version("eigenscan-cli"))
         raise typer.Exit
 
 
 @app.callback()
 def _root(
+    *,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the trace of errors that have one line.")
+    ] = False,
     _version: Annotated[
         bool,
         typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end."),
     ] = False,
 ) -> None:
     pass
+
+
+if __name__ == "__main__":
+    app()

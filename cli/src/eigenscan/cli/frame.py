@@ -1,0 +1,78 @@
+"""The frame of the command: subcommands that load when they are called, and errors in one line."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+EXIT_FAILED = 1
+"""It ran, and failed."""
+
+EXIT_USAGE = 2
+"""It was asked in a wrong way, or given bad input."""
+
+
+class UsageError(ValueError):
+    """What was asked for cannot be done; the message names the option or file and the fix."""
+
+
+def by_users(error: Exception) -> bool:
+    """Whether `error` says what is wrong with the input, and so needs no trace.
+
+    These are the errors that this project raises itself (SettingsError, MapError, ...) and files that
+    cannot be read or written.
+    """
+    if isinstance(error, OSError):
+        return error.filename is not None
+    return isinstance(error, ValueError) and type(error).__module__.startswith("eigenscan.")
+
+
+def one_line(error: Exception) -> str:
+    """The error without line breaks."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
+    """Group over name -> (`module:function`, one line of help); a module is imported when it is used."""
+
+    class LazyGroup(TyperGroup):
+        def list_commands(self, _ctx: Any) -> list[str]:
+            return list(commands)
+
+        def get_command(self, _ctx: Any, cmd_name: str) -> Any:
+            if cmd_name not in commands:
+                return None
+            module, _, function = commands[cmd_name][0].partition(":")
+            single = typer.Typer(rich_markup_mode=None, add_completion=False)
+            single.command(cmd_name)(getattr(importlib.import_module(module), function))
+            return typer.main.get_command(single)
+
+        def format_commands(self, _ctx: Any, formatter: Any) -> None:
+            with formatter.section("Commands"):
+                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            if args[0] not in commands:
+                ctx.fail(f"no command {args[0]!r}; there are {', '.join(commands)}")
+            return super().resolve_command(ctx, args)
+
+        def invoke(self, ctx: Any) -> Any:
+            try:
+                return super().invoke(ctx)
+            except Exception as error:
+                # the frame's own exceptions (usage, Exit, Abort) are for typer
+                if ctx.params.get("debug") or type(error).__module__.startswith("typer."):
+                    raise
+                expected = by_users(error)
+                line = one_line(error) if expected else f"{type(error).__name__}: {one_line(error)}"
+                hint = "" if expected else " (a fault of ours; eigenscan --debug shows the trace)"
+                typer.echo(f"eigenscan {ctx.invoked_subcommand or '?'}: {line}{hint}", err=True)
+                raise typer.Exit(EXIT_USAGE if expected else EXIT_FAILED) from None
+
+    return LazyGroup

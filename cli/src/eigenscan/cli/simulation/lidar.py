@@ -1,0 +1,66 @@
+"""What a 2D lidar measures: walls, people, noise, and beams that go missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.cli.simulation.people import RADIUS
+from eigenscan.geometry.pose import compose
+from eigenscan.geometry.raycast import RayCaster
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A sensor and its faults. The default is the paper's, but for a shorter reach."""
+
+    beams: int = 361
+    fov: float = np.pi  # rad, from the first beam to the last
+    rate: float = 10.0  # Hz
+    range_min: float = 0.04  # m
+    range_max: float = 30.0  # m
+    noise: float = 0.015  # m, standard deviation
+    missing: float = 0.01  # share of the beams that are lost
+    mount: tuple[float, float, float] = (0.1, 0.0, 0.0)  # m, m, rad in the robot's base frame
+
+    @property
+    def angle_increment(self) -> float:
+        """Step from beam to beam, rad."""
+        return self.fov / (self.beams - 1)
+
+    @property
+    def bearings(self) -> Array:
+        """Direction of each beam (B,) in the sensor's frame, rad."""
+        return np.arange(self.beams, dtype=np.float64) * self.angle_increment - self.fov / 2
+
+    def measure(self, walls: RayCaster, base: Array, people: Array, random: np.random.Generator) -> Array:
+        """Ranges (B,), m, at the base pose (3,) among `people` (n, 2): +inf: no return, NaN: missing."""
+        sensor = compose(base, self.mount)
+        ranges: Array = walls.cast(sensor, self.bearings, self.range_max)[0].astype(np.float64)
+        ranges = np.minimum(ranges, to_discs(sensor, self.bearings, people, RADIUS))
+        # as many draws in every scan, so that one scan's beams do not shift the next one's noise
+        ranges = ranges + self.noise * random.standard_normal(self.beams)
+        lost = random.random(self.beams) < self.missing
+        ranges[ranges > self.range_max] = np.inf
+        ranges[lost | (ranges < self.range_min)] = np.nan
+        return ranges
+
+
+def to_discs(sensor: Array, bearings: Array, centres: Array, radius: float) -> Array:
+    """Distance (B,) along each beam to the first disc, +inf where there is none.
+
+    `sensor` (3,) and `centres` (n, 2) in one frame. A disc around the sensor itself is not seen.
+    """
+    angles = sensor[2] + bearings
+    directions = np.stack([np.cos(angles), np.sin(angles)])
+    offset = centres - sensor[:2]
+    along = offset @ directions
+    squared = np.sum(offset**2, axis=1, keepdims=True)
+    half_chord = radius**2 - (squared - along**2)
+    near_side = along - np.sqrt(np.maximum(half_chord, 0.0))
+    hit = (half_chord > 0) & (near_side > 0) & (squared > radius**2)
+    nearest: Array = np.min(np.where(hit, near_side, np.inf), axis=0, initial=np.inf)
+    return nearest
