@@ -1,0 +1,195 @@
+"""The model of a region as it travels: panoramas on a position grid and their eigenspace."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from eigenscan.eigenspace.components import Eigenspace
+from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.schemas import model_pb2
+from numpy.typing import NDArray
+
+FORMAT = 1
+RANGE_UNIT = 0.002
+"""m per step of a stored range; the farthest is 131 m."""
+NO_WALL = np.uint16(65535)
+_COMPRESSION = 1
+"""zlib level: higher ones take four times as long to save an eighth."""
+
+
+class ModelError(ValueError):
+    """A model that cannot be used; the message names the region and what is wrong."""
+
+
+@dataclass(frozen=True)
+class RegionModel:
+    """The panoramas of one region's positions, and the eigenspace of one sensor there.
+
+    `index` (P, 2) int32: grid indices (x, y) of the positions, `spacing` m apart, from `origin` (2,) m in the
+    frame `frame_id`. `ranges` (P, N) uint16 in steps of `range_unit` m; NO_WALL where no wall is in sight.
+    `outline` (K, 2) m.
+    """
+
+    region: str
+    frame_id: str
+    spacing: float
+    origin: NDArray[np.float64]
+    index: NDArray[np.int32]
+    ranges: NDArray[np.uint16]
+    sensor: Sensor
+    range_cap: float
+    space: Eigenspace
+    outline: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    range_unit: float = RANGE_UNIT
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """Map-frame positions (P, 2), m."""
+        return self.origin + self.index * self.spacing
+
+    @property
+    def panoramas(self) -> NDArray[np.float32]:
+        """Ranges (P, N), m, +inf where no wall is in sight."""
+        return np.where(self.ranges == NO_WALL, np.float32(np.inf), self.ranges * np.float32(self.range_unit))
+
+    @cached_property
+    def version(self) -> str:
+        """SHA-256 of the content, hex: of the message without `version` and with `panoramas` inflated."""
+        message = self._message(self.ranges.astype("<u2").tobytes())
+        return hashlib.sha256(message.SerializeToString(deterministic=True)).hexdigest()
+
+    def to_message(self) -> model_pb2.RegionModel:
+        """The message of the same name, with its version."""
+        message = self._message(zlib.compress(self.ranges.astype("<u2").tobytes(), _COMPRESSION))
+        message.version = self.version
+        return message
+
+    def _message(self, panoramas: bytes) -> model_pb2.RegionModel:
+        return model_pb2.RegionModel(
+            format=FORMAT,
+            region=self.region,
+            frame_id=self.frame_id,
+            spacing=self.spacing,
+            origin_x=float(self.origin[0]),
+            origin_y=float(self.origin[1]),
+            beams=self.ranges.shape[1],
+            index_x=self.index[:, 0].tolist(),
+            index_y=self.index[:, 1].tolist(),
+            panoramas=panoramas,
+            range_unit=self.range_unit,
+            sensor=self.sensor.to_message(),
+            range_cap=self.range_cap,
+            mean=self.space.mean,
+            eigenvectors=self.space.vectors.ravel().tolist(),
+            eigenvalues=self.space.eigenvalues.tolist(),
+            total_variance=self.space.total_variance,
+            outline_x=self.outline[:, 0].tolist(),
+            outline_y=self.outline[:, 1].tolist(),
+        )
+
+    @classmethod
+    def from_message(cls, message: model_pb2.RegionModel) -> RegionModel:
+        """Model of a message. Raises ModelError where it is of another format, damaged or empty."""
+        _check(message)
+        model = cls(
+            region=message.region,
+            frame_id=message.frame_id,
+            spacing=message.spacing,
+            origin=np.array([message.origin_x, message.origin_y]),
+            index=np.column_stack([message.index_x, message.index_y]).astype(np.int32),
+            ranges=_inflate(message),
+            sensor=Sensor.from_message(message.sensor),
+            range_cap=message.range_cap,
+            space=_space(message),
+            outline=np.column_stack([message.outline_x, message.outline_y]),
+            range_unit=message.range_unit,
+        )
+        if model.version != message.version:
+            raise ModelError(
+                f"region {message.region!r}: content is {model.version[:12]}, not the version "
+                f"{message.version[:12]!r} it claims: damaged on the way, fetch it again"
+            )
+        return model
+
+
+def quantize(panoramas: NDArray[np.float32], unit: float = RANGE_UNIT) -> NDArray[np.uint16]:
+    """Ranges of any shape, m, in steps of `unit`; NO_WALL for +inf and for what does not fit."""
+    with np.errstate(invalid="ignore"):
+        steps = np.rint(panoramas * np.float32(1.0 / unit))
+        return np.where(steps < NO_WALL, steps, np.float32(NO_WALL)).astype(np.uint16)
+
+
+def model_set(
+    models: Sequence[RegionModel], map_version: str, frame_id: str, free_area_m2: float
+) -> model_pb2.ModelSet:
+    """The set of `models` and their map; a projector takes it whole or not at all."""
+    entries = [
+        model_pb2.ModelSet.Entry(region=m.region, version=m.version, size=m.to_message().ByteSize())
+        for m in models
+    ]
+    return model_pb2.ModelSet(
+        version=set_version(map_version, [m.version for m in models]),
+        frame_id=frame_id,
+        map_version=map_version,
+        entries=entries,
+        free_area_m2=free_area_m2,
+    )
+
+
+def set_version(map_version: str, versions: Sequence[str]) -> str:
+    """SHA-256, hex, over the versions' text: the map's, then the regions' in order, one a line."""
+    return hashlib.sha256("\n".join([map_version, *versions]).encode()).hexdigest()
+
+
+def _check(message: model_pb2.RegionModel) -> None:
+    """Raises ModelError for fields that do not fit together."""
+    name = f"region {message.region!r}"
+    if message.format != FORMAT:
+        raise ModelError(f"{name}: model format {message.format}, this build reads {FORMAT}: build it again")
+    if not len(message.index_x) or len(message.index_x) != len(message.index_y):
+        raise ModelError(f"{name}: {len(message.index_x)} x and {len(message.index_y)} y of positions")
+    numbers = {
+        "spacing": message.spacing,
+        "range_unit": message.range_unit,
+        "range_cap": message.range_cap,
+        "sensor.angle_increment": message.sensor.angle_increment,
+    }
+    for field_name, value in numbers.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ModelError(f"{name}: {field_name} = {value}: expected a number above 0")
+    if not 1 <= message.sensor.beams <= message.beams:
+        raise ModelError(f"{name}: a sensor of {message.sensor.beams} beams, panoramas of {message.beams}")
+    if len(message.eigenvectors) != len(message.eigenvalues) * message.sensor.beams:
+        raise ModelError(
+            f"{name}: {len(message.eigenvectors)} numbers for {len(message.eigenvalues)} eigenvectors "
+            f"of {message.sensor.beams} beams"
+        )
+    others = [message.origin_x, message.origin_y, message.mean, message.total_variance]
+    if not np.isfinite([*others, *message.eigenvectors, *message.eigenvalues]).all():
+        raise ModelError(f"{name}: holds numbers that are not finite")
+    if len(message.outline_x) != len(message.outline_y):
+        raise ModelError(f"{name}: {len(message.outline_x)} x and {len(message.outline_y)} y of the outline")
+
+
+def _inflate(message: model_pb2.RegionModel) -> NDArray[np.uint16]:
+    shape = (len(message.index_x), message.beams)
+    expected = 2 * shape[0] * shape[1]
+    inflater = zlib.decompressobj()
+    try:
+        raw = inflater.decompress(message.panoramas, expected + 1)
+    except zlib.error as error:
+        raise ModelError(f"region {message.region!r}: panoramas do not inflate: {error}") from error
+    if len(raw) != expected:
+        raise ModelError(f"region {message.region!r}: {len(raw)} bytes of panoramas, expected {expected}")
+    return np.frombuffer(raw, dtype="<u2").astype(np.uint16).reshape(shape)
+
+
+def _space(message: model_pb2.RegionModel) -> Eigenspace:
+    vectors = np.array(message.eigenvectors, dtype=np.float32).reshape(-1, message.sensor.beams)
+    values = np.array(message.eigenvalues, dtype=np.float32)
+    return Eigenspace(message.mean, vectors, values, message.total_variance)
