@@ -16,6 +16,8 @@ from scipy.linalg import eigh, toeplitz
 
 _BLOCK = 1024
 """Panoramas transformed at once, which bounds the memory."""
+_CACHED = 32
+"""Panoramas whose coefficients stay in the cache until they are put in place."""
 
 
 @dataclass(frozen=True)
@@ -115,11 +117,11 @@ def all_coefficients(values: NDArray[np.float32], space: Eigenspace, workers: in
     turn = values.shape[1]
     filters = np.conj(fft.rfft(space.vectors, turn, axis=1))
     out = np.empty((len(values), turn, len(space.vectors)), dtype=np.float32)
-    for start in range(0, len(values), _BLOCK):
-        block = values[start : start + _BLOCK] - np.float32(space.mean)
-        spectrum = fft.rfft(block, axis=1, workers=workers)
-        for m, one in enumerate(filters):
-            out[start : start + _BLOCK, :, m] = fft.irfft(spectrum * one, turn, axis=1, workers=workers)
+    for start in range(0, len(values), _CACHED):
+        block = values[start : start + _CACHED] - np.float32(space.mean)
+        spectrum = fft.rfft(block, axis=1)
+        every = fft.irfft(spectrum[:, None] * filters, turn, axis=-1)
+        out[start : start + _CACHED] = every.transpose(0, 2, 1)
     return out
 
 
