@@ -1,0 +1,160 @@
+"""The tracker without its shell: hypotheses and odometry in; pose, tracks and transform out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from eigenscan.geometry.pose import (
+    covariance_to_message,
+    from_pose3,
+    quaternion,
+    to_message,
+)
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS, TRANSFORM, Channel
+from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Track, Tracks
+from eigenscan.tracker.observation import observe
+from eigenscan.tracker.robot import Estimate, RobotTracker
+from eigenscan.tracker.settings import TrackerSettings
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+
+DEFAULT_BODY_FRAME = "base"
+DEFAULT_ODOM_FRAME = "odom"
+
+
+class TrackerCore:
+    """Hypotheses become one honest pose (paper, section 7); one state per robot."""
+
+    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY)
+    says: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
+
+    def __init__(self, settings: TrackerSettings) -> None:
+        self._settings = settings
+        self._counts: Counter[str] = Counter()
+        self._robots: dict[tuple[str, str], RobotTracker] = {}
+        self._odom_frames: dict[tuple[str, str], tuple[str, str]] = {}
+        self._map_frames: dict[tuple[str, str], str] = {}
+        self._default_covariance = np.diag(
+            np.array([settings.grid_spacing, settings.grid_spacing, settings.grid_step]) ** 2
+        )
+
+    def start(self) -> Iterable[Envelope]:
+        """Nothing: a tracker that heard nothing knows nothing."""
+        return ()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """Poses and tracks for each hypotheses message whose time has come; a transform for odometry."""
+        address = {"site": heard.address["site"], "robot": heard.address["robot"]}
+        robot = self._robot(address)
+        if heard.channel is ODOMETRY:
+            return list(self._hear_odometry(robot, address, heard.open(Odometry)))
+        seen = observe(
+            heard.open(Hypotheses),
+            nanoseconds(heard.open(Hypotheses).timestamp),
+            heard.address["lidar"],
+            heard.address["projector"],
+            self._default_covariance,
+            self._counts,
+        )
+        self._counts["hypotheses_heard"] += 1
+        return list(self._say(address, robot.hear(seen)))
+
+    def finish(self) -> Iterable[Envelope]:
+        """Estimates for the hypotheses that still waited for odometry."""
+        said: list[Envelope] = []
+        for (site, name), robot in self._robots.items():
+            said.extend(self._say({"site": site, "robot": name}, robot.finish()))
+        return said
+
+    def condition(self) -> Condition:
+        """Waiting until hypotheses come; counters of what was taken, said and set aside."""
+        if not self._counts["hypotheses_heard"]:
+            return Condition(Health.STATUS_WAITING, "no hypotheses", dict(self._counts))
+        return Condition(Health.STATUS_OK, "", dict(self._counts))
+
+    def _robot(self, address: Mapping[str, str]) -> RobotTracker:
+        key = (address["site"], address["robot"])
+        if key not in self._robots:
+            self._robots[key] = RobotTracker(self._settings, self._counts)
+        return self._robots[key]
+
+    def _hear_odometry(
+        self, robot: RobotTracker, address: Mapping[str, str], message: Odometry
+    ) -> Iterator[Envelope]:
+        key = (address["site"], address["robot"])
+        frames = (message.frame_id or DEFAULT_ODOM_FRAME, message.body_frame_id or DEFAULT_BODY_FRAME)
+        self._odom_frames[key] = frames
+        yield from self._say(
+            address, robot.hear_odometry(nanoseconds(message.timestamp), from_pose3(message.pose))
+        )
+        transform = robot.map_to_odom()
+        if transform is not None:
+            x, y, theta = transform.tolist()
+            yield Envelope(
+                TRANSFORM,
+                address,
+                FrameTransform(
+                    timestamp=message.timestamp,
+                    parent_frame_id=self._map_frames.get(key, "map"),
+                    child_frame_id=frames[0],
+                    translation=Vector3(x=x, y=y),
+                    rotation=quaternion(theta),
+                ),
+            )
+
+    def _say(self, address: Mapping[str, str], estimates: list[Estimate]) -> Iterator[Envelope]:
+        key = (address["site"], address["robot"])
+        for estimate in estimates:
+            self._map_frames[key] = estimate.frame
+            body = self._odom_frames.get(key, ("", DEFAULT_BODY_FRAME))[1]
+            yield Envelope(POSE, address, _pose_message(estimate, body))
+            yield Envelope(TRACKS, address, _tracks_message(estimate))
+
+
+def _pose_message(estimate: Estimate, body: str) -> PoseEstimate:
+    message = PoseEstimate(
+        timestamp=stamp(estimate.stamp),
+        frame_id=estimate.frame,
+        child_frame_id=body,
+        state=estimate.state,
+        confidence=estimate.verdict.confidence,
+        none_probability=estimate.none_probability,
+        has_odometry=estimate.map_to_odom is not None,
+        model_version=estimate.model_version,
+    )
+    best = estimate.verdict.track
+    if best >= 0:
+        message.pose.CopyFrom(to_message(estimate.tracks.x[best]))
+        message.covariance.CopyFrom(covariance_to_message(estimate.tracks.C[best]))
+        message.track_id = int(estimate.tracks.id[best])
+    if estimate.map_to_odom is not None:
+        message.map_to_odom.CopyFrom(to_message(estimate.map_to_odom))
+    return message
+
+
+def _tracks_message(estimate: Estimate) -> Tracks:
+    tracks = estimate.tracks
+    return Tracks(
+        timestamp=stamp(estimate.stamp),
+        frame_id=estimate.frame,
+        none_probability=estimate.none_probability,
+        tracks=[
+            Track(
+                id=int(tracks.id[row]),
+                parent_id=int(tracks.parent[row]),
+                pose=to_message(tracks.x[row]),
+                covariance=covariance_to_message(tracks.C[row]),
+                probability=float(np.exp(tracks.log_weight[row])),
+                observations=int(tracks.observations[row]),
+                age=(estimate.stamp - int(tracks.born[row])) * 1e-9,
+                history=[to_message(pose) for pose in estimate.histories.get(int(tracks.id[row]), ())],
+            )
+            for row in np.argsort(-tracks.log_weight, kind="stable")
+        ],
+    )

@@ -1,0 +1,92 @@
+"""Pose covariances (..., 3, 3) in m^2, m rad, rad^2: validity, fusion in information form, moments.
+
+Headings live on the circle: residuals are shortest turns, means are directions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.circle import difference, wrap
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def is_covariance(matrices: Array) -> NDArray[np.bool_]:
+    """Whether each of (..., 3, 3) is finite, symmetric and positive definite (by its leading minors)."""
+    m = np.where(np.isfinite(matrices), matrices, 0.0)
+    finite = np.isfinite(matrices).all(axis=(-2, -1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        minor = m[..., 0, 0] * m[..., 1, 1] - m[..., 0, 1] ** 2
+        symmetric = np.abs(m - np.swapaxes(m, -1, -2)).max(axis=(-2, -1)) <= 1e-9 * np.abs(m).max(
+            axis=(-2, -1)
+        )
+        positive = (m[..., 0, 0] > 0) & (minor > 0) & (determinant(m) > 0)
+        result: NDArray[np.bool_] = finite & symmetric & positive
+    return result
+
+
+def determinant(m: Array) -> Array:
+    """Determinant of symmetric (..., 3, 3)."""
+    a, b, c = m[..., 0, 0], m[..., 0, 1], m[..., 0, 2]
+    d, e, f = m[..., 1, 1], m[..., 1, 2], m[..., 2, 2]
+    result: Array = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    return result
+
+
+def invert(m: Array) -> Array:
+    """Inverse of symmetric (..., 3, 3) by its adjugate: several times faster than LAPACK in bulk."""
+    a, b, c = m[..., 0, 0], m[..., 0, 1], m[..., 0, 2]
+    d, e, f = m[..., 1, 1], m[..., 1, 2], m[..., 2, 2]
+    inverse = np.empty_like(m)
+    inverse[..., 0, 0] = d * f - e * e
+    inverse[..., 0, 1] = inverse[..., 1, 0] = c * e - b * f
+    inverse[..., 0, 2] = inverse[..., 2, 0] = b * e - c * d
+    inverse[..., 1, 1] = a * f - c * c
+    inverse[..., 1, 2] = inverse[..., 2, 1] = b * c - a * e
+    inverse[..., 2, 2] = a * d - b * b
+    scale = (
+        a * inverse[..., 0, 0] + b * inverse[..., 0, 1] + c * inverse[..., 0, 2]
+    )  # the determinant, along the first row
+    inverse /= scale[..., None, None]
+    return inverse
+
+
+def residual(y: Array, x: Array) -> Array:
+    """Pose `y` minus pose `x`, (..., 3), the heading by the shortest turn."""
+    result = np.asarray(y) - np.asarray(x)
+    result[..., 2] = difference(np.asarray(y)[..., 2], np.asarray(x)[..., 2])
+    return result
+
+
+def mahalanobis_squared(delta: Array, covariance: Array) -> Array:
+    """Squared Mahalanobis length of (..., 3) under (..., 3, 3)."""
+    result: Array = np.einsum("...i,...ij,...j->...", delta, invert(covariance), delta)
+    return result
+
+
+def fuse(x: Array, C: Array, y: Array, R: Array) -> tuple[Array, Array]:
+    """Predicted poses X*, C* with observed Y, C in information form (paper, section 7).
+
+    C^ = (C*^-1 + C^-1)^-1 and X^ = C^ (C*^-1 X* + C^-1 Y), written as X* + C^ C^-1 (Y - X*) so that the
+    weighted mean is right on the circle. Shapes (..., 3) and (..., 3, 3).
+    """
+    information = invert(R)
+    fused = invert(invert(C) + information)
+    step = np.einsum("...ij,...jk,...k->...i", fused, information, residual(y, x))
+    pose = x + step
+    pose[..., 2] = wrap(pose[..., 2])
+    return pose, fused
+
+
+def moments(x: Array, C: Array, weight: Array) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3, 3) of a mixture of Gaussians (n, 3), (n, 3, 3) around its heaviest."""
+    share = weight / weight.sum()
+    centre = x[np.argmax(share)]
+    delta = residual(x, centre)
+    shift = share @ delta
+    spread = delta - shift
+    covariance = np.einsum("n,nij->ij", share, C) + np.einsum("n,ni,nj->ij", share, spread, spread)
+    mean = centre + shift
+    mean[2] = wrap(mean[2])
+    return mean, (covariance + covariance.T) / 2

@@ -1,0 +1,105 @@
+"""One projector's answer to one scan, checked and in arrays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+from eigenscan.geometry.circle import wrap
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.tracker.covariance import is_covariance
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LOG_LIKELIHOOD_LIMIT = 300.0
+"""Evidence beyond this is an overflow of somebody's arithmetic, not knowledge."""
+SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
+"""m, m, rad: no scan fixes a pose better than the lower; the upper says nothing."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Hypotheses (k) of one scan. Likelihoods are relative to a place that the map does not show."""
+
+    stamp: int
+    source: str
+    """Key of the projector that said it, one chain of evidence."""
+    lidar: str
+    frame: str
+    poses: Array
+    covariances: Array
+    log_likelihoods: Array
+    unlisted: float
+    """Log-likelihood of a pose in the map that is not listed."""
+    area: float
+    """m^2 that the search covered."""
+    usable: bool
+    model_version: str = ""
+
+    def likelier_than_unlisted(self) -> Observation:
+        """The same without hypotheses that are no likelier than a pose outside the list."""
+        keep = self.log_likelihoods > self.unlisted + 1e-9
+        if keep.all():
+            return self
+        return replace(
+            self,
+            poses=self.poses[keep],
+            covariances=self.covariances[keep],
+            log_likelihoods=self.log_likelihoods[keep],
+        )
+
+
+def observe(
+    message: Hypotheses, stamp: int, lidar: str, projector: str, default: Array, counts: Counter[str]
+) -> Observation:
+    """Observation of a message; hypotheses that are no poses are left out and counted.
+
+    `default` (3, 3) is Cp, for those whose covariance is missing or not positive definite.
+    """
+    rows = np.array(
+        [
+            (
+                *(h.pose.x, h.pose.y, h.pose.theta, h.log_likelihood),
+                *(h.covariance.xx, h.covariance.xy, h.covariance.xt),
+                *(h.covariance.yy, h.covariance.yt, h.covariance.tt),
+            )
+            for h in message.hypotheses
+        ],
+        dtype=np.float64,
+    ).reshape(-1, 10)
+    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < 1e7).all(axis=1)
+    if not finite.all():
+        counts["hypothesis_not_finite"] += int((~finite).sum())
+        rows = rows[finite]
+    covariances = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    good = is_covariance(covariances)
+    if not good.all():
+        counts["covariance_replaced"] += int((~good).sum())
+        covariances = np.where(good[:, None, None], covariances, default)
+    unlisted = message.unlisted_log_likelihood
+    return Observation(
+        stamp,
+        f"{lidar}/{projector}",
+        lidar,
+        message.frame_id,
+        np.column_stack([rows[:, :2], wrap(rows[:, 2])]),
+        limit_sigma(covariances),
+        rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT),
+        float(np.clip(unlisted, -LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT))
+        if np.isfinite(unlisted)
+        else 0.0,
+        message.searched_area_m2 if 1.0 <= message.searched_area_m2 < 1e9 else 1.0,
+        message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
+        message.model_version,
+    )
+
+
+def limit_sigma(covariances: Array) -> Array:
+    """Covariances (k, 3, 3) with each axis' sigma within SIGMA_LIMITS, correlations kept."""
+    sigma = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    scale = sigma.clip(SIGMA_LIMITS[:, 0], SIGMA_LIMITS[:, 1]) / sigma
+    scaled: Array = covariances * scale[:, :, None] * scale[:, None, :]
+    # keeps nearly singular ones well away from the edge
+    return scaled + np.eye(3) * (0.05 * SIGMA_LIMITS[:, 0]) ** 2

@@ -1,0 +1,181 @@
+"""What odometry says of the motion between two stamps, and how far it may be believed."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.pose import between, compose
+from eigenscan.tracker.velocity_gate import Reading, VelocityGate
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+KEPT_NS = 5_000_000_000
+"""Odometry older than this is forgotten."""
+RESTART_AFTER = 5
+"""So many stamps from the past in a row mean that the clock was set back."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Odometry at a stamp (ns): sums since the start of a chain from which jumps are taken out."""
+
+    stamp: int
+    raw: Array
+    """Base in the odom frame, (3,), as odometry gave it."""
+    chained: Array
+    """Base in a frame without jumps, (3,)."""
+    way: float = 0.0
+    """m driven."""
+    turn: float = 0.0
+    """rad turned, either way."""
+    slip: float = 0.0
+    """m of way that odometry measured while its velocity was implausible."""
+    unknown: float = 0.0
+    """s without usable odometry."""
+    breaks: float = 0.0
+    """Jumps of the odom frame."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """From one stamp to another: pose increment (3,) in the base frame and what its error grows with."""
+
+    delta: Array
+    way: float
+    turn: float
+    slip: float
+    unknown: float
+    breaks: float
+    seconds: float
+
+
+def motion(start: Sample, end: Sample) -> Motion:
+    """Motion between two samples of one trail."""
+    return Motion(
+        between(start.chained, end.chained),
+        end.way - start.way,
+        end.turn - start.turn,
+        end.slip - start.slip,
+        end.unknown - start.unknown,
+        end.breaks - start.breaks,
+        (end.stamp - start.stamp) * 1e-9,
+    )
+
+
+class OdometryTrail:
+    """The last seconds of one robot's odometry, interpolated to any stamp."""
+
+    def __init__(self, gate: VelocityGate) -> None:
+        self._gate = gate
+        self._samples: deque[Sample] = deque()
+        self._past_in_row = 0
+
+    @property
+    def newest(self) -> Sample | None:
+        """Last sample taken."""
+        return self._samples[-1] if self._samples else None
+
+    def take(self, stamp: int, pose: Array) -> str:
+        """Adds odometry (3,) at `stamp` ns; gives what became of it: taken, or the reason it was not.
+
+        `taken_as_slip` and `taken_as_jump` are kept too: the first with doubt, the second as a new
+        start of the odom frame, its increment unknown. `restarted`: the clock was set back.
+        """
+        if not np.isfinite(pose).all():
+            return "odometry_not_finite"
+        last = self.newest
+        if last is None:
+            self._samples.append(Sample(stamp, pose, pose))
+            return "odometry_taken"
+        if stamp <= last.stamp:
+            return self._from_the_past(stamp, pose, last)
+        self._past_in_row = 0
+        seconds = (stamp - last.stamp) * 1e-9
+        step = between(last.raw, pose)
+        reading = self._gate.judge(step, seconds)
+        self._append(last, stamp, pose, step, reading, seconds)
+        return f"odometry_{reading.value}"
+
+    def _from_the_past(self, stamp: int, pose: Array, last: Sample) -> str:
+        if stamp == last.stamp:
+            return "odometry_duplicate"
+        self._past_in_row += 1
+        if self._past_in_row < RESTART_AFTER:
+            return "odometry_from_past"
+        self._past_in_row = 0
+        self._gate.forget()
+        self._samples.clear()
+        self._samples.append(Sample(stamp, pose, pose))
+        return "odometry_restarted"
+
+    def _append(
+        self, last: Sample, stamp: int, pose: Array, step: Array, reading: Reading, seconds: float
+    ) -> None:
+        way, turn = float(np.hypot(step[0], step[1])), abs(float(step[2]))
+        jump = reading is Reading.JUMP
+        slip = reading is Reading.SLIP
+        self._samples.append(
+            Sample(
+                stamp,
+                pose,
+                last.chained if jump else compose(last.chained, step),
+                last.way + (0.0 if jump else way),
+                last.turn + (0.0 if jump else turn),
+                last.slip + (way + turn if slip else 0.0),
+                last.unknown + (seconds if jump else 0.0),
+                last.breaks + (1.0 if jump else 0.0),
+            )
+        )
+        while self._samples[0].stamp < stamp - KEPT_NS and len(self._samples) > 2:
+            self._samples.popleft()
+
+    def covers(self, stamp: int) -> bool:
+        """Whether odometry of `stamp` or later has arrived."""
+        return bool(self._samples) and self._samples[-1].stamp >= stamp
+
+    def at(self, stamp: int) -> Sample | None:
+        """Odometry at `stamp` ns; beyond what is known the last pose, its age counted as unknown time.
+
+        None where there was no odometry yet.
+        """
+        if not self._samples:
+            return None
+        index = bisect_left(self._samples, stamp, key=lambda sample: sample.stamp)
+        if index == len(self._samples):
+            last = self._samples[-1]
+            return _held(last, stamp, last.unknown + (stamp - last.stamp) * 1e-9)
+        if index == 0:
+            first = self._samples[0]
+            return _held(first, stamp, first.unknown - (first.stamp - stamp) * 1e-9)
+        return _interpolate(self._samples[index - 1], self._samples[index], stamp)
+
+
+def _held(sample: Sample, stamp: int, unknown: float) -> Sample:
+    return Sample(
+        stamp, sample.raw, sample.chained, sample.way, sample.turn, sample.slip, unknown, sample.breaks
+    )
+
+
+def _interpolate(a: Sample, b: Sample, stamp: int) -> Sample:
+    share = (stamp - a.stamp) / (b.stamp - a.stamp)
+
+    def mix(start: float, end: float) -> float:
+        return start + share * (end - start)
+
+    jumped = b.breaks > a.breaks
+    near = b if share >= 0.5 else a
+    return Sample(
+        stamp,
+        # between the two sides of a jump there is nothing to interpolate
+        near.raw if jumped else compose(a.raw, share * between(a.raw, b.raw)),
+        compose(a.chained, share * between(a.chained, b.chained)),
+        mix(a.way, b.way),
+        mix(a.turn, b.turn),
+        mix(a.slip, b.slip),
+        mix(a.unknown, b.unknown),
+        mix(a.breaks, b.breaks),
+    )

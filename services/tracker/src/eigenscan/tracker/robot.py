@@ -1,0 +1,184 @@
+"""One robot's tracker: odometry and observations in, an estimate for each observation out."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from eigenscan.geometry.pose import compose, inverse
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
+from eigenscan.tracker.belief import Belief, Share, Tracks
+from eigenscan.tracker.confidence import Verdict, judge, next_state
+from eigenscan.tracker.observation import Observation, limit_sigma
+from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
+from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.timeline import Timeline
+from eigenscan.tracker.unification import prune, unify
+from eigenscan.tracker.velocity_gate import VelocityGate
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STANDING_RATE = 0.02
+"""1/s, how fast scans from one place count anew: people pass, noise changes."""
+BLIND_RATE = 0.5
+"""1/s, the same where nobody knows whether the robot moves."""
+HISTORY_STEP = np.array([0.1, 0.1, 0.17])
+"""m, m, rad between two kept poses of a trajectory."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one observation led to."""
+
+    stamp: int
+    frame: str
+    tracks: Tracks
+    histories: Mapping[int, tuple[Array, ...]]
+    verdict: Verdict
+    state: State
+    none_probability: float
+    map_to_odom: Array | None
+    model_version: str
+
+
+@dataclass
+class _Source:
+    """How far one source's evidence has come."""
+
+    last: int
+    scans: int = 0
+
+
+class RobotTracker:
+    """Tracks one robot. Needs no clock: all time is in the stamps."""
+
+    def __init__(self, settings: TrackerSettings, counts: Counter[str]) -> None:
+        self._settings = settings
+        self._counts = counts
+        self._trail = OdometryTrail(VelocityGate(settings.v_max, settings.turn_max))
+        self._timeline = Timeline(settings.patience, settings.late, counts)
+        self._reset()
+
+    def _reset(self) -> None:
+        self.belief = Belief(self._settings)
+        self.state: State = STATE_LOST
+        self._histories: dict[int, deque[Array]] = {}
+        self._sources: dict[str, _Source] = {}
+        self._anchor: Array | None = None
+
+    def hear_odometry(self, stamp: int, pose: Array) -> list[Estimate]:
+        """Takes odometry, base in the odom frame (3,); gives the estimates that waited for it."""
+        result = self._trail.take(stamp, pose)
+        self._counts[result] += 1
+        if self._trail.newest is not None:
+            self._timeline.hear_odometry(self._trail.newest.stamp, result == "odometry_restarted")
+        return [self._step(seen) for seen in self._timeline.ready()]
+
+    def hear(self, seen: Observation) -> list[Estimate]:
+        """Takes an observation; gives the estimates that are ready."""
+        if self._timeline.hear(seen):
+            self._reset()
+        return [self._step(each) for each in self._timeline.ready()]
+
+    def finish(self) -> list[Estimate]:
+        """Estimates for all that still waits."""
+        return [self._step(seen) for seen in self._timeline.rest()]
+
+    def map_to_odom(self) -> Array | None:
+        """Odom frame's origin in the map (3,) as of the newest odometry, once a pose was claimed."""
+        newest = self._trail.newest
+        if self._anchor is None or newest is None:
+            return None
+        return compose(self._anchor, compose(newest.chained, inverse(newest.raw)))
+
+    def _step(self, seen: Observation) -> Estimate:
+        belief = self.belief
+        if seen.stamp < belief.stamp:
+            self._counts["hypotheses_late"] += 1
+            seen = self._brought_forward(seen, belief.stamp)
+        elif belief.stamp:
+            belief.predict(self._motion(belief.stamp, seen.stamp))
+        belief.stamp = seen.stamp
+        if seen.usable:
+            belief.observe(seen, self._share(seen))
+            unify(belief)
+            prune(belief)
+            belief.name_new()
+        else:
+            self._counts["scan_unusable"] += 1
+        self._remember()
+        return self._conclude(seen)
+
+    def _motion(self, start: int, end: int) -> Motion:
+        a, b = self._trail.at(start), self._trail.at(end)
+        if a is None or b is None:
+            seconds = (end - start) * 1e-9
+            return Motion(np.zeros(3), 0.0, 0.0, 0.0, abs(seconds), 0.0, seconds)
+        return motion(a, b)
+
+    def _brought_forward(self, seen: Observation, stamp: int) -> Observation:
+        """A late observation as it would look from where the robot is by now."""
+        moved = self._motion(seen.stamp, stamp)
+        poses, covariances = predict(seen.poses, seen.covariances, moved, self._settings)
+        return replace(seen, stamp=stamp, poses=poses, covariances=limit_sigma(covariances))
+
+    def _share(self, seen: Observation) -> Share:
+        source = self._sources.setdefault(seen.source, _Source(seen.stamp))
+        source.scans += 1
+        if source.scans == 1:
+            return Share(1.0, 0.0, 1.0)
+        moved = self._motion(source.last, seen.stamp)
+        seconds = max(moved.seconds, 1e-3)
+        source.last = max(source.last, seen.stamp)
+        novelty = max(1.0 / source.scans, float(-np.expm1(-seconds / self._settings.memory)))
+        progress = moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
+        progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
+        peers = sum(1 for key in self._sources if key.split("/")[0] == seen.lidar)
+        progress = min(1.0, progress)
+        return Share(novelty / peers, progress / peers, progress / peers)
+
+    def _remember(self) -> None:
+        """Lengthens each living track's trajectory; a fork goes on from its parent's."""
+        tracks, kept = self.belief.tracks, self._settings.history
+        before, self._histories = self._histories, {}
+        for id_, parent, pose in zip(tracks.id.tolist(), tracks.parent.tolist(), tracks.x, strict=True):
+            past = before.get(id_)
+            if past is None:
+                past = deque(before.get(parent, ()), maxlen=kept)
+            if not past or (np.abs(pose - past[-1]) > HISTORY_STEP).any():
+                past.append(pose)
+            self._histories[id_] = past
+
+    def _conclude(self, seen: Observation) -> Estimate:
+        belief = self.belief
+        verdict = judge(belief.tracks)
+        self.state = next_state(self.state, belief, verdict.confidence, self._settings)
+        odometry = self._trail.at(belief.stamp) if self._near_odometry(belief.stamp) else None
+        frame = belief.frames[int(belief.tracks.frame[verdict.track])] if verdict.track >= 0 else seen.frame
+        return Estimate(
+            belief.stamp,
+            frame,
+            belief.tracks,
+            {id_: tuple(history) for id_, history in self._histories.items()},
+            verdict,
+            self.state,
+            belief.none_probability,
+            self._map_to_odom_of(verdict, odometry),
+            seen.model_version,
+        )
+
+    def _near_odometry(self, stamp: int) -> bool:
+        newest = self._trail.newest
+        return newest is not None and stamp <= newest.stamp + int(self._settings.patience * 1e9)
+
+    def _map_to_odom_of(self, verdict: Verdict, odometry: Sample | None) -> Array | None:
+        if odometry is None or verdict.track < 0:
+            return None
+        pose = self.belief.tracks.x[verdict.track]
+        if self.state == STATE_LOCALIZED:
+            self._anchor = compose(pose, inverse(odometry.chained))
+        return compose(pose, inverse(odometry.raw))

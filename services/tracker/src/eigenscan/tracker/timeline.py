@@ -1,0 +1,100 @@
+"""Puts observations in the order of their stamps, by stamps alone and never by a clock."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, deque
+
+from eigenscan.tracker.observation import Observation
+
+FUTURE_NS = 1_000_000_000
+"""A stamp this far ahead of everything heard is not believed until another one confirms it."""
+RESTART_AFTER = 5
+"""So many stamps from the past in a row mean that the clock was set back."""
+RECENT = 64
+"""Stamps kept of each source, to know a repetition."""
+
+
+class Timeline:
+    """Observations of one robot that wait for odometry of their time, or for their patience to end."""
+
+    def __init__(self, patience: float, late: float, counts: Counter[str]) -> None:
+        self._patience, self._late = int(patience * 1e9), int(late * 1e9)
+        self._counts = counts
+        self._order = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self._waiting: list[tuple[int, str, int, Observation]] = []
+        self._recent: dict[str, deque[int]] = {}
+        self._doubted: dict[str, int] = {}
+        self._past_in_row: Counter[str] = Counter()
+        self._heard: int | None = None
+        self._odometry: int | None = None
+        self._alone = False
+
+    def hear_odometry(self, stamp: int, restarted: bool = False) -> None:
+        """Notes how far odometry has come; `restarted`: its clock was set back."""
+        if restarted or self._odometry is None:
+            self._odometry = stamp
+        self._odometry = max(self._odometry, stamp)
+
+    def hear(self, seen: Observation) -> bool:
+        """Takes an observation, or counts why not; True where this showed that the clock was set back."""
+        recent = self._recent.setdefault(seen.source, deque(maxlen=RECENT))
+        if seen.stamp in recent:
+            self._counts["hypotheses_duplicate"] += 1
+            return False
+        if self._heard is not None and seen.stamp < self._heard - self._late:
+            return self._hear_past(seen)
+        self._past_in_row[seen.source] = 0
+        if self._is_doubtful(seen):
+            self._counts["hypotheses_from_future"] += 1
+            return False
+        self._push(seen)
+        return False
+
+    def _is_doubtful(self, seen: Observation) -> bool:
+        if self._heard is None or seen.stamp <= max(self._heard, self._odometry or 0) + FUTURE_NS:
+            self._doubted.pop(seen.source, None)
+            return False
+        before = self._doubted.get(seen.source)
+        self._doubted[seen.source] = seen.stamp
+        return before is None or not 0 < seen.stamp - before <= FUTURE_NS
+
+    def _hear_past(self, seen: Observation) -> bool:
+        self._counts["hypotheses_too_late"] += 1
+        self._past_in_row[seen.source] += 1
+        if self._past_in_row[seen.source] < RESTART_AFTER:
+            return False
+        self._counts["clock_set_back"] += 1
+        odometry = self._odometry
+        self._forget()
+        # odometry that has already gone back with the clock still counts
+        self._odometry = odometry if odometry is not None and odometry <= seen.stamp + FUTURE_NS else None
+        self._push(seen)
+        return True
+
+    def _push(self, seen: Observation) -> None:
+        self._recent.setdefault(seen.source, deque(maxlen=RECENT)).append(seen.stamp)
+        self._heard = max(self._heard or seen.stamp, seen.stamp)
+        heapq.heappush(self._waiting, (seen.stamp, seen.source, self._order, seen))
+        self._order += 1
+
+    def ready(self) -> list[Observation]:
+        """Observations whose odometry has come or whose patience has ended, oldest first."""
+        if not self._waiting or self._heard is None:
+            return []
+        if self._odometry is None and not self._alone:
+            # who gave no odometry for as long as patience lasts is not waited for any more
+            self._alone = self._waiting[0][0] <= self._heard - self._patience
+        waited = self._heard - (0 if self._odometry is None and self._alone else self._patience)
+        known = max(self._odometry or waited, waited)
+        result = []
+        while self._waiting and self._waiting[0][0] <= known:
+            result.append(heapq.heappop(self._waiting)[3])
+        return result
+
+    def rest(self) -> list[Observation]:
+        """All that still waits, oldest first."""
+        return [heapq.heappop(self._waiting)[3] for _ in range(len(self._waiting))]

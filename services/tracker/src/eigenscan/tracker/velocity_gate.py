@@ -1,0 +1,82 @@
+"""The odometry Kalman filter and its validation gate (paper, section 7; Crowley and Reignier 1993).
+
+The filter tracks the base's velocity; a reading outside the gate is slip, one that no robot of this
+speed can make is a jump of the odom frame.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from filterpy.stats import mahalanobis
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+Array = NDArray[np.float64]
+
+ACCELERATION = np.array([3.0, 1.0, 6.0])
+"""m/s^2 ahead, m/s^2 sideways, rad/s^2: sigma of a wheeled robot's change of velocity."""
+STEP_NOISE = np.array([0.01, 0.01, 0.01])
+"""m, m, rad: resolution of a reading, including the jitter of its stamp."""
+JUMP_SLACK = np.array([0.2, 0.3])
+"""m, rad: what bad stamps may add to an increment before it counts as a jump."""
+OUTLIERS_IN_ROW = 3
+"""So many readings outside the gate in a row are a new velocity, not slip."""
+GATE = float(chi2.ppf(1.0 - 1e-6, 3))
+
+
+class Reading(Enum):
+    """What the gate makes of one increment."""
+
+    TAKEN = "taken"
+    SLIP = "taken_as_slip"
+    JUMP = "taken_as_jump"
+
+
+class VelocityGate:
+    """Judges odometry increments one after another."""
+
+    def __init__(self, v_max: float, turn_max: float) -> None:
+        self._limit = np.array([v_max, turn_max])
+        self._filter: KalmanFilter | None = None
+        self._outliers = 0
+
+    def forget(self) -> None:
+        """Starts anew, as after a jump."""
+        self._filter = None
+        self._outliers = 0
+
+    def judge(self, step: Array, seconds: float) -> Reading:
+        """Reading of increment `step` (3,) in the base frame over `seconds` > 0."""
+        size = np.array([np.hypot(step[0], step[1]), abs(step[2])])
+        if (size > 2.0 * self._limit * seconds + JUMP_SLACK).any():
+            self.forget()
+            return Reading.JUMP
+        velocity = step / seconds
+        noise = np.diag((STEP_NOISE / seconds) ** 2)
+        if self._filter is None:
+            self._filter = _velocity_filter(velocity, noise)
+            return Reading.TAKEN
+        self._filter.predict(Q=np.diag((ACCELERATION * seconds) ** 2))
+        return self._validate(self._filter, velocity, noise)
+
+    def _validate(self, velocity_filter: KalmanFilter, velocity: Array, noise: Array) -> Reading:
+        distance = mahalanobis(velocity, velocity_filter.x, velocity_filter.P + noise)
+        if distance**2 <= GATE:
+            self._outliers = 0
+            velocity_filter.update(velocity, R=noise)
+            return Reading.TAKEN
+        self._outliers += 1
+        if self._outliers >= OUTLIERS_IN_ROW:
+            self.forget()
+        return Reading.SLIP
+
+
+def _velocity_filter(velocity: Array, noise: Array) -> KalmanFilter:
+    made = KalmanFilter(dim_x=3, dim_z=3)
+    made.x = velocity.copy()
+    made.P = noise.copy()
+    made.F = made.H = np.eye(3)
+    return made
