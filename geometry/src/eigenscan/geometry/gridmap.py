@@ -18,6 +18,8 @@ from PIL import Image, UnidentifiedImageError
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, 255
 FIELD = "occupancy"
+_SAVED_UNKNOWN = 205.0
+"""Grey that map savers write for unknown; a free_thresh above 0.196, such as Nav2's 0.25, makes it free."""
 
 
 class MapError(ValueError):
@@ -70,6 +72,7 @@ class GridMap:
 def read_map(path: Path) -> GridMap:
     """Map of a map_server yaml (modes trinary, scale and raw).
 
+    In a trinary image the savers' grey for unknown, 205, stays unknown whatever free_thresh says.
     Raises MapError naming the file, the field and the fix.
     """
     try:
@@ -124,6 +127,8 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
         occupancy = grey / 255.0 if meta.get("negate", 0) else 1.0 - grey / 255.0
         occupied = occupancy > _number(path, meta, "occupied_thresh", 0.65)
         free = occupancy < _number(path, meta, "free_thresh", 0.196)
+        if mode == "trinary" and not meta.get("negate", 0) and np.any(grey > _SAVED_UNKNOWN):
+            free &= grey != _SAVED_UNKNOWN
         if mode == "scale" and pixels.shape[-1] == 4:
             transparent = pixels[..., 3] == 0
             occupied, free = occupied & ~transparent, free & ~transparent
@@ -137,7 +142,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
 
 def write_map(grid: GridMap, path: Path) -> None:
     """Writes `path` (yaml) and a pgm of the same name beside it."""
-    grey = np.full(grid.cells.shape, 205, dtype=np.uint8)
+    grey = np.full(grid.cells.shape, _SAVED_UNKNOWN, dtype=np.uint8)
     grey[grid.cells == FREE] = 254
     grey[grid.cells == OCCUPIED] = 0
     path.parent.mkdir(parents=True, exist_ok=True)
