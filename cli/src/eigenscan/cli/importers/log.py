@@ -1,0 +1,109 @@
+"""What every log is read as: envelopes of raw scans and odometry, in order of their stamps."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from eigenscan.geometry.pose import to_message, to_pose3
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.scan_pb2 import RawScan
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from numpy.typing import ArrayLike
+
+ODOMETRY_FRAME = "odom"
+BASE_FRAME = "base_link"
+
+RECORDER_LAG_NS = 2_000_000_000
+"""Messages of a recording are out of the order of their stamps by up to this."""
+
+
+class LogError(ValueError):
+    """A log that cannot be read; the message names the file, what is wrong and the fix."""
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """How a log is to be read; None and empty: found out from the log."""
+
+    site: str = DEFAULT_SITE
+    robot: str = DEFAULT_ROBOT
+    lidars: tuple[str, ...] = ()  # topics, or lidar names, to take
+    odometry: str | None = None  # topic
+    base_frame: str | None = None
+
+
+class Log(Protocol):
+    """A log, opened. Envelopes can be iterated more than once."""
+
+    path: Path
+    format: str
+    counters: Counter[str]  # what was set aside while iterating, by reason
+    progress: float  # 0..1, while iterating
+
+    def envelopes(self) -> Iterator[Envelope]:
+        """SCAN_RAW and ODOMETRY by stamp, odometry first where stamps are equal.
+
+        Stamps of one key increase. Where a CARMEN log's do not, they are repaired (see `stamps`); a reference
+        with the same stamps line by line fits again after the same `repair_stamps`.
+        Raises LogError where the log holds no scan at all.
+        """
+        ...
+
+
+def stamp_of(envelope: Envelope) -> int:
+    """The message's own stamp, ns since the epoch."""
+    message: Any = envelope.message
+    return nanoseconds(message.timestamp)
+
+
+def raw_scan(options: LogOptions, lidar: str, time: int, mount: ArrayLike, **fields: Any) -> Envelope:
+    """Envelope of a RawScan; `mount` (3,) is the sensor in the base frame, `time` in ns."""
+    message = RawScan(timestamp=stamp(time), mount=to_message(mount), **fields)
+    return Envelope(SCAN_RAW, {"site": options.site, "robot": options.robot, "lidar": lidar}, message)
+
+
+def odometry(options: LogOptions, time: int, pose: ArrayLike, **fields: Any) -> Envelope:
+    """Envelope of an Odometry; `pose` (3,) is the base in the odometry frame, `time` in ns."""
+    message = Odometry(
+        timestamp=stamp(time),
+        frame_id=ODOMETRY_FRAME,
+        body_frame_id=options.base_frame or BASE_FRAME,
+        pose=to_pose3(pose),
+        **fields,
+    )
+    return Envelope(ODOMETRY, {"site": options.site, "robot": options.robot}, message)
+
+
+def in_order(envelopes: Iterable[Envelope], horizon: int, counters: Counter[str]) -> Iterator[Envelope]:
+    """Sorts by stamp what is out of order by up to `horizon` ns; of equal stamps odometry comes first.
+
+    What still comes too late for its key, or with the stamp of the one before, is counted and left out.
+    """
+    waiting: list[tuple[int, bool, int, Envelope]] = []
+    newest = 0
+    last: dict[str, int] = {}
+
+    def release() -> Iterator[Envelope]:
+        time, _, _, envelope = heapq.heappop(waiting)
+        key = envelope.key
+        if time > last.get(key, -1):
+            last[key] = time
+            yield envelope
+        else:
+            reason = "duplicate_stamp" if time == last[key] else "out_of_order"
+            counters[f"{envelope.channel.name}_{reason}"] += 1
+
+    for number, envelope in enumerate(envelopes):
+        time = stamp_of(envelope)
+        newest = max(newest, time)
+        heapq.heappush(waiting, (time, envelope.channel is not ODOMETRY, number, envelope))
+        while waiting[0][0] < newest - horizon:
+            yield from release()
+    while waiting:
+        yield from release()

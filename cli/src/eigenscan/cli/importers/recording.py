@@ -1,0 +1,67 @@
+"""The pipeline's own MCAP."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from eigenscan.cli.importers.log import RECORDER_LAG_NS, LogError, LogOptions, in_order
+from eigenscan.runtime.recording import Record, RecordingError, is_complete, read
+from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+
+
+class RecordingLog:
+    """Raw scans and odometry of one robot in a recording, under the site and robot of the options."""
+
+    format = "Eigenscan recording"
+
+    def __init__(self, path: Path, options: LogOptions) -> None:
+        self.path, self._options = path, options
+        self.counters: Counter[str] = Counter()
+        self.progress = 0.0
+        self._size = max(path.stat().st_size, 1)
+
+    def envelopes(self) -> Iterator[Envelope]:
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan, or of several robots."""
+        self.counters.clear()
+        robot = self._robot()
+        yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
+        if not is_complete(self.path):
+            self.counters["truncated_file"] += 1
+        self.progress = 1.0
+
+    def _robot(self) -> str:
+        scans = Counter(
+            record.envelope.address["robot"]
+            for record in self._records()
+            if record.envelope.channel == SCAN_RAW
+        )
+        if not scans:
+            raise LogError(f"{self.path}: holds no raw scan: record the channel {SCAN_RAW.template}")
+        if self._options.robot in scans:
+            return self._options.robot
+        if len(scans) > 1 or self._options.robot != DEFAULT_ROBOT:
+            names = ", ".join(sorted(scans))
+            raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
+        return next(iter(scans))
+
+    def _of(self, robot: str) -> Iterator[Envelope]:
+        own = {"site": self._options.site, "robot": self._options.robot}
+        seen = 0
+        for record in self._records():
+            seen += record.size
+            self.progress = min(seen / self._size, 1.0)
+            envelope = record.envelope
+            if envelope.channel not in (SCAN_RAW, ODOMETRY) or envelope.address["robot"] != robot:
+                continue
+            lidar = envelope.address.get("lidar")
+            if lidar is None or not self._options.lidars or lidar in self._options.lidars:
+                yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)
+
+    def _records(self) -> Iterator[Record]:
+        try:
+            yield from read(self.path)
+        except RecordingError as error:
+            raise LogError(str(error)) from error
