@@ -41,17 +41,25 @@ EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
 
-def main(service: str, kind: type[S], make_core: Callable[[S], Core], mode: str = "peer") -> None:
+def main(
+    service: str,
+    kind: type[S],
+    make_core: Callable[[S], Core],
+    mode: str = "peer",
+    *,
+    whole_site: bool = False,
+) -> None:
     """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
 
-    `mode` is that of the Zenoh session where the settings name no configuration file.
+    `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
+    hears keys of the site that are not of the contract, to count them.
     """
     wake = Wake()
     with wake.on_signals():
         node = None
         try:
             settings = load(kind, service)
-            node = Node(service, settings, lambda: make_core(settings), mode, wake)
+            node = Node(service, settings, lambda: make_core(settings), mode, wake, whole_site=whole_site)
             code = node.run()
         except (SettingsError, ContractError, OSError, ValueError) as error:
             print(f"eigenscan-{service}: {error}", file=sys.stderr)
@@ -73,8 +81,11 @@ class Node:
         make_core: Callable[[], Core],
         mode: str = "peer",
         wake: Wake | None = None,
+        *,
+        whole_site: bool = False,
     ) -> None:
         self.service, self.settings = service, settings
+        self._whole_site = whole_site
         self.unfinished = False
         """True where the core's thread was still at work when `run` ended."""
         self._make_core, self._mode = make_core, mode
@@ -160,7 +171,10 @@ class Node:
             address["robot"] = settings.robot
         bus = self._bus = Bus(open_session(settings.zenoh, self._mode))
         bus.offer(core.says, address)
-        bus.listen(core.hears, address, self._inbox)
+        if self._whole_site and settings.robot == "*":
+            bus.listen_all(core.hears, f"{settings.site}/**", self._inbox)
+        else:
+            bus.listen(core.hears, address, self._inbox)
         bus.announce(settings.site, self.service, settings.instance)
         return bus
 
@@ -181,7 +195,11 @@ class Node:
 
     def _condition(self, core: Core) -> Condition:
         counters = dict(self._counts)
-        counters |= {f"dropped_{name}": count for name, count in self._inbox.dropped.items()}
+        dropped = self._inbox.dropped
+        if dropped.get("foreign_key", 0) > counters.get("foreign_key", 0):
+            self._counts["foreign_key"] = counters["foreign_key"] = dropped["foreign_key"]
+            self._warn("foreign_key", count=dropped["foreign_key"])
+        counters |= {f"dropped_{name}": count for name, count in dropped.items()}
         counters["waiting"] = len(self._inbox)
         try:
             own = core.condition()
