@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import covariance_to_message, to_message, to_pose3
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+
+SIGMA = np.array([0.05, 0.05, 0.0175])
+
+
+@dataclass
+class Speaker:
+    """Says what a projector and a robot base would say."""
+
+    area: float = 400.0
+    unlisted: float = 0.0
+    covariance: np.ndarray = field(default_factory=lambda: np.diag(SIGMA**2))
+
+    def address(self, lidar: str = "front", projector: str = "0") -> dict[str, str]:
+        return {"site": "s", "robot": "r", "lidar": lidar, "projector": projector}
+
+    def hypotheses(
+        self,
+        time: float,
+        poses: Iterable[np.ndarray],
+        log_likelihoods: Iterable[float],
+        *,
+        lidar: str = "front",
+        projector: str = "0",
+        frame: str = "map",
+        status: int = Hypotheses.STATUS_OK,
+    ) -> Envelope:
+        message = Hypotheses(
+            timestamp=stamp(round(time * 1e9)),
+            frame_id=frame,
+            status=status,
+            unlisted_log_likelihood=self.unlisted,
+            searched_area_m2=self.area,
+            hypotheses=[
+                Hypothesis(
+                    pose=to_message(pose),
+                    covariance=covariance_to_message(self.covariance),
+                    log_likelihood=float(value),
+                )
+                for pose, value in zip(poses, log_likelihoods, strict=True)
+            ],
+        )
+        return Envelope(HYPOTHESES, self.address(lidar, projector), message)
+
+    def odometry(self, time: float, pose: np.ndarray) -> Envelope:
+        message = Odometry(
+            timestamp=stamp(round(time * 1e9)), frame_id="odom", body_frame_id="base", pose=to_pose3(pose)
+        )
+        return Envelope(ODOMETRY, {"site": "s", "robot": "r"}, message)
+
+
+@pytest.fixture
+def speaker() -> Speaker:
+    return Speaker()
+
+
+@pytest.fixture
+def make_core() -> Callable[..., TrackerCore]:
+    def make(**settings: object) -> TrackerCore:
+        return TrackerCore(TrackerSettings.model_validate(settings))
+
+    return make
+
+
+@pytest.fixture
+def poses_of() -> Callable[[Iterable[Envelope]], list[PoseEstimate]]:
+    return lambda said: [each.open(PoseEstimate) for each in said if each.channel is POSE]
+
+
+@pytest.fixture
+def tracks_of() -> Callable[[Iterable[Envelope]], list[Tracks]]:
+    return lambda said: [each.open(Tracks) for each in said if each.channel is TRACKS]

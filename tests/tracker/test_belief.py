@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import compose
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST
+from eigenscan.tracker.core import TrackerCore
+
+STEP = np.array([0.05, 0.0, 0.02])
+
+
+def drive(
+    core: TrackerCore, speaker, poses_of, *, scans: int, start=(2.0, 3.0, 0.0), jump_at=None, time=100.0
+):
+    """One right hypothesis among wrong ones that change from scan to scan; gives (pose message, truth)."""
+    rng = np.random.default_rng(1)
+    truth, odometry = np.array(start), np.zeros(3)
+    heard = []
+    for scan in range(scans):
+        time += 0.1
+        if scan == jump_at:
+            truth = np.array([14.0, 11.0, 2.0])
+        truth, odometry = compose(truth, STEP), compose(odometry, STEP * 1.02)
+        poses = [truth + rng.normal(size=3) * [0.03, 0.03, 0.01]]
+        logs = [30.0 + rng.normal()]
+        for _ in range(8):
+            poses.append(rng.uniform([0, 0, -3], [20, 20, 3]))
+            logs.append(15.0 + 3.0 * rng.normal())
+        core.handle(speaker.odometry(time, odometry))
+        for message in poses_of(core.handle(speaker.hypotheses(time, poses, logs))):
+            heard.append((message, truth))
+    return heard
+
+
+def is_right(message, truth: np.ndarray) -> bool:
+    turn = (message.pose.theta - truth[2] + np.pi) % (2 * np.pi) - np.pi
+    near = np.hypot(message.pose.x - truth[0], message.pose.y - truth[1]) < 0.5
+    return bool(near and abs(turn) < np.radians(10))
+
+
+def test_one_sure_scan_localizes(make_core, speaker, poses_of) -> None:
+    message, truth = drive(make_core(), speaker, poses_of, scans=1)[0]
+    assert message.state == STATE_LOCALIZED
+    assert is_right(message, truth)
+    assert message.confidence > 0.95
+
+
+def test_tracks_a_driving_robot(make_core, speaker, poses_of) -> None:
+    heard = drive(make_core(), speaker, poses_of, scans=100)
+    errors = [np.hypot(m.pose.x - t[0], m.pose.y - t[1]) for m, t in heard]
+    assert len(heard) == 100
+    assert np.median(errors) < 0.03
+    assert all(m.state == STATE_LOCALIZED and is_right(m, t) for m, t in heard)
+    assert len({m.track_id for m, _ in heard}) == 1
+
+
+def test_kidnap_is_noticed_and_recovered(make_core, speaker, poses_of) -> None:
+    heard = drive(make_core(), speaker, poses_of, scans=80, jump_at=40)
+    wrong_claims = [i for i, (m, t) in enumerate(heard) if m.state == STATE_LOCALIZED and not is_right(m, t)]
+    right = [i for i, (m, t) in enumerate(heard) if i >= 40 and m.state == STATE_LOCALIZED and is_right(m, t)]
+    assert all(40 <= i < 50 for i in wrong_claims)
+    assert right
+    assert right[0] < 50
+    assert right == list(range(right[0], 80))
+
+
+def symmetric(count: int) -> list[np.ndarray]:
+    return [np.array([3.0 * k, 2.0, 0.3]) for k in range(count)]
+
+
+def test_standing_in_a_symmetric_place_stays_ambiguous(make_core, speaker, poses_of, tracks_of) -> None:
+    core, rng = make_core(), np.random.default_rng(2)
+    for scan in range(600):
+        time = 10.0 + scan * 0.1
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        said = core.handle(speaker.hypotheses(time, symmetric(4), 30.0 + 0.5 * rng.normal(size=4)))
+        assert poses_of(said)[0].state == STATE_AMBIGUOUS
+        assert len([t for t in tracks_of(said)[0].tracks if t.probability > 0.05]) == 4
+
+
+def test_a_symmetric_place_is_left_by_what_breaks_it(make_core, speaker, poses_of) -> None:
+    core = make_core()
+    odometry = np.zeros(3)
+    poses = symmetric(4)
+    for scan in range(40):
+        time = 10.0 + scan * 0.1
+        odometry = compose(odometry, STEP)
+        poses = [compose(pose, STEP) for pose in poses]
+        core.handle(speaker.odometry(time, odometry))
+        logs = [30.0, 30.0, 30.0, 30.0] if scan < 15 else [30.0, 20.0, 20.0, 20.0]
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, logs)))[0]
+        if scan < 15:
+            assert message.state == STATE_AMBIGUOUS
+    assert message.state == STATE_LOCALIZED
+    assert message.pose.x == pytest.approx(poses[0][0], abs=0.05)
+
+
+def test_a_scan_that_nothing_explains_leaves_the_robot_lost(make_core, speaker, poses_of) -> None:
+    core = make_core()
+    message = poses_of(core.handle(speaker.hypotheses(1.0, [], [])) or core.finish())[0]
+    assert message.state == STATE_LOST
+    assert message.none_probability == pytest.approx(1.0)
+    assert message.track_id == 0
+
+
+def test_leaving_the_map_is_noticed(make_core, speaker, poses_of) -> None:
+    core = make_core()
+    heard = drive(core, speaker, poses_of, scans=30)
+    assert heard[-1][0].state == STATE_LOCALIZED
+    states = []
+    speaker.unlisted = -20.0
+    for scan in range(30):
+        time = 103.0 + 0.1 * (scan + 1)
+        core.handle(speaker.odometry(time, np.array([0.05 * scan, 0.0, 0.0])))
+        states += [m.state for m in poses_of(core.handle(speaker.hypotheses(time, [], [])))]
+    assert STATE_LOCALIZED not in states[10:]
+    assert states[-1] == STATE_LOST
+
+
+def test_without_odometry_it_still_converges(make_core, speaker, poses_of) -> None:
+    core = make_core()
+    truth = np.array([2.0, 3.0, 0.0])
+    messages = []
+    for scan in range(40):
+        truth = compose(truth, STEP)
+        messages += poses_of(
+            core.handle(speaker.hypotheses(5.0 + 0.1 * scan, [truth, truth + [6.0, 0.0, 1.0]], [30.0, 18.0]))
+        )
+    last = messages[-1]
+    assert last.state == STATE_LOCALIZED
+    assert not last.has_odometry
+    assert np.hypot(last.pose.x - truth[0], last.pose.y - truth[1]) < 0.05
+    # one that never gave odometry is not waited for
+    assert len(messages) == 40
+
+
+def test_masses_sum_to_one(make_core, speaker, tracks_of) -> None:
+    core = make_core()
+    rng = np.random.default_rng(3)
+    for scan in range(50):
+        poses = rng.uniform([0, 0, -3], [20, 20, 3], (30, 3))
+        for message in tracks_of(core.handle(speaker.hypotheses(1.0 + scan, poses, rng.normal(10, 10, 30)))):
+            total = message.none_probability + sum(track.probability for track in message.tracks)
+            assert total == pytest.approx(1.0, abs=1e-9)
+
+
+def make_stream(speaker, scans: int):
+    truth, odometry, rng = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.random.default_rng(4)
+    odometries, hypotheses = [], []
+    for scan in range(scans):
+        truth, odometry = compose(truth, STEP), compose(odometry, STEP)
+        time = 50.0 + 0.1 * scan
+        odometries.append(speaker.odometry(time + 0.013, odometry))
+        poses = [truth + rng.normal(size=3) * 0.02, rng.uniform([0, 0, -3], [20, 20, 3])]
+        hypotheses.append(speaker.hypotheses(time, poses, [25.0, 15.0]))
+    return odometries, hypotheses
+
+
+Said = list[tuple[int, bytes]]
+
+
+def run(core: TrackerCore, envelopes, poses_of: Callable) -> Said:
+    said = []
+    for envelope in envelopes:
+        said += poses_of(core.handle(envelope))
+    said += poses_of(core.finish())
+    return [(m.timestamp.ToNanoseconds(), m.SerializeToString(deterministic=True)) for m in said]
+
+
+def test_order_of_arrival_between_channels_does_not_matter(make_core, speaker, poses_of) -> None:
+    odometries, hypotheses = make_stream(speaker, 30)
+    rng = np.random.default_rng(5)
+    both = [*odometries, *hypotheses]
+    stamps = np.array([e.message.timestamp.ToNanoseconds() * 1e-9 for e in both])
+    expected = run(make_core(), [both[i] for i in np.argsort(stamps, kind="stable")], poses_of)
+    assert len(expected) == 30
+    for _ in range(20):
+        # each channel keeps its own order; between them up to the patience of 0.2 s
+        delay = np.repeat(rng.uniform(0.0, 0.19, 2), 30)
+        shuffled = [both[i] for i in np.argsort(stamps + delay, kind="stable")]
+        assert run(make_core(), shuffled, poses_of) == expected
