@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from types import TracebackType
@@ -30,6 +31,8 @@ from eigenscan.schemas.wire import encode, encoding
 
 LATCHED_TIMEOUT_S = 120.0
 """What a holder's answer may take: 100 MB of models on a slow link."""
+
+LISTENER_POLL_S = 0.02
 
 _PRIORITY = {priority: getattr(zenoh.Priority, priority.name) for priority in Priority}
 
@@ -155,6 +158,19 @@ class Bus:
             if publisher is None:
                 publisher = self._publishers[key] = self._publisher(channel, key)
         publisher.put(payload, timestamp=stamp)
+
+    def wait_for_listener(self, key: str, timeout: float) -> bool:
+        """Waits until somebody subscribes to `key`, at most `timeout` seconds; False where nobody did."""
+        publisher: Any = self._session.declare_publisher(key)  # the stub of matching_status is wrong
+        try:
+            deadline = time.monotonic() + timeout
+            while not publisher.matching_status.matching:
+                if time.monotonic() >= deadline:
+                    return False
+                time.sleep(LISTENER_POLL_S)
+            return True
+        finally:
+            publisher.undeclare()
 
     def _publisher(self, channel: Channel, key: str) -> Any:
         block = channel.qos.block
