@@ -1,0 +1,43 @@
+"""The recorder without its shell: hands all it hears to its sinks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from eigenscan.recorder.sink import Sink
+from eigenscan.schemas.channels import CHANNELS, Channel
+from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.health_pb2 import Health
+
+
+class RecorderCore:
+    """Hears every channel and says nothing. Files, sockets and the clock belong to the sinks."""
+
+    hears: tuple[Channel, ...] = CHANNELS
+    says: tuple[Channel, ...] = ()
+
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self._sinks = tuple(sinks)
+
+    def start(self) -> Iterable[Envelope]:
+        """Nothing to say."""
+        return ()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """Gives the message to every sink."""
+        for sink in self._sinks:
+            sink.write(heard)
+        return ()
+
+    def finish(self) -> Iterable[Envelope]:
+        """Closes the sinks."""
+        for sink in self._sinks:
+            sink.close()
+        return ()
+
+    def condition(self) -> Condition:
+        """Degraded as soon as one sink has a problem."""
+        problems = "; ".join(sink.problem for sink in self._sinks if sink.problem)
+        counters = {name: count for sink in self._sinks for name, count in sink.counters.items()}
+        status = Health.STATUS_DEGRADED if problems else Health.STATUS_OK
+        return Condition(status, problems, counters)

@@ -1,0 +1,136 @@
+"""All traffic to MCAP files, through full disks and kills."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from itertools import count
+from pathlib import Path
+
+from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.schemas.envelope import Envelope, nanoseconds
+from google.protobuf.timestamp_pb2 import Timestamp
+
+SUFFIX = ".mcap"
+RETRY_S = 10.0
+"""After a failed write a new file is tried this often."""
+
+LATEST = 2**63 - 1
+"""Last instant that tools can show, ns since the epoch."""
+
+
+class McapSink:
+    """Writes to a new file in `target` (a folder), or to `target` itself where it ends in .mcap.
+
+    A file that exists is left alone: the next free of `name-2.mcap`, `name-3.mcap` is taken. What is
+    older than `flush_s` is in the hands of the operating system. Where the disk fails, messages are
+    counted as lost, and every RETRY_S a new file is tried; it starts with the newest latched messages,
+    so that each file explains itself.
+    """
+
+    def __init__(
+        self,
+        target: Path,
+        site: str,
+        clock: Callable[[], int],
+        flush_s: float,
+        metadata: Mapping[str, Mapping[str, str]],
+    ) -> None:
+        """Opens the file. `clock` gives ns since the epoch. Raises OSError where that is impossible."""
+        self._target, self._site, self._clock, self._metadata = target, site, clock, metadata
+        self._flush_ns = int(flush_s * 1e9)
+        self._latched: dict[str, Envelope] = {}
+        self._counts: Counter[str] = Counter()
+        self._problem = ""
+        self._retry_at = 0
+        self._flushed_at = clock()
+        self._writer: RecordingWriter | None = self._open()
+        self._writer.flush()
+
+    @property
+    def path(self) -> Path | None:
+        """The file in use; None while there is none."""
+        return self._writer.path if self._writer else None
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is written now, and how much was lost."""
+        return f"{self._problem}; {self._counts['mcap_lost']} messages lost" if self._problem else ""
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """`mcap_written`, `mcap_lost` and `mcap_files`."""
+        return self._counts
+
+    def write(self, heard: Envelope) -> None:
+        """Adds a message: log time is now, publish time the message's own stamp."""
+        now = self._clock()
+        try:
+            writer = self._writer or self._reopen(now)
+            if writer is None:
+                self._counts["mcap_lost"] += 1
+            else:
+                writer.write(heard, now, _published(heard) or now)
+                self._counts["mcap_written"] += 1
+                self._flush(writer, now)
+        except OSError as error:
+            self._counts["mcap_lost"] += 1
+            self._fail(error, now)
+        if heard.channel.qos.latched:
+            self._latched[heard.key] = heard
+
+    def close(self) -> None:
+        """Writes the index."""
+        if self._writer is not None:
+            try:
+                self._writer.close()
+            except OSError as error:
+                self._fail(error, self._clock())
+            self._writer = None
+
+    def _flush(self, writer: RecordingWriter, now: int) -> None:
+        if now - self._flushed_at >= self._flush_ns:
+            self._flushed_at = now
+            writer.flush()
+
+    def _fail(self, error: OSError, now: int) -> None:
+        self._problem = f"mcap: {self.path or self._target}: {error.strerror}: free space or change mcap"
+        self._retry_at = now + int(RETRY_S * 1e9)
+        if self._writer is not None:
+            self._writer.abandon()
+            self._writer = None
+
+    def _open(self) -> RecordingWriter:
+        path = _unused(self._target, self._site, self._clock())
+        self._counts["mcap_files"] += 1
+        return RecordingWriter(path, self._metadata)
+
+    def _reopen(self, now: int) -> RecordingWriter | None:
+        """The next file, begun with what is latched; None while it is too early to try."""
+        if now < self._retry_at:
+            return None
+        writer = self._writer = self._open()
+        for held in self._latched.values():
+            writer.write(held, now, _published(held) or now)
+        writer.flush()
+        self._problem = ""
+        return writer
+
+
+def _unused(target: Path, site: str, now: int) -> Path:
+    if target.suffix == SUFFIX:
+        first = target
+    else:
+        started = datetime.fromtimestamp(now / 1e9, tz=UTC)
+        first = target / f"{site}-{started:%Y%m%d-%H%M%S}{SUFFIX}"
+    if not first.exists():
+        return first
+    others = (first.with_name(f"{first.stem}-{number}{SUFFIX}") for number in count(2))
+    return next(path for path in others if not path.exists())
+
+
+def _published(heard: Envelope) -> int:
+    """The message's own stamp, ns since the epoch; 0 where it has none."""
+    stamp = getattr(heard.message, "timestamp", None)
+    return min(max(nanoseconds(stamp), 0), LATEST) if isinstance(stamp, Timestamp) else 0

@@ -1,0 +1,40 @@
+"""The recorder as a process."""
+
+from __future__ import annotations
+
+import time
+
+from eigenscan.recorder.core import RecorderCore
+from eigenscan.recorder.mcap_sink import McapSink
+from eigenscan.recorder.rerun_sink import RerunSink
+from eigenscan.recorder.settings import RecorderSettings
+from eigenscan.recorder.sink import Sink
+from eigenscan.runtime.node import main as run_node
+from eigenscan.runtime.settings import SettingsError
+
+SERVICE = "recorder"
+
+
+def make_core(settings: RecorderSettings) -> RecorderCore:
+    """The core with the sinks that the settings ask for, the recording first."""
+    sinks: list[Sink] = []
+    if settings.mcap is not None:
+        metadata = {SERVICE: {"settings": settings.model_dump_json()}}
+        sinks.append(McapSink(settings.mcap, settings.site, time.time_ns, settings.flush_s, metadata))
+    if settings.rrd is not None or settings.viewer_port is not None:
+        picture = RerunSink(settings)
+        if picture.url:
+            print(f"viewer: {picture.url}", flush=True)
+        sinks.append(picture)
+    if not sinks:
+        raise SettingsError("nothing to record to: give mcap, rrd or viewer_port")
+    return RecorderCore(sinks)
+
+
+def main() -> None:
+    """Entry point."""
+    run_node(SERVICE, RecorderSettings, make_core, whole_site=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the traffic looks like, drawn into a Rerun recording."""

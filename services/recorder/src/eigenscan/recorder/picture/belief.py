@@ -1,0 +1,96 @@
+"""What the robot believes beside its pose: hypotheses, tracks, and what the map does not explain."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from eigenscan.recorder.picture.canvas import Canvas, stamp_of
+from eigenscan.recorder.picture.pace import Pace
+from eigenscan.recorder.picture.palette import HYPOTHESIS, OBSTACLE, TRACK, UNLIKELY, blend
+from eigenscan.recorder.picture.shapes import Array, headings, lift
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
+from eigenscan.schemas.tracking_pb2 import Tracks
+
+HYPOTHESES_DRAWN = 200
+TRACKS_DRAWN = 50
+
+
+def probabilities(log_likelihoods: Array, unlisted: float) -> Array:
+    """Each hypothesis' share of the belief after this scan alone, (n,); the rest is for an unlisted place."""
+    weights = np.concatenate([log_likelihoods, [unlisted]])
+    weights = np.where(np.isfinite(weights), weights, -np.inf)
+    highest = weights.max(initial=-np.inf)
+    if not np.isfinite(highest):
+        return np.zeros(len(log_likelihoods))
+    shares = np.exp(weights - highest)
+    share: Array = shares[:-1] / shares.sum()
+    return share
+
+
+class BeliefPicture:
+    """Draws hypotheses, tracks and obstacles of all robots."""
+
+    def __init__(self, canvas: Canvas, pace: Pace) -> None:
+        self._canvas, self._pace = canvas, pace
+
+    def draw_hypotheses(self, heard: Envelope) -> None:
+        """Arrows, the longer and the more orange the more probable by this scan alone."""
+        message, where = heard.open(Hypotheses), heard.address
+        path = f"world/robots/{where['robot']}/hypotheses/{where['lidar']}/{where['projector']}"
+        stamp = stamp_of(message.timestamp)
+        if stamp is None or not self._pace.due(path, stamp):
+            return
+        listed = message.hypotheses[:HYPOTHESES_DRAWN]
+        poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed]).reshape(-1, 3)
+        share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
+        usable = np.isfinite(poses).all(axis=1)
+        poses, share = poses[usable], share[usable]
+        self._canvas.draw(
+            stamp,
+            path,
+            rr.Arrows3D(
+                origins=lift(poses[:, :2], 0.04),
+                vectors=headings(poses, 0.5 + 0.7 * share),
+                colors=blend(UNLIKELY, HYPOTHESIS, share, faintest=170),
+                radii=rr.Radius.ui_points(1.5),
+            ),
+        )
+
+    def draw_tracks(self, heard: Envelope) -> None:
+        """The trajectory of each track, the fainter the less probable."""
+        message = heard.open(Tracks)
+        path = f"world/robots/{heard.address['robot']}/tracks"
+        stamp = stamp_of(message.timestamp)
+        if stamp is None or not self._pace.due(path, stamp):
+            return
+        ways, shares = [], []
+        for track in message.tracks[:TRACKS_DRAWN]:
+            way = np.array([[p.x, p.y] for p in (*track.history, track.pose)])
+            if np.all(np.isfinite(way)):
+                ways.append(lift(way, 0.03))
+                shares.append(track.probability)
+        colours = blend(UNLIKELY, TRACK, np.array(shares), faintest=140)
+        ends = np.array([way[-1] for way in ways]).reshape(-1, 3)
+        self._canvas.draw(
+            stamp,
+            path,
+            rr.LineStrips3D(ways, colors=colours, radii=rr.Radius.ui_points(1.5)),
+            rr.Points3D(ends, colors=colours, radii=rr.Radius.ui_points(4.0)),
+        )
+
+    def draw_obstacles(self, heard: Envelope) -> None:
+        """The points that the map does not explain, in red."""
+        message, where = heard.open(Obstacles), heard.address
+        path = f"world/robots/{where['robot']}/obstacles/{where['lidar']}"
+        stamp = stamp_of(message.timestamp)
+        if stamp is None or not self._pace.due(f"{path}/{where['projector']}", stamp):
+            return
+        number = min(len(message.map_x), len(message.map_y))
+        points = np.column_stack([message.map_x[:number], message.map_y[:number]])
+        points = points[np.isfinite(points).all(axis=1)]
+        self._canvas.draw(
+            stamp,
+            path,
+            rr.Points3D(lift(points, 0.1), colors=[OBSTACLE], radii=rr.Radius.ui_points(3.5)),
+        )

@@ -1,0 +1,83 @@
+"""The picture: which message is drawn by whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import rerun as rr
+from eigenscan.recorder.picture.beams import BeamsPicture
+from eigenscan.recorder.picture.belief import BeliefPicture
+from eigenscan.recorder.picture.blueprint import layout
+from eigenscan.recorder.picture.canvas import Canvas
+from eigenscan.recorder.picture.eigenspace import EigenspacePicture
+from eigenscan.recorder.picture.events import Events
+from eigenscan.recorder.picture.floor import Floor
+from eigenscan.recorder.picture.legend import LEGEND
+from eigenscan.recorder.picture.pace import Pace
+from eigenscan.recorder.picture.plots import Plots
+from eigenscan.recorder.picture.robot import RobotPicture
+from eigenscan.recorder.picture.status import StatusBoard
+from eigenscan.schemas.channels import (
+    HEALTH,
+    HYPOTHESES,
+    MAP,
+    MODEL,
+    OBSTACLES,
+    POSE,
+    SCAN,
+    TRACKS,
+    TRUTH,
+    Channel,
+)
+from eigenscan.schemas.envelope import Envelope
+
+Draw = Callable[[Envelope], None]
+
+
+class Picture:
+    """Draws the traffic of a site, any number of robots on one map."""
+
+    def __init__(
+        self, stream: rr.RecordingStream, rate_hz: float, window_s: float | None, *, live: bool
+    ) -> None:
+        """`rate_hz`: pictures per second and robot at most; `window_s`, `live`: see `blueprint.layout`."""
+        self._stream, self._window_s, self._live = stream, window_s, live
+        canvas, pace = Canvas(stream), Pace(rate_hz)
+        self._floor, self._plots = Floor(canvas), Plots(canvas)
+        robots, belief, board = RobotPicture(canvas, pace), BeliefPicture(canvas, pace), StatusBoard(canvas)
+        beams, eigenspace, events = (
+            BeamsPicture(canvas, pace),
+            EigenspacePicture(canvas, pace),
+            Events(canvas),
+        )
+        self._drawn_by: dict[Channel, tuple[Draw, ...]] = {
+            MAP: (self._draw_map,),
+            MODEL: (self._floor.draw_region,),
+            SCAN: (robots.keep_scan, beams.keep_angles),
+            POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
+            TRUTH: (robots.draw_truth, self._plots.hear_truth),
+            HYPOTHESES: (belief.draw_hypotheses, eigenspace.draw),
+            OBSTACLES: (belief.draw_obstacles, beams.draw),
+            TRACKS: (belief.draw_tracks,),
+            HEALTH: (events.hear_health,),
+        }
+        canvas.fix("legend", rr.TextDocument(LEGEND, media_type=rr.MediaType.MARKDOWN))
+        self._show()
+
+    def draw(self, heard: Envelope) -> None:
+        """Draws one message; channels without a picture are left out."""
+        for draw in self._drawn_by.get(heard.channel, ()):
+            draw(heard)
+
+    def finish(self) -> None:
+        """Draws what was held back."""
+        self._plots.finish()
+
+    def _draw_map(self, heard: Envelope) -> None:
+        before = self._floor.extent
+        self._floor.draw_map(heard)
+        if before is None and self._floor.extent is not None:
+            self._show()
+
+    def _show(self) -> None:
+        self._stream.send_blueprint(layout(self._floor.extent, self._window_s, live=self._live))

@@ -1,0 +1,77 @@
+"""The floor: the map, north up, and the outlines of the regions that have an eigenspace."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+from eigenscan.geometry.gridmap import GridMap, MapError, from_message
+from eigenscan.recorder.picture.canvas import Canvas
+from eigenscan.recorder.picture.palette import REGION
+from eigenscan.recorder.picture.shapes import lift
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.model_pb2 import RegionModel
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from numpy.typing import NDArray
+
+TEXTURE_CELLS = 4096
+"""Longest side of a texture that every browser takes."""
+
+
+class Floor:
+    """Draws maps and regions; `extent` is what the last map covers, map frame: (low, high), each (2,), m."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        self.extent: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    def draw_map(self, heard: Envelope) -> None:
+        """The map as a texture at its scale. A grid of another form is left out."""
+        try:
+            grid = from_message(heard.open(Grid))
+        except MapError:
+            return
+        if not grid.cells.size or not np.all(np.isfinite(grid.origin)):
+            return
+        height, width = grid.cells.shape
+        corners = grid.to_map([[0, 0], [width, 0], [0, height], [width, height]])
+        self.extent = corners.min(axis=0), corners.max(axis=0)
+        cells, resolution = _shrunk(grid)
+        x, y, theta = grid.origin
+        self._canvas.fix(
+            "world/map",
+            rr.GridMap(
+                data=cells[::-1].tobytes(),
+                format=rr.components.ImageFormat(
+                    width=cells.shape[1], height=cells.shape[0], color_model="L", channel_datatype="U8"
+                ),
+                cell_size=resolution,
+                translation=[x, y, 0.0],
+                rotation_axis_angle=rr.components.RotationAxisAngle([0, 0, 1], theta),
+                colormap=rr.components.Colormap.RvizMap,
+            ),
+        )
+
+    def draw_region(self, heard: Envelope) -> None:
+        """The region's outline."""
+        model = heard.open(RegionModel)
+        outline = np.column_stack([model.outline_x, model.outline_y])
+        if len(outline) < 3 or not np.all(np.isfinite(outline)):
+            return
+        closed = np.concatenate([outline, outline[:1]])
+        self._canvas.fix(
+            f"world/regions/{model.region}",
+            rr.LineStrips3D([lift(closed, 0.01)], colors=[REGION], radii=rr.Radius.ui_points(0.75)),
+        )
+
+
+def _shrunk(grid: GridMap) -> tuple[NDArray[np.uint8], float]:
+    """Cells and resolution, coarser by a whole factor where the map is too big for a texture; walls stay."""
+    factor = -(-max(grid.cells.shape) // TEXTURE_CELLS)
+    if factor == 1:
+        return grid.cells, grid.resolution
+    height, width = grid.cells.shape
+    padded = np.pad(grid.cells, ((0, -height % factor), (0, -width % factor)), constant_values=255)
+    blocks = padded.reshape(padded.shape[0] // factor, factor, padded.shape[1] // factor, factor)
+    # 255 (unknown) must not outweigh a wall: as a signed byte it is -1
+    coarse = blocks.view(np.int8).max(axis=(1, 3)).view(np.uint8)
+    return coarse, grid.resolution * factor

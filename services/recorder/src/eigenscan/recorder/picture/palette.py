@@ -1,0 +1,49 @@
+"""The colours of the picture: one meaning each, told apart also by the colour-blind (Okabe and Ito)."""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.schemas.tracking_pb2 import (
+    STATE_AMBIGUOUS,
+    STATE_LOCALIZED,
+    STATE_LOST,
+    STATE_UNSPECIFIED,
+    State,
+)
+from numpy.typing import ArrayLike, NDArray
+
+Colour = tuple[int, int, int]
+
+LOCALIZED: Colour = (0, 140, 90)
+AMBIGUOUS: Colour = (215, 130, 0)
+LOST: Colour = (200, 40, 30)
+SILENT: Colour = (110, 110, 110)
+
+SCAN: Colour = (0, 90, 200)
+OBSTACLE: Colour = (230, 30, 30)
+HYPOTHESIS: Colour = (240, 140, 0)
+UNLIKELY: Colour = (150, 150, 150)
+TRACK: Colour = (125, 60, 180)
+TRUTH: Colour = (20, 20, 20)
+REGION: Colour = (120, 160, 190)
+
+STATE_COLOURS = {
+    STATE_LOCALIZED: LOCALIZED,
+    STATE_AMBIGUOUS: AMBIGUOUS,
+    STATE_LOST: LOST,
+    STATE_UNSPECIFIED: SILENT,
+}
+
+
+def state_name(state: State) -> str:
+    """The word an operator reads, such as LOCALIZED; UNKNOWN for what this build does not know."""
+    known = state in STATE_COLOURS and state != STATE_UNSPECIFIED
+    return State.Name(state).removeprefix("STATE_") if known else "UNKNOWN"
+
+
+def blend(low: Colour, high: Colour, share: ArrayLike, faintest: int = 255) -> NDArray[np.uint8]:
+    """RGBA (n, 4) from `low` at share 0, with opacity `faintest`, to opaque `high` at share 1."""
+    t = np.clip(np.asarray(share, dtype=np.float64), 0.0, 1.0)[:, None]
+    ends = np.array([[*low, faintest], [*high, 255]], dtype=np.float64)
+    colours: NDArray[np.uint8] = np.rint(ends[0] * (1 - t) + ends[1] * t).astype(np.uint8)
+    return colours

@@ -1,0 +1,125 @@
+"""Quantities over time: confidence, the mass for "none of these", and the error where the truth is known."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+
+import numpy as np
+import rerun as rr
+from eigenscan.geometry.circle import difference
+from eigenscan.geometry.pose import from_message, from_pose3
+from eigenscan.recorder.picture.canvas import Canvas, stamp_of
+from eigenscan.recorder.picture.palette import LOCALIZED, LOST, OBSTACLE, TRUTH, Colour
+from eigenscan.recorder.picture.shapes import Array
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+
+ROWS_A_BATCH = 16
+BATCH_NS = 250_000_000
+MOMENTS_KEPT = 256
+TRUTH_GAP_NS = 500_000_000
+"""Between two true poses further apart than this nothing is interpolated."""
+
+
+class Series:
+    """Rows of scalars on one entity, sent in batches: one call for many rows."""
+
+    def __init__(self, canvas: Canvas, path: str, names: list[str], colours: list[Colour]) -> None:
+        self._canvas, self._path = canvas, path
+        self._stamps: list[int] = []
+        self._rows: list[tuple[float, ...]] = []
+        canvas.fix(path, rr.SeriesLines(names=names, colors=colours, widths=[2.0] * len(names)))
+
+    def add(self, stamp: int, *values: float) -> None:
+        """Adds a row; what is no number leaves a gap."""
+        self._stamps.append(stamp)
+        self._rows.append(values)
+        if len(self._rows) >= ROWS_A_BATCH or not 0 <= stamp - self._stamps[0] < BATCH_NS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Sends what waits."""
+        if self._rows:
+            self._canvas.plot(self._path, self._stamps, self._rows)
+            self._stamps, self._rows = [], []
+
+
+class Plots:
+    """Draws the time plots of all robots."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        self._series: dict[str, Series] = {}
+        self._truth: dict[str, deque[tuple[int, Array]]] = defaultdict(lambda: deque(maxlen=MOMENTS_KEPT))
+        self._open: dict[str, deque[tuple[int, Array]]] = defaultdict(lambda: deque(maxlen=MOMENTS_KEPT))
+
+    def hear_pose(self, heard: Envelope) -> None:
+        """Plots the belief; the error as soon as the truth of that moment is known."""
+        message, robot = heard.open(PoseEstimate), heard.address["robot"]
+        stamp = stamp_of(message.timestamp)
+        if stamp is None:
+            return
+        belief = self._of(
+            f"belief/{robot}",
+            [f"{robot}: confidence", f"{robot}: none of the tracks"],
+            [LOCALIZED, LOST],
+        )
+        belief.add(stamp, message.confidence, message.none_probability)
+        pose = from_message(message.pose)
+        if message.track_id and np.all(np.isfinite(pose)):
+            self._open[robot].append((stamp, pose))
+            self._settle(robot)
+
+    def hear_truth(self, heard: Envelope) -> None:
+        """Keeps the true pose, and plots the errors that waited for it."""
+        message, robot = heard.open(PoseInFrame), heard.address["robot"]
+        stamp, pose = stamp_of(message.timestamp), from_pose3(message.pose)
+        if stamp is None or not np.all(np.isfinite(pose)):
+            return
+        known = self._truth[robot]
+        if known and stamp <= known[-1][0]:
+            known.clear()
+        known.append((stamp, pose))
+        self._settle(robot)
+
+    def finish(self) -> None:
+        """Sends what waits."""
+        for series in self._series.values():
+            series.flush()
+
+    def _settle(self, robot: str) -> None:
+        """Plots the error of each pose whose moment the truth has reached."""
+        known, waiting = self._truth[robot], self._open[robot]
+        while known and waiting and waiting[0][0] <= known[-1][0]:
+            stamp, pose = waiting.popleft()
+            true = true_pose(known, stamp)
+            if true is not None:
+                distance = float(np.hypot(*(pose - true)[:2]))
+                turn = float(np.rad2deg(abs(difference(pose[2], true[2]))))
+                self._of(f"error/position/{robot}", [f"{robot}: position error, m"], [OBSTACLE]).add(
+                    stamp, distance
+                )
+                self._of(f"error/heading/{robot}", [f"{robot}: heading error, deg"], [TRUTH]).add(stamp, turn)
+
+    def _of(self, path: str, names: list[str], colours: list[Colour]) -> Series:
+        if path not in self._series:
+            self._series[path] = Series(self._canvas, path, names, colours)
+        return self._series[path]
+
+
+def true_pose(known: deque[tuple[int, Array]], stamp: int) -> Array | None:
+    """The true pose at `stamp`, between the two that enclose it; None where they are far apart or missing."""
+    after = next((index for index, (at, _) in enumerate(known) if at >= stamp), None)
+    if after is None:
+        return None
+    later, end = known[after]
+    if later == stamp:
+        return end
+    if after == 0 or later - known[after - 1][0] > TRUTH_GAP_NS:
+        return None
+    earlier, start = known[after - 1]
+    share = (stamp - earlier) / (later - earlier)
+    step = end - start
+    step[2] = difference(end[2], start[2])
+    return np.asarray(start + share * step)

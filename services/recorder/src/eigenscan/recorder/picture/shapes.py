@@ -1,0 +1,45 @@
+"""Poses and scans as points, arrows and outlines in the map frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.pose import compose, from_message, transform
+from eigenscan.schemas.scan_pb2 import Scan
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+MAHALANOBIS_95 = 2.4477
+"""Radius of the ellipse that holds 95 % of a Gaussian on the plane: sqrt(chi2.ppf(0.95, 2))."""
+
+
+def lift(points: ArrayLike, height: float) -> NDArray[np.float32]:
+    """Points (n, 2) as (n, 3) at `height`, m: what lies higher covers what lies lower."""
+    flat = np.asarray(points, dtype=np.float32).reshape(-1, 2)
+    return np.column_stack([flat, np.full(len(flat), height, dtype=np.float32)])
+
+
+def headings(poses: ArrayLike, length: ArrayLike) -> NDArray[np.float32]:
+    """Vectors (n, 3) of `length`, m, along the headings of `poses` (n, 3)."""
+    theta = np.asarray(poses, dtype=np.float64).reshape(-1, 3)[:, 2]
+    flat = np.stack([np.cos(theta), np.sin(theta)], axis=-1) * np.asarray(length).reshape(-1, 1)
+    return lift(flat, 0.0)
+
+
+def scan_points(scan: Scan, base: ArrayLike) -> Array:
+    """Ends of the beams that hit something, (n, 2), map frame, for the robot's base at `base` (3,)."""
+    ranges = np.asarray(scan.ranges, dtype=np.float64)
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    hit = np.isfinite(ranges)
+    ends = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[hit] * ranges[hit, None]
+    return transform(compose(base, from_message(scan.mount)), ends)
+
+
+def ellipse(pose: ArrayLike, covariance: Array, corners: int = 33) -> Array:
+    """Outline (corners, 2) of the 95 % ellipse of the position; a point where it is not positive."""
+    centre = np.asarray(pose, dtype=np.float64)[:2]
+    variance, axes = np.linalg.eigh(covariance[:2, :2])
+    turn = np.linspace(0.0, 2.0 * np.pi, corners)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    outline: Array = centre + MAHALANOBIS_95 * (circle * np.sqrt(np.maximum(variance, 0.0))) @ axes.T
+    return outline

@@ -1,0 +1,93 @@
+"""The picture of the traffic to a live web viewer, a .rrd file, or both."""
+
+from __future__ import annotations
+
+import socket
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import ExitStack
+from urllib.parse import quote
+
+import rerun as rr
+from eigenscan.recorder.picture.drawing import Picture
+from eigenscan.recorder.settings import RecorderSettings
+from eigenscan.recorder.web_viewer import serve_viewer
+from eigenscan.runtime.settings import SettingsError
+from eigenscan.schemas.envelope import Envelope
+
+APPLICATION = "eigenscan"
+FLUSH_S = 0.3
+"""What is not handed over after this long at the end is left behind."""
+
+
+class RerunSink:
+    """Draws every message. `url` is the page to open, empty without a live viewer."""
+
+    def __init__(self, settings: RecorderSettings) -> None:
+        """Opens files and ports. Raises SettingsError or OSError naming what cannot be had."""
+        self._counts: Counter[str] = Counter()
+        self._closing = ExitStack()
+        self._stream = rr.RecordingStream(APPLICATION)
+        self.url = ""
+        sinks: list[rr.FileSink | rr.GrpcServerSink] = []
+        if settings.rrd is not None:
+            settings.rrd.parent.mkdir(parents=True, exist_ok=True)
+            settings.rrd.open("wb").close()  # Rerun itself only logs that it cannot write
+            sinks.append(rr.FileSink(str(settings.rrd)))
+        if settings.viewer_port is not None:
+            sinks.append(self._serve(settings, settings.viewer_port))
+        self._stream.set_sinks(*sinks)
+        self._picture = Picture(
+            self._stream, settings.picture_hz, settings.plot_window_s, live=settings.viewer_port is not None
+        )
+
+    @property
+    def problem(self) -> str:
+        """Empty: a picture that is not seen harms nobody."""
+        return ""
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """`drawn`."""
+        return self._counts
+
+    def write(self, heard: Envelope) -> None:
+        """Draws the message where it has a picture."""
+        self._picture.draw(heard)
+        self._counts["drawn"] += 1
+
+    def close(self) -> None:
+        """Completes the file and stops serving."""
+        self._picture.finish()
+        self._stream.flush(timeout_sec=FLUSH_S)
+        self._stream.disconnect()
+        self._closing.close()
+
+    def _serve(self, settings: RecorderSettings, page_port: int) -> rr.GrpcServerSink:
+        host = settings.viewer_host
+        data = _free_port("data_port", host, settings.data_port)
+        page = _free_port("viewer_port", host, page_port)
+        seen_at = "127.0.0.1" if host == "0.0.0.0" else host
+        source = f"rerun+http://{seen_at}:{data}/proxy"
+        self.url = f"http://{seen_at}:{page}/?url={quote(source, safe='')}"
+        self._closing.enter_context(serve_viewer(host, page, source))
+        return rr.GrpcServerSink(
+            host,
+            data,
+            server_memory_limit=settings.viewer_memory,
+            cors_allow_origin=[settings.viewer_origin] if settings.viewer_origin else None,
+        )
+
+
+def _free_port(field: str, host: str, port: int) -> int:
+    """`port`, or a free one where it is 0. Raises SettingsError where it is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise SettingsError(
+                f"{field} = {port}: cannot serve on {host} ({error.strerror}): "
+                "choose another, or 0 for a free one"
+            ) from error
+        return int(probe.getsockname()[1])
