@@ -126,7 +126,9 @@ def test_without_odometry_it_still_converges(make_core, speaker, poses_of) -> No
     for scan in range(40):
         truth = compose(truth, STEP)
         messages += poses_of(
-            core.handle(speaker.hypotheses(5.0 + 0.1 * scan, [truth, truth + [6.0, 0.0, 1.0]], [30.0, 18.0]))
+            core.handle(
+                speaker.hypotheses(5.0 + 0.1 * scan, [truth, np.add(truth, [6.0, 0.0, 1.0])], [30.0, 18.0])
+            )
         )
     last = messages[-1]
     assert last.state == STATE_LOCALIZED

@@ -120,7 +120,7 @@ class Belief:
     frames: list[str] = field(default_factory=lambda: [""])
     sources: list[str] = field(default_factory=list)
     next_id: int = 1
-    stamp: int = 0
+    stamp: int | None = None
 
     def __post_init__(self) -> None:
         self._gate = float(chi2.ppf(self.settings.gate_probability, 3))

@@ -64,9 +64,7 @@ def share_within(delta: Array, C: Array) -> Array:
     return result
 
 
-def next_state(
-    state: State, belief: Belief, confidence: float, settings: TrackerSettings
-) -> State:
+def next_state(state: State, belief: Belief, confidence: float, settings: TrackerSettings) -> State:
     """Lost, ambiguous or localized; a claim once made is held down to a lower confidence."""
     needed = settings.released_below if state == STATE_LOCALIZED else settings.localized_above
     if confidence >= needed:

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 LOG_LIKELIHOOD_LIMIT = 300.0
 """Evidence beyond this is an overflow of somebody's arithmetic, not knowledge."""
+FARTHEST = 1e7
+"""m from the map's origin: beyond it a number is an overflow, not a place."""
 SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
 """m, m, rad: no scan fixes a pose better than the lower; the upper says nothing."""
 
@@ -69,7 +71,7 @@ def observe(
         ],
         dtype=np.float64,
     ).reshape(-1, 10)
-    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < 1e7).all(axis=1)
+    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
     if not finite.all():
         counts["hypothesis_not_finite"] += int((~finite).sum())
         rows = rows[finite]

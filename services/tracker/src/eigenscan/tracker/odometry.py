@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 KEPT_NS = 5_000_000_000
 """Odometry older than this is forgotten."""
+FARTHEST = 1e7
+"""m from the odom frame's origin: beyond it a number is an overflow, not a place."""
 RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
 
@@ -85,7 +87,7 @@ class OdometryTrail:
         `taken_as_slip` and `taken_as_jump` are kept too: the first with doubt, the second as a new
         start of the odom frame, its increment unknown. `restarted`: the clock was set back.
         """
-        if not np.isfinite(pose).all():
+        if not (np.abs(pose) < FARTHEST).all():
             return "odometry_not_finite"
         last = self.newest
         if last is None:

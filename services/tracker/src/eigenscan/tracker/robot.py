@@ -97,10 +97,10 @@ class RobotTracker:
 
     def _step(self, seen: Observation) -> Estimate:
         belief = self.belief
-        if seen.stamp < belief.stamp:
+        if belief.stamp is not None and seen.stamp < belief.stamp:
             self._counts["hypotheses_late"] += 1
             seen = self._brought_forward(seen, belief.stamp)
-        elif belief.stamp:
+        elif belief.stamp is not None:
             belief.predict(self._motion(belief.stamp, seen.stamp))
         belief.stamp = seen.stamp
         if seen.usable:
@@ -157,10 +157,10 @@ class RobotTracker:
         belief = self.belief
         verdict = judge(belief.tracks)
         self.state = next_state(self.state, belief, verdict.confidence, self._settings)
-        odometry = self._trail.at(belief.stamp) if self._near_odometry(belief.stamp) else None
+        odometry = self._trail.at(seen.stamp) if self._near_odometry(seen.stamp) else None
         frame = belief.frames[int(belief.tracks.frame[verdict.track])] if verdict.track >= 0 else seen.frame
         return Estimate(
-            belief.stamp,
+            seen.stamp,
             frame,
             belief.tracks,
             {id_: tuple(history) for id_, history in self._histories.items()},
