@@ -36,11 +36,8 @@ class Loopback:
         while waiting:
             envelope = waiting.popleft()
             yield envelope
-            for core in self._cores:
-                if envelope.channel in core.hears:
-                    waiting.extend(core.handle(_as_sent(envelope)))
-
-
-def _as_sent(envelope: Envelope) -> Envelope:
-    payload = encode(envelope.message)
-    return Envelope(envelope.channel, envelope.address, decode(envelope.channel, payload))
+            hearers = [core for core in self._cores if envelope.channel in core.hears]
+            payload = encode(envelope.message) if hearers else b""
+            for core in hearers:
+                message = decode(envelope.channel, payload)
+                waiting.extend(core.handle(Envelope(envelope.channel, envelope.address, message)))

@@ -140,15 +140,16 @@ def read(path: Path) -> Iterator[Record]:
 
     In order of log time, by the index. Where the writer was killed and there is no index: in order of the
     file, up to its last whole chunk (see `is_complete`).
-    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    Raises RecordingError where the file is missing, no MCAP, or damaged, or holds another schema or contract
+    version on one of our keys.
     """
     try:
         with path.open("rb") as file:
-            for _, channel, message in _messages(file, indexed=_is_indexed(file)):
+            for schema, channel, message in _messages(file, indexed=_is_indexed(file)):
                 found = find(channel.topic)
                 if found is None:
                     continue
-                payload = decode(found[0], message.data)
+                payload = decode(found[0], message.data, _declared(schema, channel))
                 yield Record(
                     Envelope(found[0], found[1], payload),
                     message.log_time,
@@ -159,6 +160,12 @@ def read(path: Path) -> Iterator[Record]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     except _DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def _declared(schema: Schema | None, channel: McapChannel) -> str:
+    """Encoding that the file declares for a channel, as it would read over Zenoh."""
+    contract = channel.metadata.get("contract", str(CONTRACT_VERSION))
+    return f"application/{channel.message_encoding};{schema.name}/{contract}" if schema else ""
 
 
 def is_complete(path: Path) -> bool:

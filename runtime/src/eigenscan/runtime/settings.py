@@ -105,7 +105,7 @@ def _explain(problem: ErrorDetails, given: dict[str, _Given]) -> str:
 def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, _Given]:
     parser = argparse.ArgumentParser(
         prog=f"eigenscan-{service}",
-        description=(kind.__doc__ or "").strip().replace("%", "%%"),
+        description=(kind.__doc__ or "").strip(),
         epilog=f"example: eigenscan-{service} --site hospital --robot r17 --metrics-port 9100",
         allow_abbrev=False,
     )

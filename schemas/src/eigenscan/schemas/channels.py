@@ -78,6 +78,7 @@ class Channel:
     template: str
     message: type[Message]
     qos: Qos = field(default_factory=Qos)
+    about: str = ""
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -123,59 +124,92 @@ class Channel:
 
 
 _LIVE = Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=40.0)
+_SITE_DATA = Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False)
 
-SCAN_RAW = Channel("scan_raw", "{site}/robot/{robot}/scan/raw/{lidar}", RawScan, _LIVE)
-SCAN = Channel("scan", "{site}/robot/{robot}/scan/{lidar}", Scan, _LIVE)
+SCAN_RAW = Channel(
+    "scan_raw",
+    "{site}/robot/{robot}/scan/raw/{lidar}",
+    RawScan,
+    _LIVE,
+    "one sweep as the lidar's driver gives it, for scan-ingest",
+)
+SCAN = Channel(
+    "scan",
+    "{site}/robot/{robot}/scan/{lidar}",
+    Scan,
+    _LIVE,
+    "the canonical scan, from scan-ingest, for all others",
+)
 ODOMETRY = Channel(
     "odometry",
     "{site}/robot/{robot}/odom",
     Odometry,
     Qos(Priority.REAL_TIME, express=True, depth=1024, rate_hz=50.0),
+    "the robot's own dead reckoning, for the tracker",
 )
-HYPOTHESES = Channel("hypotheses", "{site}/robot/{robot}/hypotheses/{lidar}/{projector}", Hypotheses, _LIVE)
+HYPOTHESES = Channel(
+    "hypotheses",
+    "{site}/robot/{robot}/hypotheses/{lidar}/{projector}",
+    Hypotheses,
+    _LIVE,
+    "where one scan may have been taken, from a projector, for the tracker",
+)
 OBSTACLES = Channel(
     "obstacles",
     "{site}/robot/{robot}/obstacles/{lidar}/{projector}",
     Obstacles,
     Qos(Priority.DATA, rate_hz=40.0),
+    "what the best hypothesis does not explain, from a projector",
 )
 POSE = Channel(
     "pose",
     "{site}/robot/{robot}/pose",
     PoseEstimate,
     Qos(Priority.INTERACTIVE_HIGH, express=True, rate_hz=40.0, on_robot=False),
+    "the one pose to act on, with its state and confidence, from the tracker",
 )
-TRACKS = Channel("tracks", "{site}/robot/{robot}/tracks", Tracks, Qos(rate_hz=40.0))
+TRACKS = Channel(
+    "tracks",
+    "{site}/robot/{robot}/tracks",
+    Tracks,
+    Qos(rate_hz=40.0),
+    "all trajectories in play, from the tracker",
+)
 TRANSFORM = Channel(
     "transform",
     "{site}/robot/{robot}/tf",
     FrameTransform,
     Qos(Priority.REAL_TIME, express=True, rate_hz=50.0),
+    "coordinate frames, for viewers",
 )
-TRUTH = Channel("truth", "{site}/robot/{robot}/truth", PoseInFrame, Qos(Priority.DATA_LOW, rate_hz=40.0))
-MAP = Channel(
-    "map",
-    "{site}/map",
-    Grid,
-    Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False),
+TRUTH = Channel(
+    "truth",
+    "{site}/robot/{robot}/truth",
+    PoseInFrame,
+    Qos(Priority.DATA_LOW, rate_hz=40.0),
+    "the true pose where it is known (simulation); no service hears it but the recorder",
 )
+MAP = Channel("map", "{site}/map", Grid, _SITE_DATA, "the occupancy grid that the models were made from")
 MODEL = Channel(
     "model",
     "{site}/model/{region}",
     RegionModel,
-    Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False),
+    _SITE_DATA,
+    "the eigenspace of one region, from the mapbuilder, for projectors",
 )
 MODEL_SET = Channel(
     "model_set",
     "{site}/models",
     ModelSet,
-    Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False),
+    _SITE_DATA,
+    "which models and map belong together, from the mapbuilder, for projectors",
 )
 HEALTH = Channel(
     "health",
     "{site}/health/{service}/{instance}",
     Health,
     Qos(Priority.BACKGROUND, rate_hz=1.0, on_robot=False),
+    "how a service instance is, from every service",
 )
 
 CHANNELS: tuple[Channel, ...] = (

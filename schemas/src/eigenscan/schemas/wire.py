@@ -9,6 +9,8 @@ from eigenscan.schemas.channels import CONTRACT_VERSION, Channel, ContractError
 from google.protobuf.message import DecodeError, Message
 
 MEDIA_TYPE = "application/protobuf"
+UNDECLARED = {"", "zenoh/bytes", "application/octet-stream", MEDIA_TYPE}
+"""Encodings that leave the schema open."""
 
 
 def encoding(channel: Channel) -> str:
@@ -25,12 +27,11 @@ def decode(channel: Channel, payload: bytes, declared: str | None = None) -> Mes
     """Message in `payload`.
 
     `declared` is the sample's encoding; where it is absent or names no schema the channel's own is assumed.
-    Raises ContractError for another schema, another contract version, or bytes that do not decode.
+    Raises ContractError for another encoding, schema or contract version, or bytes that do not decode.
     """
-    schema = (declared or "").partition(";")[2]
-    expected = f"{channel.schema_name}/{CONTRACT_VERSION}"
-    if schema and schema != expected:
-        raise ContractError(f"{channel.name}: schema {schema!r}, this build speaks {expected!r}")
+    expected = encoding(channel)
+    if (declared or "") not in UNDECLARED | {expected}:
+        raise ContractError(f"{channel.name}: encoding {declared!r}, this build speaks {expected!r}")
     message = channel.message()
     try:
         message.ParseFromString(payload)

@@ -1,0 +1,240 @@
+"""Buses on real Zenoh sessions over loopback TCP."""
+
+import hashlib
+import itertools
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import zenoh
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.model_pb2 import RegionModel
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.wire import decode, encode, encoding
+
+Opener = Callable[[], Bus]
+
+
+def _next(inbox: Inbox) -> Arrival:
+    arrival = inbox.take(timeout=15)
+    assert arrival is not None
+    return arrival
+
+
+def _model(net: Any, version: str, size: int = 10, region: str = "hall") -> Envelope:
+    message = RegionModel(region=region, version=version, panoramas=bytes(size))
+    return Envelope(MODEL, {"site": net.site, "region": region}, message)
+
+
+def _version(arrival: Arrival) -> str:
+    message = decode(MODEL, arrival.payload, arrival.encoding)
+    assert isinstance(message, RegionModel)
+    return message.version
+
+
+def _settled(bus: Bus, inbox: Inbox, net: Any) -> list[str]:
+    """Versions that arrive before a scan does which is said after them."""
+    address = {"site": net.site, "robot": "r", "lidar": "mark"}
+    versions = []
+    stop = threading.Event()
+
+    def mark() -> None:
+        while not stop.wait(0.05):
+            bus.say(Envelope(SCAN, address, Scan()))
+
+    thread = threading.Thread(target=mark)
+    thread.start()
+    end = time.monotonic() + 1.0
+    while (arrival := _next(inbox)).channel is MODEL or time.monotonic() < end:
+        if arrival.channel is MODEL:
+            versions.append(_version(arrival))
+    stop.set()
+    thread.join()
+    return versions
+
+
+def test_a_late_joiner_gets_10_mb_whole_and_once(net: Any, buses: Opener) -> None:
+    said = _model(net, "1", 10_000_000)
+    early = buses()
+    early.offer([MODEL], {"site": net.site})
+    early.say(said)
+    late, inbox = buses(), Inbox()
+    late.listen([MODEL, SCAN], {"site": net.site}, inbox)
+    arrival = _next(inbox)
+    assert arrival.key == f"{net.site}/model/hall"
+    assert arrival.encoding == encoding(MODEL)
+    assert hashlib.sha256(arrival.payload).digest() == hashlib.sha256(encode(said.message)).digest()
+    assert _settled(early, inbox, net) == []
+
+
+def test_who_holds_a_model_may_come_last(net: Any, buses: Opener) -> None:
+    hearer, inbox = buses(), Inbox()
+    hearer.listen([MODEL, SCAN], {"site": net.site}, inbox)
+    for region in ("hall", "lab"):  # each said at once, while its session still meets the others
+        holder = buses()
+        holder.offer([MODEL], {"site": net.site})
+        holder.say(_model(net, region, region=region))
+        assert _version(_next(inbox)) == region
+
+
+def test_the_newest_is_what_a_late_joiner_gets(net: Any, buses: Opener) -> None:
+    holder = buses()
+    holder.offer([MODEL], {"site": net.site})
+    for version in ("1", "2", "3"):
+        holder.say(_model(net, version))
+    late, inbox = buses(), Inbox()
+    late.listen([MODEL, SCAN], {"site": net.site}, inbox)
+    assert _version(_next(inbox)) == "3"
+
+
+def test_of_two_holders_the_newest_wins(net: Any, buses: Opener) -> None:
+    first, second = buses(), buses()
+    first.offer([MODEL], {"site": net.site})
+    first.say(_model(net, "old"))
+    second.offer([MODEL], {"site": net.site})
+    second.say(_model(net, "new"))
+    late, inbox = buses(), Inbox()
+    late.listen([MODEL, SCAN], {"site": net.site}, inbox)
+    versions = [_version(_next(inbox)), *_settled(first, inbox, net)]
+    assert versions[-1] == "new"
+    assert len(versions) == len(set(versions))
+
+
+def test_who_asks_while_models_are_said_ends_with_the_newest(net: Any, buses: Opener) -> None:
+    holder = buses()
+    holder.offer([MODEL], {"site": net.site})
+    stop, said = threading.Event(), [0]
+
+    def publish() -> None:
+        while not stop.is_set():
+            said[0] += 1
+            holder.say(_model(net, str(said[0]), 200_000))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    joiners = []
+    for _ in range(4):
+        inbox = Inbox()
+        buses().listen([MODEL, SCAN], {"site": net.site}, inbox)
+        joiners.append((inbox, [int(_version(_next(inbox)))]))
+    stop.set()
+    thread.join()
+    for inbox, versions in joiners:
+        versions += [int(version) for version in _settled(holder, inbox, net)]
+        assert versions[-1] == said[0]
+        assert all(earlier < later for earlier, later in itertools.pairwise(versions))
+
+
+def test_a_holder_that_starts_again_is_heard_again(net: Any, buses: Opener) -> None:
+    holder, inbox = buses(), Inbox()
+    holder.offer([MODEL], {"site": net.site})
+    hearer = Bus(net.open())
+    hearer.listen([MODEL], {"site": net.site}, inbox)
+    holder.close()
+    again = Bus(net.open(net.hub))
+    again.offer([MODEL], {"site": net.site})
+    again.say(_model(net, "2"))  # before the hearer has found it again
+    assert _version(_next(inbox)) == "2"
+    hearer.close()
+    again.close()
+
+
+def test_who_hears_all_keys_gets_the_held_ones_too(net: Any, buses: Opener) -> None:
+    holder = buses()
+    holder.offer([MODEL], {"site": net.site})
+    holder.say(_model(net, "1"))
+    recorder, inbox = buses(), Inbox()
+    recorder.listen_all(CHANNELS, f"{net.site}/**", inbox)
+    assert _version(_next(inbox)) == "1"
+    holder._session.put(f"{net.site}/not/ours", b"x")
+    holder.say(_model(net, "2"))
+    assert _version(_next(inbox)) == "2"
+    assert inbox.dropped == {"foreign_key": 1}
+
+
+def test_queries_are_answered_for_the_keys_asked_only(net: Any, buses: Opener) -> None:
+    holder, stranger = buses(), buses()
+    holder.offer([MODEL], {"site": net.site})
+    for region in ("hall", "lab"):
+        holder.say(_model(net, region, region=region))
+    end = time.monotonic() + 10
+    while not (replies := list(stranger._session.get(f"{net.site}/model/lab", timeout=5))):
+        assert time.monotonic() < end
+    assert [(str(reply.ok.key_expr), str(reply.ok.encoding)) for reply in replies if reply.ok] == [
+        (f"{net.site}/model/lab", "application/protobuf;eigenscan.RegionModel/1")
+    ]
+
+
+@pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
+def test_samples_travel_as_the_contract_says(channel: Channel, net: Any, buses: Opener) -> None:
+    speaker, hearer = buses(), buses()
+    address = dict.fromkeys(channel.fields, "x") | {"site": net.site}
+    samples = hearer._session.declare_subscriber(f"{net.site}/**")
+    envelope = Envelope(channel, address, channel.message())
+    sample = None
+    end = time.monotonic() + 10
+    while sample is None and time.monotonic() < end:
+        speaker.say(envelope)
+        sample = samples.try_recv()
+        time.sleep(0.01)
+    assert sample is not None
+    assert str(sample.key_expr) == envelope.key
+    assert str(sample.encoding) == encoding(channel)
+    assert sample.priority == getattr(zenoh.Priority, channel.qos.priority.name)
+    assert sample.express is channel.qos.express
+    block, drop = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
+    assert sample.congestion_control == (block if channel.qos.block else drop)
+    assert (sample.timestamp is not None) or not channel.qos.latched
+
+
+def test_a_slow_consumer_loses_its_own_oldest_only(net: Any, buses: Opener) -> None:
+    speaker, hearer = buses(), buses()
+    slow, quick = Inbox(), Inbox()
+    hearer.listen([SCAN], {"site": net.site}, slow)
+    hearer.listen([POSE, SCAN_RAW], {"site": net.site}, quick)
+    scan_address = {"site": net.site, "robot": "r", "lidar": "l"}
+    speaker_inbox = Inbox()
+    speaker.listen([SCAN_RAW], {"site": net.site}, speaker_inbox)
+    end = time.monotonic() + 10
+    while not len(quick):  # until the two have met
+        assert time.monotonic() < end
+        speaker.say(Envelope(SCAN_RAW, scan_address, RawScan(frame_id="mark")))
+        time.sleep(0.01)
+    count = 20 * SCAN.qos.depth
+    for number in range(count):
+        speaker.say(Envelope(SCAN, scan_address, Scan(sequence=number)))
+        speaker.say(Envelope(SCAN_RAW, scan_address, RawScan(frame_id=str(number))))
+        while (arrival := quick.take(timeout=15)) is not None:  # the quick one keeps up
+            if decode(SCAN_RAW, arrival.payload).frame_id == str(number):  # type: ignore[attr-defined]
+                break
+    kept = [decode(SCAN, _next(slow).payload).sequence for _ in range(SCAN.qos.depth)]  # type: ignore[attr-defined]
+    assert kept == list(range(count - SCAN.qos.depth, count))
+    assert len(slow) == 0
+    assert slow.dropped == {"scan": count - SCAN.qos.depth}
+    assert quick.dropped == {}
+
+
+def test_deleting_a_key_is_no_empty_message(net: Any, buses: Opener) -> None:
+    speaker, hearer = buses(), buses()
+    inbox = Inbox()
+    hearer.listen([MODEL], {"site": net.site}, inbox)
+    speaker.offer([MODEL], {"site": net.site})
+    speaker.say(_model(net, "1"))
+    assert _version(_next(inbox)) == "1"
+    speaker._session.delete(f"{net.site}/model/hall")
+    speaker.say(_model(net, "2"))
+    assert _version(_next(inbox)) == "2"
+    assert inbox.dropped == {"deletion": 1}
+
+
+def test_what_is_said_after_the_end_is_refused(net: Any) -> None:
+    bus = Bus(net.open(net.hub))
+    bus.say(_model(net, "1"))
+    bus.close()
+    with pytest.raises(zenoh.ZError):
+        bus.say(_model(net, "2"))

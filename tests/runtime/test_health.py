@@ -1,0 +1,89 @@
+import socket
+from urllib.request import urlopen
+
+import pytest
+from eigenscan.runtime.health import Monitor
+from eigenscan.runtime.settings import SettingsError
+from eigenscan.schemas.envelope import Condition
+from eigenscan.schemas.health_pb2 import Health
+from prometheus_client.parser import text_string_to_metric_families
+
+OK = Condition(Health.STATUS_OK, "well", {"heard": 3})
+
+
+def test_it_starts_then_turns_then_stalls() -> None:
+    monitor = Monitor("probe", "0", "1.2.3")
+    assert monitor.probe()[0] == 503
+    assert monitor.message().status == Health.STATUS_WAITING
+    assert monitor.turn(OK) is True
+    code, body = monitor.probe()
+    assert (code, body["status"], body["stalled"]) == (200, "STATUS_OK", False)
+
+    still = Monitor("probe", "0", "1.2.3", stalled_after_s=0.0)
+    still.turn(OK)
+    code, body = still.probe()
+    assert (code, body["status"], body["stalled"]) == (503, "STATUS_DEGRADED", True)
+    message = still.message()
+    assert message.status == Health.STATUS_DEGRADED
+    assert "no answer from the core" in message.detail
+    assert message.counters == {"heard": 3}
+
+
+def test_a_service_that_waits_or_is_degraded_is_alive() -> None:
+    monitor = Monitor("probe", "0", "1.2.3")
+    for status in (Health.STATUS_WAITING, Health.STATUS_DEGRADED):
+        monitor.turn(Condition(status, "no model"))
+        assert monitor.probe()[0] == 200
+
+
+def test_a_change_is_one_of_status_or_detail() -> None:
+    monitor = Monitor("probe", "0", "")
+    assert monitor.turn(OK)
+    assert not monitor.turn(Condition(OK.status, OK.detail, {"heard": 4}))
+    assert monitor.turn(Condition(OK.status, "other"))
+    assert monitor.turn(Condition(Health.STATUS_WAITING, "other"))
+
+
+def test_the_message_says_who_and_how() -> None:
+    monitor = Monitor("probe", "r7", "1.2.3")
+    monitor.turn(OK)
+    message = monitor.message()
+    assert (message.service, message.instance, message.package_version) == ("probe", "r7", "1.2.3")
+    assert (message.status, message.detail, message.counters) == (Health.STATUS_OK, "well", {"heard": 3})
+    assert message.timestamp.seconds > 1_700_000_000
+
+
+def test_prometheus_reads_the_metrics() -> None:
+    monitor = Monitor("probe", "r7", "1.2.3")
+    monitor.turn(OK)
+    monitor.handling.labels("scan").observe(0.003)
+    families = {family.name: family for family in text_string_to_metric_families(monitor.metrics().decode())}
+    assert [
+        (sample.name, sample.labels, sample.value) for sample in families["eigenscan_messages"].samples
+    ] == [("eigenscan_messages_total", {"what": "heard"}, 3.0)]
+    assert families["eigenscan_status"].samples[0].value == Health.STATUS_OK
+    assert families["eigenscan_handling_seconds"].type == "histogram"
+    (info,) = (
+        families["eigenscan_info"].samples if "eigenscan_info" in families else families["eigenscan"].samples
+    )
+    assert info.labels["instance"] == "r7"
+
+
+def test_a_port_that_is_taken_is_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(
+            SettingsError, match=rf"metrics_port = {port}: cannot listen on 127.0.0.1: .*choose another"
+        ):
+            Monitor("probe", "0", "").serve("127.0.0.1", port)
+
+
+def test_it_serves_while_a_client_hangs() -> None:
+    monitor = Monitor("probe", "0", "")
+    monitor.turn(OK)
+    port = monitor.serve("127.0.0.1", 0)
+    with socket.create_connection(("127.0.0.1", port)) as idle:
+        idle.send(b"GET /metr")
+        with urlopen(f"http://127.0.0.1:{port}/healthz", timeout=5) as reply:
+            assert reply.status == 200
+    monitor.close()

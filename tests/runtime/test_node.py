@@ -1,0 +1,232 @@
+"""A real tiny service in a process of its own, over loopback TCP."""
+
+import json
+import re
+import signal
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import zenoh
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.schemas.channels import CONTRACT_VERSION, HEALTH, MODEL, SCAN, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.wire import decode
+
+STOP_S = 2.0
+
+
+def _end(service: Any, sign: signal.Signals) -> float:
+    """Seconds from the signal to the end of the process."""
+    began = time.monotonic()
+    service.process.send_signal(sign)
+    service.process.wait(timeout=10)
+    return time.monotonic() - began
+
+
+def _next(inbox: Inbox) -> Arrival:
+    arrival = inbox.take(timeout=10)
+    assert arrival is not None
+    return arrival
+
+
+def _ask(bus: Bus, net: Any, frame: str) -> None:
+    address = {"site": net.site, "robot": "robot", "lidar": "front"}
+    bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=frame)))
+
+
+def _healths(inbox: Inbox) -> Any:
+    while True:
+        arrival = _next(inbox)
+        if arrival.channel is HEALTH:
+            health = decode(HEALTH, arrival.payload, arrival.encoding)
+            assert isinstance(health, Health)
+            yield health
+
+
+def _get(url: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(url, timeout=5) as reply:
+            return reply.status, reply.read().decode()
+    except urllib.error.HTTPError as refusal:
+        with refusal:
+            return refusal.code, refusal.read().decode()
+
+
+def _probe_until(url: str, code: int, limit_s: float) -> dict[str, Any]:
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        found, body = _get(url)
+        if found == code:
+            return dict(json.loads(body))
+        time.sleep(0.05)
+    raise AssertionError(f"{url} never answered {code}; last {found}: {body}")
+
+
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_in_time_with_its_last_words(
+    sign: signal.Signals, net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    bus, inbox = buses(), Inbox()
+    bus.listen([SCAN], {"site": net.site}, inbox)
+    service = start(config=net.leaf)
+    service.log("ready")
+    assert _end(service, sign) < STOP_S
+    assert service.process.returncode == 0
+    assert _next(inbox).key == f"{net.site}/robot/robot/scan/last"
+    assert service.log("stopped")["unfinished"] is False
+
+
+@pytest.mark.parametrize("phase", ["make", "start", "handle"])
+def test_a_signal_ends_it_in_time_while_its_core_is_at_work(
+    phase: str, net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    bus = buses()
+    service = start(f"--{phase}-s", 60, config=net.leaf)
+    if phase == "handle":
+        service.log("ready")
+        _ask(bus, net, "front")
+    service.log(f"{phase} takes long")
+    assert _end(service, signal.SIGTERM) < STOP_S
+    assert service.process.returncode == 0
+    assert service.log("stopped")["unfinished"] is True
+
+
+def test_it_answers_for_its_model_and_ends_in_time_meanwhile(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    service = start("--model-bytes", 50_000_000)
+    service.log("ready")
+    bus, inbox = Bus(net.open()), Inbox()
+    bus.listen([MODEL], {"site": net.site}, inbox)
+    assert _end(service, signal.SIGTERM) < STOP_S
+    assert service.process.returncode == 0
+    bus.close()
+
+
+def test_it_says_how_it_is_and_outlives_all_that_it_hears(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    bus, scans, others = buses(), Inbox(), Inbox()
+    bus.listen([SCAN], {"site": net.site}, scans)
+    bus.listen([HEALTH], {"site": net.site}, others)
+    service = start("--instance", "one", config=net.leaf)
+    service.log("ready")
+    first = next(_healths(others))
+    assert (first.service, first.instance) == ("tiny", "one")
+
+    key = f"{net.site}/robot/robot/scan/raw/front"
+    _ask(bus, net, "before")
+    assert decode(SCAN, _next(scans).payload) == Scan(frame_id="before", sequence=0)
+    session = bus._session
+    session.put(key, b"\xff\xff\xff", encoding="application/protobuf;eigenscan.RawScan/1")
+    session.put(key, b"", encoding="application/protobuf;eigenscan.RawScan/2")
+    session.put(key, b"", encoding="application/json")
+    session.put(f"{net.site}/robot/robot/scan/raw/fr#nt".replace("#", "@"), b"")
+    session.delete(key)
+    _ask(bus, net, "poison")
+    _ask(bus, net, "after")
+    assert decode(SCAN, _next(scans).payload) == Scan(frame_id="after", sequence=1)
+
+    wanted = {"heard_scan_raw": 3, "said_scan": 2, "undecodable": 3, "core_failed": 1, "handled": 2,
+              "dropped_deletion": 1, "dropped_foreign_key": 1}  # fmt: skip
+    for health in _healths(others):
+        if dict(health.counters).items() >= wanted.items():
+            break
+    assert health.status == Health.STATUS_OK
+    fault = service.log("core_failed")
+    assert fault["key"] == key
+    assert "poisoned" in str(fault["exception"])
+
+
+def test_metrics_and_probe(net: Any, start: Callable[..., Any], buses: Callable[[], Bus]) -> None:
+    bus, inbox = buses(), Inbox()
+    bus.listen([SCAN], {"site": net.site}, inbox)
+    service = start("--metrics-port", 0, config=net.leaf)
+    url = str(service.log("metrics")["url"])
+    service.log("ready")
+    _ask(bus, net, "x")
+    _next(inbox)
+    probe = _probe_until(url.replace("/metrics", "/healthz"), 200, 5)
+    assert probe["stalled"] is False
+    end = time.monotonic() + 5
+    while 'eigenscan_messages_total{what="said_scan"} 1.0' not in (text := _get(url)[1]):
+        assert time.monotonic() < end, text
+        time.sleep(0.05)
+    assert 'eigenscan_handling_seconds_count{channel="scan_raw"} 1.0' in text
+    assert re.search(rf'eigenscan_info{{contract="{CONTRACT_VERSION}",instance="robot",service="tiny",', text)
+    assert re.search(r"^process_resident_memory_bytes \d", text, re.MULTILINE)
+    assert _get(url + "x")[0] == 404
+    assert _get(url.replace("/metrics", "/"))[0] == 404
+
+
+def test_the_probe_fails_until_it_is_ready(net: Any, start: Callable[..., Any]) -> None:
+    service = start("--start-s", 3, "--metrics-port", 0)
+    url = str(service.log("metrics")["url"]).replace("/metrics", "/healthz")
+    service.log("start takes long")
+    code, body = _get(url)
+    assert code == 503
+    assert json.loads(body)["starting"] is True
+    service.log("ready")
+    assert _probe_until(url, 200, 5)["starting"] is False
+
+
+def test_its_presence_is_seen_and_so_is_its_death(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    session = buses()._session
+    tokens = session.liveliness().declare_subscriber(f"{net.site}/alive/**", history=True)
+    service = start("--instance", "one", config=net.leaf)
+    service.log("ready")
+    born = tokens.recv()
+    assert (str(born.key_expr), born.kind) == (
+        f"{net.site}/alive/tiny/one/{CONTRACT_VERSION}",
+        zenoh.SampleKind.PUT,
+    )
+    service.process.kill()
+    dead = tokens.recv()
+    assert (dead.key_expr, dead.kind) == (born.key_expr, zenoh.SampleKind.DELETE)
+
+
+def test_a_second_instance_of_the_same_name_is_noticed(net: Any, start: Callable[..., Any]) -> None:
+    first = start()
+    first.log("ready")
+    second = start(config=net.leaf)
+    assert "--instance" in str(first.log("duplicate_instance")["hint"])
+    assert "--instance" in str(second.log("duplicate_instance")["hint"])
+
+
+def test_a_fault_of_the_user_is_one_line_and_code_2(
+    net: Any, start: Callable[..., Any], tmp_path: Any
+) -> None:
+    broken = tmp_path / "broken.json5"
+    broken.write_text("{mode: 'peer'")
+    taken = net.open(net.hub)  # its port
+    try:
+        cases: list[tuple[list[object], Any, str]] = [
+            (["--broken"], net.hub, "eigenscan-tiny: maps/office.yaml: resolution: must be given"),
+            ([], broken, f"eigenscan-tiny: {broken}: is no Zenoh configuration: "),
+            (
+                [],
+                tmp_path / "none.json5",
+                f"eigenscan-tiny: {tmp_path / 'none.json5'}: is no Zenoh configuration: ",
+            ),
+            ([], net.hub, f"eigenscan-tiny: {net.hub}: no Zenoh session: "),
+            (["--start-s", "soon"], net.hub, "eigenscan-tiny: --start-s = 'soon': "),
+        ]
+        for arguments, config, line in cases:
+            service = start(*arguments, config=config)
+            _, errors = service.process.communicate(timeout=20)
+            assert service.process.returncode == 2, errors
+            said = [one for one in errors.splitlines() if not one.startswith("{")]
+            assert len(said) == 1, errors
+            assert said[0].startswith(line)
+            assert ".rs:" not in said[0]
+    finally:
+        taken.close()

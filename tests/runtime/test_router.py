@@ -1,0 +1,90 @@
+"""The router as a process, between two sessions that know nothing but its address."""
+
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from eigenscan.runtime import router
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import MODEL, SCAN
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.model_pb2 import RegionModel
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.wire import decode
+
+
+@pytest.fixture
+def routed(net: Any, tmp_path: Path, start: Callable[..., Any]) -> tuple[Callable[[], Any], Path]:
+    """A starter of the router, and a client's configuration."""
+    port = json.loads(net.hub.read_text())["listen"]["endpoints"][0]
+    hub, client = tmp_path / "router.json5", tmp_path / "client.json5"
+    alone = {"scouting": {"multicast": {"enabled": False}}}
+    hub.write_text(json.dumps(alone | {"mode": "router", "listen": {"endpoints": [port]}}))
+    client.write_text(
+        json.dumps(alone | {"mode": "client", "connect": {"endpoints": [port], "timeout_ms": -1}})
+    )
+    program = tmp_path / "router.py"
+    program.write_text(
+        f"import sys; sys.path[:] = {sys.path!r}\nfrom {router.__name__} import main\nmain()\n"
+    )
+
+    def starter() -> Any:
+        service = start(config=hub, program=program)
+        service.log("ready")
+        return service
+
+    return starter, client
+
+
+def _model(net: Any, version: str) -> Envelope:
+    return Envelope(MODEL, {"site": net.site, "region": "hall"}, RegionModel(region="hall", version=version))
+
+
+def _next_version(inbox: Inbox) -> str:
+    arrival = inbox.take(timeout=20)
+    assert arrival is not None
+    return decode(MODEL, arrival.payload, arrival.encoding).version  # type: ignore[attr-defined, no-any-return]
+
+
+def test_a_model_said_while_the_router_was_away_arrives_after_it(
+    net: Any, routed: tuple[Callable[[], Any], Path]
+) -> None:
+    starter, client = routed
+    first = starter()
+    holder, hearer, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
+    holder.offer([MODEL], {"site": net.site})
+    holder.say(_model(net, "1"))
+    hearer.listen([MODEL], {"site": net.site}, inbox)
+    assert _next_version(inbox) == "1"
+    first.process.kill()
+    first.process.wait()
+    holder.say(_model(net, "2"))
+    starter()
+    assert _next_version(inbox) == "2"
+    hearer.close()
+    holder.close()
+
+
+def test_it_ends_in_time_with_sessions_on_it(net: Any, routed: tuple[Callable[[], Any], Path]) -> None:
+    starter, client = routed
+    service = starter()
+    speaker, hearer, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
+    hearer.listen([SCAN], {"site": net.site}, inbox)
+    end = time.monotonic() + 10
+    while not len(inbox):
+        assert time.monotonic() < end
+        speaker.say(Envelope(SCAN, {"site": net.site, "robot": "r", "lidar": "l"}, Scan()))
+        time.sleep(0.01)
+    began = time.monotonic()
+    service.process.send_signal(signal.SIGTERM)
+    assert service.process.wait(timeout=10) == 0
+    assert time.monotonic() - began < 2.0
+    hearer.close()
+    speaker.close()

@@ -1,0 +1,189 @@
+import os
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
+from pydantic import Field
+
+
+class ProbeSettings(ServiceSettings):
+    """Settings of all kinds, 100 % made up."""
+
+    spacing: float = Field(0.5, gt=0, description="m, at most 50 % of a room")
+    beams: int = 361
+    verify: bool = True
+    model: Path | None = None
+    lidars: list[str] = Field(["front"])
+    limits: tuple[float, float] = (0.1, 30.0)
+    method: Literal["tree", "cells"] = "tree"
+
+
+@pytest.fixture(autouse=True)
+def clean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in [name for name in os.environ if name.startswith("EIGENSCAN_")]:
+        monkeypatch.delenv(name)
+    monkeypatch.chdir(tmp_path)
+
+
+def _load(*arguments: str) -> ProbeSettings:
+    return load(ProbeSettings, "scan-probe", list(arguments))
+
+
+def _file(text: str) -> str:
+    Path("robot.toml").write_text(text)
+    return "--config=robot.toml"
+
+
+def test_without_any_the_defaults_hold() -> None:
+    assert _load() == ProbeSettings()
+    assert (_load().site, _load().robot, _load().instance) == ("site", "robot", "robot")
+
+
+def test_flags_win_over_environment_over_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = _file(
+        'site = "f"\nrobot = "f"\n[scan-probe]\nspacing = 1\nbeams = 1\nlog_level = "error"\nrobot = "own"'
+    )
+    assert _load(config).robot == "own"
+    monkeypatch.setenv("EIGENSCAN_SPACING", "2")
+    monkeypatch.setenv("EIGENSCAN_BEAMS", "2")
+    monkeypatch.setenv("EIGENSCAN_SCAN_PROBE_BEAMS", "3")
+    settings = _load(config, "--beams", "4")
+    assert (settings.site, settings.log_level) == ("f", "error")
+    assert (settings.spacing, settings.beams) == (2.0, 4)
+    assert _load(config).beams == 3
+
+
+def test_the_file_may_be_named_by_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    _file("[scan-probe]\nbeams = 7")
+    monkeypatch.setenv("EIGENSCAN_CONFIG", "robot.toml")
+    assert _load().beams == 7
+
+
+def test_an_empty_variable_is_not_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EIGENSCAN_METRICS_PORT", "")
+    monkeypatch.setenv("EIGENSCAN_CONFIG", "")
+    assert _load().metrics_port is None
+
+
+@pytest.mark.parametrize(("text", "value"), [("false", False), ("0", False), ("off", False), ("yes", True)])
+def test_truth_values(text: str, value: bool) -> None:
+    assert _load("--verify", text).verify is value
+    assert _load("--verify").verify is True
+
+
+def test_values_of_all_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EIGENSCAN_LIMITS", "[1, 2.5]")
+    settings = _load("--lidars", '["a", "b"]', "--model", "m/n", "--method", "cells", "--spacing", "1e-1")
+    assert settings.lidars == ["a", "b"]
+    assert settings.limits == (1.0, 2.5)
+    assert settings.model == Path("m/n")
+    assert (settings.method, settings.spacing) == ("cells", 0.1)
+    from_file = _load(_file('[scan-probe]\nlidars = ["c"]\nmodel = "x.y"\nverify = false'))
+    assert (from_file.lidars, from_file.model, from_file.verify) == (["c"], Path("x.y"), False)
+
+
+def test_an_instance_is_named_after_its_robot() -> None:
+    assert _load("--robot", "r17").instance == "r17"
+    assert _load("--robot", "*").instance == "0"
+    assert _load("--robot", "r17", "--instance", "b").instance == "b"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["--beams", "many"], ["--beams = 'many'", "integer"]),
+        (["--spacing", "-1"], ["--spacing = '-1'", "greater than 0"]),
+        (["--metrics-port", "70000"], ["--metrics-port = '70000'", "65535"]),
+        (["--log-level", "loud"], ["--log-level = 'loud'", "debug|info|warning|error"]),
+        (["--lidars", "front"], ["--lidars = 'front'", "list", '["a", "b"]']),
+        (["--lidars", "[1"], ["--lidars = '[1'", '["a", "b"]']),
+        (["--method", "guess"], ["--method = 'guess'", "'tree' or 'cells'"]),
+        (["--verify", "maybe"], ["--verify = 'maybe'", "boolean"]),
+        (["--site", "a/b"], ["--site = 'a/b'", "one chunk"]),
+        (["--site", "*"], ["--site = '*'", "one chunk"]),
+        (["--robot", "a b"], ["--robot = 'a b'", "no blanks"]),
+        (["--beams", "x", "--spacing", "y"], ["--beams = 'x'", "--spacing = 'y'"]),
+        (["--config", "none.toml"], ["none.toml: cannot be read", "No such file", "--config"]),
+    ],
+)
+def test_a_bad_flag_is_named_with_what_would_do(arguments: list[str], parts: list[str]) -> None:
+    with pytest.raises(SettingsError) as error:
+        _load(*arguments)
+    for part in parts:
+        assert part in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("site = x", ["robot.toml: is not TOML", "line 1"]),
+        ("[scan-probe]\nbeams = 'x'", ["robot.toml: [scan-probe] beams = 'x'", "integer"]),
+        ("[scan-probe]\nlidars = ['a', 2]", ["robot.toml: [scan-probe] lidars.1 = 2", "string"]),
+        ("[scan-probe]\nspacnig = 1", ["robot.toml: [scan-probe] spacnig: unknown", "did you mean spacing?"]),
+        ("siet = 's'", ["robot.toml: siet: unknown", "did you mean site?"]),
+        ("spacing = 1", ["robot.toml: spacing: unknown", "is it for [scan-probe]?"]),
+        ("[scan-prob]\nbeams = 1", ["robot.toml: [scan-prob]: unknown", "[scan-probe]?"]),
+        ("scan-probe = 1", ["robot.toml: scan-probe: must be a table"]),
+        ("site = 1", ["robot.toml: site = 1", "string"]),
+    ],
+)
+def test_a_bad_file_is_named_with_place_and_fix(text: str, parts: list[str]) -> None:
+    config = _file(text)
+    with pytest.raises(SettingsError) as error:
+        _load(config)
+    for part in parts:
+        assert part in str(error.value)
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    Path("robot.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SettingsError, match=r"robot.toml: is not TOML"):
+        _load("--config", "robot.toml")
+    with pytest.raises(SettingsError, match="cannot be read"):
+        _load("--config", str(tmp_path))
+
+
+def test_other_services_tables_are_theirs() -> None:
+    assert _load(_file("[projector]\nanything = 1\n[tracker]\nbeams = 'x'")) == ProbeSettings()
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "parts"),
+    [
+        ("EIGENSCAN_BEAMS", "x", ["environment: EIGENSCAN_BEAMS = 'x'", "integer"]),
+        ("EIGENSCAN_SCAN_PROBE_BEAMS", "x", ["environment: EIGENSCAN_SCAN_PROBE_BEAMS = 'x'"]),
+        (
+            "EIGENSCAN_SCAN_PROBE_BAEMS",
+            "1",
+            ["EIGENSCAN_SCAN_PROBE_BAEMS: unknown", "EIGENSCAN_SCAN_PROBE_BEAMS?"],
+        ),
+    ],
+)
+def test_a_bad_variable_is_named(
+    monkeypatch: pytest.MonkeyPatch, variable: str, value: str, parts: list[str]
+) -> None:
+    monkeypatch.setenv(variable, value)
+    with pytest.raises(SettingsError) as error:
+        _load()
+    for part in parts:
+        assert part in str(error.value)
+
+
+def test_an_unknown_or_shortened_flag_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    for flag in ("--spacnig", "--spac"):
+        with pytest.raises(SystemExit) as end:
+            _load(flag, "1")
+        assert end.value.code == 2
+        assert flag in capsys.readouterr().err
+
+
+def test_help_tells_every_field_and_default(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        _load("--help")
+    assert end.value.code == 0
+    told = " ".join(capsys.readouterr().out.split())
+    for name in ProbeSettings.model_fields:
+        assert f"--{name.replace('_', '-')}" in told
+    assert "m, at most 50 % of a room (default: 0.5)" in told
+    assert "100 % made up" in told
