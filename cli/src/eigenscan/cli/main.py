@@ -10,6 +10,8 @@ from eigenscan.cli.frame import lazy_group
 COMMANDS = {
     "demo": ("eigenscan.cli.demo:demo", "watch a simulated robot find itself, twice"),
     "run": ("eigenscan.cli.run:run", "start all services for your own map and robot"),
+    "evaluate": ("eigenscan.cli.evaluate:evaluate", "judge the pipeline on a log with a reference"),
+    "replay": ("eigenscan.cli.replay:replay", "play a recording onto Zenoh"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
 }
 """Name: `module:function` and one line of help. A module is imported when its command is used."""

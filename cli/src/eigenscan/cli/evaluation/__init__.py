@@ -1,0 +1,1 @@
+"""How good the pipeline is on a log, a map and a reference trajectory."""

@@ -1,0 +1,121 @@
+"""One evaluation from files to figures."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eigenscan.cli.evaluation.figures import Figures, windows_figures
+from eigenscan.cli.evaluation.log import Log, read_log
+from eigenscan.cli.evaluation.models import Built, build, gallery_of
+from eigenscan.cli.evaluation.progress import Bars
+from eigenscan.cli.evaluation.protocols import (
+    Bench,
+    global_localization,
+    judgeable,
+    kidnapping,
+    single_scans,
+)
+from eigenscan.cli.evaluation.reference import NS, EvaluationError, Trajectory, read_trajectory
+from eigenscan.cli.evaluation.windows import (
+    Window,
+    plan_scans,
+    plan_windows,
+    read_times,
+    read_windows,
+    thin,
+)
+from eigenscan.cli.evaluation.workers import Workers
+from eigenscan.cli.importers import LogOptions
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be evaluated, and how far."""
+
+    log: Path
+    map: Path
+    reference: Path
+    windows: Path | None
+    single_scans: Path | None
+    kidnap: bool
+    skip: frozenset[str]
+    spacing: float
+    offset_s: float
+    limit: int | None
+    jobs: int
+    options: LogOptions
+
+
+def evaluate(task: Task, bars: Bars) -> Figures:
+    """All figures. Raises EvaluationError, LogError or MapError for bad input."""
+    reference = read_trajectory(task.reference, task.offset_s)
+    windows = read_windows(task.windows, task.offset_s) if task.windows else None
+    times = read_times(task.single_scans, task.offset_s) if task.single_scans else None
+    log = read_log(task.log, task.options, bars.start_share("log"))
+    _check_overlap(task, log, reference)
+    if windows is None:
+        windows = plan_windows(log.scans, reference)
+    if times is None:
+        times = plan_scans(log.scans, reference)
+    built = build(task.map, task.spacing, bars.start_share("model"))
+    with Workers(task.jobs, built.models, log.beginning) as workers:
+        bench = Bench(log, reference, workers, bars.start)
+        return _figures(task, bench, built, windows, times)
+
+
+def _figures(
+    task: Task, bench: Bench, built: Built, asked: Sequence[Window], times: Sequence[int]
+) -> Figures:
+    windows = thin(judgeable(bench, asked), task.limit)
+    if not windows and "windows" not in task.skip:
+        raise EvaluationError(
+            f"{task.windows or task.log}: no window holds 3 scans with a reference: check its stamps against "
+            f"{task.reference} ({_span(bench.reference.stamps)}) and the log ({_span(bench.log.scans)})"
+        )
+    figures = windows_figures([], []) | {"cpu_ms_per_scan": {"median": None, "p99": None}, "per_window": []}
+    if "windows" not in task.skip:
+        figures = global_localization(bench, windows)
+    kidnap = kidnapping(bench, windows) if task.kidnap else None
+    peak = _peak_mb(task.jobs)
+    single = None
+    if "single-scans" not in task.skip:
+        shown = None if "exhaustive" in task.skip else gallery_of(built)
+        single = single_scans(bench, thin(times, task.limit), shown)
+    return figures | {
+        "windows_left_out": len(asked) - len(windows),
+        "kidnap": kidnap,
+        "single_scan": single,
+        "peak_rss_mb": peak,
+        "map_m2": built.map_m2,
+        "model": built.figures | {"memory_mb": bench.workers.model_mb},
+        "log": {
+            "scans": len(bench.log.scans),
+            "lidars": bench.log.lidars,
+            "odometry": bench.log.odometry,
+            "span_s": float((bench.log.scans.max() - bench.log.scans.min()) / NS),
+        },
+    }
+
+
+def _check_overlap(task: Task, log: Log, reference: Trajectory) -> None:
+    """Raises EvaluationError where no scan has a reference."""
+    if not reference.at(log.scans)[1].any():
+        raise EvaluationError(
+            f"{task.reference}: covers {_span(reference.stamps)}, but the scans of {task.log} are from "
+            f"{_span(log.scans)}: give the reference of this log, or --reference-offset SECONDS"
+        )
+
+
+def _span(stamps: Sequence[int]) -> str:
+    return f"{min(stamps) / NS:.3f} to {max(stamps) / NS:.3f} s"
+
+
+def _peak_mb(jobs: int) -> float:
+    """Largest resident set of a process that ran the pipeline, MB."""
+    who = resource.RUSAGE_SELF if jobs == 1 else resource.RUSAGE_CHILDREN
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(who).ru_maxrss * unit / 1e6

@@ -1,0 +1,98 @@
+"""The ceiling of a grid: one scan against every position and heading of the panoramas, truncated L1.
+
+It searches what the projector searches, with nothing left out: a reference for its hits and for its cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.pose import compose, inverse
+from numpy.typing import NDArray
+
+TRUNCATION_M = 1.0
+"""A beam further off than this says no more than that it does not fit."""
+UNIT_M = 0.01
+LARGEST = np.iinfo(np.uint16).max
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """All panoramas of a map, once each.
+
+    `positions` (P, 2) m in the map frame; `ranges` (P, 2N) int16 in centimetres, each row twice, so
+    that every heading is one contiguous stretch; `beams` N over a full turn.
+    """
+
+    positions: NDArray[np.float64]
+    ranges: NDArray[np.int16]
+    beams: int
+    cap_m: float
+
+    def first(self) -> Gallery:
+        """The first position alone."""
+        return Gallery(self.positions[:1], self.ranges[:1], self.beams, self.cap_m)
+
+
+def gallery(positions: NDArray[np.float64], ranges: NDArray[np.float64], cap_m: float) -> Gallery:
+    """Gallery of panoramas (P, N) in metres, clipped to `cap_m`; what is not finite counts as the cap."""
+    capped = np.nan_to_num(ranges, nan=cap_m, posinf=cap_m).clip(0.0, cap_m)
+    cm = np.round(capped / UNIT_M).astype(np.int16)
+    return Gallery(positions, np.ascontiguousarray(np.hstack([cm, cm])), ranges.shape[1], cap_m)
+
+
+def best_pose(
+    shown: Gallery,
+    ranges: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    mount: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """Base pose (3,) whose panorama is nearest to a scan; None where no beam can be compared.
+
+    `ranges` (B,) m, NaN missing, inf for nothing in sight; `directions` (B,) rad in the sensor's frame;
+    `mount` (3,): the sensor in the base frame.
+    """
+    limit = round(TRUNCATION_M / UNIT_M)
+    used = np.flatnonzero(~np.isnan(ranges))
+    if not len(used):
+        return None
+    # so few that their sum fits 16 bits: every k-th of a very dense sensor
+    used = used[:: -(-len(used) * limit // LARGEST)]
+    step = TURN / shown.beams
+    exact = directions[used] / step
+    bins = np.round(exact).astype(np.int64)
+    observed = np.round(np.minimum(ranges[used], shown.cap_m) / UNIT_M).astype(np.int16)
+    row, heading = _nearest(shown.ranges, np.mod(bins, shown.beams), observed, np.int16(limit))
+    # the beams' own rounding to the grid turns the heading by their mean remainder
+    theta = heading * step - float(np.mean(exact - bins)) * step
+    sensor = np.array([*shown.positions[row], theta])
+    return compose(sensor, inverse(mount))
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest(
+    panoramas: NDArray[np.int16],
+    bins: NDArray[np.int64],
+    observed: NDArray[np.int16],
+    limit: np.int16,
+) -> tuple[int, int]:
+    """Row and heading with the least sum of truncated differences; the first of equals."""
+    headings = panoramas.shape[1] // 2
+    best, best_row, best_heading = np.int64(1) << 40, 0, 0
+    cost = np.empty(headings, dtype=np.uint16)
+    for row in range(panoramas.shape[0]):
+        cost[:] = 0
+        for beam in range(len(bins)):
+            seen = observed[beam]
+            predicted = panoramas[row, bins[beam] : bins[beam] + headings]
+            for heading in range(headings):
+                gap = np.int16(predicted[heading] - seen)
+                gap = max(gap, np.int16(-gap))
+                cost[heading] = np.uint16(cost[heading] + np.uint16(min(gap, limit)))
+        heading = int(np.argmin(cost))
+        if cost[heading] < best:
+            best, best_row, best_heading = np.int64(cost[heading]), row, heading
+    return best_row, best_heading

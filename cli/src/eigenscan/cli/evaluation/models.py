@@ -1,0 +1,69 @@
+"""The models of a map: built as the mapbuilder builds them, and what that cost."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from eigenscan.cli.evaluation.exhaustive import Gallery, gallery
+from eigenscan.cli.evaluation.figures import Figures
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.geometry.gridmap import read_map, to_message
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.schemas.channels import DEFAULT_SITE, MAP, MODEL, MODEL_SET
+from eigenscan.schemas.envelope import Envelope
+
+
+@dataclass(frozen=True)
+class Built:
+    """A site's models, as objects and as messages, and the figures of the build."""
+
+    site: SiteModel
+    models: list[Envelope]
+    figures: Figures
+
+    @property
+    def map_m2(self) -> float:
+        """Free area of the map."""
+        return self.site.grid.free_area
+
+
+def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
+    """Builds the models of a map_server yaml; `moved` hears how far it is. Raises MapError or ModelError."""
+    grid = read_map(path)
+    plan = Plan(spacing=spacing, threads=os.cpu_count() or 1)
+    before = time.perf_counter()
+    site = build_site(grid, plan, lambda _, share: moved(share))
+    took = time.perf_counter() - before
+    address = {"site": DEFAULT_SITE}
+    regions = [
+        Envelope(MODEL, {**address, "region": model.region}, model.to_message()) for model in site.regions
+    ]
+    models = [
+        Envelope(MAP, address, to_message(grid, site.frame_id)),
+        *regions,
+        Envelope(MODEL_SET, address, site.to_message()),
+    ]
+    figures = {
+        "build_s": took,
+        "wire_mb": sum(envelope.message.ByteSize() for envelope in regions) / 1e6,
+        "regions": len(regions),
+        "positions": sum(len(model.index) for model in site.regions),
+        "spacing_m": spacing,
+        "version": site.to_message().version,
+    }
+    return Built(site, models, figures)
+
+
+def gallery_of(built: Built) -> Gallery:
+    """All panoramas of the regions, positions that several regions share once."""
+    regions = built.site.regions
+    positions = np.vstack([model.positions for model in regions])
+    panoramas = np.vstack([model.panoramas for model in regions])
+    _, first = np.unique(np.round(positions, 6), axis=0, return_index=True)
+    cap = min(model.range_cap for model in regions)
+    return gallery(positions[first], panoramas[first].astype(np.float64), cap)

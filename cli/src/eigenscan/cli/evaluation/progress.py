@@ -1,0 +1,75 @@
+"""Progress bars that cost nothing while the clock counts: drawn by hand, no thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+REDRAWN_EVERY_S = 0.2
+
+
+class Bars:
+    """Bars on standard error, one below the other. Use it with `with`."""
+
+    def __init__(self) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description:<13}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            auto_refresh=False,
+        )
+        self._drawn = 0.0
+
+    def __enter__(self) -> Bars:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def start(self, title: str, total: int) -> Callable[[], None]:
+        """Starts a bar; the function given back moves it by one."""
+        bar = self._progress.add_task(title, total=total)
+        self._draw(at_once=True)
+
+        def advance() -> None:
+            self._progress.advance(bar)
+            self._draw(at_once=bool(self._progress.tasks[bar].finished))
+
+        return advance
+
+    def start_share(self, title: str) -> Callable[[float], None]:
+        """Starts a bar for what tells its own share, 0..1."""
+        bar = self._progress.add_task(title, total=100)
+        self._draw(at_once=True)
+
+        def move(share: float) -> None:
+            self._progress.update(bar, completed=int(100 * share))
+            self._draw(at_once=False)
+
+        return move
+
+    def _draw(self, at_once: bool) -> None:
+        now = time.monotonic()
+        if at_once or now - self._drawn >= REDRAWN_EVERY_S:
+            self._progress.refresh()
+            self._drawn = now

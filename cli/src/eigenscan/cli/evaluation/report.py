@@ -1,0 +1,96 @@
+"""The figures for a reader: one table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eigenscan.cli.evaluation.figures import Figures
+from rich.console import Console
+from rich.table import Table
+
+
+def show(figures: Figures, title: str, console: Console) -> None:
+    """Prints the headline figures, then the windows that went wrong."""
+    table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
+    for name, value in _lines(figures):
+        table.add_row(name, value)
+    console.print(table)
+    bad = [row for row in figures["per_window"] or [] if not row["success"] or row["false_claims"]]
+    if bad:
+        console.print(_windows(bad))
+
+
+def _lines(f: Figures) -> list[tuple[str, str]]:
+    reach, error = f["to_localize"], f["error"]
+    lines = [
+        ("windows", f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference)"),
+        ("success", _percent(f["success_rate"])),
+        ("windows with a false claim", _percent(f["false_claim_rate"])),
+        *((f"to localize, {name}", _pair(reach[name], "p95")) for name in reach),
+        ("position error, m", _pair(error["position_m"], "p95")),
+        ("heading error, deg", _pair(error["heading_deg"], "p95")),
+        ("calibration error", _percent(f["calibration_error"])),
+    ]
+    if f["kidnap"]:
+        kidnap = f["kidnap"]
+        lines += [
+            ("kidnaps recovered", f"{_percent(kidnap['recovered_rate'])} of {kidnap['kidnaps']}"),
+            ("noticed, s", _pair(kidnap["noticed_s"], "p95")),
+            ("recovered, s", _pair(kidnap["recovered_s"], "p95")),
+        ]
+    if f["single_scan"]:
+        single = f["single_scan"]
+        listed = f"{_percent(single['in_list'])} (of {_number(single['list_length'])})"
+        lines += [
+            ("single scan, first is right", f"{_percent(single['top1'])} of {single['n']}"),
+            ("single scan, right is listed", listed),
+            ("single scan, CPU ms", _pair(single["cpu_ms"], "p99")),
+            (
+                "exhaustive, first is right",
+                f"{_percent(single['exhaustive_top1'])} of {single['exhaustive_n']}",
+            ),
+            ("exhaustive, CPU ms", _pair(single["exhaustive_cpu_ms"], "p99")),
+        ]
+    model = f["model"]
+    return [
+        *lines,
+        ("CPU a scan, ms", _pair(f["cpu_ms_per_scan"], "p99")),
+        ("peak memory, MB", _number(f["peak_rss_mb"])),
+        ("map, m²", _number(f["map_m2"])),
+        (
+            "model",
+            f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire, "
+            f"{_number(model['memory_mb'])} MB in memory",
+        ),
+    ]
+
+
+def _windows(rows: list[Figures]) -> Table:
+    table = Table(
+        "window", "scans", "m", "success", "false claims", "right", "localized", "last error", box=None
+    )
+    for row in rows:
+        last = row["last"]
+        table.add_row(
+            f"{row['start']:.2f}",
+            str(row["scans"]),
+            _number(row["metres"]),
+            "yes" if row["success"] else "no",
+            str(row["false_claims"]),
+            _percent(row["right_share"]),
+            _percent(row["localized_share"]),
+            f"{last['position_m']:.2f} m, {last['heading_deg']:.1f}°" if last else "-",
+        )
+    return table
+
+
+def _number(value: Any) -> str:
+    return "-" if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f} %"
+
+
+def _pair(values: Figures, upper: str) -> str:
+    return f"{_number(values['median'])}   {upper} {_number(values[upper])}"
