@@ -206,7 +206,7 @@ class Belief:
         source = self.source_index(seen.source)
         mine = self.tracks.frame == frame
         grown = self._branches(self.tracks.pick(mine), seen, source, share)
-        new = self._births(frame, seen, source, share)
+        new = self._births(frame, seen, source, share, grown.log_weight.max(initial=-np.inf))
         self._weigh_elsewhere(frame, seen, source, share)
         self.tracks = join([self.tracks.pick(~mine), grown, new])
         self.normalise()
@@ -266,35 +266,35 @@ class Belief:
         self.next_id += count
         self.tracks = replace(self.tracks, id=id_)
 
-    def _births(self, frame: int, seen: Observation, source: int, share: Share) -> Tracks:
+    def _births(self, frame: int, seen: Observation, source: int, share: Share, heaviest: float) -> Tracks:
         """A track for each hypothesis, with the mass that no track holds in the hypothesis' volume."""
         part = self.elsewhere[frame]
+        before = part.evidence[source]
         excess = _above(seen.log_likelihoods, seen.unlisted)
         volume = BUMP + 0.5 * np.log(determinant(seen.covariances))
-        prior = part.log_weight + volume - np.log(part.area * 2.0 * np.pi)
-        before = part.evidence[source]
         log_weight = (
-            prior
-            - np.log(crowding(seen.poses, seen.covariances))
+            part.log_weight
+            + volume
+            - np.log(part.area * 2.0 * np.pi)
             + share.weight * excess
             - share.novelty * before
         )
-        keep = np.isfinite(log_weight) & (
-            log_weight > np.log(self.settings.prune_below) + log_weight.max(initial=-np.inf)
-        )
-        count = int(keep.sum())
-        evidence = np.tile(part.evidence, (count, 1))
-        evidence[:, source] += share.novelty * (excess[keep] - before)
+        least = np.log(self.settings.prune_below) + max(heaviest, log_weight.max(initial=-np.inf))
+        born = np.flatnonzero(log_weight > least)
+        x, C = seen.poses[born], seen.covariances[born]
+        evidence = np.tile(part.evidence, (len(born), 1))
+        evidence[:, source] += share.novelty * (excess[born] - before)
+        none = np.zeros(len(born), dtype=np.intp)
         return Tracks(
-            seen.poses[keep],
-            seen.covariances[keep],
-            log_weight[keep],
+            x,
+            C,
+            log_weight[born] - np.log(crowding(x, C)),
             evidence,
-            np.full(count, frame),
-            np.zeros(count, dtype=np.intp),
-            np.zeros(count, dtype=np.intp),
-            np.full(count, seen.stamp),
-            np.ones(count, dtype=np.intp),
+            none + frame,
+            none,
+            none,
+            none + seen.stamp,
+            none + 1,
         )
 
     def _weigh_elsewhere(self, frame: int, seen: Observation, source: int, share: Share) -> None:

@@ -105,8 +105,8 @@ class RobotTracker:
         belief.stamp = seen.stamp
         if seen.usable:
             belief.observe(seen, self._share(seen))
-            unify(belief)
             prune(belief)
+            unify(belief)
             belief.name_new()
         else:
             self._counts["scan_unusable"] += 1
