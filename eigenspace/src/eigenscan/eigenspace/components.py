@@ -112,7 +112,7 @@ def analyse(
     return Eigenspace(mean, _upright(vectors.T[::-1][:count]), kept.astype(np.float32), total)
 
 
-def all_coefficients(values: NDArray[np.float32], space: Eigenspace, workers: int = 1) -> NDArray[np.float32]:
+def all_coefficients(values: NDArray[np.float32], space: Eigenspace) -> NDArray[np.float32]:
     """Coefficients (P, N, M) of every window of panoramas (P, N): [p, k] is the window k of panorama p."""
     turn = values.shape[1]
     filters = np.conj(fft.rfft(space.vectors, turn, axis=1))

@@ -48,8 +48,7 @@ def write_models(site: SiteModel, folder: Path, picture: bytes | None = None) ->
 
     Raises ModelError where something else than a model folder is there or it cannot be written.
     """
-    if folder.exists() and any(folder.iterdir()) and not (folder / MANIFEST).is_file():
-        raise ModelError(f"{folder}: is there and holds no models: name a new folder")
+    check_place(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -60,6 +59,13 @@ def write_models(site: SiteModel, folder: Path, picture: bytes | None = None) ->
             shutil.rmtree(fresh, ignore_errors=True)
     except OSError as error:
         raise ModelError(f"{folder}: cannot be written: {error.strerror}: check the place") from error
+
+
+def check_place(folder: Path) -> None:
+    """Raises ModelError where `folder` is something that models must not replace."""
+    holds_models = (folder / MANIFEST).is_file()
+    if folder.exists() and not holds_models and not (folder.is_dir() and not any(folder.iterdir())):
+        raise ModelError(f"{folder}: is there and holds no models: name a new folder")
 
 
 def _fill(site: SiteModel, folder: Path, picture: bytes | None) -> None:

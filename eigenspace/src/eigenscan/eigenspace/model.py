@@ -63,9 +63,14 @@ class RegionModel:
         message = self._message(self.ranges.astype("<u2").tobytes())
         return hashlib.sha256(message.SerializeToString(deterministic=True)).hexdigest()
 
+    @cached_property
+    def packed(self) -> bytes:
+        """The ranges as they travel: little-endian, zlib."""
+        return zlib.compress(self.ranges.astype("<u2").tobytes(), _COMPRESSION)
+
     def to_message(self) -> model_pb2.RegionModel:
         """The message of the same name, with its version."""
-        message = self._message(zlib.compress(self.ranges.astype("<u2").tobytes(), _COMPRESSION))
+        message = self._message(self.packed)
         message.version = self.version
         return message
 

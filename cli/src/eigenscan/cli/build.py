@@ -1,0 +1,113 @@
+"""`eigenscan build`: a map's models in a folder."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from eigenscan.cli.frame import UsageError
+
+if TYPE_CHECKING:
+    from eigenscan.eigenspace.folder import SiteModel
+    from eigenscan.geometry.gridmap import GridMap
+    from eigenscan.mapbuilder.site import Plan
+
+
+def build(
+    map_file: Annotated[Path, typer.Argument(metavar="MAP.yaml", help="map_server yaml", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder to write the models to")],
+    spacing: Annotated[float, typer.Option(min=0.05, max=5.0, help="m between positions")] = 0.5,
+    step: Annotated[float, typer.Option(min=0.1, max=10.0, help="degrees between beams")] = 0.5,
+    clearance: Annotated[float, typer.Option(min=0.0, max=5.0, help="m from a position to a wall")] = 0.15,
+    margin: Annotated[float, typer.Option(min=0.0, max=10.0, help="m that regions overlap")] = 1.0,
+    range_max: Annotated[float, typer.Option(min=1.0, max=130.0, help="m that a beam reaches")] = 80.0,
+    range_cap: Annotated[float, typer.Option(min=1.0, max=130.0, help="m that PCA clips ranges to")] = 20.0,
+    fov: Annotated[float, typer.Option(min=1.0, max=360.0, help="degrees that the sensor sees")] = 180.0,
+    share: Annotated[float, typer.Option(min=0.01, max=1.0, help="of the variance to hold")] = 0.9,
+    frame_id: Annotated[str, typer.Option(help="name of the map frame")] = "map",
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=0, help="threads; 0: one a core")] = 0,
+) -> None:
+    """Build the models of a map: regions, panoramas, eigenspaces, and a picture of them.
+
+    \b
+    Examples:
+      eigenscan build MAP.yaml -o MODEL
+      eigenscan build MAP.yaml -o MODEL --spacing 0.25
+      eigenscan run --map MODEL
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    if not frame_id:
+        raise UsageError("--frame-id: give the map frame a name, such as map")
+    from eigenscan.eigenspace.folder import PICTURE, check_place, write_models
+    from eigenscan.geometry.gridmap import read_map
+    from eigenscan.mapbuilder.picture import draw_regions
+    from eigenscan.mapbuilder.regions import Division
+    from eigenscan.mapbuilder.site import Plan
+
+    plan = Plan(
+        spacing=spacing,
+        step=math.radians(step),
+        clearance=clearance,
+        range_max=range_max,
+        range_cap=range_cap,
+        field_of_view=math.radians(fov),
+        share=share,
+        frame_id=frame_id,
+        division=Division(margin=margin),
+        threads=jobs or len(os.sched_getaffinity(0)),
+    )
+    check_place(out)
+    began = time.perf_counter()
+    site = _build(read_map(map_file), plan, map_file)
+    took = time.perf_counter() - began
+    write_models(site, out, draw_regions(site))
+    _summarize(site, out, out / PICTURE, took)
+
+
+def _build(grid: GridMap, plan: Plan, map_file: Path) -> SiteModel:
+    """The models, with a progress bar on a terminal."""
+    from eigenscan.eigenspace.model import ModelError
+    from eigenscan.mapbuilder.site import build_site
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
+        bar = progress.add_task("reading", total=1.0)
+        try:
+            return build_site(
+                grid, plan, lambda what, share: progress.update(bar, description=what, completed=share)
+            )
+        except ModelError as error:
+            raise UsageError(f"{map_file}: {error}") from error
+
+
+def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float) -> None:
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    message = site.to_message()
+    shared = np.concatenate([model.index for model in site.regions])
+    spacing = site.regions[0].spacing
+    components = [len(model.space.eigenvalues) for model in site.regions]
+    rows = {
+        "regions": str(len(site.regions)),
+        "free area": f"{message.free_area_m2:.0f} m²",
+        "positions": f"{len(np.unique(shared, axis=0))}, {spacing:g} m apart "
+        f"({len(shared)} with the regions' overlap)",
+        "panoramas": f"{site.regions[0].ranges.shape[1]} beams each",
+        "components": f"{min(components)} to {max(components)} a region",
+        "on the wire": f"{sum(entry.size for entry in message.entries) / 1e6:.1f} MB",
+        "built in": f"{seconds:.1f} s",
+        "version": message.version[:12],
+        "models": str(folder),
+        "picture": str(picture),
+    }
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows.items():
+        table.add_row(name, value)
+    Console(soft_wrap=True).print(table)

@@ -1,0 +1,62 @@
+"""Grid of the positions that a robot's lidar can be at (paper, section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, label
+
+SMALLEST_SPACE_M2 = 0.5
+"""Free space cut off from the rest and smaller than this is a gap between walls, not a place."""
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Points `origin` + `index` * `spacing` of a grid that is aligned with the map frame.
+
+    `index` (P, 2) int32, by rows of y, then x. `origin` (2,) and `spacing` in m.
+    """
+
+    index: NDArray[np.int32]
+    origin: NDArray[np.float64]
+    spacing: float
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Map-frame points (P, 2), m."""
+        return self.origin + self.index * self.spacing
+
+
+def standable(grid: GridMap, clearance: float) -> NDArray[np.bool_]:
+    """Cells (H, W) that are free, at least `clearance` m from every wall, and part of a place."""
+    wall = grid.cells == OCCUPIED
+    free = grid.cells == FREE
+    if wall.any():
+        free &= distance_transform_edt(~wall) * grid.resolution >= clearance
+    parts, count = label(free, structure=np.ones((3, 3), dtype=int))
+    area = np.bincount(parts.ravel(), minlength=count + 1) * grid.resolution**2
+    place = area >= min(SMALLEST_SPACE_M2, area[1:].max(initial=0.0))
+    place[0] = False
+    kept: NDArray[np.bool_] = place[parts]
+    return kept
+
+
+def free_positions(grid: GridMap, spacing: float, clearance: float) -> Positions:
+    """All grid points on standable cells. The grid's lines run through the map frame's origin.
+
+    So the positions of a part of a building do not move when the map grows elsewhere.
+    """
+    height, width = grid.cells.shape
+    corners = grid.to_map(np.array([[0, 0], [width, 0], [0, height], [width, height]]))
+    low = np.floor(corners.min(axis=0) / spacing).astype(np.int64)
+    high = np.ceil(corners.max(axis=0) / spacing).astype(np.int64)
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    index = np.column_stack([x.ravel(), y.ravel()])
+    place = standable(grid, clearance)
+    column, row = np.floor(grid.to_grid(index * spacing)).astype(np.int64).T
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    inside[inside] = place[row[inside], column[inside]]
+    return Positions(index[inside].astype(np.int32), np.zeros(2), spacing)

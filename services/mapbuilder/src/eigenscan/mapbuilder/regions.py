@@ -1,0 +1,193 @@
+"""Rooms and hallways: the free space cut at its narrow places, in overlapping regions.
+
+The distance to the nearest wall is largest in the middle of a room and has a saddle in each doorway. A
+watershed from the maxima cuts at the saddles; maxima count as one room where the saddle between them is not
+much narrower than the lesser of them. The criterion is a ratio, so it holds for closets and for halls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.gridmap import FREE, GridMap
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
+from skimage.measure import find_contours
+from skimage.morphology import local_maxima, reconstruction
+from skimage.segmentation import watershed
+
+_EIGHT = np.ones((3, 3), dtype=bool)
+_OUTSIDE = -1e3
+
+
+@dataclass(frozen=True)
+class Division:
+    """How free space is divided. Lengths in m, areas in m^2."""
+
+    narrowing: float = 1.5
+    """A doorway is this many times narrower than the smaller of the rooms that it joins."""
+    margin: float = 1.0
+    """How far a region reaches into its neighbours."""
+    smallest: float = 4.0
+    """A smaller piece joins the neighbour with which it shares the longest border."""
+    largest: float = 150.0
+    """A larger piece is halved across its longer axis until it fits."""
+    clutter: float = 1.0
+    """Furniture and specks whose extent is below this do not part a room."""
+    raster: float = 0.1
+    """Cell size at which space is divided."""
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Regions on a raster of `block` x `block` cells of the map.
+
+    `core` (h, w) int32: the one region that a raster cell belongs to, from 1; 0: none. `reach` holds, for
+    each region, its mask with the overlap, cropped, and the crop's first row and column.
+    """
+
+    grid: GridMap
+    block: int
+    core: NDArray[np.int32]
+    reach: tuple[tuple[NDArray[np.bool_], int, int], ...]
+
+    def members(self, points: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+        """Indices of the map-frame points (P, 2) in each region; a point may be in several or in none."""
+        column, row = np.floor(self.grid.to_grid(points) / self.block).astype(np.int64).T
+        found = []
+        for mask, top, left in self.reach:
+            r, c = row - top, column - left
+            inside = (r >= 0) & (r < mask.shape[0]) & (c >= 0) & (c < mask.shape[1])
+            inside[inside] = mask[r[inside], c[inside]]
+            found.append(np.nonzero(inside)[0])
+        return found
+
+    def outline(self, region: int) -> NDArray[np.float64]:
+        """Map-frame outline (K, 2), m, of the region (from 0) with its overlap; its largest loop."""
+        mask, top, left = self.reach[region]
+        contours = find_contours(np.pad(mask, 1).astype(float), 0.5)
+        rows, columns = max(contours, key=len).T
+        # contour coordinates are cell centres, and the padding adds one
+        cells = np.column_stack([columns + left - 0.5, rows + top - 0.5])
+        return self.grid.to_map(cells * self.block)
+
+
+def divide(grid: GridMap, division: Division) -> Regions:
+    """Regions of the map's free space, by rows of their middles. There may be none."""
+    space = _without_clutter(grid.cells == FREE, division.clutter / grid.resolution)
+    block = max(1, round(division.raster / grid.resolution))
+    width = _block_maximum(distance_transform_edt(np.pad(space, 1))[1:-1, 1:-1], block)
+    cell_area = (block * grid.resolution) ** 2
+    core = _cut(width, np.log(division.narrowing))
+    core = _halve(core, division.largest / cell_area)
+    core = _join(core, division.smallest / cell_area)
+    core = _in_order(core)
+    steps = round(division.margin / (block * grid.resolution))
+    boxes = find_objects(core)
+    reach = tuple(_grown(core, number, box, steps) for number, box in enumerate(boxes, 1))
+    return Regions(grid, block, core, reach)
+
+
+def _without_clutter(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
+    """`free` with those holes filled that are shorter than `extent` cells both ways."""
+    parts, _ = label(~free, structure=_EIGHT)
+    boxes = find_objects(parts)
+    sizes = np.array([[0, 0]] + [[box[0].stop - box[0].start, box[1].stop - box[1].start] for box in boxes])
+    small = sizes.max(axis=1) < extent
+    small[0] = False
+    filled: NDArray[np.bool_] = free | small[parts]
+    return filled
+
+
+def _block_maximum(values: NDArray[np.float64], block: int) -> NDArray[np.float64]:
+    height, width = values.shape
+    padded = np.pad(values, ((0, -height % block), (0, -width % block)))
+    tiles = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block)
+    maxima: NDArray[np.float64] = tiles.max(axis=(1, 3))
+    return maxima
+
+
+def _cut(width: NDArray[np.float64], depth: float) -> NDArray[np.int32]:
+    """Watershed of the free half-widths (0: not free), from maxima `depth` above their saddles, in log."""
+    space = width > 0
+    level = np.full(width.shape, _OUTSIDE)
+    level[space] = np.log(width[space])
+    domes = reconstruction(np.where(space, level - depth, _OUTSIDE), level)
+    markers, _ = label(local_maxima(domes) & space, structure=_EIGHT)
+    cut: NDArray[np.int32] = watershed(-level, markers, mask=space, connectivity=2)
+    return cut
+
+
+def _halve(core: NDArray[np.int32], largest: float) -> NDArray[np.int32]:
+    """Pieces of more than `largest` cells in halves, across the longer principal axis, until they fit."""
+    core = core.copy()
+    count = int(core.max(initial=0))
+    waiting = [n for n, area in enumerate(np.bincount(core.ravel())) if n and area > largest]
+    while waiting:
+        number = waiting.pop()
+        cells = np.column_stack(np.nonzero(core == number))
+        if len(cells) <= largest:
+            continue
+        centred = cells - cells.mean(axis=0)
+        axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
+        along = centred @ axis
+        far = along > np.median(along)
+        count += 1
+        core[cells[far, 0], cells[far, 1]] = count
+        waiting += [number, count]
+    return core
+
+
+def _join(core: NDArray[np.int32], smallest: float) -> NDArray[np.int32]:
+    """Pieces of fewer than `smallest` cells joined to the neighbour with the longest shared border."""
+    while True:
+        area = np.bincount(core.ravel())
+        into = np.arange(len(area))
+        pairs, lengths = _borders(core)
+        for number in np.argsort(area, kind="stable"):
+            if not number or not 0 < area[number] < smallest or into[number] != number:
+                continue
+            mine = (pairs == number).any(axis=1)
+            if mine.any():
+                longest = pairs[mine][np.argmax(lengths[mine])]
+                other = longest[longest != number][0]
+                if into[other] == other:
+                    into[number] = other
+                    area[other], area[number] = area[other] + area[number], 0
+        if (into == np.arange(len(into))).all():
+            return core
+        core = into[core].astype(np.int32)
+
+
+def _borders(core: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs (K, 2) of numbers that touch, and the lengths (K,) of their borders in cells."""
+    touching = []
+    for a, b in ((core[:, 1:], core[:, :-1]), (core[1:], core[:-1])):
+        different = (a != b) & (a > 0) & (b > 0)
+        touching.append(np.sort(np.column_stack([a[different], b[different]]), axis=1))
+    pairs, lengths = np.unique(np.concatenate(touching), axis=0, return_counts=True)
+    return pairs.astype(np.int64), lengths
+
+
+def _in_order(core: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The numbers of `core` replaced by 1, 2, ... by the rows of the pieces' middles."""
+    rows, columns = np.nonzero(core)
+    numbers, which = np.unique(core[rows, columns], return_inverse=True)
+    area = np.bincount(which)
+    middle = np.column_stack([np.bincount(which, rows) / area, np.bincount(which, columns) / area])
+    new = np.zeros(int(core.max(initial=0)) + 1, dtype=np.int32)
+    new[numbers[np.lexsort((middle[:, 1], middle[:, 0]))]] = np.arange(1, len(numbers) + 1)
+    return new[core]
+
+
+def _grown(
+    core: NDArray[np.int32], number: int, box: tuple[slice, ...], steps: int
+) -> tuple[NDArray[np.bool_], int, int]:
+    """The piece with all free space within `steps` cells of way of it, cropped, and the crop's corner."""
+    top, left = max(box[0].start - steps, 0), max(box[1].start - steps, 0)
+    crop = core[top : box[0].stop + steps, left : box[1].stop + steps]
+    mask: NDArray[np.bool_] = np.asarray(crop == number)
+    if steps:
+        mask = np.asarray(binary_dilation(mask, _EIGHT, iterations=steps, mask=crop > 0))
+    return mask, top, left

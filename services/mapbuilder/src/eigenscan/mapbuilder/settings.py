@@ -1,0 +1,52 @@
+"""What mapbuilder can be told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from eigenscan.mapbuilder.regions import Division
+from eigenscan.mapbuilder.site import Plan
+from eigenscan.runtime.settings import ServiceSettings
+from pydantic import Field, model_validator
+
+
+class MapbuilderSettings(ServiceSettings):
+    """Settings of mapbuilder: a map in, eigenspace models out."""
+
+    map: Path | None = Field(None, description="map_server yaml to build models from")
+    model: Path | None = Field(None, description="folder of models that were built before, instead of map")
+    frame_id: str = Field("map", min_length=1, description="name of the map frame in what is published")
+    spacing: float = Field(0.5, ge=0.05, le=5.0, description="m, between positions of the grid")
+    step: float = Field(0.5, ge=0.1, le=10.0, description="deg, between beams of a panorama")
+    clearance: float = Field(0.15, ge=0.0, le=5.0, description="m, of a position from the nearest wall")
+    range_max: float = Field(80.0, gt=0.0, le=130.0, description="m, walls farther than this are not seen")
+    range_cap: float = Field(20.0, gt=0.0, le=130.0, description="m, ranges are clipped to this for PCA")
+    field_of_view: float = Field(180.0, gt=0.0, le=360.0, description="deg, of the sensor of the eigenspaces")
+    share: float = Field(0.9, gt=0.0, le=1.0, description="of the variance that the eigenvectors hold")
+    margin: float = Field(1.0, ge=0.0, le=10.0, description="m, that a region reaches into its neighbours")
+    smallest: float = Field(4.0, ge=0.0, description="m^2, smaller regions join a neighbour")
+    largest: float = Field(150.0, ge=1.0, description="m^2, larger regions are halved")
+    threads: int = Field(1, ge=1, le=256, description="threads that build; they do not change the result")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> MapbuilderSettings:
+        if (self.map is None) == (self.model is None):
+            raise ValueError("give one of map (a map_server yaml) and model (a folder of models)")
+        return self
+
+    @property
+    def plan(self) -> Plan:
+        """The same in the units of the library."""
+        return Plan(
+            spacing=self.spacing,
+            step=math.radians(self.step),
+            clearance=self.clearance,
+            range_max=self.range_max,
+            range_cap=self.range_cap,
+            field_of_view=math.radians(self.field_of_view),
+            share=self.share,
+            frame_id=self.frame_id,
+            division=Division(margin=self.margin, smallest=self.smallest, largest=self.largest),
+            threads=self.threads,
+        )
