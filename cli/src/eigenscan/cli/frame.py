@@ -20,6 +20,10 @@ class UsageError(ValueError):
     """What was asked for cannot be done; the message names the option or file and the fix."""
 
 
+class FailedError(RuntimeError):
+    """What was asked for was tried and failed; the message says why."""
+
+
 def by_users(error: Exception) -> bool:
     """Whether `error` says what is wrong with the input, and so needs no trace.
 
@@ -69,6 +73,9 @@ def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
                 # the frame's own exceptions (usage, Exit, Abort) are for typer
                 if ctx.params.get("debug") or type(error).__module__.startswith("typer."):
                     raise
+                if isinstance(error, FailedError):
+                    typer.echo(f"eigenscan {ctx.invoked_subcommand}: {error}", err=True)
+                    raise typer.Exit(EXIT_FAILED) from None
                 expected = by_users(error)
                 line = one_line(error) if expected else f"{type(error).__name__}: {one_line(error)}"
                 hint = "" if expected else " (a fault of ours; eigenscan --debug shows the trace)"

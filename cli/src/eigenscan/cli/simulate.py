@@ -54,7 +54,7 @@ def simulate(
     if kidnap is not None and not 0 < kidnap < seconds:
         raise UsageError(f"--kidnap {kidnap:g}: give a second between 0 and --seconds {seconds:g}")
     from eigenscan.cli.simulation.lidar import Lidar
-    from eigenscan.cli.simulation.stage import EPOCH_NS, Scenario, Stage
+    from eigenscan.cli.simulation.stage import Scenario, Stage
     from eigenscan.geometry.gridmap import write_map
 
     grid = _map(map_file)
@@ -69,7 +69,6 @@ def simulate(
         lidar=lidar,
         site=site,
         robot=robot,
-        epoch=time.time_ns() if live else EPOCH_NS,
     )
     stage = Stage(grid, scenario)
     if save_map:
@@ -120,7 +119,7 @@ def _watched(stage: Stage) -> Iterator[Timed]:
         bar = progress.add_task("simulating", total=stage.scenario.seconds)
         for timed in stage.messages():
             yield timed
-            progress.update(bar, completed=(timed.time - stage.scenario.epoch) * 1e-9)
+            progress.update(bar, completed=(timed.time - stage.epoch) * 1e-9)
 
 
 def _publish(stage: Stage, zenoh: Path | None, speed: float) -> None:
@@ -130,4 +129,5 @@ def _publish(stage: Stage, zenoh: Path | None, speed: float) -> None:
 
     with Bus(open_session(zenoh)) as bus:
         typer.echo(f"publishing for {stage.scenario.seconds / speed:.0f} s; Ctrl-C ends it", err=True)
+        stage.epoch = time.time_ns()
         publish(stage.messages(), bus.say, speed)

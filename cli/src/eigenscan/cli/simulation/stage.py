@@ -53,7 +53,6 @@ class Scenario:
     site: str = DEFAULT_SITE
     robot: str = DEFAULT_ROBOT
     lidar_name: str = "front"
-    epoch: int = EPOCH_NS  # ns, stamp of the first message
 
 
 @dataclass(frozen=True)
@@ -65,10 +64,14 @@ class Timed:
 
 
 class Stage:
-    """One simulation on one map. Raises MapError where the robot fits nowhere."""
+    """One simulation on one map. Raises MapError where the robot fits nowhere.
+
+    `epoch`, ns, is the stamp of the first message: fixed, unless a live robot sets it to the present.
+    """
 
     def __init__(self, grid: GridMap, scenario: Scenario) -> None:
         self.grid, self.scenario = grid, scenario
+        self.epoch = EPOCH_NS
         seeds = np.random.SeedSequence(scenario.seed).spawn(4)
         # a stream each: more people do not change the route, nor a longer drive the noise
         route, people, wheels, self._beams_seed = seeds
@@ -78,10 +81,10 @@ class Stage:
         self.poses, self.jumps = self._drive(np.random.default_rng(route))
         self.odometry = odometry(self.poses, self.jumps, scenario.odometry, np.random.default_rng(wheels))
 
-    @cached_property
+    @property
     def times(self) -> NDArray[np.int64]:
         """Stamps (n,) of the poses, ns."""
-        return self.scenario.epoch + np.arange(len(self.poses)) * (1_000_000_000 // TICKS_PER_S)
+        return self.epoch + np.arange(len(self.poses)) * (1_000_000_000 // TICKS_PER_S)
 
     @cached_property
     def scan_ticks(self) -> NDArray[np.int64]:
@@ -90,6 +93,12 @@ class Stage:
         ticks = np.round(np.arange(count) * TICKS_PER_S / self.scenario.lidar.rate).astype(np.int64)
         ticks = ticks // ODOMETRY_EVERY * ODOMETRY_EVERY + SCAN_PHASE
         return ticks[ticks < len(self.poses)]
+
+    def pose_at(self, time: int) -> Array:
+        """True pose (3,) of the base at the stamp `time`, ns, or at the nearest one there is."""
+        tick = round((time - self.epoch) * TICKS_PER_S / 1e9)
+        pose: Array = self.poses[min(max(tick, 0), len(self.poses) - 1)]
+        return pose
 
     @property
     def kidnap_time(self) -> int | None:
@@ -130,7 +139,10 @@ class Stage:
 
     def _say_odometry(self, tick: int, time: int) -> Envelope:
         message = Odometry(
-            timestamp=stamp(time), frame_id="odom", body_frame_id="base", pose=to_pose3(self.odometry[tick])
+            timestamp=stamp(time),
+            frame_id="odom",
+            body_frame_id="base_link",
+            pose=to_pose3(self.odometry[tick]),
         )
         return Envelope(ODOMETRY, self._address, message)
 
@@ -140,7 +152,7 @@ class Stage:
 
     def _say_scan(self, tick: int, time: int, random: np.random.Generator) -> Envelope:
         lidar, pose = self.scenario.lidar, self.poses[tick]
-        people = positions(self._walkers, (time - self.scenario.epoch) * 1e-9, pose[:2])
+        people = positions(self._walkers, (time - self.epoch) * 1e-9, pose[:2])
         message = RawScan(
             timestamp=stamp(time),
             frame_id=self.scenario.lidar_name,

@@ -1,0 +1,1 @@
+"""The demo: a show with a judgement at its end."""

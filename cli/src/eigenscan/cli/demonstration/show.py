@@ -1,0 +1,149 @@
+"""The demo itself: a simulated robot, all services, and a judgement at the end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+from eigenscan.cli.demonstration.summary import summarize
+from eigenscan.cli.demonstration.verdict import Sighting, judge
+from eigenscan.cli.launch.network import open_hub
+from eigenscan.cli.launch.screen import StatusLine, error_text, state_name
+from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
+from eigenscan.cli.launch.supervision import Supervisor
+from eigenscan.cli.launch.witness import Witness
+from eigenscan.cli.simulation.live import publish
+from eigenscan.cli.simulation.stage import Scenario, Stage
+from eigenscan.geometry.gridmap import GridMap, write_map
+from eigenscan.geometry.pose import from_message
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.wake import Wake
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+
+LAST_WORDS_S = 5.0
+"""What the pipeline gets to answer the last scan."""
+
+
+class Demonstration:
+    """One run of the demo; all its files go to `folder`. Raises MapError where the robot fits nowhere."""
+
+    def __init__(self, grid: GridMap, scenario: Scenario, folder: Path, speed: float, viewer: bool) -> None:
+        self._stage = Stage(grid, scenario)
+        self._folder, self._speed, self._viewer = folder, speed, viewer
+        self._wake = Wake()
+        self._line = StatusLine()
+        self._told: int | None = None
+
+    def run(self) -> bool:
+        """Runs to the end; True where the robot was found, and found again after the kidnap.
+
+        Raises FailedError where a service dies or does not get ready.
+        """
+        scenario, folder = self._stage.scenario, self._folder
+        with ExitStack() as stack:
+            stack.enter_context(self._wake.on_signals())
+            stack.enter_context(self._line)
+            session, zenoh = open_hub(folder)
+            bus = stack.enter_context(Bus(session))
+            supervisor = stack.enter_context(Supervisor(folder / "logs"))
+            witness = Witness(bus, scenario.site)
+            map_file = folder / "map.yaml"
+            write_map(self._stage.grid, map_file)
+            pipeline = Pipeline(
+                site=scenario.site,
+                robot=scenario.robot,
+                model_flags=["--map", str(map_file)],
+                zenoh=zenoh,
+                mcap=folder / "demo.mcap",
+                rrd=folder / "demo.rrd",
+                viewer=self._viewer,
+            )
+            pipeline.start(supervisor)
+            if not wait_until_ready(supervisor, witness, self._line, self._wake):
+                return self._ended_early()
+            if link := viewer_link(supervisor):
+                self._line.say(f"watch it here: {link}")
+            sightings = self._play(bus, witness, supervisor)
+            if self._wake.stopping:
+                return self._ended_early()
+            supervisor.stop(keep=["recorder"] if self._viewer else [])
+            found = self._conclude(sightings)
+            if self._viewer:
+                self._stay(supervisor)
+            return found
+
+    def _ended_early(self) -> bool:
+        self._line.say("ended before the robot was found again")
+        return False
+
+    def _play(self, bus: Bus, witness: Witness, supervisor: Supervisor) -> list[Sighting]:
+        """Publishes the simulation and hears the poses, until both are through."""
+        stage = self._stage
+        sightings: list[Sighting] = []
+        stop = threading.Event()
+        stage.epoch = time.time_ns()
+        last_scan = self._time(int(stage.times[stage.scan_ticks[-1]]))
+        with ThreadPoolExecutor(1, "simulation") as pool:
+            robot = pool.submit(publish, stage.messages(), bus.say, self._speed, stop)
+            patience = time.monotonic() + stage.scenario.seconds / self._speed + LAST_WORDS_S
+            try:
+                while not self._wake.stopping:
+                    supervisor.check()
+                    for estimate in witness.listen():
+                        sightings.append(self._sighting(estimate))
+                        self._tell(estimate.state, sightings[-1])
+                    if robot.done():
+                        robot.result()
+                        answered = sightings and sightings[-1].time >= last_scan - 1e-6
+                        if answered or time.monotonic() > patience:
+                            break
+                    else:
+                        patience = time.monotonic() + LAST_WORDS_S
+                    self._wake.wait(0.1)
+            finally:
+                stop.set()
+        return sightings
+
+    def _time(self, stamp: int) -> float:
+        """Seconds since the first scan."""
+        stage = self._stage
+        return (stamp - int(stage.times[stage.scan_ticks[0]])) * 1e-9
+
+    def _sighting(self, estimate: PoseEstimate) -> Sighting:
+        stamp = nanoseconds(estimate.timestamp)
+        return Sighting(
+            time=self._time(stamp),
+            pose=from_message(estimate.pose),
+            truth=self._stage.pose_at(stamp),
+            claimed=estimate.state == STATE_LOCALIZED,
+            confidence=estimate.confidence,
+        )
+
+    def _tell(self, state: int, seen: Sighting) -> None:
+        error = f"  error {error_text(seen.error_m, seen.error_rad)}" if seen.claimed else ""
+        text = f"{seen.time:5.1f} s  {state_name(state):<9}  confidence {seen.confidence:.2f}{error}"
+        if state != self._told:
+            self._told = state
+            self._line.say(text)
+        self._line.show(text)
+
+    def _conclude(self, sightings: list[Sighting]) -> bool:
+        """Prints the summary."""
+        stage = self._stage
+        kidnap = self._time(stage.kidnap_time) if stage.kidnap_time is not None else stage.scenario.seconds
+        before = judge(sightings, 0.0, kidnap)
+        after = judge(sightings, kidnap, stage.scenario.seconds)
+        files = [path for path in sorted(self._folder.iterdir()) if not path.name.startswith("zenoh")]
+        self._line.say(summarize(before, after, kidnap, files))
+        return before.found and after.found
+
+    def _stay(self, supervisor: Supervisor) -> None:
+        self._line.say("the viewer stays until Ctrl-C")
+        while not self._wake.stopping:
+            supervisor.check()
+            self._line.show("viewer up; Ctrl-C ends it")
+            self._wake.wait(1.0)

@@ -1,0 +1,1 @@
+"""The services as child processes of this command: started, watched, listened to, ended."""

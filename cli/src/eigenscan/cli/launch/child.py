@@ -1,0 +1,30 @@
+"""A service as a child of this command: `python -m eigenscan.cli.launch.child MODULE FLAGS…`.
+
+On Linux it is told to end when its parent is gone, even if the parent was killed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def main() -> None:
+    """Runs the service whose node module is the first argument."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() == 1:  # the parent died before the line above
+            sys.exit(1)
+    module = sys.argv[1]
+    sys.argv = [module, *sys.argv[2:]]
+    importlib.import_module(module).main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""A Zenoh network of one machine: no multicast, loopback only, so that two demos never mix."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+
+import zenoh
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import ContractError
+
+ATTEMPTS = 5
+
+
+def free_port() -> int:
+    """A TCP port of 127.0.0.1 that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def open_hub(folder: Path) -> tuple[zenoh.Session, Path]:
+    """This process's session, and the configuration with which others meet it and each other.
+
+    Both are written to `folder`. Raises ContractError where no session opens.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for attempt in range(ATTEMPTS):
+        address = f"tcp/127.0.0.1:{free_port()}"
+        hub = _write(folder / "zenoh-hub.json5", listen=address, connect=[])
+        others = _write(folder / "zenoh.json5", listen="tcp/127.0.0.1:0", connect=[address])
+        try:
+            return open_session(hub), others
+        except ContractError:
+            # between asking and listening somebody else may have taken the port
+            if attempt == ATTEMPTS - 1:
+                raise
+    raise AssertionError("unreachable")
+
+
+def _write(path: Path, listen: str, connect: list[str]) -> Path:
+    config = {
+        "mode": "peer",
+        "listen": {"endpoints": [listen]},
+        "connect": {"endpoints": connect},
+        # those who meet at the hub learn of each other by gossip
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
+    }
+    path.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
+    return path

@@ -1,0 +1,57 @@
+"""What the demo and `run` show: a line that is alive, and a summary."""
+
+from __future__ import annotations
+
+import time
+from math import degrees
+from types import TracebackType
+
+from eigenscan.schemas.tracking_pb2 import State
+from rich.console import Console
+
+QUIET_PERIOD_S = 5.0
+"""Without a terminal a line is printed so often."""
+
+
+class StatusLine:
+    """One line that is rewritten on a terminal; elsewhere a line now and then."""
+
+    def __init__(self) -> None:
+        self.console = Console(highlight=False)
+        self._status = self.console.status("")
+        self._due = 0.0
+
+    def __enter__(self) -> StatusLine:
+        if self.console.is_terminal:
+            self._status.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._status.stop()
+
+    def show(self, text: str) -> None:
+        """Puts `text` in the line."""
+        if self.console.is_terminal:
+            self._status.update(text)
+        elif time.monotonic() >= self._due:
+            self._due = time.monotonic() + QUIET_PERIOD_S
+            self.say(text)
+
+    def say(self, text: str) -> None:
+        """Prints a line that stays."""
+        self.console.print(text, markup=False, soft_wrap=True)
+
+
+def state_name(state: int) -> str:
+    """`localized`, `ambiguous` or `lost`."""
+    return State.Name(state).removeprefix("STATE_").lower()
+
+
+def error_text(metres: float, radians: float) -> str:
+    """An error as people read it."""
+    return f"{100 * metres:.0f} cm, {degrees(radians):.1f} deg"

@@ -1,0 +1,70 @@
+"""The five services as one pipeline: started with what they need, and awaited."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eigenscan.cli.frame import FailedError
+from eigenscan.cli.launch.screen import StatusLine
+from eigenscan.cli.launch.supervision import SERVICES, Supervisor
+from eigenscan.cli.launch.witness import Witness
+from eigenscan.runtime.wake import Wake
+
+READY_S = 180.0
+"""What building the models of a large map may take at the start."""
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """What the services of one robot are told."""
+
+    site: str
+    robot: str
+    model_flags: Sequence[str]  # the mapbuilder's: --map FILE or --model FOLDER
+    zenoh: Path | None
+    mcap: Path
+    rrd: Path | None
+    viewer: bool
+
+    def start(self, supervisor: Supervisor) -> None:
+        """Starts all services, the recorder first, so that it hears everything."""
+        shared = ["--site", self.site, "--robot", self.robot]
+        if self.zenoh:
+            shared += ["--zenoh", str(self.zenoh)]
+        recorder = ["--mcap", str(self.mcap)]
+        if self.rrd:
+            recorder += ["--rrd", str(self.rrd)]
+        if self.viewer:
+            recorder += ["--viewer-port", "0", "--data-port", "0"]
+        flags = {"recorder": recorder, "mapbuilder": list(self.model_flags)}
+        for name in sorted(SERVICES, key=lambda name: name != "recorder"):
+            supervisor.start(name, SERVICES[name], [*shared, *flags.get(name, [])])
+
+
+def wait_until_ready(supervisor: Supervisor, witness: Witness, line: StatusLine, wake: Wake) -> bool:
+    """Waits until every service is there and has its model; False where the end was asked for.
+
+    Raises ChildDiedError, or FailedError where it takes longer than READY_S.
+    """
+    deadline = time.monotonic() + READY_S
+    while not wake.stopping:
+        supervisor.check()
+        witness.listen()
+        missing = witness.missing(SERVICES)
+        if not missing:
+            return True
+        if time.monotonic() > deadline:
+            raise FailedError(f"not ready after {READY_S:.0f} s: still waiting for {', '.join(missing)}")
+        line.show(f"starting: waiting for {', '.join(missing)}")
+        wake.wait(0.1)
+    return False
+
+
+def viewer_link(supervisor: Supervisor) -> str | None:
+    """The link that the recorder printed, if it serves a viewer."""
+    log = supervisor.children["recorder"].log.read_text(encoding="utf-8", errors="replace")
+    lines = [line for line in log.splitlines() if line.startswith("viewer: ")]
+    return lines[-1].removeprefix("viewer: ").strip() if lines else None

@@ -1,0 +1,112 @@
+"""The services as child processes: started, watched, and always ended."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from eigenscan.cli.frame import FailedError
+
+SERVICES = {
+    "scan-ingest": "eigenscan.ingest.node",
+    "projector": "eigenscan.projector.node",
+    "tracker": "eigenscan.tracker.node",
+    "mapbuilder": "eigenscan.mapbuilder.node",
+    "recorder": "eigenscan.recorder.node",
+}
+"""Name of each service and the module that runs it."""
+
+STOP_S = 4.0
+"""What a child gets to end itself; then it is killed."""
+
+LAST_LINES = 8
+
+
+class ChildDiedError(FailedError):
+    """A service ended by itself; the message has its name, exit code and last log lines."""
+
+
+@dataclass(frozen=True)
+class Child:
+    """A running service and the file that it logs to."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_lines(self) -> str:
+        """The end of its log, indented."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:]
+        return "\n".join(f"  {line}" for line in lines) or "  (it logged nothing)"
+
+
+class Supervisor:
+    """Child processes of this one. Use `with`: at its end all are gone, in whatever way it ends."""
+
+    def __init__(self, logs: Path) -> None:
+        logs.mkdir(parents=True, exist_ok=True)
+        self._logs = logs
+        self.children: dict[str, Child] = {}
+
+    def __enter__(self) -> Supervisor:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def start(self, name: str, module: str, flags: Sequence[str]) -> None:
+        """Starts the service `name` from its node `module`."""
+        log = self._logs / f"{name}.log"
+        with log.open("wb") as file:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "eigenscan.cli.launch.child", module, *flags],
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                # Ctrl-C is for this process, which then ends its children in order
+                start_new_session=True,
+                env=_environment(),
+            )
+        self.children[name] = Child(name, process, log)
+
+    def check(self) -> None:
+        """Raises ChildDiedError where a child has ended by itself."""
+        for child in self.children.values():
+            code = child.process.poll()
+            if code is not None:
+                how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+                raise ChildDiedError(f"{child.name} {how}; its last log lines:\n{child.last_lines()}")
+
+    def stop(self, keep: Sequence[str] = ()) -> None:
+        """Ends all children but those in `keep`, the recorder last: it hears the last words of the others."""
+        ending = [name for name in self.children if name not in keep]
+        self._end([name for name in ending if name != "recorder"])
+        self._end([name for name in ending if name == "recorder"])
+
+    def _end(self, names: Sequence[str]) -> None:
+        ending = [self.children.pop(name).process for name in names]
+        for process in ending:
+            process.terminate()
+        deadline = time.monotonic() + STOP_S
+        for process in ending:
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _environment() -> Mapping[str, str]:
+    """This process's, but for linear algebra on one thread: five services share the cores."""
+    return {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}

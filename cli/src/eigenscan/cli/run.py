@@ -1,0 +1,52 @@
+"""`eigenscan run`: all services for one's own map and robot, in one command."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from eigenscan.cli.frame import UsageError
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
+
+
+def run(
+    map_or_model: Annotated[
+        Path, typer.Option("--map", help="map_server yaml, or a model folder from `eigenscan build`")
+    ],
+    robot: Annotated[str, typer.Option(help="name of the robot, a chunk of its keys")] = DEFAULT_ROBOT,
+    site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
+    zenoh: Annotated[
+        Path | None, typer.Option(help="Zenoh configuration, JSON5; without it peers meet by multicast")
+    ] = None,
+    viewer: Annotated[bool, typer.Option(help="serve the live web viewer on this machine")] = True,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="folder for recording and logs; out/run-<time> without it"),
+    ] = None,
+) -> None:
+    """Start all services for your own map and robot; Ctrl-C ends them all.
+
+    The robot's driver publishes raw scans on SITE/robot/ROBOT/scan/raw/LIDAR and odometry on
+    SITE/robot/ROBOT/odom; the pose comes on SITE/robot/ROBOT/pose.
+
+    \b
+    Examples:
+      eigenscan run --map MAP.yaml --robot r17
+      eigenscan run --map MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    if not map_or_model.exists():
+        raise UsageError(f"--map {map_or_model}: is not there: give a map_server yaml or a model folder")
+    from eigenscan.cli.launch.attend import attend
+    from eigenscan.cli.launch.services import Pipeline
+    from eigenscan.geometry.gridmap import read_map
+
+    if map_or_model.is_dir():
+        model_flags = ["--model", str(map_or_model)]
+    else:
+        read_map(map_or_model)  # tells at once what is wrong with it
+        model_flags = ["--map", str(map_or_model)]
+    folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
+    pipeline = Pipeline(site, robot, model_flags, zenoh, mcap=folder / "mcap", rrd=None, viewer=viewer)
+    attend(pipeline, folder)

@@ -1,0 +1,119 @@
+"""The command's manners: one line for a user's error, exit codes, a quick start."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
+
+
+def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def _expect_one_line(result: subprocess.CompletedProcess[str], command: str, *parts: str) -> None:
+    assert result.returncode == 2, result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith(f"eigenscan {command}: ")
+    for part in parts:
+        assert part in lines[0]
+
+
+@pytest.mark.parametrize("command", ["simulate", "demo", "run"])
+def test_a_map_without_a_resolution(tmp_path: Path, command: str) -> None:
+    (tmp_path / "map.yaml").write_text("image: map.pgm\norigin: [0, 0, 0]\n")
+    result = _run(command, "--map", tmp_path / "map.yaml", "--out", tmp_path / "out")
+    _expect_one_line(result, command, "map.yaml", "resolution")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["simulate", "demo", "run"])
+def test_a_map_that_is_not_there(tmp_path: Path, command: str) -> None:
+    result = _run(command, "--map", tmp_path / "absent.yaml", "--out", tmp_path / "out")
+    _expect_one_line(result, command, "absent.yaml")
+
+
+def test_a_kidnap_outside_the_drive(tmp_path: Path) -> None:
+    result = _run("simulate", "-o", tmp_path / "a.mcap", "--seconds", 10, "--kidnap", 12)
+    _expect_one_line(result, "simulate", "--kidnap 12")
+
+
+def test_nothing_to_do() -> None:
+    _expect_one_line(_run("simulate"), "simulate", "--truth")
+
+
+def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = _run("simulate", "-o", tmp_path / "file/drive.mcap", "--seconds", 1)
+    _expect_one_line(result, "simulate", str(tmp_path / "file"))
+
+
+def test_a_zenoh_file_that_is_none(tmp_path: Path) -> None:
+    (tmp_path / "zenoh.json5").write_text("{ nonsense")
+    result = _run("simulate", "--live", "--seconds", 1, "--zenoh", tmp_path / "zenoh.json5")
+    _expect_one_line(result, "simulate", "zenoh.json5")
+
+
+def test_debug_shows_the_trace(tmp_path: Path) -> None:
+    result = _run("--debug", "simulate", "--map", tmp_path / "absent.yaml", "-o", tmp_path / "a.mcap")
+    assert "Traceback" in result.stderr
+    assert "MapError" in result.stderr
+
+
+def test_a_command_that_is_none_names_those_that_are() -> None:
+    result = _run("fly")
+    assert result.returncode == 2
+    assert "fly" in result.stderr
+    assert "simulate" in result.stderr
+
+
+def test_an_option_out_of_range() -> None:
+    result = _run("simulate", "-o", "a.mcap", "--beams", 1)
+    assert result.returncode == 2
+    assert "--beams" in result.stderr
+
+
+def test_every_command_has_help_with_an_example() -> None:
+    from eigenscan.cli.main import COMMANDS
+
+    listing = _run("--help")
+    assert listing.returncode == 0
+    for name, (_, line) in COMMANDS.items():
+        assert f"  {name}" in listing.stdout
+        assert line[:30] in listing.stdout
+        own = _run(name, "--help")
+        assert own.returncode == 0, own.stderr
+        assert f"eigenscan {name} " in own.stdout.partition("xample")[2], f"{name} has no example"
+
+
+def test_help_starts_without_the_heavy_imports() -> None:
+    heavy = {"numpy", "numba", "zenoh", "rerun"}
+    code = f"import sys, eigenscan.cli.main; print(sorted({heavy} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_the_version_is_printed() -> None:
+    result = _run("--version")
+    assert result.returncode == 0
+    assert result.stdout.count(".") == 2
+
+
+def test_live_simulation_keeps_the_pace(tmp_path: Path) -> None:
+    from eigenscan.cli.simulation.live import publish
+    from eigenscan.cli.simulation.stage import Scenario, Stage
+    from eigenscan.cli.simulation.world import office
+
+    stage = Stage(office().render(), Scenario(seconds=1.0, people=0))
+    said: list[str] = []
+    begun = time.monotonic()
+    publish(stage.messages(), lambda envelope: said.append(envelope.channel.name), speed=2.0)
+    # never ahead of the clock; how late is the machine's affair
+    assert time.monotonic() - begun >= 0.49
+    assert said.count("scan_raw") == 10

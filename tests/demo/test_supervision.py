@@ -1,0 +1,153 @@
+"""Children are ended in every case: theirs, ours, and when nobody is left to end them."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+from eigenscan.cli.launch.supervision import STOP_S, ChildDiedError, Supervisor
+
+Make = Callable[[str, str], str]
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Writes a module with a `main` that children can import."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+    def write(name: str, body: str) -> str:
+        code = "import signal, sys, time, pathlib\n\ndef main():\n" + textwrap.indent(
+            textwrap.dedent(body), "    "
+        )
+        (tmp_path / f"{name}.py").write_text(code)
+        return name
+
+    return write
+
+
+def _eventually(holds: Callable[[], bool], seconds: float = 20.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if holds():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_a_child_that_dies_is_named_with_its_last_words(tmp_path: Path, make: Make) -> None:
+    module = make("dies", "print('one'); print('the disk is full', file=sys.stderr); sys.exit(3)")
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("projector", module, [])
+        process = supervisor.children["projector"].process
+        assert process.wait(20) == 3
+        with pytest.raises(ChildDiedError, match=r"(?s)projector ended with exit code 3.*the disk is full"):
+            supervisor.check()
+
+
+def test_a_killed_child_is_reported_as_killed(tmp_path: Path, make: Make) -> None:
+    module = make("sleeps", "print('up', flush=True); time.sleep(600)")
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("tracker", module, [])
+        supervisor.check()
+        process = supervisor.children["tracker"].process
+        process.send_signal(signal.SIGKILL)
+        process.wait(20)
+        with pytest.raises(ChildDiedError, match="tracker was killed by signal 9"):
+            supervisor.check()
+
+
+def test_flags_reach_the_child(tmp_path: Path, make: Make) -> None:
+    module = make("tells", "print(sys.argv[1:], flush=True); time.sleep(600)")
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("mapbuilder", module, ["--map", "a b.yaml"])
+        child = supervisor.children["mapbuilder"]
+        assert _eventually(lambda: "['--map', 'a b.yaml']" in child.last_lines())
+
+
+def test_a_child_that_will_not_end_is_killed(tmp_path: Path, make: Make) -> None:
+    module = make(
+        "stubborn", "signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); time.sleep(600)"
+    )
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("tracker", module, [])
+        child = supervisor.children["tracker"]
+        assert _eventually(lambda: "up" in child.last_lines())
+        begun = time.monotonic()
+    assert child.process.returncode == -signal.SIGKILL
+    assert time.monotonic() - begun < STOP_S + 5.0
+
+
+def test_all_end_also_when_this_process_fails(tmp_path: Path, make: Make) -> None:
+    module = make("sleeps", "time.sleep(600)")
+    processes = []
+
+    def interrupted() -> None:
+        with Supervisor(tmp_path / "logs") as supervisor:
+            for name in ("scan-ingest", "tracker"):
+                supervisor.start(name, module, [])
+                processes.append(supervisor.children[name].process)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert all(process.returncode is not None for process in processes)
+
+
+def test_the_recorder_hears_the_last_words(tmp_path: Path, make: Make) -> None:
+    body = """
+        def end(*_):
+            time.sleep(0.3)
+            with pathlib.Path(sys.argv[1]).open("a") as file:
+                file.write(sys.argv[2] + chr(10))
+            sys.exit(0)
+        signal.signal(signal.SIGTERM, end)
+        print("up", flush=True)
+        time.sleep(600)
+    """
+    module, order = make("ends", body), tmp_path / "order"
+    with Supervisor(tmp_path / "logs") as supervisor:
+        for name in ("recorder", "tracker", "projector"):
+            supervisor.start(name, module, [str(order), name])
+        assert _eventually(lambda: all("up" in child.last_lines() for child in supervisor.children.values()))
+    assert order.read_text().splitlines()[-1] == "recorder"
+    assert len(order.read_text().splitlines()) == 3
+
+
+def test_some_can_be_kept(tmp_path: Path, make: Make) -> None:
+    module = make("sleeps", "time.sleep(600)")
+    with Supervisor(tmp_path / "logs") as supervisor:
+        for name in ("recorder", "tracker"):
+            supervisor.start(name, module, [])
+        tracker = supervisor.children["tracker"].process
+        supervisor.stop(keep=["recorder"])
+        assert tracker.returncode is not None
+        assert list(supervisor.children) == ["recorder"]
+        supervisor.check()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the parent's death is told on Linux only")
+def test_children_do_not_outlive_a_killed_parent(tmp_path: Path, make: Make) -> None:
+    make("sleeps", "print('up', flush=True); time.sleep(600)")
+    parent_code = textwrap.dedent(
+        f"""
+        import time
+        from pathlib import Path
+        from eigenscan.cli.launch.supervision import Supervisor
+        supervisor = Supervisor(Path({str(tmp_path / "logs")!r}))
+        supervisor.start("tracker", "sleeps", [])
+        print(supervisor.children["tracker"].process.pid, flush=True)
+        time.sleep(600)
+        """
+    )
+    with subprocess.Popen([sys.executable, "-c", parent_code], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = psutil.Process(int(parent.stdout.readline()))
+        log = tmp_path / "logs/tracker.log"
+        assert _eventually(lambda: "up" in log.read_text())
+        parent.kill()
+    assert _eventually(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
