@@ -26,20 +26,57 @@ def open_log(path: Path, options: LogOptions | None = None) -> Log:
 
 def _file(path: Path) -> Opener:
     with path.open("rb") as file:
-        start = file.read(4096)
+        start = file.read(16)
+    if start.startswith(b"#ROSBAG V"):
+        return _ros1
+    if start.startswith(b"SQLite format 3"):
+        return _ros2
     if start.startswith(b"\x89MCAP"):
-        from eigenscan.cli.importers.recording import RecordingLog
-
-        return RecordingLog
+        return _mcap
     from eigenscan.cli.importers.carmen import CarmenLog, looks_like_carmen
 
     if looks_like_carmen(path):
         return CarmenLog
-    raise _unknown(path, "is empty" if not start else "is of no known format")
+    raise _unknown(path, "is of no known format" if start else "is empty")
 
 
 def _folder(path: Path) -> Opener:
+    if any(path.glob("*.mcap")):
+        return _ros2_mcap
+    if any(path.glob("*.db3*")):
+        return _ros2
     raise _unknown(path, "is a folder without a ROS 2 bag")
+
+
+def _ros1(path: Path, options: LogOptions) -> Log:
+    from eigenscan.cli.importers.ros import RosLog
+    from eigenscan.cli.importers.ros1 import Ros1Bag
+
+    return RosLog(path, options, Ros1Bag(path))
+
+
+def _ros2(path: Path, options: LogOptions) -> Log:
+    from eigenscan.cli.importers.ros import RosLog
+    from eigenscan.cli.importers.ros2 import Ros2Bag
+
+    return RosLog(path, options, Ros2Bag(path))
+
+
+def _ros2_mcap(path: Path, options: LogOptions) -> Log:
+    from eigenscan.cli.importers.ros import RosLog
+    from eigenscan.cli.importers.ros2 import McapBag
+
+    return RosLog(path, options, McapBag(path))
+
+
+def _mcap(path: Path, options: LogOptions) -> Log:
+    from collections import Counter
+
+    from eigenscan.cli.importers.mcap_messages import McapFile
+    from eigenscan.cli.importers.recording import RecordingLog
+
+    ours = any(schema.startswith("eigenscan.") for _, _, schema in McapFile(path, Counter()).channels())
+    return (RecordingLog if ours else _ros2_mcap)(path, options)
 
 
 def _unknown(path: Path, what: str) -> LogError:

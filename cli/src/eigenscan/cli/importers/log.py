@@ -44,7 +44,11 @@ class Log(Protocol):
     path: Path
     format: str
     counters: Counter[str]  # what was set aside while iterating, by reason
-    progress: float  # 0..1, while iterating
+
+    @property
+    def progress(self) -> float:
+        """0..1, while iterating."""
+        ...
 
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp, odometry first where stamps are equal.

@@ -1,0 +1,80 @@
+"""What the ROS importer asks of a bag, whatever its container."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY_MESSAGE = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+KINDS = frozenset({LASER_SCAN, ODOMETRY_MESSAGE, TRANSFORMS})
+
+Decoder = Callable[[bytes], Any]
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One message as recorded; `message` has the fields of its ROS type."""
+
+    topic: str
+    time: int  # ns, when it was recorded
+    message: Any
+
+
+class Bag(Protocol):
+    """A bag, opened."""
+
+    path: Path
+    format: str
+    counters: Counter[str]
+
+    @property
+    def progress(self) -> float:
+        """0..1, while iterating."""
+        ...
+
+    def topics(self) -> dict[str, str]:
+        """Type of each topic whose type is one of KINDS. Raises LogError where the bag is none."""
+        ...
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Messages of `topics`, about in order of recording, as far as the bag can be read."""
+        ...
+
+
+def kind_of(name: str) -> str:
+    """A type's name as ROS 2 writes it; the old tf/tfMessage is the same as tf2_msgs/TFMessage."""
+    package, _, message = name.partition("/")
+    message = message.removeprefix("msg/")
+    return TRANSFORMS if name.startswith("tf/") else f"{package}/msg/{message}"
+
+
+@cache
+def decoder(kind: str, ros1: bool) -> Decoder:
+    """Turns the bytes of a message of one of KINDS into an object."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if ros1:
+        store = get_typestore(Stores.ROS1_NOETIC)
+        # the library's store leaves this one out
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+        return lambda data: store.deserialize_ros1(data, kind)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    return lambda data: store.deserialize_cdr(data, kind)
+
+
+def decoded(
+    counters: Counter[str], topic: str, time: int, data: bytes, decode: Decoder
+) -> Iterator[BagMessage]:
+    """The message, or none where its bytes do not decode: that is counted."""
+    try:
+        message = decode(data)
+    except Exception:  # the library raises whatever it stumbles over in damaged bytes
+        counters["undecodable_message"] += 1
+        return
+    yield BagMessage(topic, time, message)

@@ -1,0 +1,85 @@
+"""Messages of any MCAP file: by its index, or front to back where it was cut off."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
+
+Item = tuple[Schema | None, Channel, Message]
+DAMAGE = (McapError, struct.error, ValueError, RuntimeError, EOFError, OSError, ZstdError)
+"""What the library and the decompressors raise over damaged bytes."""
+
+
+class McapFile:
+    """An MCAP file; iterating it never raises over damage, it counts it."""
+
+    def __init__(self, path: Path, counters: Counter[str]) -> None:
+        self.path, self.counters = path, counters
+        self.progress = 0.0
+        self.profile, self._indexed, self._total = "", False, 0
+        self._size = max(path.stat().st_size, 1)
+        with path.open("rb") as file:
+            try:
+                reader = make_reader(file)
+                self.profile = reader.get_header().profile
+                summary = reader.get_summary()
+            except DAMAGE:
+                summary = None
+        if summary is not None and summary.channels:
+            statistics: Statistics | None = summary.statistics
+            self._indexed = True
+            self._total = statistics.message_count if statistics else 0
+            self._known = {
+                (
+                    channel.topic,
+                    channel.message_encoding,
+                    summary.schemas[channel.schema_id].name if channel.schema_id in summary.schemas else "",
+                )
+                for channel in summary.channels.values()
+            }
+        else:
+            self._known = {
+                (channel.topic, channel.message_encoding, schema.name if schema else "")
+                for schema, channel, _ in self.messages(None)
+            }
+            self.counters.clear()
+
+    def channels(self) -> set[tuple[str, str, str]]:
+        """Topic, message encoding and schema name of each channel."""
+        return self._known
+
+    def messages(self, topics: list[str] | None) -> Iterator[Item]:
+        """Messages of `topics` (None: all)."""
+        with self.path.open("rb") as file:
+            try:
+                if self._indexed:
+                    for number, item in enumerate(make_reader(file).iter_messages(topics=topics)):
+                        self.progress = min(number / max(self._total, 1), 1.0)
+                        yield item
+                else:
+                    yield from self._front_to_back(file, topics)
+            except DAMAGE:
+                self.counters["truncated_file"] += 1
+
+    def _front_to_back(self, file: IO[bytes], topics: list[str] | None) -> Iterator[Item]:
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        for record in StreamReader(file, record_size_limit=self._size).records:
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message) and record.channel_id in channels:
+                channel = channels[record.channel_id]
+                if topics is None or channel.topic in topics:
+                    self.progress = file.tell() / self._size
+                    yield schemas.get(channel.schema_id), channel, record

@@ -1,0 +1,82 @@
+"""Where the frames of a robot are, from its transforms (REP 105)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+
+HORIZONTAL = 0.94
+"""Cosine, 20 deg: a lidar tilted by more does not see the plane that the map shows."""
+
+
+class TransformTree:
+    """The first transform heard of each frame to its parent."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, Matrix]] = {}
+
+    def hear(self, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
+        """`rotation` is x, y, z, w. What is not finite, or no rotation, is passed over."""
+        turned = rotation_matrix(rotation)
+        if turned is None or not np.isfinite(translation).all() or child in self._parents:
+            return
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turned, translation
+        self._parents[child] = (parent, matrix)
+
+    def children(self, parent: str) -> list[str]:
+        """Frames given relative to `parent`, in the order heard."""
+        return [child for child, (name, _) in self._parents.items() if name == parent]
+
+    def knows(self, frame: str) -> bool:
+        """Whether the frame has been heard of."""
+        return frame in self._parents or any(name == frame for name, _ in self._parents.values())
+
+    def between(self, base: str, frame: str) -> Matrix | None:
+        """Pose (4, 4) of `frame` in `base`; None where they are not connected."""
+        from_base, from_frame = self._line(base), self._line(frame)
+        for ancestor, to_frame in from_frame.items():
+            if ancestor in from_base:
+                joined: Matrix = np.linalg.inv(from_base[ancestor]) @ to_frame
+                return joined
+        return None
+
+    def _line(self, frame: str) -> dict[str, Matrix]:
+        """Pose of `frame` in each of its ancestors, itself first."""
+        line = {frame: np.eye(4)}
+        matrix = line[frame]
+        while frame in self._parents:
+            frame, step = self._parents[frame]
+            if frame in line:
+                break
+            matrix = step @ matrix
+            line[frame] = matrix
+        return line
+
+
+def rotation_matrix(quaternion: Sequence[float]) -> Matrix | None:
+    """Rotation (3, 3) of a quaternion x, y, z, w of any length; None where it is none."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    length = np.linalg.norm(q)
+    if not np.isfinite(length) or length < 1e-6:
+        return None
+    x, y, z, w = q / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def planar(matrix: Matrix) -> tuple[NDArray[np.float64], bool] | None:
+    """Pose (3,) on the plane and whether the frame is upside down; None where it is tilted."""
+    if abs(matrix[2, 2]) < HORIZONTAL:
+        return None
+    pose = np.array([matrix[0, 3], matrix[1, 3], np.arctan2(matrix[1, 0], matrix[0, 0])])
+    return pose, bool(matrix[2, 2] < 0.0)
