@@ -1,0 +1,112 @@
+"""The projector without its shell: models and scans in, hypotheses and obstacles out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from eigenscan.eigenspace.model import ModelError
+from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.pose import from_message
+from eigenscan.projector.observation import Observation, observe
+from eigenscan.projector.projection import project
+from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.shelf import Shelf, WholeSet
+from eigenscan.projector.site import Site
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, SCAN, Channel
+from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
+from eigenscan.schemas.scan_pb2 import Scan
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+
+
+class ProjectorCore:
+    """Hears the site's models and every scan of its robots; says what poses explain each scan."""
+
+    hears: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SCAN)
+    says: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES)
+
+    def __init__(self, settings: ProjectorSettings) -> None:
+        self._settings = settings
+        self._shelf = Shelf()
+        self._site: Site | None = None
+        self._counts: Counter[str] = Counter()
+        self._refused = ""
+
+    def start(self) -> Iterable[Envelope]:
+        """Nothing is said before a scan."""
+        return []
+
+    def finish(self) -> Iterable[Envelope]:
+        """Nothing is held back."""
+        return []
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """Takes a map, a model or a set; answers a scan with hypotheses and obstacles."""
+        if heard.channel == SCAN:
+            return self._scan(heard)
+        if heard.channel == MAP:
+            self._take("map", lambda: self._shelf.put_map(heard.open(Grid)))
+        elif heard.channel == MODEL:
+            self._take("model", lambda: self._shelf.put_model(heard.open(RegionModel)))
+        elif heard.channel == MODEL_SET:
+            self._take("model_set", lambda: self._shelf.put_set(heard.open(ModelSet)))
+        return []
+
+    def condition(self) -> Condition:
+        """Waiting without a model; degraded where the newest one was refused."""
+        if self._site is None:
+            return Condition(Health.STATUS_WAITING, self._refused or self._shelf.missing, dict(self._counts))
+        detail = self._refused or self._shelf.missing
+        status = Health.STATUS_DEGRADED if self._refused else Health.STATUS_OK
+        return Condition(status, detail or f"model {self._site.version[:12]}", dict(self._counts))
+
+    def _take(self, kind: str, put: Callable[[], WholeSet | None]) -> None:
+        try:
+            whole = put()
+        except (MapError, ModelError) as error:
+            self._counts[f"refused_{kind}"] += 1
+            self._refused = str(error)
+            return
+        self._counts[f"taken_{kind}"] += 1
+        if whole is not None:
+            site = Site(whole, self._settings.components, self._settings.range_cap)
+            for sensor in self._site.sensors if self._site else []:
+                site.view(sensor)
+            self._site = site
+            self._refused = ""
+
+    def _scan(self, heard: Envelope) -> list[Envelope]:
+        if self._site is None:
+            self._counts["scan_without_model"] += 1
+            return []
+        scan = heard.open(Scan)
+        address = {**heard.address, "projector": self._settings.instance}
+        try:
+            seen = observe(scan)
+            mount = from_message(scan.mount)
+            if not np.isfinite(mount).all():
+                raise ValueError("mount is not finite")
+        except ValueError:
+            self._counts["scan_malformed"] += 1
+            return []
+        if np.count_nonzero(seen.used) < self._settings.least_beams:
+            self._counts["scan_unusable"] += 1
+            return [Envelope(HYPOTHESES, address, unusable(scan, self._site, seen))]
+        self._counts["scan_projected"] += 1
+        return self._answer(address, scan, seen, mount, self._site)
+
+    def _answer(
+        self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site
+    ) -> list[Envelope]:
+        view = site.view(seen.sensor)
+        candidates = project(site, view, seen, self._settings)
+        said = [
+            Envelope(HYPOTHESES, address, hypotheses_message(scan, site, view, seen, mount, candidates)),
+        ]
+        if len(candidates.poses):
+            said.append(Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates)))
+        return said

@@ -1,0 +1,69 @@
+"""A scan as the projector uses it: on the analysis grid, and as points in the sensor's frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.schemas.scan_pb2 import Scan
+from numpy.typing import NDArray
+
+ANALYSIS_TURN = 180
+"""Beams and headings of a full turn in the analysis: steps of 2 degrees."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One scan. `ranges` (B,) float32 m on the sensor's own grid: +inf empty, NaN missing.
+
+    `coarse` (J,) are the ranges nearest to the analysis grid, angle_min + j * 2 degrees, and
+    `bearings` (J,) its angles in the sensor's frame.
+    """
+
+    sensor: Sensor
+    ranges: NDArray[np.float32]
+    coarse: NDArray[np.float32]
+    bearings: NDArray[np.float64]
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Beams (J,) of the analysis grid that came back."""
+        return np.isfinite(self.coarse)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """End points (n, 2) of the beams that came back, m, sensor frame."""
+        r = self.coarse[self.used].astype(np.float64)
+        angle = self.bearings[self.used]
+        return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
+
+
+def coarse_sensor(sensor: Sensor) -> Sensor:
+    """The sensor at the analysis step, over the same field of view."""
+    step = 2.0 * np.pi / ANALYSIS_TURN
+    span = sensor.angle_increment * (sensor.beams - 1)
+    beams = min(int(np.floor(span / step + 0.5)) + 1, ANALYSIS_TURN)
+    return Sensor(sensor.angle_min, step, beams, sensor.range_max)
+
+
+def observe(scan: Scan) -> Observation:
+    """Observation of a canonical scan.
+
+    Raises ValueError where its angular grid makes no sense.
+    """
+    beams = len(scan.ranges)
+    step = scan.angle_increment
+    if not beams or not (np.isfinite(step) and step > 0 and np.isfinite(scan.angle_min)):
+        raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
+    ranges = np.array(scan.ranges, dtype=np.float32)
+    # a negative range is no range
+    ranges[ranges < 0] = np.nan
+    sensor = Sensor(scan.angle_min, step, beams, scan.range_max)
+    grid = coarse_sensor(sensor)
+    offset = np.arange(grid.beams) * grid.angle_increment
+    nearest = np.rint(offset / step).astype(np.int64)
+    inside = nearest < beams
+    coarse = np.where(inside, ranges[np.minimum(nearest, beams - 1)], np.nan).astype(np.float32)
+    bearings = np.where(inside, nearest, offset / step) * step + scan.angle_min
+    return Observation(sensor, ranges, coarse, bearings)

@@ -1,0 +1,91 @@
+"""The map and region models that were heard, until a set of them is whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
+from eigenscan.geometry.gridmap import GridMap, MapError, from_message
+from eigenscan.schemas import model_pb2
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+
+
+@dataclass(frozen=True)
+class WholeSet:
+    """A map and all regions of one announced set."""
+
+    version: str
+    frame_id: str
+    grid: GridMap
+    regions: tuple[RegionModel, ...]
+    free_area_m2: float
+
+
+class Shelf:
+    """Collects maps, models and sets in any order; gives each whole set once."""
+
+    def __init__(self) -> None:
+        self._grids: dict[str, GridMap] = {}
+        self._models: dict[str, RegionModel] = {}
+        self._announced: model_pb2.ModelSet | None = None
+        self._given = ""
+
+    @property
+    def missing(self) -> str:
+        """What the newest set still waits for, in words; empty where nothing is."""
+        announced = self._announced
+        if announced is None:
+            return "no model"
+        if announced.version == self._given:
+            return ""
+        lacking = sum(entry.version not in self._models for entry in announced.entries)
+        parts = [f"{lacking} of {len(announced.entries)} regions"] if lacking else []
+        if announced.map_version not in self._grids:
+            parts.append("the map")
+        return f"model {announced.version[:12]} lacks {' and '.join(parts)}"
+
+    def put_map(self, message: Grid) -> WholeSet | None:
+        """Takes a map. Raises MapError."""
+        grid = from_message(message)
+        self._grids = {**self._wanted_grids(), grid.version: grid}
+        return self._whole()
+
+    def put_model(self, message: model_pb2.RegionModel) -> WholeSet | None:
+        """Takes a region's model. Raises ModelError."""
+        if message.version not in self._models:
+            self._models[message.version] = RegionModel.from_message(message)
+        return self._whole()
+
+    def put_set(self, message: model_pb2.ModelSet) -> WholeSet | None:
+        """Takes the announcement of a set; the newest one counts. Raises ModelError."""
+        if not message.entries:
+            raise ModelError(f"model set {message.version[:12]!r}: has no regions")
+        expected = set_version(message.map_version, [entry.version for entry in message.entries])
+        if message.version != expected:
+            raise ModelError(
+                f"model set {message.version[:12]!r}: its entries make version {expected[:12]!r}: damaged"
+            )
+        self._announced = message
+        return self._whole()
+
+    def _wanted_grids(self) -> dict[str, GridMap]:
+        wanted = self._announced.map_version if self._announced else ""
+        return {version: grid for version, grid in self._grids.items() if version == wanted}
+
+    def _whole(self) -> WholeSet | None:
+        announced = self._announced
+        if announced is None or announced.version == self._given:
+            return None
+        grid = self._grids.get(announced.map_version)
+        found = [self._models.get(entry.version) for entry in announced.entries]
+        regions = tuple(model for model in found if model is not None)
+        if grid is None or len(regions) < len(found):
+            return None
+        self._given = announced.version
+        # only what the next set may share is kept
+        self._models = {model.version: model for model in regions}
+        self._grids = {announced.map_version: grid}
+        return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2)
+
+
+__all__ = ["MapError", "ModelError", "Shelf", "WholeSet"]
