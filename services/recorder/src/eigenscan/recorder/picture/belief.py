@@ -7,7 +7,7 @@ import rerun as rr
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import HYPOTHESIS, OBSTACLE, TRACK, UNLIKELY, blend
-from eigenscan.recorder.picture.shapes import Array, headings, lift
+from eigenscan.recorder.picture.shapes import Array, arrows, lift
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.tracking_pb2 import Tracks
@@ -49,11 +49,10 @@ class BeliefPicture:
         self._canvas.draw(
             stamp,
             path,
-            rr.Arrows3D(
-                origins=lift(poses[:, :2], 0.04),
-                vectors=headings(poses, 0.5 + 0.7 * share),
-                colors=blend(UNLIKELY, HYPOTHESIS, share, faintest=170),
-                radii=rr.Radius.ui_points(1.5),
+            rr.LineStrips3D(
+                arrows(poses, 0.7 + 0.7 * share, 0.04),
+                colors=blend(UNLIKELY, HYPOTHESIS, share, faintest=200),
+                radii=rr.Radius.ui_points(2.0),
             ),
         )
 

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 
 FIELD_OF_VIEW = np.deg2rad(55.0)
 """Of the viewer's eye, vertically."""
+UNKNOWN_FLOOR = [112, 137, 134]
+"""As the map's texture shows what is unknown."""
 ASPECT = 1.35
 """Width over height of the map's panel on a usual screen."""
 
@@ -43,7 +45,7 @@ def _map(extent: tuple[ArrayLike, ArrayLike] | None) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="world",
         name="Where (map, north up)",
-        background=[75, 80, 85],
+        background=UNKNOWN_FLOOR,
         line_grid=False,
         eye_controls=_eye(extent),
     )

@@ -11,7 +11,7 @@ from eigenscan.geometry.pose import covariance_from_message, from_message, from_
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, Colour, state_name
-from eigenscan.recorder.picture.shapes import Array, ellipse, headings, lift, scan_points
+from eigenscan.recorder.picture.shapes import Array, arrows, ellipse, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -85,7 +85,7 @@ class RobotPicture:
         if stamp is None or not np.all(np.isfinite(pose)) or not self._pace.due(f"truth/{robot}", stamp):
             return
         self._canvas.draw(
-            stamp, f"world/robots/{robot}/truth", *_arrow(pose, TRUTH, 0.06, ARROW_M, label="true pose")
+            stamp, f"world/robots/{robot}/truth", *_arrow(pose, TRUTH, 0.06, ARROW_M, label="truth")
         )
 
     def _draw_robot(self, robot: str, stamp: int, pose: Array, message: PoseEstimate) -> None:
@@ -134,14 +134,15 @@ class RobotPicture:
 
 def _arrow(
     pose: Array, colour: Colour, height: float, length: float, label: str
-) -> tuple[rr.Arrows3D, rr.Points3D]:
+) -> tuple[rr.LineStrips3D, rr.Points3D]:
     """A disc with an arrow along the heading, and a label."""
-    origin = lift(pose[:2], height)
     return (
-        rr.Arrows3D(
-            origins=origin, vectors=headings(pose, length), colors=[colour], radii=rr.Radius.ui_points(3.0)
-        ),
+        rr.LineStrips3D(arrows(pose, length, height), colors=[colour], radii=rr.Radius.ui_points(3.0)),
         rr.Points3D(
-            origin, colors=[colour], radii=rr.Radius.ui_points(7.0), labels=[label], show_labels=True
+            lift(pose[:2], height),
+            colors=[colour],
+            radii=rr.Radius.ui_points(8.0),
+            labels=[label],
+            show_labels=True,
         ),
     )

@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 MAHALANOBIS_95 = 2.4477
 """Radius of the ellipse that holds 95 % of a Gaussian on the plane: sqrt(chi2.ppf(0.95, 2))."""
 
+BARB = 0.28
+"""Of an arrow, as a share of its length."""
+
 
 def lift(points: ArrayLike, height: float) -> NDArray[np.float32]:
     """Points (n, 2) as (n, 3) at `height`, m: what lies higher covers what lies lower."""
@@ -19,11 +22,19 @@ def lift(points: ArrayLike, height: float) -> NDArray[np.float32]:
     return np.column_stack([flat, np.full(len(flat), height, dtype=np.float32)])
 
 
-def headings(poses: ArrayLike, length: ArrayLike) -> NDArray[np.float32]:
-    """Vectors (n, 3) of `length`, m, along the headings of `poses` (n, 3)."""
-    theta = np.asarray(poses, dtype=np.float64).reshape(-1, 3)[:, 2]
-    flat = np.stack([np.cos(theta), np.sin(theta)], axis=-1) * np.asarray(length).reshape(-1, 1)
-    return lift(flat, 0.0)
+def arrows(poses: ArrayLike, length: ArrayLike, height: float) -> NDArray[np.float32]:
+    """Strips (n, 5, 3) that draw flat arrows of `length`, m, along the headings of `poses` (n, 3).
+
+    The viewer's own arrows are shaded, which makes their colours hard to tell.
+    """
+    pose = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    along = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    reach = np.broadcast_to(np.asarray(length, dtype=np.float64), len(pose))[:, None]
+    tail, tip = pose[:, :2], pose[:, :2] + reach * along
+    barbs = [tip + BARB * reach * (side * across - along) for side in (1.0, -1.0)]
+    strips = np.stack([tail, tip, barbs[0], tip, barbs[1]], axis=1)
+    return lift(strips, height).reshape(-1, 5, 3)
 
 
 def scan_points(scan: Scan, base: ArrayLike) -> Array:
