@@ -96,11 +96,12 @@ def in_order(envelopes: Iterable[Envelope], horizon: int, counters: Counter[str]
     def release() -> Iterator[Envelope]:
         time, _, _, envelope = heapq.heappop(waiting)
         key = envelope.key
-        if time > last.get(key, -1):
+        before = last.get(key)
+        if before is None or time > before:
             last[key] = time
             yield envelope
         else:
-            reason = "duplicate_stamp" if time == last[key] else "out_of_order"
+            reason = "duplicate_stamp" if time == before else "out_of_order"
             counters[f"{envelope.channel.name}_{reason}"] += 1
 
     for number, envelope in enumerate(envelopes):
