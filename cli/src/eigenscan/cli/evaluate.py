@@ -91,4 +91,4 @@ def evaluate(
         figures = run(task, bars)
     if json_file:
         json_file.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    show(figures, f"{log} on {map_file}", Console())
+    show(figures, f"{log} on {map_file}", Console(soft_wrap=True))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from eigenscan.cli.evaluation.figures import Figures, windows_figures
 from eigenscan.cli.evaluation.log import Log, read_log
 from eigenscan.cli.evaluation.models import Built, build, gallery_of
@@ -30,6 +31,7 @@ from eigenscan.cli.evaluation.windows import (
 )
 from eigenscan.cli.evaluation.workers import Workers
 from eigenscan.cli.importers import LogOptions
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,8 @@ def _check_overlap(task: Task, log: Log, reference: Trajectory) -> None:
         )
 
 
-def _span(stamps: Sequence[int]) -> str:
-    return f"{min(stamps) / NS:.3f} to {max(stamps) / NS:.3f} s"
+def _span(stamps: NDArray[np.int64]) -> str:
+    return f"{stamps.min() / NS:.3f} to {stamps.max() / NS:.3f} s"
 
 
 def _peak_mb(jobs: int) -> float:

@@ -89,4 +89,5 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
         if envelope.channel in (SCAN_RAW, ODOMETRY):
             heard.append(Heard(stamp_of(envelope), envelope))
             moved(opened.progress)
+    moved(1.0)
     return Log(heard)

@@ -85,7 +85,8 @@ class Judged:
 
 def right(position_m: ArrayLike, heading_rad: ArrayLike) -> Bools:
     """Whether errors are within 0.5 m and 10 degrees; a NaN is not."""
-    return (np.asarray(position_m) <= WITHIN_M) & (np.abs(np.asarray(heading_rad)) <= WITHIN_RAD)
+    near: Bools = np.less_equal(position_m, WITHIN_M) & np.less_equal(np.abs(heading_rad), WITHIN_RAD)
+    return near
 
 
 def errors(poses: Floats, truth: Floats) -> tuple[Floats, Floats]:
@@ -157,7 +158,7 @@ def calibration_error(diagram: Sequence[Bin]) -> float | None:
 def normalised_errors(offsets: Floats, covariances: Floats) -> Floats:
     """Normalised error squared (n,) of offsets (n, 3); NaN where a covariance (n, 3, 3) is singular."""
     result = np.full(len(offsets), np.nan)
-    sound = np.isfinite(covariances).all(axis=(1, 2))
+    sound = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
     sound[sound] = np.linalg.det(covariances[sound]) > 0
     solved = np.linalg.solve(covariances[sound], offsets[sound][..., None])[..., 0]
     result[sound] = np.einsum("ni,ni->n", offsets[sound], solved)

@@ -12,9 +12,12 @@ import numpy as np
 from eigenscan.cli.evaluation.exhaustive import Gallery, gallery
 from eigenscan.cli.evaluation.figures import Figures
 from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.geometry.gridmap import read_map, to_message
-from eigenscan.mapbuilder.site import Plan, build_site
-from eigenscan.schemas.channels import DEFAULT_SITE, MAP, MODEL, MODEL_SET
+from eigenscan.geometry.gridmap import read_map
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import build_site
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.schemas.channels import MODEL
 from eigenscan.schemas.envelope import Envelope
 
 
@@ -34,24 +37,17 @@ class Built:
 
 def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
     """Builds the models of a map_server yaml; `moved` hears how far it is. Raises MapError or ModelError."""
+    settings = MapbuilderSettings(map=path, spacing=spacing, threads=os.cpu_count() or 1)
     grid = read_map(path)
-    plan = Plan(spacing=spacing, threads=os.cpu_count() or 1)
     before = time.perf_counter()
-    site = build_site(grid, plan, lambda _, share: moved(share))
+    site = build_site(grid, settings.plan, lambda _, share: moved(share))
     took = time.perf_counter() - before
-    address = {"site": DEFAULT_SITE}
-    regions = [
-        Envelope(MODEL, {**address, "region": model.region}, model.to_message()) for model in site.regions
-    ]
-    models = [
-        Envelope(MAP, address, to_message(grid, site.frame_id)),
-        *regions,
-        Envelope(MODEL_SET, address, site.to_message()),
-    ]
+    moved(1.0)
+    models = list(MapbuilderCore(settings, site).start())
     figures = {
         "build_s": took,
-        "wire_mb": sum(envelope.message.ByteSize() for envelope in regions) / 1e6,
-        "regions": len(regions),
+        "wire_mb": sum(envelope.message.ByteSize() for envelope in models if envelope.channel == MODEL) / 1e6,
+        "regions": len(site.regions),
         "positions": sum(len(model.index) for model in site.regions),
         "spacing_m": spacing,
         "version": site.to_message().version,
@@ -65,5 +61,4 @@ def gallery_of(built: Built) -> Gallery:
     positions = np.vstack([model.positions for model in regions])
     panoramas = np.vstack([model.panoramas for model in regions])
     _, first = np.unique(np.round(positions, 6), axis=0, return_index=True)
-    cap = min(model.range_cap for model in regions)
-    return gallery(positions[first], panoramas[first].astype(np.float64), cap)
+    return gallery(positions[first], panoramas[first].astype(np.float64), ProjectorSettings().range_cap)

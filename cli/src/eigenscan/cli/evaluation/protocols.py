@@ -118,8 +118,8 @@ def _search_all(
     """Adds the exhaustive comparison to the rows, evenly thinned where the map is too large for all."""
     if not scans:
         return
-    beams = max(len(scan.open(RawScan).ranges) for scan, _ in scans)
-    affordable = int(EXHAUSTIVE_BUDGET // (len(shown.positions) * shown.beams * max(beams, 1)))
+    widest = max(len(scan.open(RawScan).ranges) for scan, _ in scans)
+    affordable = int(EXHAUSTIVE_BUDGET // (len(shown.positions) * shown.beams * max(widest, 1)))
     count = min(len(scans), max(affordable, 1))
     chosen = np.linspace(0, len(scans) - 1, count).round().astype(np.int64)
     advance = bench.progress("exhaustive", count)
@@ -129,7 +129,8 @@ def _search_all(
         canonical = bench.log.canonical(envelope)
         if canonical is not None:
             ranges = np.asarray(canonical.ranges, dtype=np.float64)
-            directions = canonical.angle_min + canonical.angle_increment * np.arange(len(ranges))
+            beams = np.arange(len(ranges), dtype=np.float64)
+            directions = canonical.angle_min + canonical.angle_increment * beams
             mount = from_message(canonical.mount)
             if not compared:  # compile before the clock counts
                 best_pose(shown.first(), ranges, directions, mount)

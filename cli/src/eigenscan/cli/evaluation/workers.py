@@ -28,8 +28,8 @@ class Worker:
         envelopes = list(unpack(models))
         before = psutil.Process().memory_info().rss
         self._pipeline = Pipeline(envelopes)
-        self.model_mb = (psutil.Process().memory_info().rss - before) / 1e6
         self._pipeline.run(unpack(warm_up))
+        self.model_mb = (psutil.Process().memory_info().rss - before) / 1e6
 
     def run(self, heard: Packed) -> Run:
         """One cold run over a stretch of the log."""
