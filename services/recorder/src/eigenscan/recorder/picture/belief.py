@@ -46,13 +46,13 @@ class BeliefPicture:
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
         usable = np.isfinite(poses).all(axis=1)
         poses, share = poses[usable], share[usable]
+        self._canvas.style(path, _hypotheses_style)
         self._canvas.draw(
             stamp,
             path,
             rr.LineStrips3D(
                 arrows(poses, 0.7 + 0.7 * share, 0.04),
                 colors=blend(UNLIKELY, HYPOTHESIS, share, faintest=200),
-                radii=rr.Radius.ui_points(2.0),
             ),
         )
 
@@ -71,11 +71,9 @@ class BeliefPicture:
                 shares.append(track.probability)
         colours = blend(UNLIKELY, TRACK, np.array(shares), faintest=140)
         ends = np.array([way[-1] for way in ways]).reshape(-1, 3)
+        self._canvas.style(path, _tracks_style)
         self._canvas.draw(
-            stamp,
-            path,
-            rr.LineStrips3D(ways, colors=colours, radii=rr.Radius.ui_points(1.5)),
-            rr.Points3D(ends, colors=colours, radii=rr.Radius.ui_points(4.0)),
+            stamp, path, rr.LineStrips3D(ways, colors=colours), rr.Points3D(ends, colors=colours)
         )
 
     def draw_obstacles(self, heard: Envelope) -> None:
@@ -88,8 +86,20 @@ class BeliefPicture:
         number = min(len(message.map_x), len(message.map_y))
         points = np.column_stack([message.map_x[:number], message.map_y[:number]])
         points = points[np.isfinite(points).all(axis=1)]
-        self._canvas.draw(
-            stamp,
-            path,
-            rr.Points3D(lift(points, 0.1), colors=[OBSTACLE], radii=rr.Radius.ui_points(3.5)),
-        )
+        self._canvas.style(path, _obstacles_style)
+        self._canvas.draw(stamp, path, rr.Points3D(lift(points, 0.1)))
+
+
+def _hypotheses_style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(2.0)),)
+
+
+def _tracks_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
+    return (
+        rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5)),
+        rr.Points3D.from_fields(radii=rr.Radius.ui_points(4.0)),
+    )
+
+
+def _obstacles_style() -> tuple[rr.Points3D]:
+    return (rr.Points3D.from_fields(colors=[OBSTACLE], radii=rr.Radius.ui_points(3.5)),)

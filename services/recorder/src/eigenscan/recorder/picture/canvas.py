@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ class Canvas:
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
         self.stream = stream
+        self._styled: set[str] = set()
         self.newest = 0
         """Stamp of the last thing drawn, ns since the epoch."""
 
@@ -38,6 +39,12 @@ class Canvas:
     def fix(self, path: str, *things: Any) -> None:
         """Puts `things` at `path` for all times."""
         self.stream.log(path, things[0], *things[1:], static=True)
+
+    def style(self, path: str, make: Callable[[], tuple[Any, ...]]) -> None:
+        """Puts what `make` gives (colours, sizes) at `path` for all times, unless that was done before."""
+        if path not in self._styled:
+            self._styled.add(path)
+            self.fix(path, *make())
 
     def plot(self, path: str, stamps: Sequence[int], rows: Sequence[Iterable[float]]) -> None:
         """Adds rows of scalars, one a stamp, in one go."""

@@ -31,6 +31,9 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Envelope
 
+CHARTS_LESS_OFTEN = 5
+"""Charts are dear to draw and slow to read: by this factor less often than the map."""
+
 Draw = Callable[[Envelope], None]
 
 
@@ -43,11 +46,12 @@ class Picture:
         """`rate_hz`: pictures per second and robot at most; `window_s`, `live`: see `blueprint.layout`."""
         self._stream, self._window_s, self._live = stream, window_s, live
         canvas, pace = Canvas(stream), Pace(rate_hz)
+        charts = Pace(rate_hz / CHARTS_LESS_OFTEN)
         self._floor, self._plots = Floor(canvas), Plots(canvas)
         robots, belief, board = RobotPicture(canvas, pace), BeliefPicture(canvas, pace), StatusBoard(canvas)
         beams, eigenspace, events = (
-            BeamsPicture(canvas, pace),
-            EigenspacePicture(canvas, pace),
+            BeamsPicture(canvas, charts),
+            EigenspacePicture(canvas, charts),
             Events(canvas),
         )
         self._drawn_by: dict[Channel, tuple[Draw, ...]] = {

@@ -30,28 +30,19 @@ class EigenspacePicture:
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
         own = np.array([h.region == region and len(h.coefficients) > 0 for h in listed], dtype=bool)
         points = [_three(h.coefficients) for h, here in zip(listed, own, strict=True) if here]
+        path = f"eigenspace/{robot}/hypotheses"
+        self._canvas.style(path, _hypotheses_style)
         self._canvas.draw(
             stamp,
-            f"eigenspace/{robot}/hypotheses",
-            rr.Points3D(
-                np.array(points).reshape(-1, 3),
-                colors=blend(UNLIKELY, HYPOTHESIS, share[own]),
-                radii=rr.Radius.ui_points(5.0),
-            ),
+            path,
+            rr.Points3D(np.array(points).reshape(-1, 3), colors=blend(UNLIKELY, HYPOTHESIS, share[own])),
         )
         projections = [p for p in message.projections if p.region == region and p.coefficients]
         if projections:
-            self._canvas.draw(
-                stamp,
-                f"eigenspace/{robot}/scan",
-                rr.Points3D(
-                    [_three(projections[0].coefficients)],
-                    colors=[SCAN],
-                    radii=rr.Radius.ui_points(9.0),
-                    labels=[f"{robot}'s scan in {region}"],
-                    show_labels=True,
-                ),
-            )
+            path = f"eigenspace/{robot}/scan"
+            self._canvas.style(path, _scan_style)
+            label = f"{robot}'s scan in {region}"
+            self._canvas.draw(stamp, path, rr.Points3D([_three(projections[0].coefficients)], labels=[label]))
 
 
 def _three(coefficients: object) -> NDArray[np.float32]:
@@ -60,3 +51,11 @@ def _three(coefficients: object) -> NDArray[np.float32]:
     first = np.asarray(coefficients, dtype=np.float32)[:3]
     point[: len(first)] = np.nan_to_num(first, nan=0.0, posinf=0.0, neginf=0.0)
     return point
+
+
+def _hypotheses_style() -> tuple[rr.Points3D]:
+    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(5.0)),)
+
+
+def _scan_style() -> tuple[rr.Points3D]:
+    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(9.0), show_labels=True),)

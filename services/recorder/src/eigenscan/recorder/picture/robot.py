@@ -10,8 +10,8 @@ import rerun as rr
 from eigenscan.geometry.pose import covariance_from_message, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.pace import Pace
-from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, Colour, state_name
-from eigenscan.recorder.picture.shapes import Array, arrows, ellipse, lift, scan_points
+from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state_name
+from eigenscan.recorder.picture.shapes import Array, Array32, arrows, ellipse, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -84,23 +84,29 @@ class RobotPicture:
         pose = from_pose3(message.pose)
         if stamp is None or not np.all(np.isfinite(pose)) or not self._pace.due(f"truth/{robot}", stamp):
             return
-        self._canvas.draw(
-            stamp, f"world/robots/{robot}/truth", *_arrow(pose, TRUTH, 0.06, ARROW_M, label="truth")
-        )
+        path = f"world/robots/{robot}/truth"
+        self._canvas.style(path, _truth_style)
+        strips, disc = _arrow(pose, 0.06)
+        self._canvas.draw(stamp, path, rr.LineStrips3D(strips), rr.Points3D(disc))
 
     def _draw_robot(self, robot: str, stamp: int, pose: Array, message: PoseEstimate) -> None:
         colour = STATE_COLOURS.get(message.state, TRUTH)
         path = f"world/robots/{robot}/pose"
         label = f"{robot}: {state_name(message.state)} {message.confidence:.0%}"
-        self._canvas.draw(stamp, path, *_arrow(pose, colour, 0.12, ARROW_M, label))
+        self._canvas.style(path, _arrow_style)
+        strips, disc = _arrow(pose, 0.12)
+        self._canvas.draw(
+            stamp,
+            path,
+            rr.LineStrips3D(strips, colors=[colour]),
+            rr.Points3D(disc, colors=[colour], labels=[label]),
+        )
         covariance = covariance_from_message(message.covariance)
         if np.all(np.isfinite(covariance)):
             outline = lift(ellipse(pose, covariance), 0.08)
-            self._canvas.draw(
-                stamp,
-                f"{path}/within_95_percent",
-                rr.LineStrips3D([outline], colors=[colour], radii=rr.Radius.ui_points(1.5)),
-            )
+            path = f"{path}/within_95_percent"
+            self._canvas.style(path, _ellipse_style)
+            self._canvas.draw(stamp, path, rr.LineStrips3D([outline], colors=[colour]))
 
     def _draw_scan(self, robot: str, lidar: str, seen: Sighting) -> None:
         fitting = [
@@ -109,15 +115,9 @@ class RobotPicture:
             if seen.stamp - SCAN_AGE_NS <= stamp <= seen.stamp
         ]
         if fitting:
-            self._canvas.draw(
-                seen.stamp,
-                f"world/robots/{robot}/scan/{lidar}",
-                rr.Points3D(
-                    lift(scan_points(fitting[-1], seen.pose), 0.06),
-                    colors=[SCAN],
-                    radii=rr.Radius.ui_points(2.0),
-                ),
-            )
+            path = f"world/robots/{robot}/scan/{lidar}"
+            self._canvas.style(path, _scan_style)
+            self._canvas.draw(seen.stamp, path, rr.Points3D(lift(scan_points(fitting[-1], seen.pose), 0.06)))
 
     def _forget(self, robot: str, stamp: int) -> None:
         path = f"world/robots/{robot}/pose"
@@ -132,17 +132,30 @@ class RobotPicture:
                 self._canvas.clear(stamp, f"world/robots/{robot}/scan/{lidar}")
 
 
-def _arrow(
-    pose: Array, colour: Colour, height: float, length: float, label: str
-) -> tuple[rr.LineStrips3D, rr.Points3D]:
-    """A disc with an arrow along the heading, and a label."""
+def _arrow(pose: Array, height: float) -> tuple[Array32, Array32]:
+    """Strips and disc of an arrow along the heading."""
+    return arrows(pose, ARROW_M, height), lift(pose[:2], height)
+
+
+def _arrow_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
     return (
-        rr.LineStrips3D(arrows(pose, length, height), colors=[colour], radii=rr.Radius.ui_points(3.0)),
-        rr.Points3D(
-            lift(pose[:2], height),
-            colors=[colour],
-            radii=rr.Radius.ui_points(8.0),
-            labels=[label],
-            show_labels=True,
+        rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0)),
+        rr.Points3D.from_fields(radii=rr.Radius.ui_points(8.0), show_labels=True),
+    )
+
+
+def _truth_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
+    return (
+        rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=[TRUTH]),
+        rr.Points3D.from_fields(
+            radii=rr.Radius.ui_points(8.0), colors=[TRUTH], labels=["truth"], show_labels=True
         ),
     )
+
+
+def _ellipse_style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5)),)
+
+
+def _scan_style() -> tuple[rr.Points3D]:
+    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(2.0)),)

@@ -8,6 +8,7 @@ from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
 
 MAHALANOBIS_95 = 2.4477
 """Radius of the ellipse that holds 95 % of a Gaussian on the plane: sqrt(chi2.ppf(0.95, 2))."""
@@ -16,13 +17,13 @@ BARB = 0.28
 """Of an arrow, as a share of its length."""
 
 
-def lift(points: ArrayLike, height: float) -> NDArray[np.float32]:
+def lift(points: ArrayLike, height: float) -> Array32:
     """Points (n, 2) as (n, 3) at `height`, m: what lies higher covers what lies lower."""
     flat = np.asarray(points, dtype=np.float32).reshape(-1, 2)
     return np.column_stack([flat, np.full(len(flat), height, dtype=np.float32)])
 
 
-def arrows(poses: ArrayLike, length: ArrayLike, height: float) -> NDArray[np.float32]:
+def arrows(poses: ArrayLike, length: ArrayLike, height: float) -> Array32:
     """Strips (n, 5, 3) that draw flat arrows of `length`, m, along the headings of `poses` (n, 3).
 
     The viewer's own arrows are shaded, which makes their colours hard to tell.
