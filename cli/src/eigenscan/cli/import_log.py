@@ -1,0 +1,79 @@
+"""`eigenscan import`: a log of any kind into the pipeline's own MCAP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from eigenscan.cli.frame import UsageError
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
+
+if TYPE_CHECKING:
+    from eigenscan.cli.importers import Log
+    from eigenscan.cli.importers.summary import Summary
+
+
+def import_log(
+    log: Annotated[Path, typer.Argument(help="CARMEN log, ROS 1 bag, ROS 2 bag (folder or file) or MCAP")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="MCAP to write; without it LOG's name with .mcap, here")
+    ] = None,
+    lidar: Annotated[
+        list[str] | None,
+        typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
+    ] = None,
+    odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
+    base_frame: Annotated[str | None, typer.Option(help="the base frame; default: odometry's")] = None,
+    site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
+    robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
+) -> None:
+    """Turn a log into the pipeline's own MCAP: raw scans and odometry, in order of their stamps.
+
+    \b
+    Examples:
+      eigenscan import intel.clf.gz -o intel.mcap
+      eigenscan import drive.bag -o drive.mcap --lidar-topic /front/scan --robot r17
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.importers import LogOptions, open_log
+    from rich.console import Console
+
+    target = out or Path(_stem(log) + ".mcap")
+    if target.resolve() == log.resolve():
+        raise UsageError(f"-o {target}: is the log itself: name another file")
+    options = LogOptions(site, robot, tuple(lidar or ()), odometry, base_frame)
+    opened = open_log(log, options)
+    summary = _write(opened, target)
+    summary.show(Console(), opened, target)
+
+
+def _stem(log: Path) -> str:
+    return log.name.split(".")[0] or "log"
+
+
+def _write(log: Log, target: Path) -> Summary:
+    """Writes beside `target` and moves it there when it is whole."""
+    from eigenscan.cli.evaluation.progress import Bars
+    from eigenscan.cli.importers import stamp_of
+    from eigenscan.cli.importers.summary import Summary
+    from eigenscan.runtime.recording import RecordingWriter
+
+    summary = Summary()
+    part = target.with_name(target.name + ".part")
+    try:
+        with Bars() as bars, RecordingWriter(part, {"import": _metadata(log)}) as writer:
+            moved = bars.start_share("import")
+            for envelope in log.envelopes():
+                time = stamp_of(envelope)
+                writer.write(envelope, time)
+                summary.add(envelope, time)
+                moved(log.progress)
+            moved(1.0)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+    return summary
+
+
+def _metadata(log: Log) -> dict[str, str]:
+    return {"source": log.path.name, "format": log.format}
