@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -108,6 +109,33 @@ def test_it_answers_for_its_model_and_ends_in_time_meanwhile(
     assert _end(service, signal.SIGTERM) < STOP_S
     assert service.process.returncode == 0
     bus.close()
+
+
+def test_none_of_many_dies_of_its_end_amid_traffic(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    bus, over = buses(), threading.Event()
+
+    def flood() -> None:
+        while not over.wait(0.0005):
+            _ask(bus, net, "front")
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        for _ in range(3):
+            services = [start("--instance", name, "--model-bytes", 10**6, config=net.leaf) for name in "abc"]
+            for service in services:
+                service.log("ready")
+            for service in services:
+                service.process.send_signal(signal.SIGTERM)
+            for service in services:
+                _, errors = service.process.communicate(timeout=10)
+                assert service.process.returncode == 0, errors
+                assert all(line.startswith("{") for line in errors.splitlines()), errors
+    finally:
+        over.set()
+        thread.join()
 
 
 def test_it_says_how_it_is_and_outlives_all_that_it_hears(

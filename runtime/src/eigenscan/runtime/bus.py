@@ -46,7 +46,6 @@ class Bus:
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
         self._lock = threading.Lock()
         self._declared: list[Any] = []
-        self._closed = False
         self.twins = 0
         """Health messages heard from another process under this one's own name."""
 
@@ -94,7 +93,7 @@ class Bus:
     def _answer(self, query: Any) -> None:
         with self._lock:
             held = [(key, *sample) for key, sample in self._latched.items()]
-        with query:
+        with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
             for key, channel, payload, stamp in held:
                 if query.key_expr.intersects(key):
                     query.reply(
@@ -131,7 +130,9 @@ class Bus:
         """Asks for the newest samples of `channel` whenever somebody appears who holds some."""
 
         def on_token(token: Any) -> None:
-            if token.kind == zenoh.SampleKind.PUT and not self._closed:
+            if token.kind != zenoh.SampleKind.PUT:
+                return
+            with contextlib.suppress(zenoh.ZError):  # the session is closed
                 self._session.get(
                     selector,
                     intake.on_reply,
@@ -185,7 +186,6 @@ class Bus:
     def close(self) -> None:
         """Undeclares everything, then closes the session. What another thread says after that fails."""
         with self._lock:
-            self._closed = True
             declared = [*self._declared, *self._publishers.values()]
             self._declared.clear()
             self._publishers.clear()

@@ -12,6 +12,7 @@ import os
 import sys
 import threading
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable
 from importlib.metadata import PackageNotFoundError, version
@@ -56,7 +57,6 @@ def main(
     """
     wake = Wake()
     with wake.on_signals():
-        node = None
         try:
             settings = load(kind, service)
             node = Node(service, settings, lambda: make_core(settings), mode, wake, whole_site=whole_site)
@@ -64,11 +64,13 @@ def main(
         except (SettingsError, ContractError, OSError, ValueError) as error:
             print(f"eigenscan-{service}: {error}", file=sys.stderr)
             code = EXIT_SETTINGS
-        if node and node.unfinished:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)  # the core's thread must not meet an interpreter that is half gone
-    sys.exit(code)
+        except Exception:
+            traceback.print_exc()
+            code = EXIT_CORE
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # all is closed; a last thread of Zenoh or of the core would abort the interpreter's own end
+    os._exit(code)
 
 
 class Node:
@@ -86,8 +88,6 @@ class Node:
     ) -> None:
         self.service, self.settings = service, settings
         self._whole_site = whole_site
-        self.unfinished = False
-        """True where the core's thread was still at work when `run` ended."""
         self._make_core, self._mode = make_core, mode
         self._wake = wake or Wake()
         self._counts: Counter[str] = Counter()
@@ -119,7 +119,7 @@ class Node:
         try:
             self._inbox.close()
             core.join(STOP_CORE_S)
-            self.unfinished = core.is_alive()
+            unfinished = core.is_alive()
             if self._bus:
                 self._bus.close()
             self._monitor.close()
@@ -127,7 +127,7 @@ class Node:
             faulthandler.cancel_dump_traceback_later()
         if self._fault:
             raise self._fault
-        self._log.info("stopped", unfinished=self.unfinished, **self._counts)
+        self._log.info("stopped", unfinished=unfinished, **self._counts)
         return EXIT_CORE if self._counts["finish_failed"] else 0
 
     def _tend(self, core: threading.Thread) -> None:

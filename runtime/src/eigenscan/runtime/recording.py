@@ -170,9 +170,20 @@ def _declared(schema: Schema | None, channel: McapChannel) -> str:
 
 def is_complete(path: Path) -> bool:
     """Whether the file was closed by its writer. Raises RecordingError where it cannot be read at all."""
+    return message_count(path) is not None
+
+
+def message_count(path: Path) -> int | None:
+    """Number of messages by the index; None where the writer was killed before it wrote one.
+
+    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    """
     try:
         with path.open("rb") as file:
-            return _is_indexed(file)
+            if not _is_indexed(file):
+                return None
+            summary = make_reader(file).get_summary()
+            return summary.statistics.message_count if summary and summary.statistics else 0
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     except _DAMAGE as error:

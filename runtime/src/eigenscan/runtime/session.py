@@ -8,6 +8,9 @@ from pathlib import Path
 import zenoh
 from eigenscan.schemas.channels import ContractError
 
+LOG_FILTER = "error,zenoh::net::routing=off"
+"""Of Zenoh's own log, where RUST_LOG says nothing else; its routing takes a neighbour's end for an error."""
+
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
 
@@ -17,7 +20,7 @@ def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
     An embedded peer finds its neighbours by multicast. Raises ContractError naming the file where it
     is no Zenoh configuration or no session opens.
     """
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(LOG_FILTER)
     try:
         if path:
             config = zenoh.Config.from_file(str(path))
