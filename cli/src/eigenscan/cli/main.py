@@ -14,6 +14,7 @@ COMMANDS = {
     "import": ("eigenscan.cli.import_log:import_log", "turn a CARMEN log or a ROS bag into a recording"),
     "evaluate": ("eigenscan.cli.evaluate:evaluate", "judge the pipeline on a log with a reference"),
     "replay": ("eigenscan.cli.replay:replay", "play a recording onto Zenoh"),
+    "view": ("eigenscan.cli.view:view", "look at a recording in Rerun's web viewer"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
 }
 """Name: `module:function` and one line of help. A module is imported when its command is used."""

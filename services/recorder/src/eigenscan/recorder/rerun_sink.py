@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import socket
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack
-from urllib.parse import quote
 
 import rerun as rr
 from eigenscan.recorder.picture.drawing import Picture
 from eigenscan.recorder.settings import RecorderSettings
-from eigenscan.recorder.web_viewer import serve_viewer
-from eigenscan.runtime.settings import SettingsError
+from eigenscan.recorder.web_viewer import free_port, serve_viewer
 from eigenscan.schemas.envelope import Envelope
 
 APPLICATION = "eigenscan"
@@ -65,29 +62,12 @@ class RerunSink:
 
     def _serve(self, settings: RecorderSettings, page_port: int) -> rr.GrpcServerSink:
         host = settings.viewer_host
-        data = _free_port("data_port", host, settings.data_port)
-        page = _free_port("viewer_port", host, page_port)
-        seen_at = "127.0.0.1" if host == "0.0.0.0" else host
-        source = f"rerun+http://{seen_at}:{data}/proxy"
-        self.url = f"http://{seen_at}:{page}/?url={quote(source, safe='')}"
-        self._closing.enter_context(serve_viewer(host, page, source))
+        data = free_port("data_port", host, settings.data_port)
+        page = free_port("viewer_port", host, page_port)
+        self.url = self._closing.enter_context(serve_viewer(host, page, data))
         return rr.GrpcServerSink(
             host,
             data,
             server_memory_limit=settings.viewer_memory,
             cors_allow_origin=[settings.viewer_origin] if settings.viewer_origin else None,
         )
-
-
-def _free_port(field: str, host: str, port: int) -> int:
-    """`port`, or a free one where it is 0. Raises SettingsError where it is taken."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise SettingsError(
-                f"{field} = {port}: cannot serve on {host} ({error.strerror}): "
-                "choose another, or 0 for a free one"
-            ) from error
-        return int(probe.getsockname()[1])

@@ -8,29 +8,50 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from urllib.parse import quote
 
 import rerun_cli  # type: ignore[import-untyped]
+from eigenscan.runtime.settings import SettingsError
 
 PR_SET_PDEATHSIG = 1
 STOP_S = 0.3
 
 
-@contextmanager
-def serve_viewer(host: str, port: int, *sources: str) -> Iterator[None]:
-    """Serves the page on `host`:`port` for as long as the context lasts.
+def free_port(field: str, host: str, port: int) -> int:
+    """`port`, or a free one where it is 0. Raises SettingsError where it is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise SettingsError(
+                f"{field} = {port}: cannot serve on {host} ({error.strerror}): "
+                "choose another, or 0 for a free one"
+            ) from error
+        return int(probe.getsockname()[1])
 
-    With `sources` (addresses of a picture's data, or files) it shows them when opened without any in its URL.
+
+@contextmanager
+def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None = None) -> Iterator[str]:
+    """Serves the viewer's page for as long as the context lasts; gives the link that opens the picture.
+
+    The page takes its data from `data_port` of the same host: from whoever serves there, or from
+    `picture`, a .rrd file, which is then served there as well.
     """
+    seen_at = "127.0.0.1" if host == "0.0.0.0" else host
+    source = f"rerun+http://{seen_at}:{data_port}/proxy"
+    served = ["--port", str(data_port), str(picture.resolve())] if picture else [source]
     with TemporaryDirectory(prefix="eigenscan-viewer-") as home:
         # a home of its own: nothing is sent about its use, and a read-only container will do
         environment = os.environ | {"HOME": home, "XDG_CONFIG_HOME": home, "XDG_DATA_HOME": home}
-        arguments = ["--serve-web", "--bind", host, "--web-viewer-port", str(port), *sources]
+        arguments = ["--serve-web", "--bind", host, "--web-viewer-port", str(page_port), *served]
         child = subprocess.Popen(
             [sys.executable, "-m", __name__, *arguments],
             env=environment,
@@ -39,7 +60,7 @@ def serve_viewer(host: str, port: int, *sources: str) -> Iterator[None]:
             stderr=subprocess.DEVNULL,
         )
         try:
-            yield
+            yield f"http://{seen_at}:{page_port}/?url={quote(source, safe='')}"
         finally:
             child.terminate()
             try:

@@ -1,0 +1,85 @@
+"""`eigenscan view`: the picture of a recording, drawn again and opened in Rerun's web viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from eigenscan.cli.frame import UsageError
+
+HOST = "127.0.0.1"
+
+
+def view(
+    recording: Annotated[Path, typer.Argument(help="MCAP that a recorder wrote", metavar="FILE.mcap")],
+    rrd: Annotated[
+        Path | None, typer.Option(help="Rerun file to write; without it one that is gone afterwards")
+    ] = None,
+    is_opened: Annotated[bool, typer.Option("--open/--no-open", help="open the web viewer")] = True,
+    picture_hz: Annotated[
+        float, typer.Option(min=0.01, help="pictures a second of the recording's time")
+    ] = 10.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="port of the page; 0 chooses one")] = 0,
+) -> None:
+    """Draw a recording as the recorder draws live traffic, and look at it.
+
+    \b
+    Examples:
+      eigenscan view recordings/site-20260131-120000.mcap
+      eigenscan view drive.mcap --rrd drive.rrd --no-open
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    if rrd is None and not is_opened:
+        raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
+    if rrd is not None:
+        _draw(recording, rrd, picture_hz)
+        if is_opened:
+            _open(rrd, port)
+        return
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory(prefix="eigenscan-view-") as folder:
+        target = Path(folder) / f"{recording.stem}.rrd"
+        _draw(recording, target, picture_hz)
+        _open(target, port)
+
+
+def _draw(recording: Path, target: Path, picture_hz: float) -> None:
+    """Draws `recording` into `target`, with a progress bar."""
+    from eigenscan.recorder.rerun_sink import RerunSink
+    from eigenscan.recorder.settings import RecorderSettings
+    from eigenscan.runtime.recording import message_count, read
+    from rich.console import Console
+    from rich.progress import Progress
+
+    total = message_count(recording)
+    sink = RerunSink(RecorderSettings(rrd=target, picture_hz=picture_hz))
+    drawn = 0
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task(f"drawing {recording.name}", total=total)
+        for record in read(recording):
+            sink.write(record.envelope)
+            drawn += 1
+            progress.advance(task)
+    sink.close()
+    if not drawn:
+        raise UsageError(f"{recording}: holds no message of ours: give a file that eigenscan wrote")
+    if total is None:
+        typer.echo(f"{recording}: its writer did not close it; drawn as far as it goes", err=True)
+
+
+def _open(picture: Path, port: int) -> None:
+    """Serves the viewer with `picture` until Ctrl-C."""
+    import time
+    import webbrowser
+    from contextlib import suppress
+
+    from eigenscan.recorder.web_viewer import free_port, serve_viewer
+
+    page, data = free_port("--port", HOST, port), free_port("data port", HOST, 0)
+    with serve_viewer(HOST, page, data, picture) as link:
+        typer.echo(f"viewer: {link}\nCtrl-C ends it")
+        webbrowser.open(link)
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(3600)
