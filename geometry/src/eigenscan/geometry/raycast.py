@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.geometry.gridmap import OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.sweep import sweep, transpose, visits
+from eigenscan.geometry.trace import DARK, LEAPS_PER_CELL, WALL, trace
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt
@@ -21,11 +22,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 DARK_CELLS = 2.0
 """Depth in UNKNOWN, in cells from anything known, beyond which nothing is known."""
 
-WALL, DARK = np.uint8(255), np.uint8(254)
-_STEPS_PER_CELL = 4.0
 _NO_WALL = np.float32(np.inf)
-_OVER = 1e-6
-"""Cells by which a step goes over a cell's edge."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ class RayCaster:
         stops = wall | dark
         # distance of cell centres to the walls grown by one cell = distance between the cells' outlines
         outline = distance_transform_edt(~binary_dilation(stops, np.ones((3, 3), dtype=bool)))
-        leap = np.minimum(np.floor(outline * _STEPS_PER_CELL), DARK - 1).astype(np.uint8)
+        leap = np.minimum(np.floor(outline * LEAPS_PER_CELL), DARK - 1).astype(np.uint8)
         leap[wall] = WALL
         leap[dark] = DARK
         return cls(leap, grid)
@@ -75,8 +72,8 @@ class RayCaster:
     ) -> NDArray[np.float32]:
         """Ranges (P, N), m, from positions (P, 2) along world directions k 2 pi / N; +inf: no wall in sight.
 
-        All positions are swept together, direction by direction: exact but for rays that pass an
-        edge of a wall within 1/32 of a cell. Threads share the directions and do not change the result.
+        The same as `cast`, but all positions are swept together, direction by direction, which is several
+        times faster. Threads share the directions and do not change the result.
         """
         points = self.to_cells(np.asarray(positions, dtype=np.float64).reshape(-1, 2))
         if beams < 1:
@@ -86,13 +83,13 @@ class RayCaster:
         if not len(points):
             return np.empty((0, beams), dtype=np.float32)
         wall, dark, corner = self._within(points, range_max / self.grid.resolution)
-        seen = visits(wall, dark, points - corner)
+        seen = visits(wall, dark, points, corner)
         angles = np.arange(beams) * (2.0 * np.pi / beams) - self.grid.origin[2]
         by_direction = np.empty((beams, len(points)), dtype=np.float32)
 
         def work(block: NDArray[np.int64]) -> None:
             limit, unit = range_max / self.grid.resolution, self.grid.resolution
-            sweep(seen, angles, block, limit, unit, by_direction)
+            sweep(seen, self.leap, angles, block, limit, unit, by_direction)
 
         blocks = [block for block in np.array_split(np.arange(beams), 4 * max(threads, 1)) if len(block)]
         if threads > 1:
@@ -109,14 +106,14 @@ class RayCaster:
 
     def _within(
         self, points: NDArray[np.float64], reach: float
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
         """Walls and dark cells that a ray of `reach` cells can meet, and (column, row) of their corner."""
         height, width = self.leap.shape
         low, high = points.min(axis=0) - reach - 1, points.max(axis=0) + reach + 1
         c0, r0 = np.clip(np.floor(low), 0, (width, height)).astype(np.int64)
         c1, r1 = np.clip(np.ceil(high), 0, (width, height)).astype(np.int64)
         near = self.leap[r0:r1, c0:c1]
-        return near == WALL, near == DARK, np.array([c0, r0], dtype=np.float64)
+        return near == WALL, near == DARK, np.array([c0, r0])
 
 
 def cast(
@@ -133,31 +130,6 @@ def panoramas(
     """RayCaster.panoramas, also straight from a map."""
     caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
     return caster.panoramas(positions, beams, range_max, threads)
-
-
-@njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def trace(leap: NDArray[np.uint8], x: float, y: float, dx: float, dy: float, limit: float) -> float:
-    """Cells that a ray travels from continuous (column, row) along (dx, dy), a unit vector; inf: no wall."""
-    height, width = leap.shape
-    if not (0.0 <= x < width and 0.0 <= y < height):
-        return np.inf
-    inverse_x = 1.0 / dx if dx != 0.0 else np.inf
-    inverse_y = 1.0 / dy if dy != 0.0 else np.inf
-    ahead_x, ahead_y = 1.0 if dx > 0.0 else 0.0, 1.0 if dy > 0.0 else 0.0
-    travelled = 0.0
-    while travelled <= limit:
-        at_x, at_y = x + dx * travelled, y + dy * travelled
-        column, row = int(at_x), int(at_y)
-        free = leap[row, column]
-        if free >= DARK:
-            return travelled if free == WALL else np.inf
-        if free > 0:
-            travelled += free / _STEPS_PER_CELL
-        else:
-            to_x = (column + ahead_x - at_x) * inverse_x if dx != 0.0 else np.inf
-            to_y = (row + ahead_y - at_y) * inverse_y if dy != 0.0 else np.inf
-            travelled += min(to_x, to_y) + _OVER
-    return np.inf
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
@@ -178,7 +150,7 @@ def _cast(
         ahead, aside = np.cos(theta), np.sin(theta)
         for b in range(len(bearings)):
             dx, dy = ahead * cos[b] - aside * sin[b], aside * cos[b] + ahead * sin[b]
-            out[p, b] = trace(leap, x, y, dx, dy, limit) * resolution
+            out[p, b] = trace(leap, x, y, dx, dy, limit, 0.0) * resolution
     return out
 
 

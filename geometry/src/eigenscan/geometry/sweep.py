@@ -2,7 +2,8 @@
 
 All rays of one direction are parallel. Walls and positions are visited in the order in which such a ray
 meets them, backwards. Each wall cell paints the lanes across the direction that it blocks; a position
-reads the two lanes beside it and so knows the first wall before it: a ray costs a few loads.
+reads the two lanes beside it and so knows the first wall before it: a ray costs a few loads. Where a ray
+passes the edge of a wall between its two lanes, it is traced from there on.
 """
 
 from __future__ import annotations
@@ -10,12 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.trace import trace
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-LANES_PER_CELL = 4
+LANES_PER_CELL = 8
 _PARALLEL = 1e-12
+_DIAGONAL = 1.5
+"""Cells that a stop reaches along a direction, and some."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +40,16 @@ class Visits:
 WALL_VISIT, DARK_VISIT = -1, -2
 
 
-def visits(wall: NDArray[np.bool_], dark: NDArray[np.bool_], points: NDArray[np.float64]) -> Visits:
-    """Visits for a map (H, W) of cells that stop a ray, and points (P, 2) in continuous (column, row).
+def visits(
+    wall: NDArray[np.bool_], dark: NDArray[np.bool_], points: NDArray[np.float64], corner: NDArray[np.int64]
+) -> Visits:
+    """Visits for a part (h, w) of a map, the cells of which stop a ray, and points (P, 2).
 
-    Only stops that face the open space around the points are kept.
+    The points are in continuous (column, row) of the map, the part starts at its cell `corner` (2,). Only
+    stops that face the open space around the points are kept.
     """
-    open_space = _around(~(wall | dark), points)
-    columns, rows = np.floor(points).astype(np.int64).T
+    columns, rows = np.floor(points).astype(np.int64).T - corner[:, None]
+    open_space = _around(~(wall | dark), columns, rows)
     runs: list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]] = []
     for quadrant in range(4):
         left, down = bool(quadrant & 1), bool(quadrant & 2)
@@ -51,8 +58,8 @@ def visits(wall: NDArray[np.bool_], dark: NDArray[np.bool_], points: NDArray[np.
         r, c = np.nonzero(facing & (wall | dark))
         kind = np.where(wall[r, c], WALL_VISIT, DARK_VISIT)
         what = np.concatenate([kind, np.arange(len(points))]).astype(np.int32)
-        x = np.concatenate([c + left, points[:, 0]])
-        y = np.concatenate([r + down, points[:, 1]])
+        x = np.concatenate([c + corner[0] + left, points[:, 0]])
+        y = np.concatenate([r + corner[1] + down, points[:, 1]])
         by_x = np.concatenate([c, columns]) * (1 if left else -1)
         by_y = np.concatenate([r, rows]) * (1 if down else -1)
         for keys in ((by_y, by_x), (by_x, by_y)):
@@ -63,11 +70,12 @@ def visits(wall: NDArray[np.bool_], dark: NDArray[np.bool_], points: NDArray[np.
     return Visits(x, y, what.astype(np.int32), bounds)
 
 
-def _around(free: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """The connected parts of `free` that hold a point."""
+def _around(
+    free: NDArray[np.bool_], columns: NDArray[np.int64], rows: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """The connected parts of `free` that hold one of the cells."""
     parts, _ = label(free)
     height, width = free.shape
-    columns, rows = np.floor(points).astype(np.int64).T
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     held = np.unique(parts[rows[inside], columns[inside]])
     kept: NDArray[np.bool_] = np.isin(parts, held[held > 0])
@@ -87,6 +95,7 @@ def _shifted(cells: NDArray[np.bool_], axis: int, forwards: bool) -> NDArray[np.
 
 def sweep(
     seen: Visits,
+    leap: NDArray[np.uint8],
     angles: NDArray[np.float64],
     rows: NDArray[np.int64],
     limit: float,
@@ -98,11 +107,11 @@ def sweep(
     `limit` in cells, `unit` in m per cell; inf where no wall is in sight. Lets other threads run.
     """
     if len(seen.x):
-        _sweep(seen.x, seen.y, seen.what, seen.bounds, angles, rows, limit, unit, out)
+        _sweep(seen.x, seen.y, seen.what, seen.bounds, leap, angles, rows, limit, unit, out)
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _sweep(x, y, what, bounds, angles, rows, limit, unit, out):  # type: ignore[no-untyped-def]
+def _sweep(x, y, what, bounds, leap, angles, rows, limit, unit, out):  # type: ignore[no-untyped-def]
     low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
     for k in rows:
         dx, dy = np.cos(angles[k]), np.sin(angles[k])
@@ -112,11 +121,11 @@ def _sweep(x, y, what, bounds, angles, rows, limit, unit, out):  # type: ignore[
         lanes = np.full(int(width * LANES_PER_CELL) + 2, -1, dtype=np.int32)
         run = 2 * ((1 if dx < 0.0 else 0) + (2 if dy < 0.0 else 0)) + (1 if abs(dy) > abs(dx) else 0)
         part = slice(bounds[run], bounds[run + 1])
-        _sweep_one(x[part], y[part], what[part], dx, dy, least, limit, unit, lanes, out[k])
+        _sweep_one(x[part], y[part], what[part], leap, dx, dy, least, limit, unit, lanes, out[k])
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _sweep_one(x, y, what, dx, dy, least, limit, unit, lanes, out):  # type: ignore[no-untyped-def]
+def _sweep_one(x, y, what, leap, dx, dy, least, limit, unit, lanes, out):  # type: ignore[no-untyped-def]
     inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
     inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
     across_x, across_y, offset = -dy * LANES_PER_CELL, dx * LANES_PER_CELL, -least * LANES_PER_CELL
@@ -130,18 +139,26 @@ def _sweep_one(x, y, what, dx, dy, least, limit, unit, lanes, out):  # type: ign
             for lane in range(int(place + down) + 1, int(place + up) + 1):
                 lanes[lane] = i
             continue
-        lane = int(place)
-        hit, nearest, struck = -1, np.inf, False
-        for stop in (lanes[lane], lanes[lane + 1]):
+        nearest, hit, doubtful = np.inf, -1, np.inf
+        for lane in range(int(place), int(place) + 2):
+            stop = lanes[lane]
             if stop < 0:
                 continue
             beside = place - (across_x * x[stop] + across_y * y[stop] + offset)
-            strikes = down <= beside <= up
-            far = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y)
-            if strikes > struck or (strikes == struck and far < nearest):
-                hit, nearest, struck = stop, far, strikes
-        seen = hit >= 0 and nearest <= limit and what[hit] == WALL_VISIT
-        out[what[i]] = max(nearest, 0.0) * unit if seen else np.inf
+            if down <= beside <= up:
+                far = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y)
+                if far < nearest:
+                    nearest, hit = far, stop
+            else:
+                # the ray passes this stop, which may hide in its lane one that the ray meets behind it
+                aside = (lane - place) / LANES_PER_CELL
+                to_x, to_y = x[stop] - x[i] + dy * aside, y[stop] - y[i] - dx * aside
+                doubtful = min(doubtful, max(to_x * inverse_x, to_y * inverse_y) - _DIAGONAL)
+        if doubtful < nearest:
+            nearest = trace(leap, x[i], y[i], dx, dy, limit, max(doubtful, 0.0))
+        elif hit >= 0 and what[hit] == DARK_VISIT:
+            nearest = np.inf
+        out[what[i]] = max(nearest, 0.0) * unit if nearest <= limit else np.inf
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
