@@ -26,7 +26,16 @@ from zstandard import ZstdError
 
 PROFILE = "eigenscan"
 CHUNK_BYTES = 256 * 1024
-_DAMAGE = (McapError, ContractError, ZstdError, struct.error, ValueError, KeyError)
+_DAMAGE = (
+    McapError,
+    ContractError,
+    ZstdError,
+    struct.error,
+    ValueError,
+    KeyError,
+    MemoryError,
+    OverflowError,
+)
 """What reading a damaged file may raise."""
 
 

@@ -1,0 +1,78 @@
+from collections.abc import Iterable
+
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, SCAN_RAW, TRACKS, Channel
+from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+
+ADDRESS = {"site": "s", "robot": "r", "lidar": "l", "projector": "p"}
+
+
+class Chain:
+    """Answers whatever it hears on one channel with an empty message on each of others."""
+
+    def __init__(self, hears: Channel, *says: Channel) -> None:
+        self.hears = (hears,)
+        self.says = says
+        self.heard: list[Envelope] = []
+
+    def _all(self) -> Iterable[Envelope]:
+        for channel in self.says:
+            yield Envelope(channel, ADDRESS, channel.message())
+
+    def start(self) -> Iterable[Envelope]:
+        return ()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        self.heard.append(heard)
+        return self._all()
+
+    def finish(self) -> Iterable[Envelope]:
+        return self._all()
+
+    def condition(self) -> Condition:
+        return Condition()
+
+
+def _names(said: list[Envelope]) -> list[str]:
+    return [envelope.channel.name for envelope in said]
+
+
+def test_what_is_said_goes_on_to_who_hears_it_breadth_first() -> None:
+    ingest, projector, tracker = (
+        Chain(SCAN_RAW, SCAN),
+        Chain(SCAN, HYPOTHESES, TRACKS),
+        Chain(HYPOTHESES, POSE),
+    )
+    loop = Loopback([ingest, projector, tracker])
+    assert loop.start() == []
+    raw = Envelope(SCAN_RAW, ADDRESS, RawScan(frame_id="x"))
+    assert _names(loop.hear(raw)) == ["scan", "hypotheses", "tracks", "pose"]
+    assert ingest.heard[0].message == raw.message
+    assert tracker.heard[0].open(Hypotheses) == Hypotheses()
+    assert len(tracker.heard) == 1
+
+
+def test_the_end_goes_through_the_cores_in_order() -> None:
+    ingest, projector, tracker = Chain(SCAN_RAW, SCAN), Chain(SCAN, HYPOTHESES), Chain(HYPOTHESES, POSE)
+    said = Loopback([ingest, projector, tracker]).finish()
+    assert _names(said) == ["scan", "hypotheses", "pose", "hypotheses", "pose", "pose"]
+
+
+def test_a_core_cannot_change_what_others_hear() -> None:
+    class Meddler(Chain):
+        def handle(self, heard: Envelope) -> Iterable[Envelope]:
+            heard.open(Scan).sequence = 99
+            return super().handle(heard)
+
+    meddler, witness = Meddler(SCAN), Chain(SCAN)
+    scan = Scan(sequence=1)
+    Loopback([meddler, witness]).hear(Envelope(SCAN, ADDRESS, scan))
+    assert scan.sequence == 1
+    assert witness.heard[0].open(Scan).sequence == 1
+
+
+def test_what_nobody_hears_is_still_told() -> None:
+    assert Loopback([]).hear(Envelope(POSE, ADDRESS, POSE.message())) == []
+    assert _names(Loopback([Chain(SCAN, POSE)]).hear(Envelope(SCAN, ADDRESS, Scan()))) == ["pose"]
