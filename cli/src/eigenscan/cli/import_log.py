@@ -57,6 +57,7 @@ def _write(log: Log, target: Path) -> Summary:
     from eigenscan.cli.importers import stamp_of
     from eigenscan.cli.importers.summary import Summary
     from eigenscan.runtime.recording import RecordingWriter
+    from eigenscan.schemas.channels import SCAN_RAW
 
     summary = Summary()
     part = target.with_name(target.name + ".part")
@@ -65,7 +66,9 @@ def _write(log: Log, target: Path) -> Summary:
             moved = bars.start_share("import")
             for envelope in log.envelopes():
                 time = stamp_of(envelope)
-                writer.write(envelope, time)
+                # a reference trajectory may have the stamps as logged
+                logged = log.logged.get(time, time) if envelope.channel is SCAN_RAW else time
+                writer.write(envelope, time, publish_time=logged)
                 summary.add(envelope, time)
                 moved(log.progress)
             moved(1.0)

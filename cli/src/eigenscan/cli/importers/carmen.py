@@ -45,7 +45,7 @@ class _Survey:
     """What a first reading of the log tells."""
 
     kinds: list[str] = field(default_factory=list)
-    stamps: list[float] = field(default_factory=list)
+    stamps: list[int] = field(default_factory=list)
     mounts: dict[str, list[NDArray[np.float64]]] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
 
@@ -75,6 +75,7 @@ class CarmenLog:
         self.path, self._options = path, options
         self.counters: Counter[str] = Counter()
         self.progress = 0.0
+        self.logged: dict[int, int] = {}
         self._size = max(path.stat().st_size, 1)
 
     def envelopes(self) -> Iterator[Envelope]:
@@ -86,9 +87,11 @@ class CarmenLog:
             raise LogError(
                 f"{self.path}: no scan line could be read: expected FLASER, ROBOTLASER1 or RAWLASER1 lines"
             )
-        stamps, repaired = repair_stamps(np.array(survey.stamps), survey.kinds)
-        self.counters["stamps_repaired"] += repaired
-        times = np.round(stamps * 1e9).astype(np.int64)
+        logged = np.array(survey.stamps, dtype=np.int64)
+        times = repair_stamps(logged, survey.kinds)
+        self.counters["stamps_repaired"] += int(np.count_nonzero(times != logged))
+        scans = np.isin(survey.kinds, list(taken)) & (times != logged)
+        self.logged = dict(zip(times[scans].tolist(), logged[scans].tolist(), strict=True))
         horizon = int(np.max(np.maximum.accumulate(times) - times))
         yield from in_order(self._convert(survey, taken, times), horizon, self.counters)
         self.progress = 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 from eigenscan.geometry.pose import between
@@ -17,6 +18,8 @@ LIDAR_OF = {
     **{f"{kind}LASER{n}": f"laser{n}" for kind in ("ROBOT", "RAW") for n in (3, 4, 5)},
 }
 """Lidar that a kind of scan line is of. Of kinds of the same lidar the first one in a log counts most."""
+
+NS = 1_000_000_000
 
 SICK_NO_RETURN = 81.83
 """m; from here on an LMS 200 says by its number why it has no range."""
@@ -46,7 +49,7 @@ class Line:
     """A line with a stamp: a scan, odometry, or both."""
 
     kind: str
-    stamp: float  # s, as logged
+    stamp: int  # ns, as logged
     odometry: NDArray[np.float64] | None = None  # (3,), the robot
     laser: NDArray[np.float64] | None = None  # (3,), the sensor in the same frame
     geometry: Geometry | None = None
@@ -93,12 +96,13 @@ def _floats(words: list[str]) -> NDArray[np.float64]:
     return np.array([float(word) for word in words])
 
 
-def _stamp(word: str) -> float:
+def _stamp(word: str) -> int:
     value = float(word)
     # protobuf's timestamps end with the year 9999
     if not 0.0 <= value < 2.5e11:
         raise LineError("absurd_stamp")
-    return value
+    # exact to the last digit, as a float is not
+    return round(Decimal(word) * NS)
 
 
 def _need(words: list[str], count: int) -> None:

@@ -44,6 +44,7 @@ class Log(Protocol):
     path: Path
     format: str
     counters: Counter[str]  # what was set aside while iterating, by reason
+    logged: dict[int, int]  # ns, stamp as logged of each scan that was given another one, by that one
 
     @property
     def progress(self) -> float:
@@ -53,8 +54,7 @@ class Log(Protocol):
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp, odometry first where stamps are equal.
 
-        Stamps of one key increase. Where a CARMEN log's do not, they are repaired (see `stamps`); a reference
-        with the same stamps line by line fits again after the same `repair_stamps`.
+        Stamps of one key increase. Where a log's do not, they are repaired (see `stamps`).
         Raises LogError where the log holds no scan at all.
         """
         ...

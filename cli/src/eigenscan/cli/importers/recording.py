@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from eigenscan.cli.importers.log import RECORDER_LAG_NS, LogError, LogOptions, in_order
-from eigenscan.runtime.recording import Record, RecordingError, is_complete, read
+from eigenscan.runtime.recording import Record, RecordingError, is_complete, read, read_metadata
 from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 
@@ -21,12 +22,16 @@ class RecordingLog:
         self.path, self._options = path, options
         self.counters: Counter[str] = Counter()
         self.progress = 0.0
+        self.logged: dict[int, int] = {}
+        self._imported = False
         self._size = max(path.stat().st_size, 1)
 
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan, or of several robots."""
         self.counters.clear()
+        self.logged.clear()
         robot = self._robot()
+        self._imported = self._is_import()
         yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
         if not is_complete(self.path):
             self.counters["truncated_file"] += 1
@@ -47,6 +52,12 @@ class RecordingLog:
             raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
         return next(iter(scans))
 
+    def _is_import(self) -> bool:
+        """Whether `eigenscan import` wrote it: then the times of publication are the stamps as logged."""
+        with suppress(RecordingError):
+            return "import" in read_metadata(self.path)
+        return False
+
     def _of(self, robot: str) -> Iterator[Envelope]:
         own = {"site": self._options.site, "robot": self._options.robot}
         seen = 0
@@ -56,6 +67,8 @@ class RecordingLog:
             envelope = record.envelope
             if envelope.channel not in (SCAN_RAW, ODOMETRY) or envelope.address["robot"] != robot:
                 continue
+            if self._imported and record.publish_time != record.log_time and envelope.channel == SCAN_RAW:
+                self.logged[record.log_time] = record.publish_time
             lidar = envelope.address.get("lidar")
             if lidar is None or not self._options.lidars or lidar in self._options.lidars:
                 yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)

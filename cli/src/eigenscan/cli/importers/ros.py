@@ -36,6 +36,7 @@ class RosLog:
     def __init__(self, path: Path, options: LogOptions, bag: Bag) -> None:
         self.path, self.format = path, bag.format
         self.counters: Counter[str] = Counter()
+        self.logged: dict[int, int] = {}
         self._options, self._bag = options, bag
         self._finished = False
 

@@ -6,8 +6,8 @@ Otherwise, or where the kinds disagree by seconds, the order of the lines is tru
 increasing subsequence of stamps is kept as logged, so that true gaps stay, and every other line is put
 between its neighbours by its number. A clock that was set back goes on at the log's usual pace.
 
-A reference trajectory that was made line by line from such a log has the same stamps; repaired by the
-same function it fits the repaired log again.
+A reference trajectory that was made from such a log may have the stamps as logged: a log tells which ones
+were changed (`Log.logged`).
 """
 
 from __future__ import annotations
@@ -18,38 +18,40 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-KINDS_APART_S = 2.0
-LONE_STEP_S = 0.1
+KINDS_APART_NS = 2_000_000_000
+LONE_STEP_NS = 100_000_000
 SQUEEZED_LINES = 10
 """So many lines in a row whose stamps would be squeezed mean that the clock was set back."""
 
 
-def repair_stamps(stamps: NDArray[np.float64], kinds: Sequence[str]) -> tuple[NDArray[np.float64], int]:
-    """Stamps (L,), s, that increase within each kind of line, and how many were changed.
+def repair_stamps(stamps: NDArray[np.int64], kinds: Sequence[str]) -> NDArray[np.int64]:
+    """Stamps (L,), ns, that increase within each kind of line.
 
     Unchanged where they do so as logged; else by the order of the lines (see the module).
     """
     names = np.array(kinds)
-    increasing = all(np.all(np.diff(stamps[names == kind]) > 0.0) for kind in set(kinds))
-    if increasing and np.max(np.maximum.accumulate(stamps) - stamps) < KINDS_APART_S:
-        return stamps, 0
+    increasing = all(np.all(np.diff(stamps[names == kind]) > 0) for kind in set(kinds))
+    if increasing and np.max(np.maximum.accumulate(stamps) - stamps) < KINDS_APART_NS:
+        return stamps
     kept = _longest_increasing(stamps)
-    steps = np.diff(stamps[kept])
-    lines = np.diff(kept)
-    usual = float(np.median(steps / lines)) if len(kept) > 1 else LONE_STEP_S
+    steps, lines = np.diff(stamps[kept]), np.diff(kept)
+    usual = float(np.median(steps / lines)) if len(kept) > 1 else LONE_STEP_NS
     squeezed = (lines > SQUEEZED_LINES) & (steps < 0.25 * usual * lines)
-    shift = np.concatenate([[0.0], np.cumsum(np.where(squeezed, usual * lines - steps, 0.0))])
-    repaired = np.interp(np.arange(len(stamps)), kept, stamps[kept] + shift)
-    before = np.arange(kept[0]) - kept[0]
-    after = np.arange(kept[-1] + 1, len(stamps)) - kept[-1]
-    repaired[: kept[0]] = repaired[kept[0]] + before * usual
-    repaired[kept[-1] + 1 :] = repaired[kept[-1]] + after * usual
-    return repaired - min(repaired[0], 0.0), len(stamps) - len(kept)
+    waits = np.where(squeezed, np.round(usual * lines).astype(np.int64) - steps, 0)
+    known = stamps[kept] + np.concatenate([[0], np.cumsum(waits)])
+    # one usual step a line before the first and after the last one kept
+    places = np.concatenate([[-1], kept, [len(stamps)]])
+    ends = (known[0] - (kept[0] + 1) * usual, known[-1] + (len(stamps) - kept[-1]) * usual)
+    offsets = np.concatenate([[ends[0]], known, [ends[1]]]) - known[0]
+    repaired = known[0] + np.round(np.interp(np.arange(len(stamps)), places, offsets)).astype(np.int64)
+    repaired[kept] = known
+    shifted: NDArray[np.int64] = repaired - min(int(repaired[0]), 0)
+    return shifted
 
 
-def _longest_increasing(values: NDArray[np.float64]) -> NDArray[np.int64]:
+def _longest_increasing(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Indices of a longest strictly increasing subsequence."""
-    ends: list[float] = []
+    ends: list[int] = []
     holders: list[int] = []
     before = np.full(len(values), -1, dtype=np.int64)
     for index, value in enumerate(values.tolist()):
