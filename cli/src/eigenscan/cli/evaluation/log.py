@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,8 +32,10 @@ class Heard:
 class Log:
     """All scans and odometry of a log; every lidar counts."""
 
-    def __init__(self, heard: list[Heard]) -> None:
+    def __init__(self, heard: list[Heard], logged: Mapping[int, int] | None = None) -> None:
         self._heard = heard
+        self.logged = logged or {}
+        """Stamp as logged, ns, of each scan that was given another one, by that one."""
         self._stamps = np.asarray([h.stamp for h in heard], dtype=np.int64)
         self._is_scan = np.asarray([h.envelope.channel == SCAN_RAW for h in heard], dtype=np.bool_)
 
@@ -90,4 +92,4 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
             heard.append(Heard(stamp_of(envelope), envelope))
             moved(opened.progress)
     moved(1.0)
-    return Log(heard)
+    return Log(heard, opened.logged)

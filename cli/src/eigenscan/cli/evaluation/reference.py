@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from functools import cached_property
@@ -52,6 +53,16 @@ class Trajectory:
         on_stamp = (clipped == self.stamps[left]) | (clipped == self.stamps[right])
         inside = np.abs(wanted - clipped) <= EDGE_S * NS
         return poses, inside & (on_stamp | still | (gap <= LONGEST_GAP_S * NS))
+
+    def restamped(self, logged: Mapping[int, int]) -> Trajectory:
+        """The same poses, where the log's scans were given other stamps than a reference made from it has.
+
+        `logged` is the stamp as logged, ns, of each such scan, by its new one.
+        """
+        given = {old: new for new, old in logged.items()}
+        stamps = np.asarray([given.get(stamp, stamp) for stamp in self.stamps.tolist()], dtype=np.int64)
+        unique, first = np.unique(stamps, return_index=True)
+        return Trajectory(unique, self.poses[first])
 
     def travelled(self, stamps: ArrayLike) -> NDArray[np.float64]:
         """Way (m,) in metres that was driven up to each stamp, ns, from the trajectory's start."""
