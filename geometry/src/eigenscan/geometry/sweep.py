@@ -129,36 +129,55 @@ def _sweep_one(x, y, what, leap, dx, dy, least, limit, unit, lanes, out):  # typ
     inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
     inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
     across_x, across_y, offset = -dy * LANES_PER_CELL, dx * LANES_PER_CELL, -least * LANES_PER_CELL
-    # a cell's extent across the direction, from its near corner
-    step_x, step_y = -1.0 if dx < 0.0 else 1.0, -1.0 if dy < 0.0 else 1.0
-    down = min(0.0, across_x * step_x) + min(0.0, across_y * step_y)
-    up = max(0.0, across_x * step_x) + max(0.0, across_y * step_y)
+    down, up = _extent(dx, dy)
     for i in range(len(x)):
         place = across_x * x[i] + across_y * y[i] + offset
         if what[i] < 0:
             for lane in range(int(place + down) + 1, int(place + up) + 1):
                 lanes[lane] = i
             continue
-        nearest, hit, doubtful = np.inf, -1, np.inf
-        for lane in range(int(place), int(place) + 2):
-            stop = lanes[lane]
-            if stop < 0:
-                continue
-            beside = place - (across_x * x[stop] + across_y * y[stop] + offset)
-            if down <= beside <= up:
-                far = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y)
-                if far < nearest:
-                    nearest, hit = far, stop
-            else:
-                # the ray passes this stop, which may hide in its lane one that the ray meets behind it
-                aside = (lane - place) / LANES_PER_CELL
-                to_x, to_y = x[stop] - x[i] + dy * aside, y[stop] - y[i] - dx * aside
-                doubtful = min(doubtful, max(to_x * inverse_x, to_y * inverse_y) - _DIAGONAL)
-        if doubtful < nearest:
-            nearest = trace(leap, x[i], y[i], dx, dy, limit, max(doubtful, 0.0))
-        elif hit >= 0 and what[hit] == DARK_VISIT:
-            nearest = np.inf
-        out[what[i]] = max(nearest, 0.0) * unit if nearest <= limit else np.inf
+        stop, other = lanes[int(place)], lanes[int(place) + 1]
+        if stop != other:
+            reached = _between(x, y, what, leap, dx, dy, i, place - int(place), stop, other, limit)
+        elif stop >= 0 and what[stop] == WALL_VISIT:
+            # what blocks both lanes blocks the ray between them
+            reached = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y, 0.0)
+        else:
+            reached = np.inf
+        out[what[i]] = reached * unit if reached <= limit else np.inf
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _extent(dx: float, dy: float) -> tuple[float, float]:
+    """Lanes that a cell reaches down and up from its near corner."""
+    aside_x = (dy if dx < 0.0 else -dy) * LANES_PER_CELL
+    aside_y = (-dx if dy < 0.0 else dx) * LANES_PER_CELL
+    return min(0.0, aside_x) + min(0.0, aside_y), max(0.0, aside_x) + max(0.0, aside_y)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _between(x, y, what, leap, dx, dy, i, share, low, high, limit):  # type: ignore[no-untyped-def]
+    """Cells from point `i` to the first wall; `share` of a lane above `low`'s lane, below `high`'s."""
+    inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
+    inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
+    down, up = _extent(dx, dy)
+    nearest, hit, doubtful = np.inf, -1, np.inf
+    for stop, lanes_aside in ((low, -share), (high, 1.0 - share)):
+        if stop < 0:
+            continue
+        to_x, to_y = x[stop] - x[i], y[stop] - y[i]
+        if down <= (dy * to_x - dx * to_y) * LANES_PER_CELL <= up:
+            reached = max(to_x * inverse_x, to_y * inverse_y)
+            if reached < nearest:
+                nearest, hit = reached, stop
+        else:
+            # the ray passes this stop, which may hide in its lane one that the ray meets behind it
+            aside = lanes_aside / LANES_PER_CELL
+            reached = max((to_x + dy * aside) * inverse_x, (to_y - dx * aside) * inverse_y)
+            doubtful = min(doubtful, reached - _DIAGONAL)
+    if doubtful < nearest:
+        return trace(leap, x[i], y[i], dx, dy, limit, max(doubtful, 0.0))
+    return max(nearest, 0.0) if hit >= 0 and what[hit] == WALL_VISIT else np.inf
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
