@@ -1,4 +1,4 @@
-"""A site's traffic made by hand: a robot that is lost, then in doubt, then knows, with the truth beside it."""
+"""A site's traffic made by hand: a robot is lost, then in doubt, then knows; the truth is beside it."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class Site:
         spread = self._random.uniform([0.5, 0.5, -3.1], [25.0, 11.5, 3.1], (number, 3))
         spread[0] = compose(true, self._random.normal(0, [0.05, 0.05, 0.01]))
         likelihood = np.concatenate([[8.0 * progress], -0.3 * np.arange(1, number)])
-        coefficients = self._random.normal(0, 8, (number, 4)) + [20, 0, 0, 0]
+        coefficients = self._random.normal([20, 0, 0, 0], 8, (number, 4))
         coefficients[0] = [20 + 5 * np.cos(true[2]), 5 * np.sin(true[2]), true[0] / 3, 0]
         return Hypotheses(
             timestamp=stamp(at),

@@ -6,7 +6,6 @@ import time
 
 from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import McapSink
-from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.recorder.settings import RecorderSettings
 from eigenscan.recorder.sink import Sink
 from eigenscan.runtime.node import main as run_node
@@ -22,6 +21,8 @@ def make_core(settings: RecorderSettings) -> RecorderCore:
         metadata = {SERVICE: {"settings": settings.model_dump_json()}}
         sinks.append(McapSink(settings.mcap, settings.site, time.time_ns, settings.flush_s, metadata))
     if settings.rrd is not None or settings.viewer_port is not None:
+        from eigenscan.recorder.rerun_sink import RerunSink
+
         picture = RerunSink(settings)
         if picture.url:
             print(f"viewer: {picture.url}", flush=True)

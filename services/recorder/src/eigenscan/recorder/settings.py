@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from eigenscan.runtime.settings import ServiceSettings
-from pydantic import Field
+from pydantic import Field, field_validator
 
 
 class RecorderSettings(ServiceSettings):
@@ -35,7 +36,6 @@ class RecorderSettings(ServiceSettings):
     )
     viewer_memory: str = Field(
         "256MB",
-        pattern=r"^\d+(\.\d+)?\s?([kMGT]i?B|%)$",
         description="memory for late joining viewers; the oldest is dropped beyond it",
     )
     picture_hz: float = Field(
@@ -45,3 +45,10 @@ class RecorderSettings(ServiceSettings):
         description="pictures per second and robot at most; plots and MCAP take everything",
     )
     plot_window_s: float = Field(120.0, gt=0, description="s of the past that the live time plots show")
+
+    @field_validator("viewer_memory")
+    @classmethod
+    def _is_size(cls, value: str) -> str:
+        if not re.fullmatch(r"\d+(\.\d+)?\s?([kMGT]i?B|%)", value):
+            raise ValueError("give a size such as 256MB or 1GiB, or a share of the memory such as 10%")
+        return value
