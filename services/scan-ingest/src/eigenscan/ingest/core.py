@@ -18,6 +18,7 @@ from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 RECENT = 50
 MAX_LIDARS = 4096
+FARTHEST = 1e5  # m; a limit beyond it is none
 
 
 @dataclass
@@ -142,12 +143,12 @@ class ScanIngestCore:
         return raw.mount, raw.upside_down
 
     def _limits(self, raw: RawScan) -> tuple[float, float]:
-        """Both limits, m; a maximum of 0 is not stated."""
+        """Both limits, m; a maximum of 0, infinity or the like is not stated."""
         settings = self._settings
         low = raw.range_min if settings.range_min is None else settings.range_min
         high = raw.range_max if settings.range_max is None else settings.range_max
-        low, high = max(low, 0.0), 0.0 if high == math.inf else high
-        if not (math.isfinite(low) and math.isfinite(high) and high >= 0.0) or 0.0 < high <= low:
+        low, high = max(low, 0.0), 0.0 if high > FARTHEST else high
+        if not (low < FARTHEST and high >= 0.0) or 0.0 < high <= low:
             raise ScanError("limits_inconsistent")
         return low, high
 

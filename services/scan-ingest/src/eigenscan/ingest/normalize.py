@@ -16,6 +16,8 @@ Ranges = NDArray[np.float32]
 
 TURN = 2.0 * math.pi
 
+SMALLEST_STEP = 1e-6  # rad; no lidar comes near it
+
 NO_RETURN_SHARE = 0.999
 """Share of the stated maximum from which a range is no return: drivers round their marker for it."""
 
@@ -52,9 +54,9 @@ def orient(sweep: Sweep, upside_down: bool) -> Sweep:
     count = len(ranges)
     if not (math.isfinite(first) and math.isfinite(step)):
         raise ScanError("angles_not_finite")
-    if step == 0.0:
+    if abs(step) < SMALLEST_STEP:
         raise ScanError("angle_increment_zero")
-    if (count - 1.5) * abs(step) > TURN:
+    if max(count - 1.5, 0.5) * abs(step) > TURN:
         raise ScanError("over_a_turn")
     if upside_down:
         first, step = -first, -step
@@ -110,7 +112,9 @@ def _grid(count: int, angle_min: float, own: float, step: float) -> _Grid:
     offset = (position - left) * own
     nearest = np.where(offset < 0.5 * apart, left, right)
     near = np.minimum(np.abs(offset), np.abs(apart - offset)) <= 0.5 * step * (1.0 + 1e-6)
-    inside = (offset >= 0.0) & (left != right) & (apart < 0.5 * math.pi)
+    # a beam's own direction keeps its range to the last bit
+    between = (offset > 1e-6 * own) & (apart - offset > 1e-6 * own)
+    inside = between & (left != right) & (apart < 0.5 * math.pi)
     chord = np.where(inside, apart, np.nan)
     sines = [np.sin(angle).astype(np.float32) for angle in (offset, apart - offset, chord)]
     start = first * step if first * step < math.pi else first * step - TURN

@@ -1,0 +1,271 @@
+import math
+from collections import Counter
+from collections.abc import Iterable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.runtime.settings import SettingsError, load
+from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from hypothesis import given
+from hypothesis import strategies as st
+
+ADDRESS = {"site": "s", "robot": "r", "lidar": "front"}
+SECOND = 1_000_000_000
+
+
+def raw(time: int = SECOND, **fields: object) -> RawScan:
+    given: dict[str, object] = {
+        "angle_min": -1.5,
+        "angle_increment": 0.01,
+        "range_min": 0.1,
+        "range_max": 30.0,
+        "ranges": [2.0] * 300,
+    }
+    return RawScan(timestamp=stamp(time), **(given | fields))  # type: ignore[arg-type]
+
+
+def core(**settings: object) -> ScanIngestCore:
+    return ScanIngestCore(ScanIngestSettings(**settings))  # type: ignore[arg-type]
+
+
+def heard(message: RawScan, lidar: str = "front", robot: str = "r") -> Envelope:
+    return Envelope(SCAN_RAW, ADDRESS | {"lidar": lidar, "robot": robot}, message)
+
+
+def scans(said: Iterable[Envelope]) -> list[Scan]:
+    return [envelope.open(Scan) for envelope in said]
+
+
+def one(ingest: ScanIngestCore, message: RawScan) -> Scan:
+    (scan,) = scans(ingest.handle(heard(message)))
+    return scan
+
+
+def aside(ingest: ScanIngestCore) -> dict[str, int]:
+    counters = ingest.condition().counters
+    return {
+        name.removeprefix("set_aside_"): n for name, n in counters.items() if name.startswith("set_aside")
+    }
+
+
+def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
+    ingest = core(base_frame="base_footprint")
+    mount = Pose2(x=0.2, y=-0.1, theta=0.5)
+    for number in range(3):
+        (said,) = ingest.handle(heard(raw((number + 1) * SECOND, mount=mount)))
+        assert said.channel is SCAN
+        assert said.key == "s/robot/r/scan/front"
+        scan = said.open(Scan)
+        assert (scan.sequence, scan.frame_id, scan.mount) == (number, "base_footprint", mount)
+        assert (scan.range_min, scan.range_max) == (0.1, 30.0)
+        assert nanoseconds(scan.timestamp) == (number + 1) * SECOND
+    assert ingest.condition().status == Health.STATUS_OK
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"ranges": []}, "no_beams"),
+        ({"ranges": [math.nan] * 300}, "no_valid_range"),
+        ({"ranges": [0.0] * 300}, "no_valid_range"),
+        ({"ranges": [1.0] * 2000, "angle_increment": 0.003}, "too_many_beams"),
+        ({"angle_increment": 0.0}, "angle_increment_zero"),
+        ({"angle_min": math.inf}, "angles_not_finite"),
+        ({"angle_increment": 1.0}, "over_a_turn"),
+        ({"mount": Pose2(x=math.nan)}, "mount_not_finite"),
+        ({"range_min": 5.0, "range_max": 2.0}, "limits_inconsistent"),
+        ({"range_max": math.nan}, "limits_inconsistent"),
+        ({"range_max": -1.0}, "limits_inconsistent"),
+    ],
+)
+def test_what_cannot_be_used_is_counted_by_reason(fields: dict[str, object], reason: str) -> None:
+    ingest = core(max_beams=1000)
+    assert not list(ingest.handle(heard(raw(**fields))))
+    assert aside(ingest) == {reason: 1}
+    assert ingest.condition().status == Health.STATUS_DEGRADED
+    # and it does not stand in the way of the next, of the same stamp
+    assert one(ingest, raw()).sequence == 0
+
+
+def test_another_message_on_its_key_is_counted() -> None:
+    ingest = core()
+    assert not list(ingest.handle(Envelope(ODOMETRY, ADDRESS, Odometry())))
+    assert aside(ingest) == {"other_message": 1}
+
+
+def test_duplicate_and_late_stamps_are_set_aside() -> None:
+    ingest = core()
+    times = [10, 12, 12, 11, 13, 5, 14]
+    said = [n for n in times for _ in ingest.handle(heard(raw(n * SECOND)))]
+    assert said == [10, 12, 13, 14]
+    assert aside(ingest) == {"duplicate_stamp": 1, "out_of_order": 2}
+
+
+def test_lidars_and_robots_do_not_disturb_each_other() -> None:
+    ingest = core()
+    for time in (3, 2, 1):
+        for robot in ("a", "b"):
+            lidar = f"lidar{time}"
+            (scan,) = scans(ingest.handle(heard(raw(time * SECOND), lidar, robot)))
+            assert scan.sequence == 0
+    assert ingest.condition().counters["lidars"] == 6
+
+
+def test_a_clock_that_was_set_back_is_followed_after_some_scans() -> None:
+    ingest = core(clock_step_scans=4)
+    times = [100, 101, 10, 11, 12, 13, 14]
+    said = [n for n in times for _ in ingest.handle(heard(raw(n * SECOND)))]
+    assert said == [100, 101, 13, 14]
+    assert ingest.condition().counters["clock_steps"] == 1
+
+
+def test_one_stamp_far_ahead_does_not_blind_for_ever() -> None:
+    ingest = core(clock_step_scans=5)
+    times = [1, 2, 2_000_000_000, *range(3, 20)]
+    said = [n for n in times for _ in ingest.handle(heard(raw(n * SECOND)))]
+    assert said == [1, 2, 2_000_000_000, *range(7, 20)]
+
+
+@given(st.lists(st.integers(1, 30), max_size=60))
+def test_stamps_increase_but_where_the_clock_stepped(times: list[int]) -> None:
+    ingest = core(clock_step_scans=3)
+    said = [nanoseconds(s.timestamp) for n in times for s in scans(ingest.handle(heard(raw(n * SECOND))))]
+    back = sum(b <= a for a, b in pairwise(said))
+    counters = ingest.condition().counters
+    assert back == counters.get("clock_steps", 0)
+    assert counters["heard"] == len(times) == len(said) + sum(aside(ingest).values())
+
+
+def test_it_says_when_most_is_set_aside_and_recovers() -> None:
+    ingest = core()
+    assert ingest.condition().status == Health.STATUS_WAITING
+    for number in range(1, 21):
+        list(ingest.handle(heard(raw(number * SECOND))))
+    for _ in range(30):
+        list(ingest.handle(heard(raw(20 * SECOND))))
+    condition = ingest.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert condition.detail == "30 of the last 50 scans set aside, most: duplicate_stamp"
+    for number in range(21, 50):
+        list(ingest.handle(heard(raw(number * SECOND))))
+    assert ingest.condition().status == Health.STATUS_OK
+
+
+def test_settings_win_over_the_driver() -> None:
+    ingest = core(
+        range_min=0.5,
+        range_max=8.0,
+        mounts={"front": {"x": 1.0, "y": 2.0, "yaw": 90.0, "upside_down": True}},
+    )
+    scan = one(ingest, raw(ranges=[0.3, 1.0, 7.0, 9.0], angle_min=0.0, angle_increment=0.1))
+    assert (scan.range_min, scan.range_max) == (0.5, 8.0)
+    np.testing.assert_allclose([scan.mount.x, scan.mount.y, scan.mount.theta], [1.0, 2.0, math.pi / 2])
+    # upside down: the first beam of the driver is the last, counter-clockwise
+    np.testing.assert_array_equal(list(scan.ranges), [math.inf, 7.0, 1.0, math.nan])
+    assert scan.angle_min == pytest.approx(-0.3)
+
+
+def test_a_mount_for_every_lidar_gives_way_to_one_by_name() -> None:
+    ingest = core(mounts={"*": {"x": 1.0}, "rear": {"x": -1.0}})
+    found = {
+        lidar: scans(ingest.handle(heard(raw(), lidar)))[0].mount.x for lidar in ("front", "rear", "side")
+    }
+    assert found == {"front": 1.0, "rear": -1.0, "side": 1.0}
+
+
+def test_an_infinite_maximum_is_not_stated() -> None:
+    scan = one(core(), raw(range_max=math.inf, ranges=[1.0, 70.0, math.inf]))
+    assert scan.range_max == 0.0
+    assert list(scan.ranges) == [1.0, 70.0, math.inf]
+
+
+def test_the_grid_of_the_settings_is_used() -> None:
+    scan = one(
+        core(angle_step=1.0), raw(angle_min=-math.pi, angle_increment=math.tau / 1440, ranges=[3.0] * 1440)
+    )
+    assert len(scan.ranges) == 360
+    assert scan.angle_increment == pytest.approx(math.radians(1.0))
+    np.testing.assert_allclose(list(scan.ranges), 3.0, rtol=1e-4)
+
+
+floats = st.floats(width=32)
+
+
+@given(
+    ranges=st.lists(floats, max_size=30),
+    angles=st.tuples(st.floats(), st.one_of(st.floats(), st.floats(-0.2, 0.2))),
+    limits=st.tuples(st.floats(), st.floats()),
+    pose=st.tuples(st.floats(), st.floats(), st.floats()),
+    upside_down=st.booleans(),
+    angle_step=st.one_of(st.none(), st.floats(0.05, 10.0)),
+)
+def test_whatever_comes_in_only_canonical_scans_go_out(
+    ranges: list[float],
+    angles: tuple[float, float],
+    limits: tuple[float, float],
+    pose: tuple[float, float, float],
+    upside_down: bool,
+    angle_step: float | None,
+) -> None:
+    ingest = core(angle_step=angle_step)
+    message = raw(
+        ranges=ranges,
+        angle_min=angles[0],
+        angle_increment=angles[1],
+        range_min=limits[0],
+        range_max=limits[1],
+        mount=Pose2(x=pose[0], y=pose[1], theta=pose[2]),
+        upside_down=upside_down,
+    )
+    said = scans(ingest.handle(heard(message)))
+    assert len(said) + sum(aside(ingest).values()) == 1
+    for scan in said:
+        got = np.array(scan.ranges[:], dtype=np.float32)
+        assert scan.angle_increment > 0
+        assert -math.pi <= scan.angle_min < math.pi
+        finite = got[np.isfinite(got)]
+        assert not np.isneginf(got).any()
+        assert (finite > 0).all()
+        # on a grid, the chord between two beams may lie a little nearer than both
+        assert (finite >= np.float32(scan.range_min) * (0.9 if angle_step else 1.0)).all()
+        assert scan.range_max == 0 or (finite <= np.float32(scan.range_max)).all()
+
+
+def test_the_same_input_gives_the_same_bytes() -> None:
+    rng = np.random.default_rng(1)
+    messages = [raw(n * SECOND, ranges=rng.uniform(0, 40, 400).tolist()) for n in range(1, 20)]
+    outputs = []
+    for _ in range(2):
+        ingest = core(angle_step=0.5)
+        outputs.append([s.SerializeToString() for m in messages for s in scans(ingest.handle(heard(m)))])
+    assert outputs[0] == outputs[1]
+    assert Counter(map(bool, outputs[0])) == {True: 19}
+
+
+def test_settings_are_read_from_flags() -> None:
+    flags = ["--angle-step", "0.5", "--mounts", '{"front": {"x": 0.2, "yaw": 180}}', "--range-max", "25"]
+    settings = load(ScanIngestSettings, "scan-ingest", flags)
+    assert settings.angle_step == 0.5
+    assert settings.mounts["front"].yaw == 180.0
+    assert settings.range_max == 25.0
+
+
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        (["--angle-step", "0"], "--angle-step = '0'"),
+        (["--mounts", '{"front": {"z": 1}}'], r"mounts\.front\.z"),
+        (["--range-min", "5", "--range-max", "2"], "range_min = 5.0 must be below range_max = 2.0"),
+    ],
+)
+def test_settings_that_do_not_hold_are_named(flags: list[str], named: str) -> None:
+    with pytest.raises(SettingsError, match=named):
+        load(ScanIngestSettings, "scan-ingest", flags)
