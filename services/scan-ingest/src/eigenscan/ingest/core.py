@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.ingest.normalize import Ranges, ScanError, Sweep, limit, orient, resample
+from eigenscan.ingest.normalize import FARTHEST, Ranges, ScanError, Sweep, limit, orient, resample
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
 from eigenscan.schemas.channels import SCAN, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
@@ -18,7 +18,6 @@ from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 RECENT = 50
 MAX_LIDARS = 4096
-FARTHEST = 1e5  # m; a limit beyond it is none
 
 
 @dataclass

@@ -18,6 +18,8 @@ TURN = 2.0 * math.pi
 
 SMALLEST_STEP = 1e-6  # rad; no lidar comes near it
 
+FARTHEST = 1e5  # m; a range or a limit beyond it is none
+
 NO_RETURN_SHARE = 0.999
 """Share of the stated maximum from which a range is no return: drivers round their marker for it."""
 
@@ -77,8 +79,7 @@ def limit(ranges: Ranges, range_min: float, range_max: float) -> Ranges:
     limited = ranges.astype(np.float32)
     with np.errstate(invalid="ignore"):
         missing = ~(limited >= np.float32(range_min)) | (limited <= 0.0)
-        if range_max > 0.0:
-            limited[limited >= np.float32(NO_RETURN_SHARE * range_max)] = np.inf
+        limited[limited >= np.float32(NO_RETURN_SHARE * range_max if range_max > 0.0 else FARTHEST)] = np.inf
     limited[missing] = np.nan
     return limited
 
