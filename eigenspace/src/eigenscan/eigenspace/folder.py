@@ -156,7 +156,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 def _read_region(path: Path, version: str) -> RegionModel:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             model = _from_arrays(file)
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error

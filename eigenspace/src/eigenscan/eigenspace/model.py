@@ -18,6 +18,7 @@ FORMAT = 1
 RANGE_UNIT = 0.002
 """m per step of a stored range; the farthest is 131 m."""
 NO_WALL = np.uint16(65535)
+_MOST_BEAMS = 65536
 _COMPRESSION = 1
 """zlib level: higher ones take four times as long to save an eighth."""
 
@@ -167,7 +168,7 @@ def _check(message: model_pb2.RegionModel) -> None:
     for field_name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
             raise ModelError(f"{name}: {field_name} = {value}: expected a number above 0")
-    if not 1 <= message.sensor.beams <= message.beams:
+    if not 1 <= message.sensor.beams <= message.beams <= _MOST_BEAMS:
         raise ModelError(f"{name}: a sensor of {message.sensor.beams} beams, panoramas of {message.beams}")
     if len(message.eigenvectors) != len(message.eigenvalues) * message.sensor.beams:
         raise ModelError(

@@ -1,0 +1,239 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
+from eigenscan.eigenspace.model import NO_WALL, RANGE_UNIT, ModelError, RegionModel, quantize, set_version
+from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from eigenscan.schemas import model_pb2
+from eigenscan.schemas.channels import MODEL
+from eigenscan.schemas.wire import decode, encode
+
+
+def model(region="hall", seed=0):
+    rng = np.random.default_rng(seed)
+    panoramas = rng.uniform(0.5, 30.0, (7, 48)).astype(np.float32)
+    panoramas[2, 5:9] = np.inf
+    sensor = Sensor.facing(np.pi, 2 * np.pi / 48)
+    index = np.column_stack([np.arange(7) - 3, np.arange(7) // 2]).astype(np.int32)
+    return RegionModel(
+        region=region,
+        frame_id="map",
+        spacing=0.25,
+        origin=np.array([-1.5, 2.0]),
+        index=index,
+        ranges=quantize(panoramas),
+        sensor=sensor,
+        range_cap=20.0,
+        space=analyse(RangeTransform(20.0)(panoramas), sensor.beams, count=4),
+        outline=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]),
+    )
+
+
+def same(a, b):
+    for field in dataclasses.fields(RegionModel):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if field.name == "space":
+            assert one.mean == other.mean
+            assert one.total_variance == other.total_variance
+            np.testing.assert_array_equal(one.vectors, other.vectors)
+            np.testing.assert_array_equal(one.eigenvalues, other.eigenvalues)
+        else:
+            np.testing.assert_array_equal(one, other)
+
+
+def test_a_model_comes_back_from_the_wire_as_it_went():
+    sent = model()
+    heard = RegionModel.from_message(decode(MODEL, encode(sent.to_message())))
+    same(sent, heard)
+    assert heard.version == sent.version
+    np.testing.assert_allclose(heard.positions[0], [-1.5 - 0.75, 2.0])
+
+
+def test_ranges_are_kept_to_half_a_step_and_no_wall_stays_none():
+    panoramas = np.array([[0.0, 0.0011, 12.3456, 131.0, 131.2, 500.0, np.inf]], dtype=np.float32)
+    steps = quantize(panoramas)
+    assert steps.tolist()[0][4:] == [NO_WALL] * 3
+    np.testing.assert_allclose(steps[0, :4] * RANGE_UNIT, panoramas[0, :4], atol=RANGE_UNIT / 2 + 1e-5)
+    kept = dataclasses.replace(model(), ranges=np.repeat(steps, 7, axis=0)).panoramas
+    assert np.isinf(kept[:, 4:]).all()
+    assert kept.dtype == np.float32
+
+
+def test_the_version_is_the_contents():
+    one = model()
+    assert model().version == one.version
+    changed = [
+        dataclasses.replace(one, region="other"),
+        dataclasses.replace(one, spacing=0.3),
+        dataclasses.replace(one, index=one.index + 1),
+        dataclasses.replace(one, ranges=one.ranges + np.uint16(1)),
+        dataclasses.replace(one, space=dataclasses.replace(one.space, mean=one.space.mean + 1e-9)),
+    ]
+    assert len({one.version, *(m.version for m in changed)}) == 6
+
+
+def test_another_compressor_does_not_make_another_version():
+    import zlib
+
+    message = model().to_message()
+    message.panoramas = zlib.compress(zlib.decompress(message.panoramas), 9)
+    assert RegionModel.from_message(message).version == message.version
+
+
+def broken(**changes):
+    message = model().to_message()
+    for name, value in changes.items():
+        field = getattr(message, name)
+        if hasattr(field, "extend"):
+            del field[:]
+            field.extend(value)
+        else:
+            setattr(message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("message", "says"),
+    [
+        (broken(format=2), "format 2"),
+        (broken(version="0" * 64), "claims"),
+        (broken(spacing=0.26), "claims"),
+        (broken(spacing=0.0), "spacing = 0"),
+        (broken(range_unit=float("nan")), "range_unit = nan"),
+        (broken(index_x=[], index_y=[]), "0 x and 0 y"),
+        (broken(index_x=[1, 2]), "2 x and 7 y"),
+        (broken(panoramas=model().to_message().panoramas[:-20]), "bytes of panoramas, expected 672"),
+        (broken(panoramas=b"rubbish"), "do not inflate"),
+        (broken(panoramas=b""), "0 bytes of panoramas"),
+        (broken(beams=24), "a sensor of 25 beams, panoramas of 24"),
+        (broken(beams=4_000_000_000), "panoramas of 4000000000"),
+        (broken(beams=50), "bytes of panoramas, expected 700"),
+        (broken(eigenvalues=[1.0]), "100 numbers for 1 eigenvectors"),
+        (broken(eigenvectors=[float("inf")] * 100), "not finite"),
+        (broken(mean=float("nan")), "not finite"),
+        (broken(outline_x=[1.0]), "1 x and 3 y"),
+        (model_pb2.RegionModel(), "format 0"),
+    ],
+)
+def test_a_broken_model_is_refused_with_what_is_wrong(message, says):
+    with pytest.raises(ModelError, match=says):
+        RegionModel.from_message(message)
+
+
+def test_a_payload_that_inflates_beyond_measure_is_refused_unread():
+    import zlib
+
+    bomb = zlib.compress(bytes(50_000_000), 9)
+    with pytest.raises(ModelError, match="673 bytes of panoramas, expected 672"):
+        RegionModel.from_message(broken(panoramas=bomb))
+
+
+def site():
+    cells = np.full((12, 15), FREE, dtype=np.uint8)
+    cells[0], cells[:, 3] = OCCUPIED, UNKNOWN
+    grid = GridMap(cells, 0.05, np.array([1.0, 2.0, 0.25]))
+    return SiteModel(grid, "floor2", (model("a"), model("b", 1)))
+
+
+def test_a_folder_comes_back_as_it_was_written(tmp_path):
+    folder = tmp_path / "deep" / "models"
+    write_models(site(), folder, b"a picture")
+    read = read_models(folder)
+    assert read.to_message() == site().to_message()
+    np.testing.assert_array_equal(read.grid.cells, site().grid.cells)
+    for one, other in zip(read.regions, site().regions, strict=True):
+        same(one, other)
+    assert (folder / "regions.png").read_bytes() == b"a picture"
+    assert sorted(p.name for p in folder.parent.iterdir()) == ["models"]
+
+
+def test_the_files_are_plain(tmp_path):
+    import json
+
+    write_models(site(), tmp_path / "m")
+    manifest = json.loads((tmp_path / "m/manifest.json").read_text())
+    assert [entry["region"] for entry in manifest["regions"]] == ["a", "b"]
+    with np.load(tmp_path / "m/regions/a.npz") as file:
+        np.testing.assert_array_equal(file["ranges"], model("a").ranges)
+
+
+def test_a_new_set_takes_the_place_of_an_old_one_and_nothing_elses(tmp_path):
+    write_models(site(), tmp_path / "m")
+    only = SiteModel(site().grid, "floor2", (model("c", 2),))
+    write_models(only, tmp_path / "m")
+    assert [m.region for m in read_models(tmp_path / "m").regions] == ["c"]
+    assert not (tmp_path / "m/regions/a.npz").exists()
+    (tmp_path / "papers").mkdir()
+    (tmp_path / "papers/thesis.txt").write_text("years of work")
+    with pytest.raises(ModelError, match="holds no models"):
+        write_models(only, tmp_path / "papers")
+    assert (tmp_path / "papers/thesis.txt").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ModelError, match="holds no models"):
+        write_models(only, tmp_path / "file")
+
+
+def test_a_write_that_fails_leaves_the_old_set(tmp_path, monkeypatch):
+    write_models(site(), tmp_path / "m")
+    before = read_models(tmp_path / "m").to_message()
+
+    def full(*_arguments, **_named):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(ModelError, match="No space left"):
+        write_models(SiteModel(site().grid, "floor2", (model("c", 2),)), tmp_path / "m")
+    assert read_models(tmp_path / "m").to_message() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["m"]
+
+
+def damage_text(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda m: (m / "manifest.json").unlink(), "manifest.json: cannot be read"),
+        (lambda m: (m / "manifest.json").write_text("{"), "is not JSON"),
+        (lambda m: (m / "manifest.json").write_text("[]"), "no manifest"),
+        (lambda m: (m / "manifest.json").write_text("{}"), "lacks 'layout'"),
+        (lambda m: damage_text(m / "manifest.json", '"layout": 1', '"layout": 9'), "layout 9"),
+        (lambda m: damage_text(m / "manifest.json", '"region": "a"', '"region": "../a"'), "region's name"),
+        (lambda m: damage_text(m / "manifest.json", '"region": "a"', '"region": "b"'), "not the version"),
+        (lambda m: (m / "regions/a.npz").unlink(), "a.npz: cannot be read"),
+        (lambda m: (m / "regions/a.npz").write_bytes(b"PK"), "a.npz"),
+        (
+            lambda m: (m / "regions/a.npz").write_bytes((m / "regions/a.npz").read_bytes()[:-300]),
+            "a.npz: is no region",
+        ),
+        (lambda m: np.savez(m / "regions/a.npz", region="a"), "a.npz: is no region"),
+        (lambda m: damage_text(m / "map.yaml", "0.05", "0.06"), "is not the map"),
+        (lambda m: (m / "map.pgm").unlink(), "map.pgm"),
+    ],
+)
+def test_a_damaged_folder_is_refused_with_the_file_and_what_is_wrong(tmp_path, damage, says):
+    folder = tmp_path / "m"
+    write_models(site(), folder)
+    damage(folder)
+    with pytest.raises(ModelError, match=says):
+        read_models(folder)
+
+
+def test_the_sets_version_is_that_of_its_map_and_models_in_order():
+    import hashlib
+
+    message = site().to_message()
+    text = "\n".join([message.map_version, *(entry.version for entry in message.entries)])
+    assert message.version == hashlib.sha256(text.encode()).hexdigest()
+    assert set_version("m", ["a", "b"]) != set_version("m", ["b", "a"])
+    assert [entry.size for entry in message.entries] == [
+        model("a").to_message().ByteSize(),
+        model("b", 1).to_message().ByteSize(),
+    ]

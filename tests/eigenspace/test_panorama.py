@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+from eigenscan.eigenspace.panorama import PAPER_SENSOR, Sensor, all_windows, resample, windows
+from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.geometry import raycast
+from eigenscan.geometry.circle import difference
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+
+
+def room():
+    cells = np.full((90, 140), FREE, dtype=np.uint8)
+    cells[[0, -1], :] = cells[:, [0, -1]] = OCCUPIED
+    cells[30:50, 90:100] = OCCUPIED
+    return GridMap(cells, 0.05, np.array([-1.0, 2.0, 0.3]))
+
+
+@pytest.mark.parametrize(
+    "sensor", [PAPER_SENSOR, Sensor(-2.1, np.deg2rad(1), 230), Sensor(0.4, np.deg2rad(2), 180)]
+)
+def test_a_window_is_what_the_sensor_sees_at_its_heading(sensor):
+    grid, point, turn = room(), np.array([0.7, 4.1]), sensor.turn
+    panorama = raycast.panoramas(grid, point[None], turn, 50.0)
+    for k in (0, 1, turn // 3, turn - 1):
+        heading = sensor.headings(turn)[k]
+        bearings = sensor.angle_min + np.arange(sensor.beams) * sensor.angle_increment
+        scan = raycast.cast(grid, [[*point, heading]], bearings, 50.0)
+        window = windows(panorama, [k], sensor.beams)
+        assert (np.abs(window - scan) < 1e-3).mean() > 0.99
+        assert sensor.window_of(heading, turn) == pytest.approx(k, abs=1e-6) or k == 0
+
+
+def test_headings_and_windows_are_each_others_inverse():
+    sensor = Sensor(-1.234, np.deg2rad(0.5), 400)
+    headings = sensor.headings(720)
+    back = sensor.window_of(headings, 720)
+    assert np.abs((back - np.arange(720) + 360) % 720 - 360).max() < 1e-6
+    assert ((headings >= -np.pi) & (headings < np.pi)).all()
+    assert np.abs(difference(headings[1:], headings[:-1]) - np.deg2rad(0.5)).max() < 1e-9
+
+
+def test_all_windows_are_the_rolled_panorama():
+    panorama = np.arange(24.0, dtype=np.float32).reshape(2, 12)
+    every = all_windows(panorama, 5)
+    assert every.shape == (2, 12, 5)
+    for k in range(12):
+        np.testing.assert_array_equal(every[:, k], np.roll(panorama, -k, axis=1)[:, :5])
+
+
+def test_the_papers_sensor():
+    assert PAPER_SENSOR.beams == 361
+    assert PAPER_SENSOR.turn == 720
+    assert Sensor.facing(2 * np.pi, np.deg2rad(0.5)).beams == 720
+
+
+@pytest.mark.parametrize("turn", [360, 1000, 1024, 1440, 719])
+def test_resampling_is_nearly_casting_at_the_other_step(turn):
+    grid, points = room(), np.array([[0.7, 4.1], [3.0, 4.6]])
+    fine = resample(raycast.panoramas(grid, points, 720, 50.0), turn)
+    cast = raycast.panoramas(grid, points, turn, 50.0)
+    # but beside the corners of the pillar, where the nearer of two walls in angle counts
+    assert (np.abs(fine - cast) < 0.06).mean() > 0.98
+
+
+def test_resampling_is_exact_on_a_straight_wall_and_keeps_no_wall():
+    angle = np.arange(720) * (2 * np.pi / 720)
+    with np.errstate(divide="ignore"):
+        wall = np.where(np.cos(angle) > 0.2, 3.0 / np.cos(angle), np.inf).astype(np.float32)
+    at = np.arange(1000) * (2 * np.pi / 1000)
+    inside = np.cos(at) > 0.22
+    np.testing.assert_allclose(resample(wall, 1000)[inside], (3.0 / np.cos(at))[inside], rtol=1e-4)
+    assert np.isinf(resample(wall, 1000)[np.cos(at) < 0.18]).all()
+    assert not np.isnan(resample(wall, 1000)).any()
+    assert resample(wall, 720) is wall
+
+
+@pytest.mark.parametrize("curve", ["range", "root", "log", "inverse"])
+def test_transforms_increase_clip_and_keep_what_is_missing(curve):
+    transform = RangeTransform(8.0, curve)
+    ranges = np.linspace(0, 12, 200)
+    values = transform(ranges)
+    assert (np.diff(values[ranges < 8]) > 0).all()
+    assert (values[ranges >= 8] == transform(8.0)).all()
+    assert transform(np.inf) == transform(8.0)
+    assert np.isnan(transform([np.nan])).all()
+
+
+def test_transforms_that_make_no_sense():
+    for cap in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="cap"):
+            RangeTransform(cap)
+    with pytest.raises(ValueError, match="curve"):
+        RangeTransform(5.0, "cube")
