@@ -7,7 +7,7 @@ import rerun as rr
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import HYPOTHESIS, OBSTACLE, TRACK, UNLIKELY, blend
-from eigenscan.recorder.picture.shapes import Array, arrows, lift
+from eigenscan.recorder.picture.shapes import Array, are_places, arrows, is_place, lift
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.tracking_pb2 import Tracks
@@ -44,7 +44,7 @@ class BeliefPicture:
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
         poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed]).reshape(-1, 3)
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
-        usable = np.isfinite(poses).all(axis=1)
+        usable = are_places(poses)
         poses, share = poses[usable], share[usable]
         self._canvas.style(path, _hypotheses_style)
         self._canvas.draw(
@@ -66,7 +66,7 @@ class BeliefPicture:
         ways, shares = [], []
         for track in message.tracks[:TRACKS_DRAWN]:
             way = np.array([[p.x, p.y] for p in (*track.history, track.pose)])
-            if np.all(np.isfinite(way)):
+            if is_place(way):
                 ways.append(lift(way, 0.03))
                 shares.append(track.probability)
         colours = blend(UNLIKELY, TRACK, np.array(shares), faintest=140)
@@ -85,7 +85,7 @@ class BeliefPicture:
             return
         number = min(len(message.map_x), len(message.map_y))
         points = np.column_stack([message.map_x[:number], message.map_y[:number]])
-        points = points[np.isfinite(points).all(axis=1)]
+        points = points[are_places(points)]
         self._canvas.style(path, _obstacles_style)
         self._canvas.draw(stamp, path, rr.Points3D(lift(points, 0.1)))
 

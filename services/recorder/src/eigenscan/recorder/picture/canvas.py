@@ -23,18 +23,22 @@ class Canvas:
         stream.set_log_tick_enabled(False)
         self.stream = stream
         self._styled: set[str] = set()
+        self._shown: set[str] = set()
         self.newest = 0
         """Stamp of the last thing drawn, ns since the epoch."""
 
     def draw(self, stamp: int, path: str, *things: Any) -> None:
         """Puts `things` at `path` from `stamp` on."""
         self.newest = stamp
+        self._shown.add(path)
         self.stream.set_time(TIMELINE, timestamp=np.datetime64(stamp, "ns"))
         self.stream.log(path, things[0], *things[1:])
 
     def clear(self, stamp: int, path: str) -> None:
-        """Takes away what is at `path` from `stamp` on."""
-        self.draw(stamp, path, rr.Clear(recursive=False))
+        """Takes away what is at `path` from `stamp` on, where there is something."""
+        if path in self._shown:
+            self.draw(stamp, path, rr.Clear(recursive=False))
+            self._shown.remove(path)
 
     def fix(self, path: str, *things: Any) -> None:
         """Puts `things` at `path` for all times."""

@@ -7,7 +7,7 @@ import rerun as rr
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
 from eigenscan.recorder.picture.canvas import Canvas
 from eigenscan.recorder.picture.palette import REGION
-from eigenscan.recorder.picture.shapes import lift
+from eigenscan.recorder.picture.shapes import is_place, lift
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.model_pb2 import RegionModel
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -30,7 +30,7 @@ class Floor:
             grid = from_message(heard.open(Grid))
         except MapError:
             return
-        if not grid.cells.size or not np.all(np.isfinite(grid.origin)):
+        if not grid.cells.size or not is_place(grid.origin):
             return
         height, width = grid.cells.shape
         corners = grid.to_map([[0, 0], [width, 0], [0, height], [width, height]])
@@ -54,8 +54,9 @@ class Floor:
     def draw_region(self, heard: Envelope) -> None:
         """The region's outline."""
         model = heard.open(RegionModel)
-        outline = np.column_stack([model.outline_x, model.outline_y])
-        if len(outline) < 3 or not np.all(np.isfinite(outline)):
+        corners = min(len(model.outline_x), len(model.outline_y))
+        outline = np.column_stack([model.outline_x[:corners], model.outline_y[:corners]])
+        if len(outline) < 3 or not is_place(outline):
             return
         closed = np.concatenate([outline, outline[:1]])
         self._canvas.fix(

@@ -10,7 +10,7 @@ from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.palette import LOCALIZED, LOST, OBSTACLE, TRUTH, Colour
-from eigenscan.recorder.picture.shapes import Array
+from eigenscan.recorder.picture.shapes import Array, is_place
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -67,7 +67,7 @@ class Plots:
         )
         belief.add(stamp, message.confidence, message.none_probability)
         pose = from_message(message.pose)
-        if message.track_id and np.all(np.isfinite(pose)):
+        if message.track_id and is_place(pose):
             self._open[robot].append((stamp, pose))
             self._settle(robot)
 
@@ -75,7 +75,7 @@ class Plots:
         """Keeps the true pose, and plots the errors that waited for it."""
         message, robot = heard.open(PoseInFrame), heard.address["robot"]
         stamp, pose = stamp_of(message.timestamp), from_pose3(message.pose)
-        if stamp is None or not np.all(np.isfinite(pose)):
+        if stamp is None or not is_place(pose):
             return
         known = self._truth[robot]
         if known and stamp <= known[-1][0]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from dataclasses import dataclass
 
-import numpy as np
 import rerun as rr
 from eigenscan.geometry.pose import covariance_from_message, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state_name
-from eigenscan.recorder.picture.shapes import Array, Array32, arrows, ellipse, lift, scan_points
+from eigenscan.recorder.picture.shapes import Array, Array32, arrows, ellipse, is_place, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -65,7 +64,7 @@ class RobotPicture:
             return
         self._state[robot] = message.state
         pose = from_message(message.pose)
-        if not message.track_id or not np.all(np.isfinite(pose)):
+        if not message.track_id or not is_place(pose):
             self._forget(robot, stamp)
             return
         self._draw_robot(robot, stamp, pose, message)
@@ -82,7 +81,7 @@ class RobotPicture:
         message = heard.open(PoseInFrame)
         stamp, robot = stamp_of(message.timestamp), heard.address["robot"]
         pose = from_pose3(message.pose)
-        if stamp is None or not np.all(np.isfinite(pose)) or not self._pace.due(f"truth/{robot}", stamp):
+        if stamp is None or not is_place(pose) or not self._pace.due(f"truth/{robot}", stamp):
             return
         path = f"world/robots/{robot}/truth"
         self._canvas.style(path, _truth_style)
@@ -102,7 +101,7 @@ class RobotPicture:
             rr.Points3D(disc, colors=[colour], labels=[label]),
         )
         covariance = covariance_from_message(message.covariance)
-        if np.all(np.isfinite(covariance)):
+        if is_place(covariance):
             outline = lift(ellipse(pose, covariance), 0.08)
             path = f"{path}/within_95_percent"
             self._canvas.style(path, _ellipse_style)

@@ -16,6 +16,19 @@ MAHALANOBIS_95 = 2.4477
 BARB = 0.28
 """Of an arrow, as a share of its length."""
 
+FARTHEST = 1e7
+"""No place on a map is farther from its origin, m."""
+
+
+def is_place(values: ArrayLike) -> bool:
+    """Whether all values are numbers that can be drawn."""
+    return bool(np.all(np.abs(np.asarray(values, dtype=np.float64)) < FARTHEST))
+
+
+def are_places(rows: Array) -> NDArray[np.bool_]:
+    """Which rows (n, k) can be drawn, (n,)."""
+    return np.asarray(np.all(np.abs(rows) < FARTHEST, axis=-1), dtype=np.bool_)
+
 
 def lift(points: ArrayLike, height: float) -> Array32:
     """Points (n, 2) as (n, 3) at `height`, m: what lies higher covers what lies lower."""
@@ -42,7 +55,7 @@ def scan_points(scan: Scan, base: ArrayLike) -> Array:
     """Ends of the beams that hit something, (n, 2), map frame, for the robot's base at `base` (3,)."""
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    hit = np.isfinite(ranges)
+    hit = np.abs(ranges) < FARTHEST
     ends = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[hit] * ranges[hit, None]
     return transform(compose(base, from_message(scan.mount)), ends)
 
