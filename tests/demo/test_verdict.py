@@ -57,9 +57,9 @@ def test_right_but_never_claimed_is_not_found() -> None:
     assert stretch.claims == 0
 
 
-def test_two_right_claims_are_not_enough_and_three_are() -> None:
-    assert not judge(_stretch((28, 1.0, False), (2, 0.1, True)), 0.0, 3.0).found
-    assert judge(_stretch((27, 1.0, False), (3, 0.1, True)), 0.0, 3.0).found
+def test_nine_right_claims_are_not_enough_and_ten_are() -> None:
+    assert not judge(_stretch((21, 1.0, False), (9, 0.1, True)), 0.0, 3.0).found
+    assert judge(_stretch((20, 1.0, False), (10, 0.1, True)), 0.0, 3.0).found
 
 
 def test_claims_that_ceased_long_before_the_end_do_not_count() -> None:

@@ -49,6 +49,9 @@ class Demonstration:
             stack.enter_context(self._line)
             session, zenoh = open_hub(folder)
             bus = stack.enter_context(Bus(session))
+            # declared before anybody listens: so this end knows of every listener by the first message
+            for key in self._stage.keys:
+                stack.enter_context(session.declare_publisher(key))
             supervisor = stack.enter_context(Supervisor(folder / "logs"))
             witness = Witness(bus, scenario.site)
             map_file = folder / "map.yaml"

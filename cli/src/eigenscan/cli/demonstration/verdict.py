@@ -13,8 +13,8 @@ NEAR_M = 0.5
 NEAR_RAD = np.deg2rad(10.0)
 """A pose within both of the truth is right (the protocol of evaluation)."""
 
-ENOUGH = 3
-"""Right poses in a row, up to the end, that make a robot found."""
+ENOUGH = 10
+"""Right poses in a row, up to the end, that make a robot found: no lucky guess lasts a second."""
 
 SILENCE_S = 2.0
 """A claim older than this at the end of a stretch does not count."""

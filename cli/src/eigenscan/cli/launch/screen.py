@@ -39,11 +39,11 @@ class StatusLine:
         if self.console.is_terminal:
             self._status.update(text)
         elif time.monotonic() >= self._due:
-            self._due = time.monotonic() + QUIET_PERIOD_S
             self.say(text)
 
     def say(self, text: str) -> None:
         """Prints a line that stays."""
+        self._due = time.monotonic() + QUIET_PERIOD_S
         self.console.print(text, markup=False, soft_wrap=True)
 
 

@@ -11,6 +11,9 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import decode
 
+AWAIT_MODEL = ("mapbuilder", "projector")
+"""The services that work once they have the model; the others wait for scans only."""
+
 
 class Witness:
     """Keeps the newest health of each service; gives each pose once."""
@@ -41,6 +44,6 @@ class Witness:
             health = self.health.get(service)
             if health is None:
                 lacking.append(service)
-            elif "model" in health.detail and health.status != Health.STATUS_OK:
+            elif service in AWAIT_MODEL and health.status == Health.STATUS_WAITING:
                 lacking.append(f"{service} ({health.detail})")
         return lacking

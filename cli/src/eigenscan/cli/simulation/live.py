@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterable
 from eigenscan.cli.simulation.stage import Timed
 from eigenscan.schemas.envelope import Envelope
 
+LATE_S = 0.05
+"""What may be caught up with; a longer delay stays."""
+
 
 def publish(
     messages: Iterable[Timed],
@@ -18,14 +21,16 @@ def publish(
 ) -> None:
     """Says each message when its time has come, `speed` times faster than real; until `stop` is set.
 
-    Nothing is skipped: where the machine is too slow, messages come late.
+    Nothing is skipped, and nothing is said in a burst: where the machine is too slow, all that follows
+    comes later.
     """
     stopped = stop or threading.Event()
-    begun: int | None = None
-    started = time.monotonic()
+    due: float | None = None
+    last = 0
     for timed in messages:
-        begun = timed.time if begun is None else begun
-        ahead = (timed.time - begun) * 1e-9 / speed - (time.monotonic() - started)
-        if stopped.wait(ahead) if ahead > 0 else stopped.is_set():
+        now = time.monotonic()
+        due = now if due is None else max(due + (timed.time - last) * 1e-9 / speed, now - LATE_S)
+        last = timed.time
+        if stopped.wait(due - now) if due > now else stopped.is_set():
             return
         say(timed.envelope)

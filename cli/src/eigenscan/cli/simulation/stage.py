@@ -77,6 +77,7 @@ class Stage:
         route, people, wheels, self._beams_seed = seeds
         self._planner = plan(grid, scenario.drive.radius)
         self._walls = RayCaster.of(grid)
+        self._walls.cast(np.zeros(3), np.zeros(1), 1.0)  # compiled now, not at the first scan
         self._walkers = draw_walkers(self._planner, scenario.people, np.random.default_rng(people))
         self.poses, self.jumps = self._drive(np.random.default_rng(route))
         self.odometry = odometry(self.poses, self.jumps, scenario.odometry, np.random.default_rng(wheels))
@@ -131,6 +132,11 @@ class Stage:
             if tick in scans:
                 yield Timed(time, self._say_truth(tick, time))
                 yield Timed(time, self._say_scan(tick, time, random))
+
+    @property
+    def keys(self) -> list[str]:
+        """Every key that messages are said on."""
+        return [channel.key(self._address) for channel in (ODOMETRY, SCAN_RAW, TRUTH)]
 
     @property
     def _address(self) -> dict[str, str]:
