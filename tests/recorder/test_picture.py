@@ -296,7 +296,7 @@ def test_whatever_decodes_can_be_drawn(tmp_path: Path) -> None:
     sound.append(
         Envelope(MAP, ADDRESS, grid_message(GridMap(np.zeros((4, 4), np.uint8), 0.1, np.zeros(3)), "map"))
     )
-    broken = [damaged(dice.choice(sound), dice) for _ in range(1500)]
+    broken = [damaged(dice.choice(sound), dice) for _ in range(3000)]
     empty = [Envelope(channel, sound[0].address, channel.message()) for channel in CHANNELS]
     draw(tmp_path / "a.rrd", [*empty, *(message for message in broken if message), *sound])
     assert "/world/robots/r1/tracks" in entities(tmp_path / "a.rrd")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import rerun as rr
 from eigenscan.recorder.picture.beams import BeamsPicture
 from eigenscan.recorder.picture.belief import BeliefPicture
@@ -70,8 +71,9 @@ class Picture:
 
     def draw(self, heard: Envelope) -> None:
         """Draws one message; channels without a picture are left out."""
-        for draw in self._drawn_by.get(heard.channel, ()):
-            draw(heard)
+        with np.errstate(all="ignore"):  # what is no number is left out by each drawer
+            for draw in self._drawn_by.get(heard.channel, ()):
+                draw(heard)
 
     def finish(self) -> None:
         """Draws what was held back."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,9 +81,10 @@ def _state_styles() -> rr.StateConfiguration:
 def _line(robot: str, message: PoseEstimate) -> Line:
     name = state_name(message.state)
     colour = STATE_COLOURS.get(message.state, SILENT)
-    if not message.track_id or not np.isfinite(message.confidence):
+    if not message.track_id or math.isnan(message.confidence):
         return Line(colour, f"{robot}: {name}", ADVICE[name])
-    return Line(colour, f"{robot}: {name}   {5 * round(20 * message.confidence)} % sure", ADVICE[name])
+    percent = 5 * round(20 * min(max(message.confidence, 0.0), 1.0))
+    return Line(colour, f"{robot}: {name}   {percent} % sure", ADVICE[name])
 
 
 def _board(lines: list[Line]) -> rr.Image:
