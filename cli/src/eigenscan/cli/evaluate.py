@@ -30,6 +30,9 @@ def evaluate(
         bool, typer.Option("--kidnap", help="also jump to another window in the middle of each")
     ] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="write all figures here")] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="write every pose of every window here, CSV; exact to the last bit")
+    ] = None,
     spacing: Annotated[float, typer.Option(min=0.05, max=2.0, help="grid of positions, m")] = 0.25,
     skip: Annotated[list[str] | None, typer.Option(help=f"leave out one of: {', '.join(PARTS)}")] = None,
     limit: Annotated[
@@ -81,12 +84,13 @@ def evaluate(
         offset_s=reference_offset,
         limit=limit,
         jobs=jobs,
+        poses=poses,
         options=LogOptions(lidars=tuple(lidar or ()), odometry=odometry),
     )
-    if json_file:
-        # an unwritable file is an error now, not after the work
-        json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.touch()
+    for file in (json_file, poses):
+        if file:  # an unwritable file is an error now, not after the work
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.touch()
     with Bars() as bars:
         figures = run(task, bars)
     if json_file:

@@ -49,6 +49,7 @@ class Task:
     offset_s: float
     limit: int | None
     jobs: int
+    poses: Path | None
     options: LogOptions
 
 
@@ -58,6 +59,7 @@ def evaluate(task: Task, bars: Bars) -> Figures:
     windows = read_windows(task.windows, task.offset_s) if task.windows else None
     times = read_times(task.single_scans, task.offset_s) if task.single_scans else None
     log = read_log(task.log, task.options, bars.start_share("log"))
+    reference = reference.restamped(log.logged)
     _check_overlap(task, log, reference)
     if windows is None:
         windows = plan_windows(log.scans, reference)
@@ -80,7 +82,7 @@ def _figures(
         )
     figures = windows_figures([], []) | {"cpu_ms_per_scan": {"median": None, "p99": None}, "per_window": []}
     if "windows" not in task.skip:
-        figures = global_localization(bench, windows)
+        figures = global_localization(bench, windows, task.poses)
     kidnap = kidnapping(bench, windows) if task.kidnap else None
     peak = _peak_mb(task.jobs)
     single = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ from eigenscan.cli.evaluation.figures import (
 from eigenscan.cli.evaluation.kidnap import outcome, plan, splice
 from eigenscan.cli.evaluation.log import Log
 from eigenscan.cli.evaluation.metrics import AT_LEAST, errors, judge, right, summary
+from eigenscan.cli.evaluation.poses import write_poses
 from eigenscan.cli.evaluation.reference import NS, Trajectory
 from eigenscan.cli.evaluation.windows import Window
 from eigenscan.cli.evaluation.workers import Workers
@@ -61,16 +63,19 @@ def judgeable(bench: Bench, windows: Iterable[Window]) -> list[Window]:
     ]
 
 
-def global_localization(bench: Bench, windows: Sequence[Window]) -> Figures:
-    """Cold starts at each window."""
+def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | None = None) -> Figures:
+    """Cold starts at each window; `poses`: a file for all that was said."""
     advance = bench.progress("windows", len(windows))
-    judged, rows, cpu = [], [], []
+    judged, rows, cpu, streams = [], [], [], []
     runs = bench.workers.runs(bench.log.between(window) for window in windows)
     for window, run in zip(windows, runs, strict=True):
         judged.append(judge(run.stream, bench.reference))
         rows.append(window_row(window, judged[-1], run.cpu_ms))
         cpu.append(run.cpu_ms)
+        streams.append(run.stream)
         advance()
+    if poses:
+        write_poses(poses, streams)
     return windows_figures(judged, rows) | {
         "cpu_ms_per_scan": summary(np.concatenate([np.empty(0), *cpu]), 99),
         "per_window": rows,

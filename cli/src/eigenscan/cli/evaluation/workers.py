@@ -28,7 +28,7 @@ class Worker:
         envelopes = list(unpack(models))
         before = psutil.Process().memory_info().rss
         self._pipeline = Pipeline(envelopes)
-        self._pipeline.run(unpack(warm_up))
+        self._pipeline.warm_up(unpack(warm_up))
         self.model_mb = (psutil.Process().memory_info().rss - before) / 1e6
 
     def run(self, heard: Packed) -> Run:

@@ -1,0 +1,121 @@
+"""Global localization on every log with a map: one table, one JSON.
+
+    .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--kidnap] [--json OUT]
+
+The datasets are not part of the project; by default they are looked for beside it.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+EIGENSCAN = Path(sys.executable).parent / "eigenscan"
+DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log on one map; `own`: windows and single scans lie beside it."""
+
+    name: str
+    folder: str
+    log: str
+    reference: str
+    own: bool = False
+
+
+CASES = (
+    Case("intel", "intel", "log.clf.gz", "log.tum", own=True),
+    Case("fr079", "fr079", "log.clf.gz", "log.tum", own=True),
+    Case("jarvis", "jarvis", "jarvis_complex_path_fast.bag", "jarvis_complex_path_fast.tum"),
+    Case("guardian 3", "guardian", "guardian_3.bag", "guardian_3.tum"),
+    Case("guardian 2", "guardian", "guardian_controller_2.bag", "guardian_controller_2.tum"),
+    Case("olin", "olin_mac", "rosbag2", "rosbag2.tum"),
+)
+# jarvis's circular run made its map: it would judge nothing
+
+COLUMNS = (
+    ("windows", "windows", "{:d}", 1),
+    ("success %", "success_rate", "{:.0f}", 100),
+    ("false %", "false_claim_rate", "{:.0f}", 100),
+    ("scans", "to_localize.scans.median", "{:.0f}", 1),
+    ("p95", "to_localize.scans.p95", "{:.0f}", 1),
+    ("metres", "to_localize.metres.median", "{:.1f}", 1),
+    ("cm", "error.position_m.median", "{:.1f}", 100),
+    ("deg", "error.heading_deg.median", "{:.2f}", 1),
+    ("calib. %", "calibration_error", "{:.1f}", 100),
+    ("ms", "cpu_ms_per_scan.median", "{:.1f}", 1),
+    ("p99", "cpu_ms_per_scan.p99", "{:.1f}", 1),
+    ("top1 %", "single_scan.top1", "{:.0f}", 100),
+    ("listed %", "single_scan.in_list", "{:.0f}", 100),
+    ("one ms", "single_scan.cpu_ms.median", "{:.1f}", 1),
+    ("exh. %", "single_scan.exhaustive_top1", "{:.0f}", 100),
+    ("exh. ms", "single_scan.exhaustive_cpu_ms.median", "{:.0f}", 1),
+    ("noticed s", "kidnap.noticed_s.median", "{:.1f}", 1),
+    ("found %", "kidnap.recovered_rate", "{:.0f}", 100),
+    ("MB", "peak_rss_mb", "{:.0f}", 1),
+)
+
+
+def main() -> None:
+    options = _options()
+    found: dict[str, Any] = {}
+    for case in CASES:
+        folder = options.datasets / case.folder
+        if case.folder in (options.only or [case.folder]) and (folder / "map.yaml").exists():
+            found[case.name] = _evaluate(case, folder, options)
+    print(_table(found))
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--datasets", type=Path, default=DATASETS, help="folder that holds the datasets")
+    parser.add_argument("--only", action="append", help="folder of one dataset; may be given again")
+    parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
+    parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
+    parser.add_argument("--limit", type=int, help="at most so many windows and single scans")
+    parser.add_argument("--json", type=Path, help="write all figures here")
+    return parser.parse_args()
+
+
+def _evaluate(case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "figures.json"
+        command: list[str | Path] = [EIGENSCAN, "evaluate", "--log", folder / case.log]
+        command += ["--map", folder / "map.yaml", "--ground-truth", folder / case.reference]
+        command += ["--json", out, "--jobs", str(options.jobs)]
+        if case.own:
+            command += ["--windows", folder / "windows.csv", "--single-scans", folder / "single_scans.csv"]
+        command += ["--kidnap"] if options.kidnap else []
+        command += ["--limit", str(options.limit)] if options.limit else []
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        figures: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+        return figures
+
+
+def _table(found: dict[str, Any]) -> str:
+    rows = [["log", *(title for title, *_ in COLUMNS)]]
+    for name, figures in found.items():
+        rows.append([name, *(_cell(figures, path, form, scale) for _, path, form, scale in COLUMNS)])
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
+def _cell(figures: dict[str, Any], path: str, form: str, scale: float) -> str:
+    value: Any = figures
+    for name in path.split("."):
+        value = value.get(name) if isinstance(value, dict) else None
+    return "-" if value is None else form.format(value * scale)
+
+
+if __name__ == "__main__":
+    main()

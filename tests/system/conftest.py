@@ -1,0 +1,76 @@
+"""A real drive as a recording, and a site to play it into."""
+
+import json
+import os
+import socket
+import subprocess
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+from eigenscan.cli.importers import open_log, stamp_of
+from eigenscan.runtime.recording import RecordingWriter
+
+from tests.system.house import (
+    BEGIN_S,
+    INTEL,
+    LENGTH_S,
+    ONE_THREAD,
+    PATIENCE_S,
+    PROGRAMS,
+    SPACING,
+    Drive,
+    Ear,
+    House,
+)
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    folder = tmp_path_factory.mktemp("drive")
+    taken = []
+    with RecordingWriter(folder / "intel.mcap") as writer:
+        for envelope in open_log(INTEL / "log.clf.gz").envelopes():
+            at = stamp_of(envelope) * 1e-9 - BEGIN_S
+            if at > LENGTH_S:
+                break
+            if at >= 0.0:
+                writer.write(envelope, stamp_of(envelope))
+                taken.append(envelope)
+    return Drive(folder / "intel.mcap", INTEL / "map.yaml", taken)
+
+
+@pytest.fixture(scope="session")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The models of the drive's map, built once."""
+    folder = tmp_path_factory.mktemp("models") / "intel"
+    subprocess.run(
+        [PROGRAMS / "eigenscan", "build", INTEL / "map.yaml", "-o", folder, "--spacing", str(SPACING)],
+        check=True,
+        capture_output=True,
+        env=os.environ | ONE_THREAD,
+    )
+    return folder
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> Iterator[House]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+    alone = {"scouting": {"multicast": {"enabled": False}}}
+    leaf = tmp_path / "leaf.json5"
+    leaf.write_text(json.dumps(alone | {"mode": "client", "connect": {"endpoints": [endpoint]}}))
+    router = zenoh.Config.from_json5(
+        json.dumps(alone | {"mode": "router", "listen": {"endpoints": [endpoint]}})
+    )
+    site = f"test-{uuid.uuid4().hex[:12]}"
+    with zenoh.open(router) as session:
+        ear = Ear()
+        session.declare_subscriber(f"{site}/**", ear.on_sample)
+        house = House(site, leaf, session, ear, tmp_path)
+        yield house
+        for process in house.running.values():
+            process.kill()
+            process.wait(PATIENCE_S)

@@ -1,0 +1,148 @@
+"""The services as processes on a router of their own, and what they are heard to say."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import zenoh
+from eigenscan.schemas.channels import HEALTH, find
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.wire import decode
+
+T = TypeVar("T")
+
+INTEL = Path(__file__).parents[2].parent / "shared/datasets/intel"
+BEGIN_S, LENGTH_S = 1_000_000_180.0, 30.0
+SPACING = 0.5
+PROGRAMS = Path(sys.executable).parent
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+PATIENCE_S = 90.0
+"""What a step may take on a machine that is busy; nothing is judged by time but what says so."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A stretch of a real log as a recording."""
+
+    recording: Path
+    map: Path
+    envelopes: list[Envelope]
+
+
+@dataclass
+class Ear:
+    """Everything of a site that its own keys carry, in order of arrival."""
+
+    heard: list[Envelope] = field(default_factory=list)
+    news: threading.Condition = field(default_factory=threading.Condition)
+
+    def on_sample(self, sample: zenoh.Sample) -> None:
+        found = find(str(sample.key_expr))
+        if found is None:
+            return
+        try:
+            message = decode(found[0], sample.payload.to_bytes(), str(sample.encoding))
+        except ValueError:
+            return
+        with self.news:
+            self.heard.append(Envelope(found[0], found[1], message))
+            self.news.notify_all()
+
+    def wait_for(self, what: Callable[[list[Envelope]], T], about: str) -> T:
+        """What `what` makes of all that was heard, as soon as it is true."""
+        with self.news:
+            result = self.news.wait_for(lambda: what(self.heard), PATIENCE_S)
+        assert result, f"waited {PATIENCE_S:.0f} s in vain for {about}"
+        return result
+
+    def of(self, channel: object, message: type[T]) -> list[T]:
+        """The messages of one channel so far."""
+        with self.news:
+            return [e.message for e in self.heard if e.channel is channel and isinstance(e.message, message)]
+
+    def health(self, service: str) -> Health | None:
+        """The newest word of a service on itself."""
+        with self.news:
+            return next(
+                (
+                    e.open(Health)
+                    for e in reversed(self.heard)
+                    if e.channel is HEALTH and e.address["service"] == service
+                ),
+                None,
+            )
+
+
+@dataclass
+class House:
+    """A site with a router in this process; services are started into it one by one."""
+
+    site: str
+    config: Path
+    session: zenoh.Session
+    ear: Ear
+    logs: Path
+    running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    def start(self, service: str, *flags: object) -> None:
+        """Starts a service and waits until it says how it is."""
+        before = self._words(service)
+        clean = {name: value for name, value in os.environ.items() if not name.startswith("EIGENSCAN_")}
+        with (self.logs / f"{service}.log").open("ab") as log:
+            self.running[service] = subprocess.Popen(
+                [PROGRAMS / f"eigenscan-{service}", "--site", self.site, "--zenoh", self.config]
+                + [str(flag) for flag in flags],
+                stdout=log,
+                stderr=log,
+                env=clean | ONE_THREAD,
+            )
+        self.ear.wait_for(lambda _: self._words(service) > before, f"{service} to speak\n{self.log(service)}")
+
+    def _words(self, service: str) -> int:
+        return sum(e.channel is HEALTH and e.address["service"] == service for e in self.ear.heard)
+
+    def until(self, service: str, holds: Callable[[Health], bool], about: str) -> Health:
+        """The first word of a service on itself that `holds`."""
+
+        def check(_: list[Envelope]) -> Health | None:
+            health = self.ear.health(service)
+            return health if health is not None and holds(health) else None
+
+        found = self.ear.wait_for(check, f"{service}: {about}")
+        assert found is not None
+        return found
+
+    def terminate(self, service: str) -> tuple[int, float]:
+        """Ends a service as an operating system does; its exit code and the seconds that it took."""
+        process = self.running.pop(service)
+        before = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        return process.wait(PATIENCE_S), time.monotonic() - before
+
+    def kill(self, service: str) -> None:
+        """Ends a service without warning."""
+        process = self.running.pop(service)
+        process.kill()
+        process.wait(PATIENCE_S)
+
+    def log(self, service: str) -> str:
+        return (self.logs / f"{service}.log").read_text(errors="replace")[-2000:]
+
+    def replay(self, recording: Path, *flags: object) -> None:
+        """Plays a recording into the site, from its start to its end."""
+        done = subprocess.run(
+            [PROGRAMS / "eigenscan", "replay", recording, "--site", self.site, "--zenoh", self.config]
+            + [str(flag) for flag in flags],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr

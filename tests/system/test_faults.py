@@ -1,0 +1,168 @@
+"""What goes wrong on a site: services that end, come late or hear nonsense."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+from eigenscan.schemas.channels import HYPOTHESES, MODEL_SET, ODOMETRY, POSE, SCAN, SCAN_RAW, Channel
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.wire import encode, encoding
+
+from tests.system.house import Drive, House
+
+STOPS_WITHIN_S = 2.0
+ORDER = ("recorder", "mapbuilder", "projector", "tracker", "scan-ingest")
+
+
+def start_all(house: House, models: Path) -> None:
+    house.start("recorder", "--mcap", house.logs / "site.mcap")
+    house.start("mapbuilder", "--model", models)
+    for service in ("projector", "tracker", "scan-ingest"):
+        house.start(service)
+    house.until("projector", ready, "has models")
+
+
+def ready(health: Health) -> bool:
+    return health.status == Health.STATUS_OK
+
+
+def say(house: House, channel: Channel, message: object, **address: str) -> None:
+    """One message from a stranger on a key of the site."""
+    envelope = Envelope(channel, {"site": house.site, "robot": "robot", **address}, message)  # type: ignore[arg-type]
+    house.session.put(envelope.key, encode(envelope.message), encoding=zenoh.Encoding(encoding(channel)))
+
+
+def scans_of(drive: Drive, count: int) -> list[RawScan]:
+    return [e.open(RawScan) for e in drive.envelopes if e.channel is SCAN_RAW][:count]
+
+
+@pytest.mark.dataset
+def test_every_service_ends_within_two_seconds_of_sigterm(drive: Drive, models: Path, house: House) -> None:
+    start_all(house, models)
+    for scan in scans_of(drive, 5):
+        say(house, SCAN_RAW, scan, lidar="front")
+    house.ear.wait_for(lambda heard: any(e.channel is HYPOTHESES for e in heard), "hypotheses")
+    for service in ORDER:
+        code, took = house.terminate(service)
+        assert code == 0, f"{service}\n{house.log(service)}"
+        assert took < STOPS_WITHIN_S, f"{service} took {took:.2f} s"
+
+
+@pytest.mark.dataset
+def test_a_projector_that_comes_last_gets_the_models_and_answers(
+    drive: Drive, models: Path, house: House
+) -> None:
+    house.start("mapbuilder", "--model", models)
+    house.until("mapbuilder", ready, "has said its models")
+    house.start("projector")
+    house.until("projector", ready, "has models")
+    (version,) = {message.version for message in house.ear.of(MODEL_SET, MODEL_SET.message)}
+    house.start("scan-ingest")
+    say(house, SCAN_RAW, scans_of(drive, 1)[0], lidar="front")
+    house.ear.wait_for(lambda heard: any(e.channel is HYPOTHESES for e in heard), "hypotheses")
+    (answer,) = house.ear.of(HYPOTHESES, Hypotheses)
+    assert answer.model_version == version
+    assert answer.hypotheses
+
+
+@pytest.mark.dataset
+@pytest.mark.parametrize("victim", ["scan-ingest", "projector", "tracker", "mapbuilder"])
+def test_a_killed_service_that_is_started_again_goes_on(
+    drive: Drive, models: Path, house: House, victim: str
+) -> None:
+    start_all(house, models)
+    scans = scans_of(drive, 40)
+    for scan in scans[:5]:
+        say(house, SCAN_RAW, scan, lidar="front")
+    last_before = nanoseconds(scans[4].timestamp)
+    house.ear.wait_for(lambda _: last_pose(house) >= last_before, "a pose of each scan")
+    house.kill(victim)
+    say(house, SCAN_RAW, scans[5], lidar="front")
+    house.start(victim, *(("--model", models) if victim == "mapbuilder" else ()))
+    house.until("projector", ready, "has models")
+    for scan in scans[6:]:
+        say(house, SCAN_RAW, scan, lidar="front")
+    house.ear.wait_for(lambda _: last_pose(house) >= nanoseconds(scans[-4].timestamp), "poses again")
+    for service in ORDER:
+        assert house.running[service].poll() is None, f"{service} ended\n{house.log(service)}"
+
+
+def last_pose(house: House) -> int:
+    said = house.ear.of(POSE, PoseEstimate)
+    return max((nanoseconds(pose.timestamp) for pose in said), default=0)
+
+
+@pytest.mark.dataset
+def test_nonsense_is_counted_and_harms_nobody(drive: Drive, models: Path, house: House) -> None:
+    start_all(house, models)
+    true_scan = scans_of(drive, 1)[0]
+    keys = {
+        SCAN_RAW: f"{house.site}/robot/robot/scan/raw/front",
+        SCAN: f"{house.site}/robot/robot/scan/front",
+        HYPOTHESES: f"{house.site}/robot/robot/hypotheses/front/0",
+        ODOMETRY: f"{house.site}/robot/robot/odom",
+    }
+    for channel, key in keys.items():
+        # bytes that are no message, another version of the contract, another schema
+        house.session.put(key, b"\xff\xff\xff\x01nonsense", encoding=zenoh.Encoding(encoding(channel)))
+        newer = encoding(channel).rpartition("/")[0] + "/99"
+        house.session.put(key, encode(true_scan), encoding=zenoh.Encoding(newer))
+        other = zenoh.Encoding("application/protobuf;eigenscan.Nothing/1")
+        house.session.put(key, encode(true_scan), encoding=other)
+    house.session.put(f"{house.site}/robot/robot/nobody/knows", b"x")
+    house.session.put(f"{house.site}/robot/robot/scan/raw/a/b/c", b"x")
+    for service in ("scan-ingest", "projector", "tracker"):
+        house.until(
+            service, lambda health: health.counters["undecodable"] >= 3, "counts what does not decode"
+        )
+    house.until("recorder", lambda health: health.counters["dropped_foreign_key"] >= 2, "counts foreign keys")
+
+    start = nanoseconds(true_scan.timestamp)
+    for number, ranges in enumerate(([], [np.nan] * 180, [np.inf] * 180, [0.0] * 180, [-1.0] * 180)):
+        empty = RawScan()
+        empty.CopyFrom(true_scan)
+        empty.timestamp.CopyFrom(stamp(start + number * 100_000_000))
+        empty.ranges[:] = ranges
+        say(house, SCAN_RAW, empty, lidar="front")
+        say(house, SCAN, as_canonical(empty), lidar="other")
+    refused = ("set_aside_no_beams", "set_aside_no_valid_range")
+    house.until(
+        "scan-ingest", lambda health: all(health.counters[name] for name in refused), "sets scans aside"
+    )
+    house.until("projector", lambda health: health.counters["heard_scan"] >= 5, "hears the empty scans")
+
+    last = start + 10_000_000_000
+    true_scan.timestamp.CopyFrom(stamp(last))
+    say(house, SCAN_RAW, true_scan, lidar="front")
+    say(house, SCAN_RAW, later(true_scan, 5), lidar="front")
+    house.ear.wait_for(lambda _: last_pose(house) >= last, "a pose after all that")
+    for service in ORDER:
+        assert house.running[service].poll() is None, f"{service} ended\n{house.log(service)}"
+    blind = [pose for pose in house.ear.of(POSE, PoseEstimate) if nanoseconds(pose.timestamp) < last]
+    assert all(pose.state != STATE_LOCALIZED for pose in blind)
+    assert all(
+        np.isfinite([pose.pose.x, pose.pose.y, pose.pose.theta, pose.confidence]).all() for pose in blind
+    )
+
+
+def as_canonical(raw: RawScan) -> Scan:
+    return Scan(
+        timestamp=raw.timestamp,
+        frame_id="base_link",
+        mount=raw.mount,
+        angle_min=raw.angle_min,
+        angle_increment=raw.angle_increment,
+        ranges=raw.ranges,
+    )
+
+
+def later(scan: RawScan, seconds: int) -> RawScan:
+    moved = RawScan()
+    moved.CopyFrom(scan)
+    moved.timestamp.CopyFrom(stamp(nanoseconds(scan.timestamp) + seconds * 1_000_000_000))
+    return moved

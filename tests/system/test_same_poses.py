@@ -1,0 +1,76 @@
+"""The pipeline as processes over Zenoh, and `evaluate` in one process: the same poses, bit for bit."""
+
+import csv
+import subprocess
+from pathlib import Path
+
+import pytest
+from eigenscan.runtime.recording import read
+from eigenscan.schemas.channels import POSE, SCAN_RAW
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+
+from tests.system.house import INTEL, PROGRAMS, SPACING, Drive, House
+
+Said = dict[int, tuple[float, float, float, int]]
+
+
+def evaluated(drive: Drive, folder: Path) -> Said:
+    """What `eigenscan evaluate` says for one window over the whole recording."""
+    windows, poses = folder / "windows.csv", folder / "poses.csv"
+    stamps = [e.message.timestamp for e in drive.envelopes]  # type: ignore[attr-defined]
+    first, last = (nanoseconds(stamps[i]) for i in (0, -1))
+    windows.write_text(f"start_time,end_time\n{first / 1e9:.9f},{(last + 1000) / 1e9:.9f}\n")
+    subprocess.run(
+        [
+            *(PROGRAMS / "eigenscan", "evaluate", "--log", drive.recording, "--map", drive.map),
+            *("--ground-truth", INTEL / "log.tum", "--windows", windows, "--poses", poses),
+            *("--skip", "single-scans", "--spacing", str(SPACING)),
+        ],
+        check=True,
+    )
+    with poses.open() as file:
+        rows = list(csv.DictReader(file))
+    return {
+        int(row["time_ns"]): (float(row["x"]), float(row["y"]), float(row["theta"]), int(row["state"]))
+        for row in rows
+    }
+
+
+def said(estimates: list[PoseEstimate]) -> Said:
+    return {nanoseconds(e.timestamp): (e.pose.x, e.pose.y, e.pose.theta, e.state) for e in estimates}
+
+
+@pytest.mark.dataset
+def test_processes_and_one_process_agree_pose_for_pose(drive: Drive, house: House, tmp_path: Path) -> None:
+    expected = evaluated(drive, tmp_path)
+    scans = sum(envelope.channel is SCAN_RAW for envelope in drive.envelopes)
+    assert len(expected) > 0.9 * scans
+
+    recording = tmp_path / "site.mcap"
+    house.start("recorder", "--mcap", recording)
+    house.start("mapbuilder", "--map", drive.map, "--spacing", SPACING)
+    for service in ("projector", "tracker", "scan-ingest"):
+        house.start(service)
+    house.until("projector", lambda health: health.status == Health.STATUS_OK, "has models")
+    house.replay(drive.recording, "--speed", 2)
+    house.until("scan-ingest", lambda health: health.counters["heard_scan_raw"] == scans, "hears all scans")
+    house.until(
+        "tracker", lambda health: health.counters["heard_hypotheses"] == scans, "hears all hypotheses"
+    )
+    for service in ("scan-ingest", "projector", "tracker"):
+        health = house.ear.health(service)
+        assert health
+        assert not [name for name, count in health.counters.items() if name.startswith("dropped") and count]
+    # the tracker says what it held back when it is told to stop
+    for service in ("scan-ingest", "projector", "tracker", "mapbuilder", "recorder"):
+        assert house.terminate(service)[0] == 0
+
+    heard = said([r.envelope.open(PoseEstimate) for r in read(recording) if r.envelope.channel is POSE])
+    assert heard.keys() == expected.keys()
+    different = {
+        stamp: (heard[stamp], expected[stamp]) for stamp in expected if heard[stamp] != expected[stamp]
+    }
+    assert not different
+    assert said(house.ear.of(POSE, PoseEstimate)) == heard
