@@ -103,14 +103,15 @@ class Ros1Bag:
 
 
 def _chunk(header: Header, data: bytes) -> Iterator[tuple[Header, bytes]]:
+    """Records of a chunk, of which only the beginning may be there."""
     compression = header[b"compression"]
     if compression == b"bz2":
-        data = bz2.decompress(data)
+        data = bz2.BZ2Decompressor().decompress(data)
     elif compression == b"lz4":
-        from lz4 import frame  # type: ignore[import-untyped]
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
         try:
-            data = frame.decompress(data)
+            data = LZ4FrameDecompressor().decompress(data)
         except RuntimeError as error:
             raise CutOffError from error
     file = io.BytesIO(data)
@@ -119,20 +120,20 @@ def _chunk(header: Header, data: bytes) -> Iterator[tuple[Header, bytes]]:
 
 
 def _record(file: IO[bytes]) -> tuple[Header, bytes]:
-    """Next record. Raises CutOffError."""
+    """Next record. Raises CutOffError, but for a chunk, which is given as far as it goes."""
     header = _fields(_sized(file))
     if len(header.get(b"op", b"")) != 1:
         raise CutOffError
-    return header, _sized(file)
+    return header, _sized(file, whole=header[b"op"][0] != CHUNK)
 
 
-def _sized(file: IO[bytes]) -> bytes:
+def _sized(file: IO[bytes], whole: bool = True) -> bytes:
     prefix = file.read(4)
     size = int.from_bytes(prefix, "little")
     if len(prefix) < 4 or size > LONGEST_RECORD:
         raise CutOffError
     data = file.read(size)
-    if len(data) < size:
+    if whole and len(data) < size:
         raise CutOffError
     return data
 
