@@ -315,7 +315,8 @@ def test_a_bag_cut_anywhere_gives_what_came_before(tmp_path: Path, pack: Any) ->
         assert counters == {"truncated_file": 1}
         assert len(moved) > 10
         seen.append(len(scans["front"]))
-    assert 10 < seen[0] < seen[1] <= seen[2] <= 600
+    assert 10 < seen[0] < 600
+    assert seen == sorted(seen)
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])

@@ -74,9 +74,13 @@ def _mcap(path: Path, options: LogOptions) -> Log:
 
     from eigenscan.cli.importers.mcap_messages import McapFile
     from eigenscan.cli.importers.recording import RecordingLog
+    from eigenscan.schemas.channels import find
 
-    ours = any(schema.startswith("eigenscan.") for _, _, schema in McapFile(path, Counter()).channels())
-    return (RecordingLog if ours else _ros2_mcap)(path, options)
+    for topic, _, schema in McapFile(path, Counter()).channels():
+        found = find(topic)
+        if found is not None and found[0].schema_name == schema:
+            return RecordingLog(path, options)
+    return _ros2_mcap(path, options)
 
 
 def _unknown(path: Path, what: str) -> LogError:
