@@ -306,17 +306,20 @@ def test_messages_out_of_the_order_of_their_stamps_are_sorted(tmp_path: Path, ro
 
 @pytest.mark.parametrize("pack", [None, *Writer1.CompressionFormat])
 def test_a_bag_cut_anywhere_gives_what_came_before(tmp_path: Path, pack: Any) -> None:
-    whole = usual(True, seconds=60).write(tmp_path / "whole.bag", pack=pack).read_bytes()
+    whole = usual(True, seconds=400).write(tmp_path / "whole.bag", pack=pack).read_bytes()
+    place = whole.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(whole[place : place + 8], "little")
     path = tmp_path / "cut.bag"
     seen = []
-    for share in (0.3, 0.6, 0.9):
-        path.write_bytes(whole[: int(share * len(whole))])
+    for share in (0.45, 0.7, 0.95):
+        path.write_bytes(whole[: int(share * index)])
         scans, moved, counters = read(path)
         assert counters == {"truncated_file": 1}
         assert len(moved) > 10
         seen.append(len(scans["front"]))
-    assert 10 < seen[0] < 600
-    assert seen == sorted(seen)
+    # chunks of a megabyte: bzip2 gives only whole ones
+    assert 1000 < seen[0] <= seen[1] <= seen[2] < 4000
+    assert seen[0] < seen[2]
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
