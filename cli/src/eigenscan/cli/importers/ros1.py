@@ -117,6 +117,8 @@ def _chunk(header: Header, data: bytes) -> Iterator[tuple[Header, bytes]]:
     file = io.BytesIO(data)
     while file.tell() < len(data):
         yield _record(file)
+    if len(data) < _number(header, b"size"):
+        raise CutOffError
 
 
 def _record(file: IO[bytes]) -> tuple[Header, bytes]:
