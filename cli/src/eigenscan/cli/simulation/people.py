@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 RADIUS = 0.22
 """m, of a body at the lidar's height."""
 
-PERSONAL_SPACE = 0.6
+PERSONAL_SPACE = 1.0
 """m, people step aside where the robot's centre comes nearer."""
 
 

@@ -1,0 +1,136 @@
+"""The demo as it is run: every service a process of its own, over real Zenoh."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.request import urlopen
+
+import psutil
+import pytest
+from eigenscan.runtime.recording import read
+from eigenscan.schemas.channels import CHANNELS, MODEL_SET, POSE, SCAN, SCAN_RAW
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+
+DEMO = [sys.executable, "-m", "eigenscan.cli.main", "demo"]
+SERVICES = {"scan-ingest", "projector", "tracker", "mapbuilder", "recorder"}
+
+
+def _eventually(holds: Callable[[], bool], seconds: float) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if holds():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _children(process: int) -> list[psutil.Process]:
+    return psutil.Process(process).children(recursive=True)
+
+
+def _service(process: psutil.Process) -> str:
+    """Name of the service that a child runs, from its flags."""
+    command = process.cmdline()
+    modules = {"ingest": "scan-ingest"}
+    names = [
+        word.split(".")[1] for word in command if word.startswith("eigenscan.") and word.endswith(".node")
+    ]
+    return modules.get(names[0], names[0]) if names else ""
+
+
+def _all_gone(processes: list[psutil.Process]) -> bool:
+    return not [process for process in processes if process.is_running() and process.status() != "zombie"]
+
+
+def test_headless_demo_finds_the_robot_twice_and_leaves_nothing_running(tmp_path: Path) -> None:
+    command = [*DEMO, "--headless", "--out", str(tmp_path / "out"), "--seconds", "24", "--people", "1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert _eventually(lambda: len(_children(process.pid)) >= len(SERVICES), 60.0)
+        seen = _children(process.pid)
+        assert {_service(child) for child in seen} >= SERVICES
+        output, _ = process.communicate(timeout=240)
+    assert process.returncode == 0, output
+    assert _all_gone(seen)
+    assert "found itself again" in output
+    assert "http" not in output
+    for what in ("first pose", "kidnap at 12 s", "error", "confidence", "demo.mcap", "demo.rrd", "map.yaml"):
+        assert what in output
+    _recording_holds_the_way_of_the_data(tmp_path / "out/demo.mcap")
+
+
+def _recording_holds_the_way_of_the_data(path: Path) -> None:
+    records = [record.envelope for record in read(path)]
+    counts = {channel.name: sum(record.channel is channel for record in records) for channel in CHANNELS}
+    assert all(counts[channel.name] for channel in CHANNELS), counts
+    assert counts[SCAN_RAW.name] == counts[SCAN.name] == 240
+    assert counts[MODEL_SET.name] == 1
+    poses = [record.open(PoseEstimate) for record in records if record.channel is POSE]
+    assert any(pose.state == STATE_LOCALIZED for pose in poses)
+
+
+def test_a_service_that_dies_ends_the_demo_with_its_name_and_last_log_lines(tmp_path: Path) -> None:
+    command = [*DEMO, "--headless", "--out", str(tmp_path / "out"), "--seconds", "60"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        log = tmp_path / "out/logs/tracker.log"
+        assert _eventually(lambda: log.exists() and "ready" in log.read_text(), 60.0)
+        children = _children(process.pid)
+        victim = next(child for child in children if _service(child) == "tracker")
+        victim.kill()
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert errors.startswith("eigenscan demo: tracker was killed by signal 9")
+    assert '"ready"' in errors
+    assert "Traceback" not in errors
+    assert _all_gone(children)
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_the_demo_can_be_ended_at_any_time(tmp_path: Path, ending: signal.Signals) -> None:
+    command = [*DEMO, "--headless", "--out", str(tmp_path / "out"), "--seconds", "60"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert _eventually(lambda: len(_children(process.pid)) >= len(SERVICES), 60.0)
+        children = _children(process.pid)
+        begun = time.monotonic()
+        process.send_signal(ending)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "ended before" in output
+    assert "Traceback" not in errors
+    assert _all_gone(children)
+    assert time.monotonic() - begun < 15.0
+
+
+def test_with_a_viewer_it_prints_one_link_that_works_until_it_is_ended(tmp_path: Path) -> None:
+    command = [*DEMO, "--out", str(tmp_path / "out"), "--seconds", "10", "--people", "0", "--speed", "2"]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with (
+        (tmp_path / "said").open("w") as file,
+        subprocess.Popen(command, stdout=file, env=environment) as process,
+    ):
+        said = tmp_path / "said"
+        assert _eventually(lambda: "until Ctrl-C" in said.read_text(), 120.0), said.read_text()
+        links = [word for word in said.read_text().split() if word.startswith("http")]
+        assert len(links) == 1
+        with urlopen(links[0], timeout=20) as page:
+            assert page.status == 200
+        children = _children(process.pid)
+        assert {_service(child) for child in children} & SERVICES == {"recorder"}
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+    assert _all_gone(children)
+    assert process.returncode in (0, 1)  # the verdict's
+    found = "found itself again" in said.read_text() and "FAILED" not in said.read_text()
+    assert process.returncode == (0 if found else 1)
+
+
+def test_a_folder_that_holds_a_demo_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "demo.mcap").write_bytes(b"precious")
+    command = [*DEMO, "--headless", "--out", str(tmp_path)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert (tmp_path / "demo.mcap").read_bytes() == b"precious"
