@@ -380,3 +380,27 @@ def test_damaged_messages_are_counted(tmp_path: Path) -> None:
     lost = counters["undecodable_message"]
     assert lost > 5
     assert len(scans["front"]) + len(scans["rear"]) + len(moved) + lost == 90
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_random_damage_never_crashes(tmp_path: Path, container: str) -> None:
+    ros1, write = CONTAINERS[container]
+    story = usual(ros1, seconds=4)
+    path = write(story, tmp_path)
+    file = path if path.is_file() else next(iter([*path.glob("*.db3"), *path.glob("*.mcap")]))
+    whole = file.read_bytes()
+    rng = np.random.default_rng(5)
+    read_some = 0
+    for _ in range(15):
+        data = bytearray(whole)
+        for place in rng.integers(20, len(data), rng.integers(1, 30)):
+            data[place] = rng.integers(256)
+        file.write_bytes(bytes(data))
+        try:
+            heard = list(open_log(path).envelopes())
+        except LogError:
+            continue
+        stamps = [stamp_of(envelope) for envelope in heard]
+        assert stamps == sorted(stamps)
+        read_some += bool(heard)
+    assert read_some > 2

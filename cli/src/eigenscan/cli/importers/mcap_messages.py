@@ -15,7 +15,18 @@ from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
 Item = tuple[Schema | None, Channel, Message]
-DAMAGE = (McapError, struct.error, ValueError, RuntimeError, EOFError, OSError, ZstdError)
+DAMAGE = (
+    McapError,
+    struct.error,
+    ValueError,
+    RuntimeError,
+    EOFError,
+    OSError,
+    ZstdError,
+    OverflowError,
+    MemoryError,
+    LookupError,
+)
 """What the library and the decompressors raise over damaged bytes."""
 
 

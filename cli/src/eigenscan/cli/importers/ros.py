@@ -22,7 +22,7 @@ from eigenscan.cli.importers.log import (
     raw_scan,
 )
 from eigenscan.cli.importers.ros_survey import MOVES, Lidar, Plan, frame_name, header_stamp, survey_bag
-from eigenscan.cli.importers.transforms import rotation_matrix
+from eigenscan.cli.importers.transforms import is_place, rotation_matrix
 from eigenscan.schemas.envelope import Envelope
 from numpy.typing import NDArray
 
@@ -106,7 +106,7 @@ class RosLog:
         self, position: Any, orientation: Any, time: int, covariance: NDArray[np.float64] | None = None
     ) -> Iterator[Envelope]:
         rotation = rotation_matrix((orientation.x, orientation.y, orientation.z, orientation.w))
-        if rotation is None or not np.isfinite([position.x, position.y]).all():
+        if rotation is None or not is_place((position.x, position.y)):
             self.counters["odometry_not_finite"] += 1
             return
         pose = (position.x, position.y, float(np.arctan2(rotation[1, 0], rotation[0, 0])))

@@ -18,13 +18,16 @@ from eigenscan.cli.importers.log import LogError
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
-LONGEST_RECORD = 1 << 31
+LONGEST_RECORD = 1 << 30
 
 Header = dict[bytes, bytes]
 
 
 class CutOffError(Exception):
     """The bag ends, or turns to garbage, within a record."""
+
+
+DAMAGE = (CutOffError, OSError, EOFError, LookupError, ValueError, struct.error)
 
 
 class Ros1Bag:
@@ -44,7 +47,7 @@ class Ros1Bag:
         with self.path.open("rb") as file:
             try:
                 indexed = self._read_index(file)
-            except CutOffError:
+            except DAMAGE:
                 indexed = False
         if not indexed:
             for _ in self._records(Counter()):
@@ -60,6 +63,9 @@ class Ros1Bag:
         }
         for header, data in self._records(self.counters):
             if header[b"op"][0] != MESSAGE:
+                continue
+            if len(header.get(b"time", b"")) != 8 or b"conn" not in header:
+                self.counters["undecodable_message"] += 1
                 continue
             found = wanted.get(_number(header, b"conn"))
             if found is not None:
@@ -87,19 +93,30 @@ class Ros1Bag:
             self._connections[_number(header, b"conn")] = (header[b"topic"].decode("latin-1"), kind)
 
     def _records(self, counters: Counter[str]) -> Iterator[tuple[Header, bytes]]:
-        """All message records, within chunks or not; connections are noted on the way."""
+        """All records, within chunks or not; connections are noted on the way."""
         with self.path.open("rb") as file:
             file.seek(len(MAGIC))
             try:
                 while file.tell() < self._size:
                     self.progress = file.tell() / self._size
                     header, data = _record(file)
-                    chunk = header[b"op"][0] == CHUNK
-                    for inner in _chunk(header, data) if chunk else ((header, data),):
-                        self._note(*inner)
-                        yield inner
-            except (CutOffError, OSError, EOFError, KeyError, IndexError, struct.error):
+                    if header[b"op"][0] == CHUNK:
+                        yield from self._chunk(header, data, counters, last=file.tell() >= self._size)
+                    else:
+                        self._note(header, data)
+                        yield header, data
+            except DAMAGE:
                 counters["truncated_file"] += 1
+
+    def _chunk(
+        self, header: Header, data: bytes, counters: Counter[str], last: bool
+    ) -> Iterator[tuple[Header, bytes]]:
+        try:
+            for inner in _chunk(header, data):
+                self._note(*inner)
+                yield inner
+        except DAMAGE:
+            counters["truncated_file" if last else "damaged_chunk"] += 1
 
 
 def _chunk(header: Header, data: bytes) -> Iterator[tuple[Header, bytes]]:

@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder, one .db3 file, or MCAP (ROS 1 messages in an MCAP too)."""
+"""ROS 2 bags: a folder, one .db3 file, or MCAP, also with ROS 1 or Foxglove messages in it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from eigenscan.cli.importers.bag import KINDS, BagMessage, decoded, decoder, kind_of
+from eigenscan.cli.importers.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
+from eigenscan.cli.importers.foxglove import FOXGLOVE
 from eigenscan.cli.importers.log import LogError
 from eigenscan.cli.importers.mcap_messages import McapFile
 
@@ -98,9 +99,9 @@ def _salvage(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str, in
 
 
 class McapBag:
-    """ROS messages in MCAP files, such as those that rosbag2 writes."""
+    """Messages of ROS or Foxglove in MCAP files, such as those that rosbag2 writes."""
 
-    format = "ROS MCAP"
+    format = "MCAP"
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -115,16 +116,24 @@ class McapBag:
     def topics(self) -> dict[str, str]:
         """Types by topic."""
         channels = [channel for file in self._files for channel in file.channels()]
-        return {
-            topic: kind_of(schema)
-            for topic, encoding, schema in channels
-            if encoding in ("cdr", "ros1") and kind_of(schema) in KINDS
-        }
+        understood = {topic: _understood(encoding, schema) for topic, encoding, schema in channels}
+        return {topic: found[0] for topic, found in understood.items() if found is not None}
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Messages by time of recording."""
         for file in self._files:
             for schema, channel, message in file.messages(list(topics)):
-                if schema is not None and kind_of(schema.name) in KINDS:
-                    decode = decoder(kind_of(schema.name), channel.message_encoding == "ros1")
-                    yield from decoded(self.counters, channel.topic, message.log_time, message.data, decode)
+                found = _understood(channel.message_encoding, schema.name if schema else "")
+                if found is not None:
+                    time, data = message.log_time, message.data
+                    yield from decoded(self.counters, channel.topic, time, data, found[1])
+
+
+def _understood(encoding: str, schema: str) -> tuple[str, Decoder] | None:
+    """Kind of message and how to decode it; None where it is of no use here."""
+    if encoding == "protobuf":
+        return FOXGLOVE.get(schema)
+    kind = kind_of(schema)
+    if encoding in ("cdr", "ros1") and kind in KINDS:
+        return kind, decoder(kind, encoding == "ros1")
+    return None

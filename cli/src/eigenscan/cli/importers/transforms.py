@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
+FARTHEST = 1e9  # m; map coordinates may be large, damaged bytes are larger
 HORIZONTAL = 0.94
 """Cosine, 20 deg: a lidar tilted by more does not see the plane that the map shows."""
 
@@ -22,7 +23,7 @@ class TransformTree:
     def hear(self, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
         """`rotation` is x, y, z, w. What is not finite, or no rotation, is passed over."""
         turned = rotation_matrix(rotation)
-        if turned is None or not np.isfinite(translation).all() or child in self._parents:
+        if turned is None or not is_place(translation) or child in self._parents:
             return
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = turned, translation
@@ -58,13 +59,17 @@ class TransformTree:
         return line
 
 
+def is_place(coordinates: Sequence[float]) -> bool:
+    """Whether these are metres that a robot may be at: finite, and not damage."""
+    return bool(np.all(np.abs(np.asarray(coordinates, dtype=np.float64)) < FARTHEST))
+
+
 def rotation_matrix(quaternion: Sequence[float]) -> Matrix | None:
     """Rotation (3, 3) of a quaternion x, y, z, w of any length; None where it is none."""
     q = np.asarray(quaternion, dtype=np.float64)
-    length = np.linalg.norm(q)
-    if not np.isfinite(length) or length < 1e-6:
+    if not np.all(np.abs(q) < FARTHEST) or np.linalg.norm(q) < 1e-6:
         return None
-    x, y, z, w = q / length
+    x, y, z, w = q / np.linalg.norm(q)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
