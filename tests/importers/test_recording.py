@@ -89,6 +89,17 @@ def test_a_recording_that_was_cut_gives_what_is_whole(tmp_path: Path) -> None:
     assert log.counters["truncated_file"] == 1
 
 
+def test_a_damaged_recording_gives_what_comes_before(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 200] = bytes(200)
+    path.write_bytes(bytes(data))
+    log = open_log(path)
+    assert 10 < sum(e.channel is SCAN_RAW for e in log.envelopes()) < 199
+    assert log.counters["damaged_file"] == 1
+
+
 def test_a_recording_without_scans_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: holds no raw scan"):
         keys(record(tmp_path / "a.mcap", [moved(1)]))

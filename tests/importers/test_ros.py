@@ -225,6 +225,29 @@ def test_without_odometry_messages_tf_tells_it(tmp_path: Path, ros1: bool) -> No
     assert [round(m.pose.position.x) for m in moved] == list(range(20))
 
 
+@pytest.mark.parametrize(
+    ("odom", "base"),
+    [
+        ("robot_0/odom", "robot_0/base_link"),
+        ("odom_combined", "base_footprint"),
+        ("/odom", "/base_link"),
+        ("wheel_odom", "base"),
+    ],
+)
+def test_frames_may_have_other_names(tmp_path: Path, odom: str, base: str) -> None:
+    story = Story(True)
+    for tenth in range(20):
+        time = START + tenth / 10
+        story.transform(time, "map", odom, (5, 5, 0))
+        story.transform(time, odom, base, (tenth, 0, 0), (0, 0, 0.2))
+        story.transform(time, base, "laser", (0.1, 0, 0.5))
+        story.scan("/scan", time + 0.01, "laser")
+    scans, moved, counters = read(story.write(tmp_path / "a.bag"))
+    assert counters == {}
+    np.testing.assert_allclose(from_message(scans["scan"][0].mount), [0.1, 0, 0])
+    assert [round(m.pose.position.x) for m in moved] == list(range(20))
+
+
 def test_truth_is_not_taken_for_odometry(tmp_path: Path) -> None:
     story = usual(False)
     for tenth in range(30):

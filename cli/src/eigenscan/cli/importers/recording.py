@@ -33,7 +33,7 @@ class RecordingLog:
         robot = self._robot()
         self._imported = self._is_import()
         yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
-        if not is_complete(self.path):
+        if not is_complete(self.path):  # it was cut, or its writer killed
             self.counters["truncated_file"] += 1
         self.progress = 1.0
 
@@ -74,7 +74,13 @@ class RecordingLog:
                 yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)
 
     def _records(self) -> Iterator[Record]:
+        """Records up to the first damage, which is counted. Raises LogError where nothing comes before."""
+        given = False
         try:
-            yield from read(self.path)
+            for record in read(self.path):
+                given = True
+                yield record
         except RecordingError as error:
-            raise LogError(str(error)) from error
+            if not given:
+                raise LogError(str(error)) from error
+            self.counters["damaged_file"] = 1

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from eigenscan.cli.importers.bag import Bag, BagMessage
 from eigenscan.cli.importers.log import (
-    ODOMETRY_FRAME,
     RECORDER_LAG_NS,
     LogOptions,
     in_order,
@@ -117,7 +116,7 @@ class RosLog:
     def _odometry_of_transforms(self, message: BagMessage, plan: Plan) -> Iterator[Envelope]:
         for item in message.message.transforms:
             frames = (frame_name(item.header.frame_id), frame_name(item.child_frame_id))
-            if frames == (ODOMETRY_FRAME, plan.base):
+            if frames == (plan.moves_in, plan.base):
                 time = self._time(MOVES, item.header, message.time, plan)
                 if time is not None:
                     yield from self._odometry(item.transform.translation, item.transform.rotation, time)

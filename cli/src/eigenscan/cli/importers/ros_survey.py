@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 from eigenscan.cli.importers.bag import LASER_SCAN, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
-from eigenscan.cli.importers.log import ODOMETRY_FRAME, LogError, LogOptions
+from eigenscan.cli.importers.log import LogError, LogOptions
 from eigenscan.cli.importers.transforms import TransformTree, planar
 from numpy.typing import NDArray
 
 CLOCKS_APART_NS = 1_000_000_000
 SAME_PLANE_M = 0.5
 USUAL_BASES = ("base_footprint", "base_link", "base", "base_frame")
+ODOMETRY_FRAME = re.compile(r"(.*/)?odom\w*|.*[/_]odom")
+"""Such as odom, robot_0/odom, odom_combined, wheel_odom."""
 NO_ODOMETRY = re.compile(r"truth|gazebo|slam|amcl|map", re.IGNORECASE)
 MOVES = "tf"
 """Stands for odometry that is told as transforms, among the topics."""
@@ -38,6 +40,7 @@ class Plan:
     lidars: dict[str, Lidar]  # by topic
     odometry: list[str]  # topics of it: one of Odometry, or those of transforms
     base: str | None
+    moves_in: str | None  # frame of odometry that is told as transforms
     offsets: dict[
         str, int
     ]  # ns, by topic whose headers' stamps count: stamp minus time of recording, at first
@@ -52,7 +55,8 @@ class Survey:
     frames: dict[str, str] = field(default_factory=dict)  # by lidar topic
     spans: dict[str, int] = field(default_factory=dict)  # deg, field of view by lidar topic
     offsets: dict[str, int | None] = field(default_factory=dict)  # as in Plan; None: no stamp
-    moves: dict[str, int | None] = field(default_factory=dict)  # the same, by child of the odometry frame
+    # odometry frame, and offset as above, by the frame that transforms say moves in it
+    moves: dict[str, tuple[str, int | None]] = field(default_factory=dict)
     moved: str | None = None  # the frame that Odometry says it moves
 
     @property
@@ -60,9 +64,14 @@ class Survey:
         """The robot's base frame, as far as can be told."""
         if self.options.base_frame or self.moved:
             return self.options.base_frame or self.moved
-        moved = self.tree.children(ODOMETRY_FRAME)
-        usual = [frame for frame in USUAL_BASES if self.tree.knows(frame)]
-        return next(iter([*(frame for frame in usual if frame in moved), *usual, *moved]), None)
+        usual = [
+            frame
+            for name in USUAL_BASES
+            for frame in self.tree.frames()
+            if frame == name or frame.endswith("/" + name)
+        ]
+        moved = [frame for frame in usual if frame in self.moves]
+        return next(iter([*moved, *usual, *self.moves]), None)
 
     def hear(self, message: BagMessage) -> None:
         """Takes note of the first message of a topic, and of transforms."""
@@ -90,8 +99,8 @@ class Survey:
         move, turn = item.transform.translation, item.transform.rotation
         parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
         self.tree.hear(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
-        if parent == ODOMETRY_FRAME:
-            self.moves.setdefault(child, _offset(item.header, recorded))
+        if ODOMETRY_FRAME.fullmatch(parent):
+            self.moves.setdefault(child, (parent, _offset(item.header, recorded)))
 
 
 def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
@@ -113,11 +122,12 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
     if not placed:
         raise LogError(f"{bag.path}: holds no horizontal laser scan ({LASER_SCAN}) that can be read")
     offsets = {topic: survey.offsets[topic] for topic in (*placed, odometry) if topic in survey.offsets}
+    moves_in = None
     if odometry is None and survey.base in survey.moves:
-        offsets[MOVES] = survey.moves[survey.base]
+        moves_in, offsets[MOVES] = survey.moves[survey.base]
     trusted = _trusted(offsets)
     counters["topics_stamped_by_recording"] += len(offsets) - len(trusted)
-    return Plan(placed, [odometry] if odometry else transforms, survey.base, trusted)
+    return Plan(placed, [odometry] if odometry else transforms, survey.base, moves_in, trusted)
 
 
 def _choose_odometry(bag: Bag, options: LogOptions, topics: list[str]) -> str | None:

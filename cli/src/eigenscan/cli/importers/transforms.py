@@ -29,13 +29,11 @@ class TransformTree:
         matrix[:3, :3], matrix[:3, 3] = turned, translation
         self._parents[child] = (parent, matrix)
 
-    def children(self, parent: str) -> list[str]:
-        """Frames given relative to `parent`, in the order heard."""
-        return [child for child, (name, _) in self._parents.items() if name == parent]
-
-    def knows(self, frame: str) -> bool:
-        """Whether the frame has been heard of."""
-        return frame in self._parents or any(name == frame for name, _ in self._parents.values())
+    def frames(self) -> list[str]:
+        """All frames that have been heard of, in the order heard."""
+        return list(
+            dict.fromkeys(frame for child, (parent, _) in self._parents.items() for frame in (parent, child))
+        )
 
     def between(self, base: str, frame: str) -> Matrix | None:
         """Pose (4, 4) of `frame` in `base`; None where they are not connected."""
