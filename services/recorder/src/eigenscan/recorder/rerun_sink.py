@@ -53,10 +53,14 @@ class RerunSink:
         self._picture.draw(heard)
         self._counts["drawn"] += 1
 
+    def flush(self) -> None:
+        """Hands over all that was drawn."""
+        self._picture.flush()
+        self._stream.flush(timeout_sec=FLUSH_S)
+
     def close(self) -> None:
         """Completes the file and stops serving."""
-        self._picture.finish()
-        self._stream.flush(timeout_sec=FLUSH_S)
+        self.flush()
         self._stream.disconnect()
         self._closing.close()
 

@@ -51,8 +51,8 @@ class BeliefPicture:
             stamp,
             path,
             rr.LineStrips3D(
-                arrows(poses, 0.7 + 0.7 * share, 0.04),
-                colors=blend(UNLIKELY, HYPOTHESIS, share, faintest=200),
+                arrows(poses, 0.5 + 0.9 * share, 0.04),
+                colors=blend(UNLIKELY, HYPOTHESIS, share),
             ),
         )
 
@@ -69,7 +69,7 @@ class BeliefPicture:
             if is_place(way):
                 ways.append(lift(way, 0.03))
                 shares.append(track.probability)
-        colours = blend(UNLIKELY, TRACK, np.array(shares), faintest=140)
+        colours = blend(UNLIKELY, TRACK, np.array(shares))
         ends = np.array([way[-1] for way in ways]).reshape(-1, 3)
         self._canvas.style(path, _tracks_style)
         self._canvas.draw(

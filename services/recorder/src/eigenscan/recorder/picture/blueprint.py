@@ -48,6 +48,7 @@ def _map(extent: tuple[ArrayLike, ArrayLike] | None) -> rrb.Spatial3DView:
         background=UNKNOWN_FLOOR,
         line_grid=False,
         eye_controls=_eye(extent),
+        overrides={"world/regions": rrb.EntityBehavior(visible=False)},
     )
 
 

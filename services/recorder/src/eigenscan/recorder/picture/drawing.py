@@ -75,9 +75,9 @@ class Picture:
             for draw in self._drawn_by.get(heard.channel, ()):
                 draw(heard)
 
-    def finish(self) -> None:
+    def flush(self) -> None:
         """Draws what was held back."""
-        self._plots.finish()
+        self._plots.flush()
 
     def _draw_map(self, heard: Envelope) -> None:
         before = self._floor.extent

@@ -13,7 +13,6 @@ The **bar on top** says it in one word:
 - **black arrow**: the true pose, where a simulator tells it
 - **orange arrows**: hypotheses of the last scan; grey: improbable
 - **purple lines**: tracks and their past; grey: improbable
-- **thin blue lines**: outlines of regions with an eigenspace
 
 **Panels**:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
@@ -21,4 +20,6 @@ The **bar on top** says it in one word:
 - **Beams**: observed minus predicted range of each beam, m; blue: explained, red: unexpected.
 - **Eigenspace**: the scan (blue) among its hypotheses (orange): first three coefficients, best region.
 - **Events**: changes of state and of the services' health.
+
+Hidden at first: the outlines of the regions that have an eigenspace (`world/regions`).
 """

@@ -22,7 +22,7 @@ SILENT: Colour = (110, 110, 110)
 SCAN: Colour = (0, 90, 200)
 OBSTACLE: Colour = (230, 30, 30)
 HYPOTHESIS: Colour = (240, 140, 0)
-UNLIKELY: Colour = (150, 150, 150)
+UNLIKELY: Colour = (195, 195, 195)
 TRACK: Colour = (125, 60, 180)
 TRUTH: Colour = (20, 20, 20)
 REGION: Colour = (120, 160, 190)
@@ -41,9 +41,8 @@ def state_name(state: State) -> str:
     return State.Name(state).removeprefix("STATE_") if known else "UNKNOWN"
 
 
-def blend(low: Colour, high: Colour, share: ArrayLike, faintest: int = 255) -> NDArray[np.uint8]:
-    """RGBA (n, 4) from `low` at share 0, with opacity `faintest`, to opaque `high` at share 1."""
+def blend(low: Colour, high: Colour, share: ArrayLike) -> NDArray[np.uint8]:
+    """Colours (n, 3) between `low` at share 0 and `high` at share 1."""
     t = np.clip(np.asarray(share, dtype=np.float64), 0.0, 1.0)[:, None]
-    ends = np.array([[*low, faintest], [*high, 255]], dtype=np.float64)
-    colours: NDArray[np.uint8] = np.rint(ends[0] * (1 - t) + ends[1] * t).astype(np.uint8)
+    colours: NDArray[np.uint8] = np.rint(np.array(low) * (1 - t) + np.array(high) * t).astype(np.uint8)
     return colours

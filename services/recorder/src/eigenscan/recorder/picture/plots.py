@@ -83,7 +83,7 @@ class Plots:
         known.append((stamp, pose))
         self._settle(robot)
 
-    def finish(self) -> None:
+    def flush(self) -> None:
         """Sends what waits."""
         for series in self._series.values():
             series.flush()

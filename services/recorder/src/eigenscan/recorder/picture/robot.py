@@ -146,9 +146,7 @@ def _arrow_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
 def _truth_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
     return (
         rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=[TRUTH]),
-        rr.Points3D.from_fields(
-            radii=rr.Radius.ui_points(8.0), colors=[TRUTH], labels=["truth"], show_labels=True
-        ),
+        rr.Points3D.from_fields(radii=rr.Radius.ui_points(8.0), colors=[TRUTH]),
     )
 
 

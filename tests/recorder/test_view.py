@@ -1,0 +1,93 @@
+"""`eigenscan view`: a recording drawn again, and served."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from eigenscan.runtime.recording import RecordingWriter
+from rerun.chunk import RrdReader
+from traffic import Site
+
+EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main", "view"]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "drive.mcap"
+    with RecordingWriter(path) as writer:
+        for number, message in enumerate(Site("s", seconds=1.0).messages()):
+            writer.write(message, 1_000_000_000 + number * 1_000_000)
+    return path
+
+
+def view(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+def test_a_recording_becomes_a_picture(recording: Path, tmp_path: Path) -> None:
+    result = view(recording, "--rrd", tmp_path / "drive.rrd", "--no-open")
+    assert result.returncode == 0, result.stderr
+    drawn = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "drive.rrd")).stream()}
+    assert {"/world/map", "/world/robots/r1/tracks", "/belief/r1", "/legend"} <= drawn
+
+
+def test_a_recording_that_was_cut_off_is_drawn_as_far_as_it_goes(recording: Path, tmp_path: Path) -> None:
+    recording.write_bytes(recording.read_bytes()[:-200])
+    result = view(recording, "--rrd", tmp_path / "drive.rrd", "--no-open")
+    assert result.returncode == 0
+    assert "did not close it" in result.stderr
+    drawn = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "drive.rrd")).stream()}
+    assert "/world/robots/r1/tracks" in drawn
+
+
+@pytest.mark.parametrize(
+    ("content", "arguments", "words"),
+    [
+        (None, ["--rrd", "a.rrd", "--no-open"], "cannot be read"),
+        (b"no MCAP", ["--rrd", "a.rrd", "--no-open"], "is no readable recording"),
+        (b"", ["--no-open"], "give --rrd"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_in_one_line(
+    tmp_path: Path, content: bytes | None, arguments: list[str], words: str
+) -> None:
+    file = tmp_path / "x.mcap"
+    if content is not None:
+        file.write_bytes(content)
+    result = view(file, *(str(tmp_path / a) if a.endswith(".rrd") else a for a in arguments))
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not (tmp_path / "a.rrd").exists()
+
+
+def test_the_viewer_is_served_on_this_machine_only_and_ends_with_the_command(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BROWSER", "true")  # the command that webbrowser calls
+    with subprocess.Popen(
+        [*EIGENSCAN, str(recording)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        link = re.match(r"viewer: (http://127\.0\.0\.1:\d+/)\?url=rerun", process.stdout.readline())
+        assert link
+        page = ""
+        deadline = time.monotonic() + 30
+        while "rerun" not in page.lower():
+            assert time.monotonic() < deadline
+            try:
+                with urllib.request.urlopen(link.group(1), timeout=5) as answer:
+                    page = answer.read().decode()
+            except OSError:
+                time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(link.group(1), timeout=5)
