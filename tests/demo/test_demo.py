@@ -10,7 +10,6 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import psutil
-import pytest
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import CHANNELS, MODEL_SET, POSE, SCAN, SCAN_RAW
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -88,14 +87,13 @@ def test_a_service_that_dies_ends_the_demo_with_its_name_and_last_log_lines(tmp_
     assert _all_gone(children)
 
 
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_the_demo_can_be_ended_at_any_time(tmp_path: Path, ending: signal.Signals) -> None:
+def test_the_demo_can_be_ended_while_it_starts(tmp_path: Path) -> None:
     command = [*DEMO, "--headless", "--out", str(tmp_path / "out"), "--seconds", "60"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert _eventually(lambda: len(_children(process.pid)) >= len(SERVICES), 60.0)
         children = _children(process.pid)
         begun = time.monotonic()
-        process.send_signal(ending)
+        process.terminate()
         output, errors = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "ended before" in output

@@ -38,7 +38,7 @@ def demo(
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.demonstration.show import Demonstration
     from eigenscan.cli.simulation.stage import Scenario
-    from eigenscan.cli.simulation.world import office
+    from eigenscan.cli.simulation.world import SQUARE_ROOM, office
     from eigenscan.geometry.gridmap import read_map
 
     folder = out or Path("out") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
@@ -49,6 +49,7 @@ def demo(
         kidnap=seconds / 2,
         seed=seed,
         people=people,
+        kidnap_to=None if map_file else SQUARE_ROOM,
         site=f"demo-{time.time_ns():x}",
     )
     grid = read_map(map_file) if map_file else office().render()

@@ -37,6 +37,7 @@ class Demonstration:
         self._wake = Wake()
         self._line = StatusLine()
         self._told: int | None = None
+        self._carried = False
 
     def run(self) -> bool:
         """Runs to the end; True where the robot was found, and found again after the kidnap.
@@ -126,7 +127,18 @@ class Demonstration:
             confidence=estimate.confidence,
         )
 
+    @property
+    def _kidnap(self) -> float:
+        """When the robot is carried away, s since the first scan."""
+        stage = self._stage
+        return stage.scenario.seconds if stage.kidnap_time is None else self._time(stage.kidnap_time)
+
     def _tell(self, state: int, seen: Sighting) -> None:
+        if seen.time >= self._kidnap and not self._carried:
+            self._carried = True
+            self._line.say(
+                f"{self._kidnap:5.1f} s  somebody carries the robot elsewhere; its wheels do not turn"
+            )
         error = f"  error {error_text(seen.error_m, seen.error_rad)}" if seen.claimed else ""
         text = f"{seen.time:5.1f} s  {state_name(state):<9}  confidence {seen.confidence:.2f}{error}"
         if state != self._told:
@@ -136,12 +148,10 @@ class Demonstration:
 
     def _conclude(self, sightings: list[Sighting]) -> bool:
         """Prints the summary."""
-        stage = self._stage
-        kidnap = self._time(stage.kidnap_time) if stage.kidnap_time is not None else stage.scenario.seconds
-        before = judge(sightings, 0.0, kidnap)
-        after = judge(sightings, kidnap, stage.scenario.seconds)
+        before = judge(sightings, 0.0, self._kidnap)
+        after = judge(sightings, self._kidnap, self._stage.scenario.seconds)
         files = [path for path in sorted(self._folder.iterdir()) if not path.name.startswith("zenoh")]
-        self._line.say(summarize(before, after, kidnap, files))
+        self._line.say(summarize(before, after, self._kidnap, files))
         return before.found and after.found
 
     def _stay(self, supervisor: Supervisor) -> None:

@@ -17,6 +17,9 @@ WALL = 0.1
 
 RESOLUTION = 0.05
 
+SQUARE_ROOM = (22.5, 6.5)
+"""The middle of the square room: from there four poses look nearly the same (paper, figure 9)."""
+
 
 @dataclass(frozen=True)
 class Box:
