@@ -1,0 +1,260 @@
+"""The stack of docker-compose.yml as a user starts it: built, healthy, localized, and down again."""
+
+import json
+import math
+import os
+import shutil
+import socket
+import subprocess
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+from eigenscan.geometry.pose import between, from_message, from_pose3
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.recording import is_complete, read
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import HEALTH, POSE, TRUTH
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.wire import decode
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+
+ROOT = Path(__file__).parents[2]
+BASE = "python:3.11-slim-bookworm"
+MAKE_BASE = ROOT.parent / "shared/tools/make-base-image"
+SERVICES = ("router", "mapbuilder", "recorder", "scan-ingest", "projector", "tracker", "simulator")
+STOP_S = 10.0
+
+pytestmark = [
+    pytest.mark.docker,
+    pytest.mark.timeout(2400),
+    pytest.mark.skipif(
+        shutil.which("docker") is None
+        or subprocess.run(["docker", "info"], check=False, capture_output=True).returncode != 0,
+        reason="no Docker here",
+    ),
+]
+
+
+def _docker(*arguments: str) -> str:
+    return subprocess.run(
+        ["docker", *arguments], check=True, capture_output=True, text=True, timeout=60
+    ).stdout
+
+
+def _has_base() -> bool:
+    return (
+        subprocess.run(["docker", "image", "inspect", BASE], capture_output=True, check=False).returncode == 0
+    )
+
+
+def _compose_command() -> list[str]:
+    plugin = (
+        subprocess.run(["docker", "compose", "version"], capture_output=True, check=False).returncode == 0
+    )
+    return ["docker", "compose"] if plugin else ["docker-compose"]
+
+
+@dataclass
+class Stack:
+    """One project of docker-compose.yml, apart from every other."""
+
+    project: str
+    site: str
+    port: int
+
+    def compose(self, *arguments: str) -> str:
+        ran = subprocess.run(
+            [*_compose_command(), "-p", self.project, "--profile", "demo", *arguments],
+            cwd=ROOT, capture_output=True, text=True, check=False, timeout=1800,
+            env=os.environ | {"EIGENSCAN_IMAGES": self.project, "EIGENSCAN_SITE": self.site,
+                              "EIGENSCAN_PORT": str(self.port)},
+        )  # fmt: skip
+        assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
+        return ran.stdout
+
+    def container(self, service: str) -> str:
+        return self.compose("ps", "-q", service).strip()
+
+    def inspect(self, service: str) -> dict[str, dict[str, object]]:
+        (found,) = json.loads(_docker("inspect", self.container(service)))
+        return dict(found)
+
+    def python(self, service: str, code: str) -> str:
+        return _docker("exec", self.container(service), "python", "-c", code)
+
+
+@pytest.fixture(scope="module")
+def stack() -> Iterator[Stack]:
+    if not _has_base() and subprocess.run(["docker", "pull", "-q", BASE], check=False).returncode != 0:
+        subprocess.run([MAKE_BASE], check=True, timeout=900)
+    name = f"eigenscan-test-{uuid.uuid4().hex[:8]}"
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    stack = Stack(name, name, port)
+    try:
+        stack.compose("build")
+        stack.compose("up", "-d")
+        yield stack
+    finally:
+        print(stack.compose("logs", "--no-color", "--tail", "40"))
+        stack.compose("down", "-v", "--rmi", "all", "--remove-orphans", "-t", "5")
+
+
+@pytest.fixture(scope="module")
+def bus(stack: Stack, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+    """A client of the router's published port."""
+    config = tmp_path_factory.mktemp("zenoh") / "client.json5"
+    config.write_text(
+        f"{{mode: 'client', connect: {{endpoints: ['tcp/127.0.0.1:{stack.port}'], timeout_ms: -1}},"
+        " scouting: {multicast: {enabled: false}}}"
+    )
+    with Bus(open_session(config)) as bus:
+        yield bus
+
+
+def _until(condition: Callable[[], bool], limit_s: float, what: str) -> None:
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.5)
+
+
+def _state(stack: Stack, service: str) -> str:
+    state = stack.inspect(service)["State"]
+    health = state.get("Health")
+    return str(health["Status"]) if isinstance(health, dict) else str(state["Status"])
+
+
+def test_all_become_healthy(stack: Stack) -> None:
+    states: dict[str, str] = {}
+
+    def well() -> bool:
+        states.update({service: _state(stack, service) for service in SERVICES})
+        return all(states[one] == ("running" if one == "simulator" else "healthy") for one in SERVICES)
+
+    _until(well, 180, f"not healthy: {states}")
+
+
+def test_none_has_rights_it_does_not_need(stack: Stack) -> None:
+    for service in SERVICES:
+        found = stack.inspect(service)
+        host, config = found["HostConfig"], found["Config"]
+        assert config["User"] == "10001:10001", service
+        assert host["ReadonlyRootfs"] is True, service
+        assert host["CapDrop"] == ["ALL"], service
+        assert host["SecurityOpt"] == ["no-new-privileges:true"], service
+        assert host["Memory"] > 0, service  # type: ignore[operator]
+        assert host["NanoCpus"] > 0, service  # type: ignore[operator]
+        assert host["Privileged"] is False, service
+
+
+def _is_right(estimate: PoseEstimate, truth: PoseInFrame) -> bool:
+    x, y, turn = between(from_pose3(truth.pose), from_message(estimate.pose)).tolist()
+    return math.hypot(x, y) < 0.5 and abs(turn) < math.radians(10)
+
+
+def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
+    inbox, truths, right = Inbox(), dict[int, PoseInFrame](), 0
+    bus.listen([POSE, TRUTH], {"site": stack.site}, inbox)
+    end = time.monotonic() + 120
+    while right < 10:  # claims in a row
+        assert time.monotonic() < end, f"not found among {len(truths)} scans"
+        arrival = inbox.take(1.0)
+        if arrival is None:
+            continue
+        message = decode(arrival.channel, arrival.payload, arrival.encoding)
+        if isinstance(message, PoseInFrame):
+            truths[nanoseconds(message.timestamp)] = message
+        elif isinstance(message, PoseEstimate) and nanoseconds(message.timestamp) in truths:
+            claimed = message.state == STATE_LOCALIZED
+            right = right + 1 if claimed and _is_right(message, truths[nanoseconds(message.timestamp)]) else 0
+
+
+def test_no_message_comes_twice_by_two_ways(stack: Stack, bus: Bus) -> None:
+    inbox = Inbox()
+    bus.listen([POSE], {"site": stack.site}, inbox)
+    stamps = []
+    for _ in range(50):
+        arrival = inbox.take(30.0)
+        assert arrival is not None
+        message = decode(POSE, arrival.payload, arrival.encoding)
+        assert isinstance(message, PoseEstimate)
+        stamps.append(nanoseconds(message.timestamp))
+    assert stamps == sorted(set(stamps))
+
+
+def test_every_service_tells_its_health_at_the_site(stack: Stack, bus: Bus) -> None:
+    inbox = Inbox()
+    bus.listen([HEALTH], {"site": stack.site}, inbox)
+    heard: set[str] = set()
+    end = time.monotonic() + 30
+    while heard != set(SERVICES) - {"simulator"}:
+        assert time.monotonic() < end, heard
+        arrival = inbox.take(1.0)
+        if arrival is not None:
+            heard.add((HEALTH.parse(arrival.key) or {})["service"])
+
+
+COUNT_POSES = """
+import urllib.request
+for line in urllib.request.urlopen("http://127.0.0.1:9100/metrics").read().decode().splitlines():
+    if line.startswith('eigenscan_messages_total{what="said_pose"}'):
+        print(float(line.split()[1]))
+"""
+
+
+def test_the_robot_goes_on_without_the_site(stack: Stack, bus: Bus) -> None:
+    stack.compose("stop", "router")
+    before = float(stack.python("tracker", COUNT_POSES))
+    _until(lambda: float(stack.python("tracker", COUNT_POSES)) > before + 20, 30, "no pose without a router")
+    inbox = Inbox()
+    bus.listen([POSE], {"site": stack.site}, inbox)
+    stack.compose("start", "router")
+    assert inbox.take(60.0) is not None, "no pose came to the site after the router was back"
+
+
+def test_it_goes_down_clean_and_leaves_a_whole_recording(stack: Stack, tmp_path: Path) -> None:
+    containers = {service: stack.container(service) for service in SERVICES}
+    began = time.monotonic()
+    stack.compose("stop")
+    took = time.monotonic() - began
+    codes = {
+        service: json.loads(_docker("inspect", "-f", "{{json .State.ExitCode}}", container))
+        for service, container in containers.items()
+    }
+    assert took < STOP_S, took
+    simulator = codes.pop("simulator")
+    assert codes == dict.fromkeys(codes, 0)
+    assert simulator in (0, 128 + 15)  # it may end by the signal itself
+    _docker("cp", f"{containers['recorder']}:/recordings", str(tmp_path))
+    files = sorted((tmp_path / "recordings").glob("**/*.mcap"))
+    assert files
+    assert all(is_complete(file) for file in files)
+    names = {record.envelope.channel.name for file in files for record in read(file)}
+    assert names >= {
+        "scan_raw",
+        "scan",
+        "odometry",
+        "hypotheses",
+        "pose",
+        "tracks",
+        "map",
+        "model",
+        "model_set",
+    }
+
+
+def test_the_compose_file_names_what_the_images_are_made_from() -> None:
+    stack = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
+    stages = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    assert set(stack["services"]) == set(SERVICES)
+    for name, service in stack["services"].items():
+        assert service["build"]["target"] == name
+        assert f" AS {name}\n" in stages
