@@ -100,7 +100,7 @@ def test_several_lidars_have_names_and_one_kind_each(tmp_path: Path) -> None:
     log = open_log(write(tmp_path / "a.log", *lines))
     names = [e.address["lidar"] for e in log.envelopes() if e.channel is SCAN_RAW]
     assert names == ["laser3", "front", "rear"] * 2
-    assert log.counters["same_scan_again"] == 2
+    assert log.counters["scans_of_another_lidar_or_kind"] == 2
     scans, _, _ = read(tmp_path / "a.log", lidars=("laser3",))
     assert len(scans) == 2
 
@@ -185,6 +185,27 @@ def test_what_is_no_log_is_refused_by_name(tmp_path: Path, content: str) -> None
     path.write_text(content)
     with pytest.raises(LogError, match=r"no\.log: is (empty|of no known format): give a CARMEN log"):
         open_log(path)
+
+
+def test_a_marker_for_no_return_is_found_in_the_ranges(tmp_path: Path) -> None:
+    """A laser in another mode than the usual one marks what does not come back by 8.191 m."""
+    rng = np.random.default_rng(0)
+    lines, plain = [], []
+    for t in range(1, 800):
+        ranges = (0.5 + 7.5 * rng.random(180) ** 2).round(3)
+        plain.append(words("FLASER", 180, *ranges, 0, 0, 0, 0, 0, 0, f"{t:.6f}", "host", t))
+        ranges[rng.random(180) < 0.03] = 8.191
+        lines.append(words("FLASER", 180, *ranges, 0, 0, 0, 0, 0, 0, f"{t:.6f}", "host", t))
+    marked, _, _ = read(write(tmp_path / "a.log", *lines))
+    assert marked[0].range_max == pytest.approx(8.191)
+    unmarked, _, _ = read(write(tmp_path / "b.log", *plain))
+    assert unmarked[0].range_max == pytest.approx(81.83)
+
+
+def test_a_lidar_that_is_not_there_is_named(tmp_path: Path) -> None:
+    log = open_log(write(tmp_path / "a.log", flaser(1.0)), LogOptions(lidars=("rear",)))
+    with pytest.raises(LogError, match=r"a\.log: no lidar rear: there are front"):
+        list(log.envelopes())
 
 
 def test_a_log_without_scans_is_refused(tmp_path: Path) -> None:
