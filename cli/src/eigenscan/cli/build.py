@@ -87,8 +87,6 @@ def _build(grid: GridMap, plan: Plan, map_file: Path) -> SiteModel:
 
 def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float) -> None:
     import numpy as np
-    from rich.console import Console
-    from rich.table import Table
 
     message = site.to_message()
     shared = np.concatenate([model.index for model in site.regions])
@@ -107,7 +105,5 @@ def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float) -> 
         "models": str(folder),
         "picture": str(picture),
     }
-    table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in rows.items():
-        table.add_row(name, value)
-    Console(soft_wrap=True).print(table)
+        typer.echo(f"{name:<13} {value}")

@@ -8,11 +8,13 @@ autocorrelation, which takes one FFT a panorama instead of N outer products.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.linalg import eigh, toeplitz
+from threadpoolctl import threadpool_limits
 
 _BLOCK = 1024
 """Panoramas transformed at once, which bounds the memory."""
@@ -89,7 +91,8 @@ def analyse(
     """Eigenspace of all N windows of `beams` beams of panoramas (P, N).
 
     Keeps `count` components, or the fewest that hold `share` of the variance. Raises ValueError for an empty
-    set, values that are not finite (see RangeTransform), or a window beyond a turn.
+    set, values that are not finite (see RangeTransform), or a window beyond a turn. Limits the process's
+    BLAS to one thread.
     """
     if values.ndim != 2 or not values.size:
         raise ValueError(f"no panoramas to analyse: shape {values.shape}")
@@ -98,6 +101,7 @@ def analyse(
     mean, covariance = autocovariance(values, workers)
     if not np.isfinite(covariance).all():
         raise ValueError("panoramas hold values that are not finite: clip them first")
+    _one_blas_thread()
     matrix = toeplitz(covariance[:beams])
     total = float(covariance[0]) * beams
     if count is not None:
@@ -138,6 +142,16 @@ def all_norms(values: NDArray[np.float32], space: Eigenspace) -> NDArray[np.floa
         np.float32
     )
     return norms
+
+
+@cache
+def _one_blas_thread() -> None:
+    """From the first analysis on, linear algebra has one thread in this process.
+
+    Our matrices are small, several are solved at once, and OpenBLAS's threads spin while they wait for
+    a busy core: on a loaded robot that made an analysis a hundred times slower.
+    """
+    threadpool_limits(1, user_api="blas")
 
 
 def _blocks(values: NDArray[np.float32]) -> list[NDArray[np.float32]]:

@@ -1,0 +1,141 @@
+"""mapbuilder and `eigenscan build` as a user meets them: processes, files, Zenoh."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+import uuid
+
+import pytest
+from eigenscan.eigenspace.folder import read_models
+from eigenscan.eigenspace.model import RegionModel
+from eigenscan.geometry.gridmap import from_message, write_map
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET
+from eigenscan.schemas.wire import decode
+
+
+def build(*arguments):
+    command = [sys.executable, "-m", "eigenscan.cli.main", "build", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_build_writes_models_and_tells_of_them_on_one_screen(office, tmp_path):
+    write_map(office, tmp_path / "map.yaml")
+    result = build(tmp_path / "map.yaml", "-o", tmp_path / "model", "--spacing", "0.25", "--step", "2")
+    assert result.returncode == 0, result.stderr
+    site = read_models(tmp_path / "model")
+    assert (tmp_path / "model/regions.png").stat().st_size > 1000
+    assert len(result.stdout.splitlines()) <= 20
+    for part in ("regions", " 3", "0.25 m apart", site.to_message().version[:12], "regions.png", "MB"):
+        assert part in result.stdout
+    again = build(tmp_path / "map.yaml", "-o", tmp_path / "model", "--spacing", "0.25", "--step", "2")
+    assert again.returncode == 0
+    assert read_models(tmp_path / "model").to_message() == site.to_message()
+
+
+@pytest.mark.parametrize(
+    ("yaml", "arguments", "says"),
+    [
+        ("image: map.pgm\norigin: [0, 0, 0]\n", [], "resolution is missing"),
+        (None, [], "cannot be read"),
+        ("whole", ["--clearance", "4"], "no free position"),
+        ("whole", ["-o", "."], "holds no models"),
+    ],
+)
+def test_a_users_error_is_one_line_and_leaves_nothing(office, tmp_path, yaml, arguments, says):
+    write_map(office, tmp_path / "map.yaml")
+    if yaml is None:
+        (tmp_path / "map.yaml").unlink()
+    elif yaml != "whole":
+        (tmp_path / "map.yaml").write_text(yaml)
+    before = sorted(p.name for p in tmp_path.iterdir())
+    where = ["-o", tmp_path] if "-o" in arguments else ["-o", tmp_path / "model", *arguments]
+    result = build(tmp_path / "map.yaml", "--step", "2", *where)
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
+    assert line.startswith("eigenscan build: ")
+    assert says in line
+    assert str(tmp_path) in line
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_a_late_joiner_gets_the_whole_set_from_the_service(office, tmp_path):
+    write_map(office, tmp_path / "map.yaml")
+    alone = {"scouting": {"multicast": {"enabled": False}}}
+    site, port = f"t{uuid.uuid4().hex[:8]}", _free_port()
+    service, ours = tmp_path / "service.json5", tmp_path / "ours.json5"
+    service.write_text(json.dumps(alone | {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
+    ours.write_text(
+        json.dumps(alone | {"listen": {"endpoints": []}, "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"]}})
+    )
+    flags = ["--map", tmp_path / "map.yaml", "--site", site, "--step", "2", "--zenoh", service]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eigenscan.mapbuilder.node", *map(str, flags)],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if '"ready"' in line:
+                break
+        else:
+            pytest.fail("the service ended before it was ready")
+        heard = _listen(ours, site)
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=10)
+    assert process.returncode == 0
+    models = {key: RegionModel.from_message(m) for key, m in heard.items() if "/model/" in key}
+    entries = heard[f"{site}/models"].entries
+    assert [entry.version for entry in entries] == [
+        models[f"{site}/model/{e.region}"].version for e in entries
+    ]
+    assert from_message(heard[f"{site}/map"]).version == heard[f"{site}/models"].map_version
+
+
+def _listen(config, site):
+    inbox, heard = Inbox(), {}
+    with Bus(open_session(config)) as bus:
+        bus.listen((MAP, MODEL, MODEL_SET), {"site": site}, inbox)
+        deadline = time.monotonic() + 20
+        while time.monotonic() < deadline and len(heard) < 5:
+            arrival = inbox.take(0.2)
+            if arrival is not None:
+                heard[arrival.key] = decode(arrival.channel, arrival.payload, arrival.encoding)
+    return heard
+
+
+def _free_port():
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        ([], "give one of map"),
+        (["--map", "absent.yaml"], "absent.yaml: cannot be read"),
+        (["--model", "absent"], "manifest.json"),
+        (["--map", "m.yaml", "--spacing", "-1"], "spacing"),
+    ],
+)
+def test_the_service_tells_a_wrong_setting_in_one_line(flags, says, tmp_path):
+    config = tmp_path / "z.json5"
+    config.write_text(json.dumps({"scouting": {"multicast": {"enabled": False}}}))
+    result = subprocess.run(
+        [sys.executable, "-m", "eigenscan.mapbuilder.node", *flags, "--zenoh", str(config)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert says in result.stderr
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,157 @@
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.eigenspace.model import NO_WALL, ModelError, RegionModel
+from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, read_map
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.picture import draw_regions
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
+from PIL import Image
+from pydantic import ValidationError
+
+DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+QUICK = Plan(step=TURN / 180)
+
+
+def test_a_models_panoramas_are_what_is_seen_from_its_positions(office):
+    site = build_site(office, QUICK)
+    caster = RayCaster.of(office)
+    for model in site.regions:
+        poses = np.column_stack([model.positions, np.zeros(len(model.positions))])
+        cast = caster.cast(poses, np.arange(180) * (TURN / 180), QUICK.range_max)
+        difference = np.where(model.panoramas == cast, 0.0, model.panoramas - cast)
+        assert (np.abs(difference) <= 0.0011).mean() > 0.999
+
+
+def test_a_models_eigenspace_is_that_of_its_panoramas(office):
+    plan = replace(QUICK, range_cap=7.0, share=0.8)
+    for model in build_site(office, plan).regions:
+        values = RangeTransform(7.0)(model.panoramas)
+        space = analyse(values, plan.sensor.beams, share=0.8)
+        assert model.space.vectors.shape == space.vectors.shape
+        assert model.space.mean == pytest.approx(space.mean, abs=1e-3)
+        np.testing.assert_allclose(model.space.eigenvalues, space.eigenvalues, rtol=1e-2)
+        assert model.sensor.beams == 91
+
+
+def test_the_same_map_gives_the_same_site_on_any_number_of_threads(office):
+    versions = {build_site(office, replace(QUICK, threads=n)).to_message().version for n in (1, 1, 3)}
+    assert len(versions) == 1
+
+
+def test_a_change_at_one_end_leaves_the_models_that_do_not_see_it(office):
+    before = {m.region: m.version for m in build_site(office, QUICK).regions}
+    cells = office.cells.copy()
+    cells[100:110, 215:225] = OCCUPIED  # a cabinet in the right room, away from its door
+    after = {m.region: m.version for m in build_site(replace(office, cells=cells), QUICK).regions}
+    assert before.keys() == after.keys()
+    changed = {name for name in before if before[name] != after[name]}
+    assert "r02" not in changed
+    assert "r03" in changed
+
+
+def test_progress_goes_from_nothing_to_all(office):
+    heard = []
+    build_site(office, QUICK, lambda what, share: heard.append((what, share)))
+    shares = [share for _, share in heard]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert next(what for what, _ in heard) == "regions"
+
+
+@pytest.mark.parametrize("value", [UNKNOWN, OCCUPIED])
+def test_a_map_without_free_space_is_refused(value):
+    grid = GridMap(np.full((30, 30), value, np.uint8), 0.05, np.zeros(3))
+    with pytest.raises(ModelError, match="no free position"):
+        build_site(grid, QUICK)
+
+
+def test_a_field_without_walls_is_a_model_that_sees_none():
+    grid = GridMap(np.full((80, 80), FREE, np.uint8), 0.05, np.zeros(3))
+    site = build_site(grid, QUICK)
+    assert all((model.ranges == NO_WALL).all() for model in site.regions)
+    for model in site.regions:
+        RegionModel.from_message(model.to_message())
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (-103.37, 55.01, 0.0), (12.0, -9.0, 2.5), (0, 0, -9.0)])
+def test_where_a_maps_origin_lies_does_not_matter(office, origin):
+    grid = replace(office, origin=np.array(origin, dtype=float))
+    site = build_site(grid, QUICK)
+    assert len(site.regions) == 3
+    count = sum(len(model.index) for model in site.regions)
+    assert count == pytest.approx(sum(len(m.index) for m in build_site(office, QUICK).regions), rel=0.15)
+    for model in site.regions:
+        assert (grid.at(model.positions) == FREE).all()
+
+
+def test_the_picture_shows_each_region_in_its_own_colour(office):
+    site = build_site(office, QUICK)
+    with Image.open(io.BytesIO(draw_regions(site))) as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+    coloured = pixels[pixels.max(axis=1) - pixels.min(axis=1) > 25]
+    hues = {tuple(p) for p in (coloured // 24).tolist()}
+    assert len(coloured) > 0.2 * len(pixels)
+    assert len(hues) >= 3
+
+
+def said(core):
+    return list(Loopback([core]).start())
+
+
+def test_the_core_says_the_map_then_the_models_then_their_set(office):
+    core = MapbuilderCore(MapbuilderSettings(map="m.yaml", site="lab", step=2.0), office)
+    assert core.condition().status == Health.STATUS_WAITING
+    envelopes = said(core)
+    assert [e.channel.name for e in envelopes] == ["map", "model", "model", "model", "model_set"]
+    assert [e.key for e in envelopes[:2]] == ["lab/map", "lab/model/r01"]
+    models = [RegionModel.from_message(e.message) for e in envelopes[1:4]]
+    message = envelopes[4].open(ModelSet)
+    assert [entry.version for entry in message.entries] == [model.version for model in models]
+    assert message.map_version == office.version
+    assert core.condition().status == Health.STATUS_OK
+    assert core.condition().counters["regions"] == 3
+    assert list(core.finish()) == []
+
+
+def test_models_that_were_built_before_are_said_as_they_are(office):
+    site = build_site(office, replace(QUICK, frame_id="floor2"))
+    core = MapbuilderCore(MapbuilderSettings(model="folder"), site)
+    envelopes = said(core)
+    assert envelopes[0].message.frame_id == "floor2"
+    assert envelopes[-1].message == site.to_message()
+
+
+def test_the_settings_ask_for_one_source_and_name_what_is_out_of_range():
+    for wrong in ({}, {"map": "a", "model": "b"}):
+        with pytest.raises(ValidationError, match="give one of map"):
+            MapbuilderSettings(**wrong)
+    with pytest.raises(ValidationError, match="spacing"):
+        MapbuilderSettings(map="a", spacing=0.0)
+    assert MapbuilderSettings(map="a", step=1.0, threads=2).plan == Plan(step=np.deg2rad(1.0), threads=2)
+
+
+@pytest.mark.dataset
+@pytest.mark.parametrize("name", ["fr079", "intel", "jarvis", "guardian", "olin_mac"])
+def test_real_buildings_travel_small_and_come_back_whole(name):
+    grid = read_map(DATASETS / name / "map.yaml")
+    site = build_site(grid, Plan(threads=2))
+    assert isinstance(site, SiteModel)
+    sizes = [entry.size for entry in site.to_message().entries]
+    # 20 MB for 700 m2 at 0.25 m, so a quarter of that at 0.5 m
+    assert sum(sizes) < 20e6 * (grid.free_area / 700) / 4
+    for model in site.regions[:3]:
+        assert RegionModel.from_message(model.to_message()).version == model.version
+        assert model.space.explained >= 0.9 - 1e-6
