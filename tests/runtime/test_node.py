@@ -39,6 +39,7 @@ def _next(inbox: Inbox) -> Arrival:
 
 def _ask(bus: Bus, net: Any, frame: str) -> None:
     address = {"site": net.site, "robot": "robot", "lidar": "front"}
+    assert bus.wait_for_listener(SCAN_RAW.key(address), 20)
     bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=frame)))
 
 
@@ -117,8 +118,9 @@ def test_none_of_many_dies_of_its_end_amid_traffic(
     bus, over = buses(), threading.Event()
 
     def flood() -> None:
+        address = {"site": net.site, "robot": "robot", "lidar": "front"}
         while not over.wait(0.0005):
-            _ask(bus, net, "front")
+            bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id="front")))
 
     thread = threading.Thread(target=flood)
     thread.start()
@@ -171,6 +173,16 @@ def test_it_says_how_it_is_and_outlives_all_that_it_hears(
     fault = service.log("core_failed")
     assert fault["key"] == key
     assert "poisoned" in str(fault["exception"])
+
+
+def test_a_core_that_leaves_is_not_taken_for_a_clean_end(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    bus = buses()
+    service = start(config=net.leaf)
+    service.log("ready")
+    _ask(bus, net, "leave")
+    assert service.process.wait(timeout=10) == 1
 
 
 def test_metrics_and_probe(net: Any, start: Callable[..., Any], buses: Callable[[], Bus]) -> None:
@@ -248,8 +260,8 @@ def test_a_fault_of_the_user_is_one_line_and_code_2(
             ([], net.hub, f"eigenscan-tiny: {net.hub}: no Zenoh session: "),
             (["--start-s", "soon"], net.hub, "eigenscan-tiny: --start-s = 'soon': "),
         ]
-        for arguments, config, line in cases:
-            service = start(*arguments, config=config)
+        started = [start(*arguments, config=config) for arguments, config, _ in cases]
+        for service, (_, _, line) in zip(started, cases, strict=True):
             _, errors = service.process.communicate(timeout=20)
             assert service.process.returncode == 2, errors
             said = [one for one in errors.splitlines() if not one.startswith("{")]

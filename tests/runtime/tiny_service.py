@@ -43,6 +43,8 @@ class TinyCore:
         print_waiting("handle", self._settings.handle_s)
         if raw.frame_id == "poison":
             raise RuntimeError("poisoned")
+        if raw.frame_id == "leave":
+            sys.exit(0)
         self._handled += 1
         yield Envelope(SCAN, heard.address, Scan(frame_id=raw.frame_id, sequence=self._handled - 1))
 

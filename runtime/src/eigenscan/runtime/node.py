@@ -64,7 +64,7 @@ def main(
         except (SettingsError, ContractError, OSError, ValueError) as error:
             print(f"eigenscan-{service}: {error}", file=sys.stderr)
             code = EXIT_SETTINGS
-        except Exception:
+        except BaseException:
             traceback.print_exc()
             code = EXIT_CORE
     sys.stdout.flush()
@@ -107,7 +107,7 @@ class Node:
         self._wake.stop()
 
     def run(self) -> int:
-        """Runs until stopped; gives the exit code. Raises what the core raised before it was ready."""
+        """Runs until stopped; gives the exit code. Raises what ended the core before that."""
         settings = self.settings
         if settings.metrics_port is not None:
             port = self._monitor.serve(settings.metrics_host, settings.metrics_port)
@@ -127,7 +127,7 @@ class Node:
             faulthandler.cancel_dump_traceback_later()
         if self._fault:
             raise self._fault
-        self._log.info("stopped", unfinished=unfinished, **self._counts)
+        self._log.info("stopped", unfinished=unfinished, **dict(self._counts))
         return EXIT_CORE if self._counts["finish_failed"] else 0
 
     def _tend(self, core: threading.Thread) -> None:
@@ -157,11 +157,10 @@ class Node:
             core = self._make_core()
             bus = self._connect(core)
             self._say(bus, core.start())
-        except BaseException as error:
-            self._fault = error
-        else:
             self._log.info("ready", site=self.settings.site, robot=self.settings.robot)
             self._loop(bus, core)
+        except BaseException as error:
+            self._fault = error
         self._wake.set()
 
     def _connect(self, core: Core) -> Bus:
