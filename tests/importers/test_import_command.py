@@ -7,6 +7,7 @@ from eigenscan.cli.importers import open_log
 from eigenscan.cli.main import app
 from eigenscan.runtime.recording import read, read_metadata
 from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.scan_pb2 import RawScan
 from typer.testing import CliRunner
 
 FIRST = "FLASER 3 1.0 2.0 3.0 0 0 0 0 0 0 1.000000 host 1\n"
@@ -81,3 +82,21 @@ def test_the_log_is_not_overwritten(tmp_path: Path) -> None:
     assert code == 2
     assert "is the log itself" in err
     assert log.read_text().startswith("FLASER")
+
+
+def test_a_mount_is_told_in_degrees(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "a.clf")
+    code, out, _ = run(log, "-o", tmp_path / "a.mcap", "--mount", "front=0.5,-0.25,90,upside-down")
+    assert code == 0
+    assert "0.500 m, -0.250 m, 90.0°, upside down" in " ".join(out.replace("│", " ").split())
+    # and again, from the recording
+    run(tmp_path / "a.mcap", "-o", tmp_path / "b.mcap", "--mount", "front=1,0,0")
+    scan = next(r for r in read(tmp_path / "b.mcap") if r.envelope.channel == SCAN_RAW).envelope.open(RawScan)
+    assert (scan.mount.x, scan.upside_down) == (1.0, False)
+
+
+@pytest.mark.parametrize("text", ["front", "front=1,2", "=1,2,3", "front=1,2,nan", "front=a,b,c"])
+def test_a_mount_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
+    code, _, err = run(log_of(tmp_path / "a.clf"), "-o", tmp_path / "a.mcap", "--mount", text)
+    assert code == 2
+    assert f"eigenscan import: --mount {text}: give" in err

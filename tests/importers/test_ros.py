@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers import LogError, LogOptions, open_log, stamp_of
+from eigenscan.cli.importers import LogError, LogOptions, Mount, open_log, stamp_of
 from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -23,6 +23,7 @@ S = 1_000_000_000
 START = 1_600_000_000
 
 SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 ODOM = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
 
@@ -277,6 +278,37 @@ def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_told(tmp_path: Path)
     assert set(scans) == {"front", "rear", "lost"}
     assert counters == {"lidars_tilted": 1, "lidars_without_mount": 1}
     assert from_message(scans["lost"][0].mount).tolist() == [0, 0, 0]
+
+
+def test_a_mount_that_is_told_wins(tmp_path: Path) -> None:
+    story = usual(False)
+    story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))
+    for tenth in range(30):
+        story.scan("/tilted/scan", START + tenth / 10, "tilted")
+        story.scan("/lost/scan", START + tenth / 10, "lost")
+    mounts = {"tilted": Mount(1, 2, 0.3), "lost": Mount(0.1, 0, -1.0, True), "front": Mount(0, 0, 0)}
+    scans, _, counters = read(story.write(tmp_path / "a"), mounts=mounts)
+    assert counters == {}
+    np.testing.assert_allclose(from_message(scans["tilted"][0].mount), [1, 2, 0.3])
+    np.testing.assert_allclose(from_message(scans["front"][0].mount), [0, 0, 0])
+    assert (scans["lost"][0].upside_down, scans["rear"][0].upside_down) == (True, True)
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+def test_of_several_echoes_the_first_counts(tmp_path: Path, ros1: bool) -> None:
+    story = usual(ros1)
+    echo, scan = story.kind("sensor_msgs/msg/LaserEcho"), story.kind(MULTI_ECHO)
+    for tenth in range(30):
+        time = START + tenth / 10
+        echoes = [echo(np.array(values, dtype=np.float32)) for values in ([1.0, 4.0], [], [3.0])]
+        limits = (-1.0, 1.0, 1.0, 0.0, 0.1, 0.1, 10.0)
+        story.messages.append(
+            ("/multi", MULTI_ECHO, time, scan(story.header(time, "front2"), *limits, echoes, []))
+        )
+    story.transform(START, "base_link", "front2", (0.5, 0, 0.2), topic="/tf_static")
+    scans, _, _ = read(story.write(tmp_path / ("a.bag" if ros1 else "a")))
+    assert list(scans["multi"][0].ranges) == [1.0, math.inf, 3.0]
+    assert len(scans["multi"]) == 30
 
 
 @pytest.mark.parametrize("stamp", [0.0, START - 4000.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
-    from eigenscan.cli.importers import Log
+    from eigenscan.cli.importers import Log, Mount
     from eigenscan.cli.importers.summary import Summary
 
 
@@ -25,6 +26,10 @@ def import_log(
     ] = None,
     odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
     base_frame: Annotated[str | None, typer.Option(help="the base frame; default: odometry's")] = None,
+    mount: Annotated[
+        list[str] | None,
+        typer.Option(help="LIDAR=X,Y,YAW[,upside-down], m and deg, instead of the log's; repeat for more"),
+    ] = None,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
 ) -> None:
@@ -34,6 +39,7 @@ def import_log(
     Examples:
       eigenscan import intel.clf.gz -o intel.mcap
       eigenscan import drive.bag -o drive.mcap --lidar-topic /front/scan --robot r17
+      eigenscan import no_tf.bag --mount scan=0.2,0,180
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.importers import LogOptions, open_log
     from rich.console import Console
@@ -41,10 +47,25 @@ def import_log(
     target = out or Path(_stem(log) + ".mcap")
     if target.resolve() == log.resolve():
         raise UsageError(f"-o {target}: is the log itself: name another file")
-    options = LogOptions(site, robot, tuple(lidar or ()), odometry, base_frame)
+    mounts = dict(_mount(text) for text in mount or ())
+    options = LogOptions(site, robot, tuple(lidar or ()), odometry, base_frame, mounts)
     opened = open_log(log, options)
     summary = _write(opened, target)
     summary.show(Console(), opened, target)
+
+
+def _mount(text: str) -> tuple[str, Mount]:
+    from eigenscan.cli.importers import Mount
+
+    lidar, _, place = text.partition("=")
+    numbers, upside_down = place.removesuffix(",upside-down"), place.endswith(",upside-down")
+    try:
+        x, y, yaw = (float(number) for number in numbers.split(","))
+    except ValueError:
+        raise UsageError(f"--mount {text}: give LIDAR=X,Y,YAW in m and deg, such as scan=0.2,0,180") from None
+    if not lidar or not all(map(math.isfinite, (x, y, yaw))):
+        raise UsageError(f"--mount {text}: give a lidar's name and finite numbers, such as scan=0.2,0,180")
+    return lidar, Mount(x, y, math.radians(yaw), upside_down)
 
 
 def _stem(log: Path) -> str:

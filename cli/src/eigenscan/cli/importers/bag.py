@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -10,9 +11,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 ODOMETRY_MESSAGE = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-KINDS = frozenset({LASER_SCAN, ODOMETRY_MESSAGE, TRANSFORMS})
+KINDS = frozenset({LASER_SCAN, MULTI_ECHO, ODOMETRY_MESSAGE, TRANSFORMS})
 
 Decoder = Callable[[bytes], Any]
 
@@ -56,7 +58,22 @@ def kind_of(name: str) -> str:
 
 @cache
 def decoder(kind: str, ros1: bool) -> Decoder:
-    """Turns the bytes of a message of one of KINDS into an object."""
+    """Turns the bytes of a message of one of KINDS into an object; of several echoes the first counts."""
+    if kind == MULTI_ECHO:
+        return _first_echoes(_plain_decoder(kind, ros1))
+    return _plain_decoder(kind, ros1)
+
+
+def _first_echoes(decode: Decoder) -> Decoder:
+    def decode_first(data: bytes) -> Any:
+        message = decode(data)
+        message.ranges = [echo.echoes[0] if len(echo.echoes) else math.inf for echo in message.ranges]
+        return message
+
+    return decode_first
+
+
+def _plain_decoder(kind: str, ros1: bool) -> Decoder:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if ros1:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -28,6 +28,16 @@ class LogError(ValueError):
 
 
 @dataclass(frozen=True)
+class Mount:
+    """Where a lidar sits: m ahead of the base's origin, m to the left, rad counter-clockwise."""
+
+    x: float
+    y: float
+    yaw: float
+    upside_down: bool = False
+
+
+@dataclass(frozen=True)
 class LogOptions:
     """How a log is to be read; None and empty: found out from the log."""
 
@@ -36,6 +46,7 @@ class LogOptions:
     lidars: tuple[str, ...] = ()  # topics, or lidar names, to take
     odometry: str | None = None  # topic
     base_frame: str | None = None
+    mounts: Mapping[str, Mount] = field(default_factory=dict)  # by lidar name, instead of the log's
 
 
 class Log(Protocol):
@@ -69,7 +80,16 @@ def stamp_of(envelope: Envelope) -> int:
 def raw_scan(options: LogOptions, lidar: str, time: int, mount: ArrayLike, **fields: Any) -> Envelope:
     """Envelope of a RawScan; `mount` (3,) is the sensor in the base frame, `time` in ns."""
     message = RawScan(timestamp=stamp(time), mount=to_message(mount), **fields)
+    place(options, lidar, message)
     return Envelope(SCAN_RAW, {"site": options.site, "robot": options.robot, "lidar": lidar}, message)
+
+
+def place(options: LogOptions, lidar: str, message: RawScan) -> None:
+    """Gives `message` the mount that the options tell for its lidar."""
+    given = options.mounts.get(lidar)
+    if given is not None:
+        message.mount.CopyFrom(to_message((given.x, given.y, given.yaw)))
+        message.upside_down = given.upside_down
 
 
 def odometry(options: LogOptions, time: int, pose: ArrayLike, **fields: Any) -> Envelope:

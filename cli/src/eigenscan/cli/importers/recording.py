@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from eigenscan.cli.importers.log import RECORDER_LAG_NS, LogError, LogOptions, in_order
+from eigenscan.cli.importers.log import RECORDER_LAG_NS, LogError, LogOptions, in_order, place
 from eigenscan.runtime.recording import Record, RecordingError, is_complete, read, read_metadata
 from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import RawScan
 
 
 class RecordingLog:
@@ -70,6 +71,8 @@ class RecordingLog:
             if self._imported and record.publish_time != record.log_time and envelope.channel == SCAN_RAW:
                 self.logged[record.log_time] = record.publish_time
             lidar = envelope.address.get("lidar")
+            if lidar is not None:
+                place(self._options, lidar, envelope.open(RawScan))
             if lidar is None or not self._options.lidars or lidar in self._options.lidars:
                 yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from eigenscan.cli.importers.bag import LASER_SCAN, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
+from eigenscan.cli.importers.bag import LASER_SCAN, MULTI_ECHO, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
 from eigenscan.cli.importers.log import LogError, LogOptions
 from eigenscan.cli.importers.transforms import TransformTree, planar
 from numpy.typing import NDArray
@@ -110,7 +110,8 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
     """
     kinds = bag.topics()
     of_kind = {name: [topic for topic, kind in kinds.items() if kind == name] for name in kinds.values()}
-    lidars = _choose_lidars(bag, options, of_kind.get(LASER_SCAN, []))
+    scans = of_kind.get(LASER_SCAN, []) + of_kind.get(MULTI_ECHO, [])
+    lidars = _choose_lidars(bag, options, scans)
     odometry = _choose_odometry(bag, options, of_kind.get(ODOMETRY_MESSAGE, []))
     transforms = of_kind.get(TRANSFORMS, [])
     survey = Survey(options)
@@ -163,7 +164,8 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
     for topic in sorted(survey.frames, key=lambda topic: (-survey.spans[topic], len(topic), topic)):
         frame = survey.frames[topic]
         matrix = survey.tree.between(base, frame) if base else None
-        placed = planar(np.eye(4) if matrix is None else matrix)
+        told = names[topic] in survey.options.mounts
+        placed = planar(np.eye(4) if matrix is None or told else matrix)
         height = plane if matrix is None else float(matrix[2, 3])
         elsewhere = plane is not None and height is not None and abs(height - plane) > SAME_PLANE_M
         if frame in frames and not asked:
@@ -173,7 +175,7 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
         elif elsewhere and not asked:
             counters["lidars_at_another_height"] += 1
         else:
-            counters["lidars_without_mount"] += matrix is None
+            counters["lidars_without_mount"] += matrix is None and not told
             plane = height if plane is None else plane
             frames.add(frame)
             lidars[topic] = Lidar(names[topic], *placed)
