@@ -13,10 +13,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.model import RegionModel, quantize
+from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
-from eigenscan.geometry.pose import compose, to_message, to_pose3
+from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
 from eigenscan.recorder.picture.belief import probabilities
+from eigenscan.recorder.picture.manifold import Manifold
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
@@ -90,6 +94,7 @@ def test_the_file_is_sound_and_holds_every_part_of_the_picture(tmp_path: Path) -
         "/beams/r1/front/unexpected",
         "/eigenspace/r1/scan",
         "/eigenspace/r1/hypotheses",
+        "/eigenspace/r1/places",
     }
     assert expected <= entities(path)
     assert len(RrdReader(str(path)).blueprints()) >= 1
@@ -311,3 +316,55 @@ def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tm
     assert recorder.viewer().startswith("http://127.0.0.1:")
     assert recorder.stop() == 0
     assert "/world/map" in entities(tmp_path / "a.rrd")
+
+
+def hallway(components: int) -> RegionModel:
+    """Model of a room of 6 x 4 m by analytic ranges; positions every metre."""
+    sensor = Sensor.facing(math.pi, math.radians(1.0))
+    index = np.array([[x, y] for x in range(1, 6) for y in range(1, 4)], dtype=np.int32)
+    turns = np.arange(360) * math.radians(1.0)
+    ranges = np.array([[to_wall(x, y, turn) for turn in turns] for x, y in index])
+    space = analyse(ranges.astype(np.float32), sensor.beams, components)
+    return RegionModel("room", "map", 1.0, np.zeros(2), index, quantize(ranges), sensor, 20.0, space)
+
+
+def to_wall(x: float, y: float, turn: float) -> float:
+    cos, sin = math.cos(turn), math.sin(turn)
+    along = (6 - x) / cos if cos > 1e-9 else -x / cos if cos < -1e-9 else math.inf
+    across = (4 - y) / sin if sin > 1e-9 else -y / sin if sin < -1e-9 else math.inf
+    return min(along, across)
+
+
+@pytest.mark.parametrize("components", [2, 5])
+def test_scan_pose_and_place_meet_in_one_point_of_eigenspace(components: int) -> None:
+    """A scan taken where the model has a place has the coordinates of that pose, by the definition."""
+    model = hallway(components)
+    manifold = Manifold(model.to_message())
+    heading, place = math.radians(40.0), 7
+    mount = np.array([0.2, -0.1, math.radians(30.0)])
+    x, y = model.index[place].tolist()
+    bearings = np.radians(np.arange(-90, 91))
+    scan = Scan(
+        mount=to_message(mount),
+        angle_min=-math.pi / 2,
+        angle_increment=math.radians(1.0),
+        ranges=[to_wall(x, y, heading + bearing) for bearing in bearings],
+    )
+    base = compose([x, y, heading], inverse(mount))
+    direct = [
+        sum((scan.ranges[j] - model.space.mean) * float(vector[j]) for j in range(len(bearings)))
+        for vector in model.space.vectors[:3]
+    ]
+    direct += [0.0] * (3 - len(direct))
+    # ranges travel in steps of a few millimetres
+    assert manifold.scan(scan) == pytest.approx(direct, abs=1e-3)
+    assert manifold.poses(base, scan)[0] == pytest.approx(direct, abs=0.05)
+    distances = [np.linalg.norm(loop - np.array(direct), axis=1).min() for loop in manifold.loops()]
+    assert int(np.argmin(distances)) == place
+    assert all(np.array_equal(loop[0], loop[-1]) for loop in manifold.loops())
+
+
+def test_missing_beams_and_another_field_of_view_pull_nowhere() -> None:
+    model = hallway(3)
+    nothing = Scan(angle_min=-1.0, angle_increment=0.01, ranges=[math.nan] * 200)
+    assert Manifold(model.to_message()).scan(nothing) == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)

@@ -8,6 +8,11 @@ import numpy as np
 from eigenscan.cli.simulation.lidar import Lidar
 from eigenscan.cli.simulation.stage import Scenario, Stage
 from eigenscan.cli.simulation.world import office
+from eigenscan.eigenspace.components import Eigenspace, analyse
+from eigenscan.eigenspace.model import RANGE_UNIT, quantize
+from eigenscan.eigenspace.model import RegionModel as Model
+from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, covariance_to_message, to_message, transform
 from eigenscan.geometry.raycast import RayCaster
@@ -87,9 +92,14 @@ class Site:
         return Envelope(channel, self.address, message)
 
     def _model(self) -> RegionModel:
-        return RegionModel(
-            format=1, region="hallway", outline_x=[0.0, 19.0, 19.0, 0.0], outline_y=[5.5, 5.5, 7.5, 7.5]
-        )
+        """The hallway, a position each metre."""
+        index = np.array([[x, y] for x in range(1, 19) for y in range(1)], dtype=np.int32)
+        positions = index + np.array([0.0, 6.5])
+        ranges = quantize(self._caster.panoramas(positions, 720, 30.0))
+        sensor = Sensor.facing(np.pi, np.deg2rad(0.5))
+        transform = RangeTransform(20.0)
+        panoramas = transform(np.where(ranges == 65535, np.inf, ranges * RANGE_UNIT))
+        return hallway_model(index, ranges, sensor, analyse(panoramas, sensor.beams, 6)).to_message()
 
     def _follow(self, raw: RawScan, time: int) -> Iterator[Envelope]:
         """What the services make of a scan."""
@@ -194,3 +204,18 @@ class Site:
             ],
             none_probability=(1 - probability) / 2,
         )
+
+
+def hallway_model(index: np.ndarray, ranges: np.ndarray, sensor: Sensor, space: Eigenspace) -> Model:
+    return Model(
+        region="hallway",
+        frame_id="map",
+        spacing=1.0,
+        origin=np.array([0.0, 6.5]),
+        index=index,
+        ranges=ranges,
+        sensor=sensor,
+        range_cap=20.0,
+        space=space,
+        outline=np.array([[0.0, 5.5], [19.0, 5.5], [19.0, 7.5], [0.0, 7.5]]),
+    )

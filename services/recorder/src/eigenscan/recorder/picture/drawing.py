@@ -17,6 +17,7 @@ from eigenscan.recorder.picture.legend import LEGEND
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.plots import Plots
 from eigenscan.recorder.picture.robot import RobotPicture
+from eigenscan.recorder.picture.scan_memory import ScanMemory
 from eigenscan.recorder.picture.status import StatusBoard
 from eigenscan.schemas.channels import (
     HEALTH,
@@ -46,22 +47,19 @@ class Picture:
     ) -> None:
         """`rate_hz`: pictures per second and robot at most; `window_s`, `live`: see `blueprint.layout`."""
         self._stream, self._window_s, self._live = stream, window_s, live
-        canvas, pace = Canvas(stream), Pace(rate_hz)
-        charts = Pace(rate_hz / CHARTS_LESS_OFTEN)
+        canvas, scans = Canvas(stream), ScanMemory()
+        pace, charts = Pace(rate_hz), Pace(rate_hz / CHARTS_LESS_OFTEN)
         self._floor, self._plots = Floor(canvas), Plots(canvas)
-        robots, belief, board = RobotPicture(canvas, pace), BeliefPicture(canvas, pace), StatusBoard(canvas)
-        beams, eigenspace, events = (
-            BeamsPicture(canvas, charts),
-            EigenspacePicture(canvas, charts),
-            Events(canvas),
-        )
+        robots, belief = RobotPicture(canvas, pace, scans), BeliefPicture(canvas, pace)
+        beams, space = BeamsPicture(canvas, charts, scans), EigenspacePicture(canvas, charts, scans)
+        board, events = StatusBoard(canvas), Events(canvas)
         self._drawn_by: dict[Channel, tuple[Draw, ...]] = {
             MAP: (self._draw_map,),
-            MODEL: (self._floor.draw_region,),
-            SCAN: (robots.keep_scan, beams.keep_angles),
+            MODEL: (self._floor.draw_region, space.keep_model),
+            SCAN: (scans.keep, robots.hear_scan),
             POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
             TRUTH: (robots.draw_truth, self._plots.hear_truth),
-            HYPOTHESES: (belief.draw_hypotheses, eigenspace.draw),
+            HYPOTHESES: (belief.draw_hypotheses, space.draw),
             OBSTACLES: (belief.draw_obstacles, beams.draw),
             TRACKS: (belief.draw_tracks,),
             HEALTH: (events.hear_health,),

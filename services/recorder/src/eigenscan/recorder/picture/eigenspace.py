@@ -1,23 +1,42 @@
-"""The eigenspace of the region that explains the scan best: its scan and its hypotheses as points."""
+"""The eigenspace of the region that explains the scan best: its places, its hypotheses, and the scan."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 import numpy as np
 import rerun as rr
+from eigenscan.eigenspace.model import ModelError
 from eigenscan.recorder.picture.belief import HYPOTHESES_DRAWN, probabilities
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
+from eigenscan.recorder.picture.manifold import Manifold
 from eigenscan.recorder.picture.pace import Pace
-from eigenscan.recorder.picture.palette import HYPOTHESIS, SCAN, UNLIKELY, blend
+from eigenscan.recorder.picture.palette import HYPOTHESIS, PLACE, SCAN, UNLIKELY, blend
+from eigenscan.recorder.picture.scan_memory import ScanMemory
+from eigenscan.recorder.picture.shapes import are_places
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
-from numpy.typing import NDArray
+from eigenscan.schemas.model_pb2 import RegionModel
+
+MANIFOLDS_KEPT = 4
 
 
 class EigenspacePicture:
-    """Draws the first three coefficients (paper, eq. 2), m, of the best hypothesis' region."""
+    """Draws the first three coefficients (paper, eq. 2), m, in the space of the best hypothesis' region."""
 
-    def __init__(self, canvas: Canvas, pace: Pace) -> None:
-        self._canvas, self._pace = canvas, pace
+    def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory) -> None:
+        self._canvas, self._pace, self._scans = canvas, pace, scans
+        self._models: dict[str, RegionModel] = {}
+        self._manifolds: OrderedDict[str, Manifold] = OrderedDict()
+        self._best: dict[str, str] = {}
+        self._shown: dict[str, str] = {}
+
+    def keep_model(self, heard: Envelope) -> None:
+        """Takes the newest model of a region."""
+        region = heard.address["region"]
+        self._models[region] = heard.open(RegionModel)
+        self._manifolds.pop(region, None)
+        self._shown = {robot: shown for robot, shown in self._shown.items() if shown != region}
 
     def draw(self, heard: Envelope) -> None:
         """Scan and hypotheses; those of other regions live in other spaces and are left out."""
@@ -25,37 +44,57 @@ class EigenspacePicture:
         stamp = stamp_of(message.timestamp)
         if stamp is None or not message.hypotheses or not self._pace.due(f"eigenspace/{robot}", stamp):
             return
+        region = message.hypotheses[0].region
+        settled = self._best.get(robot) == region
+        self._best[robot] = region
+        manifold = self._manifold(region) if settled else None
+        scan = self._scans.newest(robot, heard.address["lidar"], stamp)
+        if manifold is None or scan is None or not scan.angle_increment > 0:
+            return
+        if self._shown.get(robot) != region:
+            self._shown[robot] = region
+            self._draw_places(stamp, robot, manifold)
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
-        region = listed[0].region
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
-        own = np.array([h.region == region and len(h.coefficients) > 0 for h in listed], dtype=bool)
-        points = [_three(h.coefficients) for h, here in zip(listed, own, strict=True) if here]
-        path = f"eigenspace/{robot}/hypotheses"
-        self._canvas.style(path, _hypotheses_style)
+        poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed])
+        own = np.array([h.region == region for h in listed]) & are_places(poses)
+        path = f"eigenspace/{robot}"
+        self._canvas.style(f"{path}/hypotheses", _hypotheses_style)
         self._canvas.draw(
             stamp,
-            path,
-            rr.Points3D(np.array(points).reshape(-1, 3), colors=blend(UNLIKELY, HYPOTHESIS, share[own])),
+            f"{path}/hypotheses",
+            rr.Points3D(manifold.poses(poses[own], scan), colors=blend(UNLIKELY, HYPOTHESIS, share[own])),
         )
-        projections = [p for p in message.projections if p.region == region and p.coefficients]
-        if projections:
-            path = f"eigenspace/{robot}/scan"
-            self._canvas.style(path, _scan_style)
-            label = f"{robot}'s scan in {region}"
-            self._canvas.draw(stamp, path, rr.Points3D([_three(projections[0].coefficients)], labels=[label]))
+        self._canvas.style(f"{path}/scan", _scan_style)
+        self._canvas.draw(stamp, f"{path}/scan", rr.Points3D([manifold.scan(scan)]))
+
+    def _draw_places(self, stamp: int, robot: str, manifold: Manifold) -> None:
+        path = f"eigenspace/{robot}/places"
+        self._canvas.style(path, _places_style)
+        self._canvas.draw(stamp, path, rr.LineStrips3D(manifold.loops()))
+
+    def _manifold(self, region: str) -> Manifold | None:
+        """The region's space, of which a few are kept; None without a sound model."""
+        if region in self._manifolds:
+            self._manifolds.move_to_end(region)
+        elif region in self._models:
+            try:
+                self._manifolds[region] = Manifold(self._models[region])
+            except ModelError:
+                del self._models[region]
+                return None
+            if len(self._manifolds) > MANIFOLDS_KEPT:
+                self._manifolds.popitem(last=False)
+        return self._manifolds.get(region)
 
 
-def _three(coefficients: object) -> NDArray[np.float32]:
-    """The first three, 0 for what is missing or no number."""
-    point = np.zeros(3, dtype=np.float32)
-    first = np.asarray(coefficients, dtype=np.float32)[:3]
-    point[: len(first)] = np.nan_to_num(first, nan=0.0, posinf=0.0, neginf=0.0)
-    return point
+def _places_style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(colors=[PLACE], radii=rr.Radius.ui_points(0.5)),)
 
 
 def _hypotheses_style() -> tuple[rr.Points3D]:
-    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(5.0)),)
+    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0)),)
 
 
 def _scan_style() -> tuple[rr.Points3D]:
-    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(9.0), show_labels=True),)
+    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(11.0)),)

@@ -18,7 +18,8 @@ The **bar on top** says it in one word:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
 - **Error**: distance from the true pose, m.
 - **Beams**: observed minus predicted range of each beam, m; blue: explained, red: unexpected.
-- **Eigenspace**: the scan (blue) among its hypotheses (orange): first three coefficients, best region.
+- **Eigenspace**: the scan (blue) and its hypotheses (orange) by their first three coefficients in the best
+  region's space. Each thin loop is one place of that region, seen at all headings.
 - **Events**: changes of state and of the services' health.
 
 Hidden at first: the outlines of the regions that have an eigenspace (`world/regions`).

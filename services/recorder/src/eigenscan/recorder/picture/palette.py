@@ -26,6 +26,7 @@ UNLIKELY: Colour = (195, 195, 195)
 TRACK: Colour = (125, 60, 180)
 TRUTH: Colour = (20, 20, 20)
 REGION: Colour = (120, 160, 190)
+PLACE: Colour = (215, 225, 232)
 
 STATE_COLOURS = {
     STATE_LOCALIZED: LOCALIZED,

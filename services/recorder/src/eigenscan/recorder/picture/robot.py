@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
 from dataclasses import dataclass
 
 import rerun as rr
@@ -10,13 +9,13 @@ from eigenscan.geometry.pose import covariance_from_message, from_message, from_
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state_name
+from eigenscan.recorder.picture.scan_memory import ScanMemory
 from eigenscan.recorder.picture.shapes import Array, Array32, arrows, ellipse, is_place, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-SCANS_KEPT = 16
 SCAN_AGE_NS = 500_000_000
 """A scan of another lidar that is older than this is not drawn at a pose."""
 ARROW_M = 1.4
@@ -33,25 +32,17 @@ class Sighting:
 class RobotPicture:
     """Draws poses and scans of all robots. A scan waits for the pose that follows from it."""
 
-    def __init__(self, canvas: Canvas, pace: Pace) -> None:
-        self._canvas, self._pace = canvas, pace
-        self._scans: dict[tuple[str, str], deque[tuple[int, Scan]]] = defaultdict(
-            lambda: deque(maxlen=SCANS_KEPT)
-        )
+    def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory) -> None:
+        self._canvas, self._pace, self._scans = canvas, pace, scans
         self._seen: dict[str, Sighting] = {}
         self._state: dict[str, int] = {}
 
-    def keep_scan(self, heard: Envelope) -> None:
-        """Keeps the scan until its pose comes; draws it where the pose came first."""
-        scan = heard.open(Scan)
-        stamp = stamp_of(scan.timestamp)
-        robot, lidar = heard.address["robot"], heard.address["lidar"]
-        if stamp is None:
-            return
-        self._scans[robot, lidar].append((stamp, scan))
-        seen = self._seen.get(robot)
+    def hear_scan(self, heard: Envelope) -> None:
+        """Draws the scan where its pose came first."""
+        stamp = stamp_of(heard.open(Scan).timestamp)
+        seen = self._seen.get(heard.address["robot"])
         if seen is not None and seen.stamp == stamp:
-            self._draw_scan(robot, lidar, seen)
+            self._draw_scan(heard.address["robot"], heard.address["lidar"], seen)
 
     def draw_pose(self, heard: Envelope) -> None:
         """The pose, its 95 % ellipse and the scans at it; a lost robot has none of them."""
@@ -70,9 +61,8 @@ class RobotPicture:
         self._draw_robot(robot, stamp, pose, message)
         if message.state == STATE_LOCALIZED:
             seen = self._seen[robot] = Sighting(stamp, pose)
-            for owner, lidar in list(self._scans):
-                if owner == robot:
-                    self._draw_scan(robot, lidar, seen)
+            for lidar in self._scans.lidars(robot):
+                self._draw_scan(robot, lidar, seen)
         else:
             self._hide_scans(robot, stamp)
 
@@ -108,15 +98,11 @@ class RobotPicture:
             self._canvas.draw(stamp, path, rr.LineStrips3D([outline], colors=[colour]))
 
     def _draw_scan(self, robot: str, lidar: str, seen: Sighting) -> None:
-        fitting = [
-            scan
-            for stamp, scan in self._scans[robot, lidar]
-            if seen.stamp - SCAN_AGE_NS <= stamp <= seen.stamp
-        ]
-        if fitting:
+        scan = self._scans.newest(robot, lidar, seen.stamp, SCAN_AGE_NS)
+        if scan is not None:
             path = f"world/robots/{robot}/scan/{lidar}"
             self._canvas.style(path, _scan_style)
-            self._canvas.draw(seen.stamp, path, rr.Points3D(lift(scan_points(fitting[-1], seen.pose), 0.06)))
+            self._canvas.draw(seen.stamp, path, rr.Points3D(lift(scan_points(scan, seen.pose), 0.06)))
 
     def _forget(self, robot: str, stamp: int) -> None:
         path = f"world/robots/{robot}/pose"
@@ -126,9 +112,8 @@ class RobotPicture:
 
     def _hide_scans(self, robot: str, stamp: int) -> None:
         self._seen.pop(robot, None)
-        for owner, lidar in list(self._scans):
-            if owner == robot:
-                self._canvas.clear(stamp, f"world/robots/{robot}/scan/{lidar}")
+        for lidar in self._scans.lidars(robot):
+            self._canvas.clear(stamp, f"world/robots/{robot}/scan/{lidar}")
 
 
 def _arrow(pose: Array, height: float) -> tuple[Array32, Array32]:

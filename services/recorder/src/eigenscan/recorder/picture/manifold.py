@@ -1,0 +1,73 @@
+"""One region's eigenspace as it is looked at: its places as loops, scans and poses as points.
+
+Everything is projected here by the region's model, so that all points live in the same space, whatever
+analysis a projector makes of it for its own sensor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.eigenspace.components import all_coefficients
+from eigenscan.eigenspace.model import RegionModel
+from eigenscan.eigenspace.panorama import resample, windows
+from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.geometry.pose import compose, from_message
+from eigenscan.schemas import model_pb2
+from eigenscan.schemas.scan_pb2 import Scan
+from numpy.typing import ArrayLike, NDArray
+
+Array32 = NDArray[np.float32]
+
+PLACES_DRAWN = 30
+HEADINGS_DRAWN = 60
+
+
+class Manifold:
+    """First three coefficients (paper, eq. 2), m, of places, poses and scans."""
+
+    def __init__(self, message: model_pb2.RegionModel) -> None:
+        """Raises ModelError where the message is no sound model."""
+        model = RegionModel.from_message(message)
+        self.region = model.region
+        self._sensor, self._space = model.sensor, model.space
+        self._positions = model.positions
+        self._transform = RangeTransform(model.range_cap)
+        self._turn = model.sensor.turn
+        self._values = self._transform(resample(model.panoramas, self._turn))
+
+    def loops(self) -> list[Array32]:
+        """A closed line (HEADINGS_DRAWN + 1, 3) for each of at most PLACES_DRAWN places: all its headings."""
+        chosen = np.linspace(0, len(self._values) - 1, min(PLACES_DRAWN, len(self._values))).astype(np.intp)
+        every = _three(all_coefficients(self._values[chosen], self._space))
+        turned = np.linspace(0, self._turn, HEADINGS_DRAWN + 1).astype(np.intp) % self._turn
+        return list(every[:, turned])
+
+    def scan(self, scan: Scan) -> Array32:
+        """The scan's point (3,). Beams that are missing, or beyond its field of view, count as the mean."""
+        sensor = self._sensor
+        bearings = sensor.angle_min + sensor.angle_increment * np.arange(sensor.beams)
+        beam = np.rint((bearings - scan.angle_min) / scan.angle_increment)
+        seen = (beam >= 0) & (beam < len(scan.ranges))
+        ranges = np.full(sensor.beams, np.nan)
+        ranges[seen] = np.asarray(scan.ranges, dtype=np.float64)[beam[seen].astype(np.intp)]
+        values = self._transform(ranges)
+        filled = np.where(np.isnan(values), np.float32(self._space.mean), values)
+        return _three(self._space.project(filled))
+
+    def poses(self, bases: ArrayLike, scan: Scan) -> Array32:
+        """Points (n, 3) of what the lidar of `scan` would see with the robot's base at `bases` (n, 3).
+
+        By the nearest place of the grid and the nearest heading.
+        """
+        sensors = compose(np.asarray(bases, dtype=np.float64).reshape(-1, 3), from_message(scan.mount))
+        offsets = sensors[:, None, :2] - self._positions
+        place = (offsets**2).sum(axis=-1).argmin(axis=1)
+        window = np.rint(self._sensor.window_of(sensors[:, 2], self._turn)).astype(np.intp) % self._turn
+        return _three(self._space.project(windows(self._values[place], window, self._space.beams)))
+
+
+def _three(coefficients: Array32) -> Array32:
+    """The first three of (..., M); 0 for those that the model does not have."""
+    missing = max(3 - coefficients.shape[-1], 0)
+    padding = [(0, 0)] * (coefficients.ndim - 1) + [(0, missing)]
+    return np.pad(coefficients[..., :3], padding)
