@@ -14,6 +14,8 @@ from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 
+TRUST = TrackerSettings().trust
+"""Likelihoods here are as the tracker takes them, after its exponent."""
 SIGMA = np.array([0.05, 0.05, 0.0175])
 
 
@@ -23,6 +25,7 @@ class Speaker:
 
     area: float = 400.0
     unlisted: float = 0.0
+    clutter: int = 8
     covariance: np.ndarray = field(default_factory=lambda: np.diag(SIGMA**2))
 
     def address(self, lidar: str = "front", projector: str = "0") -> dict[str, str]:
@@ -39,19 +42,25 @@ class Speaker:
         frame: str = "map",
         status: int = Hypotheses.STATUS_OK,
     ) -> Envelope:
+        listed = [*zip(poses, log_likelihoods, strict=True)]
+        if listed:
+            # a projector lists many that fit badly; they tell how likelihood grows with what is explained
+            listed += [(np.array([100.0 + 5.0 * k, 0.0, 0.0]), 2.0 + k) for k in range(self.clutter)]
         message = Hypotheses(
             timestamp=stamp(round(time * 1e9)),
             frame_id=frame,
             status=status,
-            unlisted_log_likelihood=self.unlisted,
+            unlisted_log_likelihood=self.unlisted / TRUST,
             searched_area_m2=self.area,
             hypotheses=[
                 Hypothesis(
                     pose=to_message(pose),
                     covariance=covariance_to_message(self.covariance),
-                    log_likelihood=float(value),
+                    log_likelihood=float(value) / TRUST,
+                    # as on real scans: a right pose stands above the trend of the wrong ones
+                    explained=float(np.clip(0.64 + (value - 15.0) / 40.0, 0.0, 0.95)),
                 )
-                for pose, value in zip(poses, log_likelihoods, strict=True)
+                for pose, value in listed
             ],
         )
         return Envelope(HYPOTHESES, self.address(lidar, projector), message)

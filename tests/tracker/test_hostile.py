@@ -206,6 +206,7 @@ def test_a_clock_set_back_starts_anew(make_core, speaker, poses_of) -> None:
 def test_covariances_that_are_none_are_replaced(make_core, speaker, poses_of) -> None:
     core = make_core()
     speaker.covariance = np.diag([-1.0, 0.0, 0.0])
+    speaker.clutter = 0
     message = poses_of(core.handle(speaker.hypotheses(1.0, [TRUTH], [60.0])) or core.finish())[0]
     assert core.condition().counters["covariance_replaced"] == 1
     assert message.covariance.xx == pytest.approx(0.25**2, rel=0.01)

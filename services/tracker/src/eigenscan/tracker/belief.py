@@ -25,12 +25,12 @@ from scipy.stats import chi2
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-BUMP = 1.5 * np.log(2.0 * np.pi)
-"""ln of the volume of exp(-d^2/2) over three dimensions with unit covariance."""
-OFF_MAP_SHARE = 0.1
+OFF_MAP_SHARE = 0.02
 """Of the robots that no track holds, how many are where no map shows the place."""
 RETURN_RATE = 0.1
 """1/s, how soon a robot off the map comes back to it."""
+MOST_DECAY = 5.0
+"""However long the silence, a little of the mass stays where it was."""
 BREAK_SHARE = 0.5
 """Mass that leaves the tracks at a jump of odometry: a reset of the wheels, or carried away."""
 
@@ -123,7 +123,7 @@ class Belief:
     stamp: int | None = None
 
     def __post_init__(self) -> None:
-        self._gate = float(chi2.ppf(self.settings.gate_probability, 3))
+        self.gate = float(chi2.ppf(self.settings.gate_probability, 3))
 
     @property
     def none_probability(self) -> float:
@@ -136,19 +136,17 @@ class Belief:
             index = self.frames.index(frame)
             self.elsewhere[index].area = area
             return index
-        off = self.elsewhere[0]
-        others = self.elsewhere[1:]
-        known = sum(part.area for part in others)
+        known = sum(part.area for part in self.elsewhere)
         share = area / (known + area)
-        if not others:
-            taken = off.log_weight + np.log1p(-OFF_MAP_SHARE)
-            off.log_weight += np.log(OFF_MAP_SHARE)
-        else:
-            taken = np.logaddexp.reduce([part.log_weight for part in others]) + np.log(share)
-            for part in others:
-                part.log_weight += np.log1p(-share)
+        # nothing was heard of this frame yet: to "off every map" it is as it was at the start
+        taken = self.elsewhere[0].log_weight + np.log((1.0 - OFF_MAP_SHARE) / OFF_MAP_SHARE * share)
+        for part in self.elsewhere[1:]:
+            part.log_weight += np.log1p(-share)
+        if len(self.elsewhere) > 1:
+            self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
         self.frames.append(frame)
-        self.elsewhere.append(Elsewhere(float(taken), off.evidence.copy(), area))
+        self.elsewhere.append(Elsewhere(float(taken), self.elsewhere[0].evidence.copy(), area))
+        self.normalise()
         return len(self.frames) - 1
 
     def source_index(self, source: str) -> int:
@@ -166,11 +164,11 @@ class Belief:
         if len(self.tracks):
             x, C = predict(self.tracks.x, self.tracks.C, moved, self.settings)
             self.tracks = replace(self.tracks, x=x, C=C)
-        lost = -np.expm1(-self.settings.kidnap_rate * abs(moved.seconds))
+        lost = -np.expm1(-min(self.settings.kidnap_rate * abs(moved.seconds), MOST_DECAY))
         if moved.breaks > 0:
-            lost = max(lost, 1.0 - (1.0 - BREAK_SHARE) ** moved.breaks)
+            lost = max(lost, 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0))
         self._release(float(lost))
-        self._return(float(-np.expm1(-RETURN_RATE * abs(moved.seconds))))
+        self._return(float(-np.expm1(-min(RETURN_RATE * abs(moved.seconds), MOST_DECAY))))
 
     def _release(self, share: float) -> None:
         """Moves `share` of each track's mass to "none", with the evidence that it had until now."""
@@ -213,35 +211,33 @@ class Belief:
 
     def _branches(self, old: Tracks, seen: Observation, source: int, share: Share) -> Tracks:
         """Each track once as predicted, and once for each hypothesis in its gate (fork)."""
-        pairs = associate(old.x, old.C, seen.poses, seen.covariances, self._gate)
+        pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         alone = np.arange(len(old))
         origin = np.concatenate([alone, pairs.track])
         fit = np.concatenate(
             [
-                np.full(len(old), seen.unlisted),
+                np.logaddexp(seen.unlisted, _missed(seen, old.C)),
                 _above(seen.log_likelihoods, seen.unlisted)[pairs.hypothesis] + pairs.log_overlap,
             ]
         )
-        weight, novelty = share.weight, share.novelty
         total = np.full(len(old), -np.inf)
         np.logaddexp.at(total, origin, fit)
-        tempered = np.full(len(old), -np.inf)
-        np.logaddexp.at(tempered, origin, weight * fit)
         before = old.evidence[origin, source]
         branches = old.pick(origin)
-        # the branches share what the track as a whole is worth
         log_weight = (
-            branches.log_weight + weight * (fit + total[origin]) - tempered[origin] - novelty * before
+            branches.log_weight
+            + share.weight * total[origin]
+            - share.novelty * before
+            + _branch_shares(fit, origin, len(old), share.weight)
         )
         evidence = branches.evidence.copy()
-        evidence[:, source] += novelty * (fit - before)
+        evidence[:, source] += share.novelty * (fit - before)
         x, C = branches.x.copy(), branches.C.copy()
         joined = slice(len(old), None)
+        R = seen.covariances[pairs.hypothesis]
+        precision = independent_share(C[joined], R, share.precision)
         x[joined], C[joined] = fuse(
-            x[joined],
-            C[joined],
-            seen.poses[pairs.hypothesis],
-            seen.covariances[pairs.hypothesis] / max(share.precision, 1e-3),
+            x[joined], C[joined], seen.poses[pairs.hypothesis], R / precision[:, None, None]
         )
         observations = branches.observations.copy()
         observations[joined] += 1
@@ -271,10 +267,9 @@ class Belief:
         part = self.elsewhere[frame]
         before = part.evidence[source]
         excess = _above(seen.log_likelihoods, seen.unlisted)
-        volume = BUMP + 0.5 * np.log(determinant(seen.covariances))
         log_weight = (
             part.log_weight
-            + volume
+            + _log_volume(seen.covariances)
             - np.log(part.area * 2.0 * np.pi)
             + share.weight * excess
             - share.novelty * before
@@ -299,7 +294,9 @@ class Belief:
 
     def _weigh_elsewhere(self, frame: int, seen: Observation, source: int, share: Share) -> None:
         """Unlisted poses of this frame, and places off every map: the reference, log-likelihood 0."""
-        for index, fit in ((frame, seen.unlisted), (0, 0.0)):
+        peak = float(_log_volume(seen.covariances)[0]) if len(seen.covariances) else 0.0
+        missed = seen.missed + peak - np.log(seen.area * 2.0 * np.pi)
+        for index, fit in ((frame, float(np.logaddexp(seen.unlisted, missed))), (0, 0.0)):
             part = self.elsewhere[index]
             part.log_weight += share.weight * fit - share.novelty * part.evidence[source]
             part.evidence[source] += share.novelty * (fit - part.evidence[source])
@@ -321,6 +318,49 @@ def _forks(branches: Tracks, log_weight: Array, origin: Index) -> tuple[Index, I
     forked = np.ones(len(order), dtype=bool)
     forked[order[first]] = False
     return np.where(forked, 0, branches.id), np.where(forked, branches.id, branches.parent)
+
+
+def independent_share(C: Array, R: Array, progress: float) -> Array:
+    """Share (p,) of a hypothesis' information that a track does not have yet; for (p, 3, 3) each.
+
+    Scans from one place err alike: a track as sure as one scan learns only what motion makes new. One
+    that prediction has made vaguer than a scan takes all of it.
+    """
+    known = np.cbrt(determinant(R) / determinant(C))
+    return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
+
+
+def _branch_shares(fit: Array, origin: Index, tracks: int, weight: float) -> Array:
+    """Logarithm of each branch's share in its track; the first `tracks` are those without a hypothesis.
+
+    Whether the scan shows the track at all is asked of each scan anew. Which of several hypotheses is
+    the track's is not: scans from one place repeat each other's preference, so it counts by `weight`.
+    """
+    total, hits, tempered = (np.full(tracks, -np.inf) for _ in range(3))
+    joined, own = fit[tracks:], origin[tracks:]
+    np.logaddexp.at(total, origin, fit)
+    np.logaddexp.at(hits, own, joined)
+    np.logaddexp.at(tempered, own, weight * joined)
+    alone = fit[:tracks] - total
+    return np.concatenate([alone, weight * joined - tempered[own] + hits[own] - total[own]])
+
+
+def _missed(seen: Observation, C: Array) -> Array:
+    """Log-likelihood (n,) of tracks (n, 3, 3) whose right pose the list lacks.
+
+    It would be one peak within the track, as narrow as a listed one: a vague track holds it less well.
+    """
+    if not len(seen.covariances):
+        return np.full(len(C), seen.missed)
+    R = seen.covariances[0]
+    overlap: Array = 0.5 * np.log(determinant(R) / determinant(C + R))
+    return seen.missed + overlap
+
+
+def _log_volume(C: Array) -> Array:
+    """Logarithm of the integral of exp(-d^2/2) under covariances (k, 3, 3)."""
+    result: Array = 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(determinant(C))
+    return result
 
 
 def _above(log_likelihoods: Array, unlisted: float) -> Array:

@@ -40,9 +40,6 @@ class TrackerCore:
         self._robots: dict[tuple[str, str], RobotTracker] = {}
         self._odom_frames: dict[tuple[str, str], tuple[str, str]] = {}
         self._map_frames: dict[tuple[str, str], str] = {}
-        self._default_covariance = np.diag(
-            np.array([settings.grid_spacing, settings.grid_spacing, settings.grid_step]) ** 2
-        )
 
     def start(self) -> Iterable[Envelope]:
         """Nothing: a tracker that heard nothing knows nothing."""
@@ -54,14 +51,7 @@ class TrackerCore:
         robot = self._robot(address)
         if heard.channel is ODOMETRY:
             return list(self._hear_odometry(robot, address, heard.open(Odometry)))
-        seen = observe(
-            heard.open(Hypotheses),
-            nanoseconds(heard.open(Hypotheses).timestamp),
-            heard.address["lidar"],
-            heard.address["projector"],
-            self._default_covariance,
-            self._counts,
-        )
+        seen = observe(heard.open(Hypotheses), heard.address, self._settings, self._counts)
         self._counts["hypotheses_heard"] += 1
         return list(self._say(address, robot.hear(seen)))
 

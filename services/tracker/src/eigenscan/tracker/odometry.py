@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +12,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-KEPT_NS = 5_000_000_000
-"""Odometry older than this is forgotten."""
+KEPT_NS = 60_000_000_000
+"""Odometry older than this is forgotten. A projector's first answer may come many seconds late."""
+KEPT_AT_LEAST, KEPT_AT_MOST = 2, 20_000
+"""Samples, whatever their age."""
 FARTHEST = 1e7
 """m from the odom frame's origin: beyond it a number is an overflow, not a place."""
 RESTART_AFTER = 5
@@ -73,7 +74,7 @@ class OdometryTrail:
 
     def __init__(self, gate: VelocityGate) -> None:
         self._gate = gate
-        self._samples: deque[Sample] = deque()
+        self._samples: list[Sample] = []
         self._past_in_row = 0
 
     @property
@@ -132,8 +133,12 @@ class OdometryTrail:
                 last.breaks + (1.0 if jump else 0.0),
             )
         )
-        while self._samples[0].stamp < stamp - KEPT_NS and len(self._samples) > 2:
-            self._samples.popleft()
+        self._forget_before(stamp - KEPT_NS)
+
+    def _forget_before(self, stamp: int) -> None:
+        # in batches: taking from the front of a list moves all of it
+        if self._samples[len(self._samples) // 2].stamp < stamp or len(self._samples) > KEPT_AT_MOST:
+            del self._samples[: max(len(self._samples) // 2 - KEPT_AT_LEAST, 0)]
 
     def covers(self, stamp: int) -> bool:
         """Whether odometry of `stamp` or later has arrived."""

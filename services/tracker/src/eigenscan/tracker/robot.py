@@ -50,6 +50,8 @@ class _Source:
     """How far one source's evidence has come."""
 
     last: int
+    shows: tuple[str, str]
+    """Lidar and map frame: sources of the same speak of the same, and share its evidence."""
     scans: int = 0
 
 
@@ -127,17 +129,17 @@ class RobotTracker:
         return replace(seen, stamp=stamp, poses=poses, covariances=limit_sigma(covariances))
 
     def _share(self, seen: Observation) -> Share:
-        source = self._sources.setdefault(seen.source, _Source(seen.stamp))
+        source = self._sources.setdefault(seen.source, _Source(seen.stamp, (seen.lidar, seen.frame)))
         source.scans += 1
+        peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
         if source.scans == 1:
-            return Share(1.0, 0.0, 1.0)
+            return Share(1.0 / peers, 0.0, 1.0 / peers)
         moved = self._motion(source.last, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
         novelty = max(1.0 / source.scans, float(-np.expm1(-seconds / self._settings.memory)))
         progress = moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
         progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
-        peers = sum(1 for key in self._sources if key.split("/")[0] == seen.lidar)
         progress = min(1.0, progress)
         return Share(novelty / peers, progress / peers, progress / peers)
 

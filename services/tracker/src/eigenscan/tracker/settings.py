@@ -42,6 +42,15 @@ class TrackerSettings(ServiceSettings):
     kidnap_rate: float = Field(
         0.001, ge=0, description="1/s, how often a robot is carried away or its track is wrong"
     )
+    trust: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="exponent on likelihoods: the beams of a scan share their mistakes",
+    )
+    miss_probability: float = Field(
+        0.1, gt=0, lt=1, description="how often a projector's list lacks the right pose, at a hard place"
+    )
     gate_probability: float = Field(
         0.999, gt=0, lt=1, description="share of right hypotheses that the validation gate lets through"
     )
