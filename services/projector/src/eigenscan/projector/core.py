@@ -10,7 +10,7 @@ from eigenscan.eigenspace.model import ModelError
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.pose import from_message
 from eigenscan.projector.observation import Observation, observe
-from eigenscan.projector.projection import project
+from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import Shelf, WholeSet
@@ -73,7 +73,7 @@ class ProjectorCore:
             return
         self._counts[f"taken_{kind}"] += 1
         if whole is not None:
-            site = Site(whole, self._settings.components, self._settings.range_cap)
+            site = Site(whole, self._settings)
             for sensor in self._site.sensors if self._site else []:
                 site.view(sensor)
             self._site = site
@@ -103,9 +103,9 @@ class ProjectorCore:
         self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site
     ) -> list[Envelope]:
         view = site.view(seen.sensor)
-        candidates = project(site, view, seen, self._settings)
+        candidates = find_candidates(site, view, seen, self._settings)
         said = [
-            Envelope(HYPOTHESES, address, hypotheses_message(scan, site, view, seen, mount, candidates)),
+            Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates)),
         ]
         if len(candidates.poses):
             said.append(Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates)))

@@ -5,123 +5,128 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.circle import wrap
 from eigenscan.projector.connectivity import best_of_neighbourhoods
-from eigenscan.projector.likelihood import log_likelihood
+from eigenscan.projector.covariance import pose_covariances
+from eigenscan.projector.likelihood import log_likelihood, support
 from eigenscan.projector.observation import Observation
-from eigenscan.projector.refinement import refine
+from eigenscan.projector.refinement import polish, slide
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
-from eigenscan.projector.verification import TRUNCATION, truncated_l1
+from eigenscan.projector.verification import verify
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
-POINT_SIGMA = 0.1
-"""m, error of a beam's end point about the map's wall."""
-FLOOR = np.diag([0.05, 0.05, np.deg2rad(0.7)]) ** 2
-"""Covariance that no pose goes below: the map's own error."""
-SAME_M, SAME_RAD = 0.3, np.deg2rad(6.0)
-"""Two refined poses nearer than this are one."""
+PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
+"""Of the candidates this near to each other only the best is refined."""
+SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
+"""Refined poses this near to each other are one."""
+CLIMBING = 300
+"""Candidates that also look at the model's finer positions around them."""
+SLIDE_POINTS, WEIGHED_BEAMS = 30, 60
+"""Beams that are enough for the coarse refinement, and for the likelihood."""
 
 
 @dataclass(frozen=True)
-class RegionProjection:
-    """A scan's coefficients (M,) in one region's subspace and its error, root mean square, m."""
+class Projected:
+    """A scan in each region's space: coefficients (R, M) and its error, root mean square (R,), m."""
 
     coefficients: Array
-    error_energy: float
+    error_energy: Array
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """n poses of the sensor, most likely first."""
+    """n poses of the sensor, most likely first. `region` (n,) proposed each."""
 
     poses: Array
     covariances: Array
     log_likelihoods: Array
     explained: Array
-    subspace: NDArray[np.int64]
-    projections: tuple[RegionProjection, ...]
+    region: Index
+    projected: Projected
     unlisted_log_likelihood: float
 
 
-def project(site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings) -> Candidates:
+def find_candidates(
+    site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings
+) -> Candidates:
     """Candidate poses of the sensor in the map frame."""
-    projections, index, subspace = _associate(view, seen, settings.candidates)
-    cost = _verify(view, seen, index, subspace)
-    best = np.argsort(cost, kind="stable")
-    index, subspace = index[best], subspace[best]
-    poses = _poses(view, index, subspace)
-    kept = best_of_neighbourhoods(poses, 0.4, np.deg2rad(9.0), settings.refined)
-    poses, information = refine(site.field, poses[kept], seen.points)
-    return _weigh(site, view, seen, settings, poses, information, subspace[kept], projections)
+    projected = project(view, seen)
+    rows, _ = view.table.nearest(
+        projected.coefficients,
+        projected.error_energy**2 * view.embedding.channels * len(seen.coarse),
+        settings.candidates,
+    )
+    seeds, region = _seeds(site, view, seen, rows, settings.refined)
+    points = seen.points
+    sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
+    slid, cost = slide(site.walls, site.field.origin, seeds, sliding)
+    order = np.argsort(cost, kind="stable")
+    order = order[best_of_neighbourhoods(slid[order], SAME_M, SAME_RAD, 2 * settings.published)]
+    return _weigh(site, seen, slid[order], region[order], projected, settings)
 
 
-def _associate(
-    view: SensorView, seen: Observation, count: int
-) -> tuple[tuple[RegionProjection, ...], NDArray[np.int64], NDArray[np.int64]]:
-    """The `count` poses nearest to the scan over all subspaces, by the bound on ||S - S'||."""
-    projections, indices, squares, owners = [], [], [], []
-    for number, subspace in enumerate(view.subspaces):
-        alpha, energy = subspace.project(seen.coarse)
-        projections.append(RegionProjection(alpha, energy))
-        k = min(count, subspace.tree.n)
-        distance, index = subspace.tree.query(alpha, k=k, eps=0.5)
-        indices.append(np.atleast_1d(index))
-        squares.append(np.atleast_1d(distance) ** 2 + energy**2 * len(seen.coarse))
-        owners.append(np.full(k, number))
-    square, index, owner = np.concatenate(squares), np.concatenate(indices), np.concatenate(owners)
-    near = np.argsort(square, kind="stable")[:count]
-    return tuple(projections), index[near].astype(np.int64), owner[near]
+def project(view: SensorView, seen: Observation) -> Projected:
+    """The scan in every region's space; beams without a return take no part."""
+    usable = np.isfinite(seen.coarse)
+    channels = view.embedding(np.where(usable, seen.coarse, np.float32(0)))
+    parts = [space.project(channels, usable) for space in view.spaces]
+    return Projected(np.array([alpha for alpha, _ in parts]), np.sqrt([square for _, square in parts]))
 
 
-def _verify(
-    view: SensorView, seen: Observation, index: NDArray[np.int64], owner: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    cost = np.empty(len(index), dtype=np.float32)
-    weight = (~np.isnan(seen.coarse)).astype(np.float32)
-    if view.horizon > SHORT_SIGHT:
-        weight[np.isinf(seen.coarse)] = 0.0
-    for number, subspace in enumerate(view.subspaces):
-        own = owner == number
-        scan = subspace.transform(np.nan_to_num(seen.coarse, nan=0.0, posinf=np.inf))
-        cost[own] = truncated_l1(subspace.panoramas, index[own], scan, weight, np.float32(TRUNCATION))
-    return cost
+def _seeds(site: Site, view: SensorView, seen: Observation, rows: Index, count: int) -> tuple[Array, Index]:
+    """Poses to refine: half the nearest in eigenspace, half the best verified, one a neighbourhood."""
+    position = view.row_position[rows].astype(np.int64)
+    window = view.row_window[rows].astype(np.int64)
+    region = np.searchsorted(view.table.bounds, rows, side="right") - 1
+    near = _poses(site, seen, position, window)
+    first = best_of_neighbourhoods(near, PATCH_M, PATCH_RAD, count // 2)
+    range_max = seen.sensor.range_max
+    position, window, cost = verify(
+        view.windows, site.lattice, position, window, seen.coarse, range_max, CLIMBING
+    )
+    order = np.argsort(cost, kind="stable")
+    verified = _poses(site, seen, position[order], window[order])
+    second = best_of_neighbourhoods(verified, PATCH_M, PATCH_RAD, count // 2)
+    poses = np.concatenate([verified[second], near[first]])
+    return poses, np.concatenate([region[order][second], region[first]])
 
 
-SHORT_SIGHT = 15.0
-"""m: below this range an empty beam says that no wall is near; beyond, glass and black walls do the same."""
-
-
-def _poses(view: SensorView, index: NDArray[np.int64], owner: NDArray[np.int64]) -> Array:
-    poses = np.empty((len(index), 3))
-    for number, subspace in enumerate(view.subspaces):
-        own = owner == number
-        poses[own] = subspace.poses(index[own])
-    return poses
+def _poses(site: Site, seen: Observation, position: Index, window: Index) -> Array:
+    step = 2.0 * np.pi / site.lattice.panoramas.shape[1]
+    heading = wrap(window * step - seen.sensor.angle_min)
+    return np.column_stack([site.lattice.positions[position], heading])
 
 
 def _weigh(
     site: Site,
-    view: SensorView,
     seen: Observation,
+    slid: Array,
+    region: Index,
+    projected: Projected,
     settings: ProjectorSettings,
-    poses: Array,
-    information: Array,
-    owner: NDArray[np.int64],
-    projections: tuple[RegionProjection, ...],
 ) -> Candidates:
-    used = seen.used & (seen.coarse < view.horizon)
-    z = seen.coarse[used]
-    predicted = site.caster.cast(poses, seen.bearings[used], 2.0 * view.horizon)
-    likelihood = log_likelihood(z, predicted, view.ranges, view.horizon)
+    poses, information = polish(site.field, slid, seen.points)
+    used = np.flatnonzero(seen.used)
+    used = used[:: max(1, -(-len(used) // WEIGHED_BEAMS))]
+    z, bearing = seen.coarse[used], seen.bearings[used]
+    reach = float(z.max()) + 1.0
+    predicted = site.caster.cast(poses, bearing, reach)
+    angle = poses[:, 2:3] + bearing
+    ends = poses[:, None, :2] + z[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    distance, _ = site.field.at(ends)
+    likelihood = log_likelihood(support(z, predicted, distance))
     order = np.argsort(-likelihood, kind="stable")
-    ranked = poses[order]
-    kept = order[best_of_neighbourhoods(ranked, SAME_M, SAME_RAD, settings.published)]
-    explained = (np.abs(predicted[kept] - z) < 0.3).mean(axis=1)
-    prior = np.diag([1.0 / 0.25**2, 1.0 / 0.25**2, 1.0 / np.deg2rad(5.0) ** 2])
-    covariance = np.linalg.inv(information[kept] / (4.0 * POINT_SIGMA**2) + prior) + FLOOR
-    unlisted = float(likelihood[kept[-1]]) if len(kept) else 0.0
+    kept = order[best_of_neighbourhoods(poses[order], SAME_M, SAME_RAD, settings.published)]
     return Candidates(
-        poses[kept], covariance, likelihood[kept], explained, owner[kept], projections, min(unlisted, 0.0)
+        poses[kept],
+        pose_covariances(information[kept], len(seen.points)),
+        likelihood[kept],
+        (np.abs(predicted[kept] - z) < 0.3).mean(axis=1),
+        region[kept],
+        projected,
+        float(min(likelihood[kept[-1]], 0.0)),
     )

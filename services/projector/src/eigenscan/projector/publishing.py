@@ -7,7 +7,7 @@ from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.obstacles import find_obstacles
 from eigenscan.projector.projection import Candidates
-from eigenscan.projector.site import SensorView, Site
+from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
 
 
 def hypotheses_message(
-    scan: Scan, site: Site, view: SensorView, seen: Observation, mount: Array, found: Candidates
+    scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
 ) -> Hypotheses:
     """The list, most likely first."""
     base, covariance = to_base(found.poses, found.covariances, mount)
@@ -36,8 +36,8 @@ def hypotheses_message(
             pose=to_message(base[i]),
             covariance=covariance_to_message(covariance[i]),
             log_likelihood=float(found.log_likelihoods[i]),
-            region=view.subspaces[found.subspace[i]].region,
-            error_energy=found.projections[found.subspace[i]].error_energy,
+            region=site.regions[found.region[i]],
+            error_energy=float(found.projected.error_energy[found.region[i]]),
             explained=float(found.explained[i]),
         )
         for i in range(len(base))
@@ -53,12 +53,14 @@ def hypotheses_message(
         used_beams=int(np.count_nonzero(seen.used)),
         projections=[
             Projection(
-                region=subspace.region,
-                coefficients=projection.coefficients.tolist(),
-                error_energy=projection.error_energy,
+                region=region,
+                coefficients=coefficients.tolist(),
+                error_energy=float(energy),
                 searched=True,
             )
-            for subspace, projection in zip(view.subspaces, found.projections, strict=True)
+            for region, coefficients, energy in zip(
+                site.regions, found.projected.coefficients, found.projected.error_energy, strict=True
+            )
         ],
     )
 

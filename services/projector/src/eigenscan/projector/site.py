@@ -1,4 +1,4 @@
-"""A whole set made ready for scans: distance field, ray caster, and subspaces for each sensor grid."""
+"""A whole set made ready for scans, and what each sensor would see of it."""
 
 from __future__ import annotations
 
@@ -7,61 +7,90 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
-from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.projector.likelihood import HORIZON, RangeHistogram
-from eigenscan.projector.observation import coarse_sensor
+from eigenscan.projector.channel_space import ChannelSpace, analyse_channels, coefficients
+from eigenscan.projector.embedding import Embedding
+from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
+from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
-from eigenscan.projector.subspace import Subspace, make_subspace
+from eigenscan.projector.sweep import SweepTable
+from eigenscan.projector.verification import predicted
+from eigenscan.projector.wall_field import WallField
+from numpy.typing import NDArray
 
 KEPT_SENSORS = 8
 """Sensor grids whose subspaces are kept; the longest unused one goes first."""
+HEADING_STRIDE = 3
+"""Headings of the analysis grid from one searched heading to the next: 6 degrees."""
 
 
 @dataclass(frozen=True)
 class SensorView:
-    """The site as one sensor sees it."""
+    """The site as one sensor sees it.
 
-    subspaces: tuple[Subspace, ...]
-    ranges: RangeHistogram
-    horizon: float
+    `spaces` holds a region each. A row of `table` is a pose: position `row_position` (n,) of the lattice and
+    window `row_window` (n,) of its panorama. `windows` (P, N + J) are the panoramas to verify against.
+    """
+
+    embedding: Embedding
+    spaces: tuple[ChannelSpace, ...]
+    table: SweepTable
+    row_position: NDArray[np.int32]
+    row_window: NDArray[np.int16]
+    windows: NDArray[np.float32]
 
 
 class Site:
     """The set in use."""
 
-    def __init__(self, whole: WholeSet, components: int, range_cap: float) -> None:
+    def __init__(self, whole: WholeSet, settings: ProjectorSettings) -> None:
         self.version, self.frame_id = whole.version, whole.frame_id
         self.free_area_m2 = whole.free_area_m2
         self.field = DistanceField.of(whole.grid)
+        self.walls = WallField.of(self.field)
         self.caster = RayCaster.of(whole.grid)
-        self._regions = whole.regions
-        self._components, self._range_cap = components, range_cap
-        self._views: OrderedDict[tuple[float, int, float], SensorView] = OrderedDict()
+        self.lattice = Lattice.of(whole.regions)
+        self.regions = tuple(region.region for region in whole.regions)
+        self._settings = settings
+        self._views: OrderedDict[tuple[int, float], SensorView] = OrderedDict()
+        self._sensors: dict[tuple[int, float], Sensor] = {}
 
     @property
     def sensors(self) -> list[Sensor]:
-        """Sensors that were seen, on the analysis grid."""
-        return [view.subspaces[0].sensor for view in self._views.values()]
+        """Sensors that were seen, the longest unused first."""
+        return [self._sensors[key] for key in self._views]
 
     def view(self, sensor: Sensor) -> SensorView:
-        """The site for `sensor`; made at its first scan."""
+        """The site for `sensor`; made at its first scan. Where its first beam looks makes no difference."""
         coarse = coarse_sensor(sensor)
-        key = (coarse.angle_min, coarse.beams, coarse.range_max)
+        key = (coarse.beams, coarse.range_max)
         if key not in self._views:
             self._views[key] = self._make(coarse)
+            self._sensors[key] = sensor
             while len(self._views) > KEPT_SENSORS:
-                self._views.popitem(last=False)
+                oldest, _ = self._views.popitem(last=False)
+                del self._sensors[oldest]
         self._views.move_to_end(key)
         return self._views[key]
 
     def _make(self, coarse: Sensor) -> SensorView:
-        limit = coarse.range_max if coarse.range_max > 0 else np.inf
-        transform = RangeTransform(min(self._range_cap, limit))
-        horizon = min(HORIZON, limit)
-        subspaces = tuple(
-            make_subspace(region, coarse, transform, self._components) for region in self._regions
+        settings, lattice = self._settings, self.lattice
+        embedding = Embedding.of(settings.embedding, settings.range_cap, coarse.range_max)
+        spaces, tables = [], []
+        for own, searched in zip(lattice.regions, lattice.searched, strict=True):
+            space = analyse_channels(embedding(lattice.panoramas[own]), coarse.beams, settings.components)
+            table = coefficients(embedding(lattice.panoramas[searched]), space, HEADING_STRIDE)
+            spaces.append(space)
+            tables.append(table.reshape(-1, table.shape[-1]))
+        searched = np.concatenate(lattice.searched).astype(np.int32)
+        headings = np.arange(0, ANALYSIS_TURN, HEADING_STRIDE, dtype=np.int16)
+        return SensorView(
+            embedding,
+            tuple(spaces),
+            SweepTable.of(tables),
+            np.repeat(searched, len(headings)),
+            np.tile(headings, len(searched)),
+            predicted(lattice, coarse.beams, coarse.range_max),
         )
-        seen = np.concatenate([region.panoramas[::4, ::8].ravel() for region in self._regions])
-        return SensorView(subspaces, RangeHistogram.of(seen, horizon), horizon)

@@ -1,35 +1,116 @@
-"""How well predicted scans explain a scan: truncated L1 over windows of the panoramas."""
+"""How well predicted scans explain a scan: truncated L1 over windows of the panoramas.
+
+Each candidate of the search lattice is tried at the neighbouring headings, and the better ones also at the
+neighbouring positions of the model's own grid.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.projector.lattice import Lattice
 from numba import njit
 from numpy.typing import NDArray
 
-TRUNCATION = 1.0
+TRUNCATION = 0.5
 """m: a beam that is off by more says no more."""
+RANGE_CAP = 10.0
+"""m: beyond, ranges differ too much within a grid cell to be compared."""
+EMPTY_WEIGHT = 0.5
+"""Of a beam that came back empty within the reach of a short-sighted sensor: dark and slanted walls do the same."""
+
+
+def predicted(lattice: Lattice, beams: int, range_max: float) -> NDArray[np.float32]:
+    """Panoramas (P, N + beams) clipped, with their first beams once more behind their last."""
+    cap = min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP
+    clipped = np.minimum(lattice.panoramas, np.float32(cap))
+    return np.concatenate([clipped, clipped[:, :beams]], axis=1)
+
+
+def verify(
+    windows: NDArray[np.float32],
+    lattice: Lattice,
+    position: NDArray[np.int64],
+    heading: NDArray[np.int64],
+    coarse: NDArray[np.float32],
+    range_max: float,
+    climbing: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+    """The best neighbours of candidates: position (n,), heading (n,) and cost (n,), m, in the same order.
+
+    `windows` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in position.
+    """
+    cap = min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP
+    empty_counts = 0.0 < range_max <= RANGE_CAP
+    weight = np.isfinite(coarse).astype(np.float32)
+    weight[np.isinf(coarse)] = EMPTY_WEIGHT if empty_counts else 0.0
+    scan = np.minimum(np.nan_to_num(coarse, nan=0.0, posinf=cap), cap).astype(np.float32)
+    limit = np.float32(TRUNCATION)
+    best_position, best_heading = position.copy(), heading.copy()
+    cost = np.empty(len(position), dtype=np.float32)
+    _turn(windows, best_position, best_heading, scan, weight, limit, cost)
+    if climbing < len(cost):
+        better = np.argpartition(cost, climbing)[:climbing]
+    else:
+        better = np.arange(len(cost))
+    _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, limit, cost)
+    return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
+def _cost(
+    window: NDArray[np.float32], scan: NDArray[np.float32], weight: NDArray[np.float32], limit: np.float32
+) -> np.float32:
+    total = np.float32(0.0)
+    for j in range(len(scan)):
+        total += weight[j] * min(abs(window[j] - scan[j]), limit)
+    return total
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
-def truncated_l1(
-    panoramas: NDArray[np.float32],
-    index: NDArray[np.int64],
+def _turn(
+    windows: NDArray[np.float32],
+    position: NDArray[np.int64],
+    heading: NDArray[np.int64],
     scan: NDArray[np.float32],
     weight: NDArray[np.float32],
-    truncation: np.float32,
-) -> NDArray[np.float32]:
-    """Mean cost (n,) of poses `index` (n,), over the beams that have weight.
+    limit: np.float32,
+    cost: NDArray[np.float32],
+) -> None:
+    beams = len(scan)
+    turn = windows.shape[1] - beams
+    for i in range(len(position)):
+        centre = heading[i]
+        cost[i] = np.float32(np.inf)
+        for step in (0, -1, 1):
+            k = (centre + step) % turn
+            c = _cost(windows[position[i], k : k + beams], scan, weight, limit)
+            if c < cost[i]:
+                cost[i], heading[i] = c, k
 
-    `panoramas` (P, 2 N) twice around, `scan` (J,) finite, `weight` (J,) 0 where missing.
-    """
-    turn = panoramas.shape[1] // 2
-    total = max(weight.sum(), np.float32(1e-9))
-    out = np.empty(len(index), dtype=np.float32)
-    for i in range(len(index)):
-        position, heading = index[i] // turn, index[i] % turn
-        window = panoramas[position, heading : heading + len(scan)]
-        cost = np.float32(0.0)
-        for j in range(len(scan)):
-            cost += weight[j] * min(abs(window[j] - scan[j]), truncation)
-        out[i] = cost / total
-    return out
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _climb(
+    windows: NDArray[np.float32],
+    neighbours: NDArray[np.int32],
+    which: NDArray[np.int64],
+    position: NDArray[np.int64],
+    heading: NDArray[np.int64],
+    scan: NDArray[np.float32],
+    weight: NDArray[np.float32],
+    limit: np.float32,
+    cost: NDArray[np.float32],
+) -> None:
+    beams = len(scan)
+    turn = windows.shape[1] - beams
+    for w in range(len(which)):
+        i = which[w]
+        around, centre = neighbours[position[i]], heading[i]
+        for n in range(9):
+            p = around[n]
+            if p < 0:
+                continue
+            for step in (-1, 0, 1):
+                k = (centre + step) % turn
+                c = _cost(windows[p, k : k + beams], scan, weight, limit)
+                if c < cost[i]:
+                    cost[i], heading[i], position[i] = c, k, p

@@ -1,0 +1,89 @@
+"""Principal components of windows of panoramas with several channels a beam.
+
+As in one channel (paper, section 2) every heading of every position is in the set, so the covariance of channel
+f at beam j and channel g at beam l depends on j - l only: it is block Toeplitz, and exact by one FFT a panorama.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.linalg import eigh
+
+_CACHED = 64
+
+
+@dataclass(frozen=True)
+class ChannelSpace:
+    """Mean (F,) of the channels, unit eigenvectors (M, F, J), eigenvalues (M,), trace of the covariance."""
+
+    mean: NDArray[np.float64]
+    vectors: NDArray[np.float64]
+    eigenvalues: NDArray[np.float64]
+    total_variance: float
+
+    @property
+    def noise(self) -> float:
+        """Mean variance of a channel of a beam that the kept components leave out."""
+        left_over = self.total_variance - float(self.eigenvalues.sum())
+        return max(left_over / self.vectors[0].size, 1e-9 * self.total_variance, 1e-12)
+
+    def project(
+        self, channels: NDArray[np.float32], seen: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], float]:
+        """Coefficients (M,) of a scan (F, J) and its error's mean square over the beams `seen` (J,).
+
+        Beams that are not seen take no part: least squares on the others, held by the coefficients' own
+        variances where these do not fix them.
+        """
+        basis = self.vectors[:, :, seen].reshape(len(self.vectors), -1)
+        scan = (channels[:, seen] - self.mean[:, None]).ravel()
+        spread = np.maximum(self.eigenvalues, 1e-12)
+        normal = basis @ basis.T
+        normal[np.diag_indices_from(normal)] += self.noise / spread
+        alpha: NDArray[np.float64] = np.linalg.solve(normal, basis @ scan)
+        error = scan - alpha @ basis
+        return alpha, float(error @ error) / max(error.size, 1)
+
+
+def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> ChannelSpace:
+    """Space of all N windows of `beams` beams of panoramas with channels (F, P, N), `count` components.
+
+    Raises ValueError for an empty set or values that are not finite.
+    """
+    many, positions, turn = channels.shape
+    if not positions or not np.isfinite(channels).all():
+        raise ValueError(f"no finite panoramas to analyse: shape {channels.shape}")
+    mean = channels.mean(axis=(1, 2), dtype=np.float64)
+    power = np.zeros((many, many, turn // 2 + 1), dtype=np.complex128)
+    for start in range(0, positions, _CACHED):
+        spectrum = fft.rfft(channels[:, start : start + _CACHED] - mean[:, None, None], axis=2)
+        power += np.einsum("fpk,gpk->fgk", spectrum, np.conj(spectrum))
+    lag = fft.irfft(power, turn, axis=2) / (turn * positions)
+    beam = np.arange(beams)
+    apart = (beam[:, None] - beam[None, :]) % turn
+    covariance = lag[:, :, apart].transpose(0, 2, 1, 3).reshape(many * beams, many * beams)
+    size = many * beams
+    kept = min(count, size)
+    eigenvalues, vectors = eigh(covariance, subset_by_index=(size - kept, size - 1))
+    return ChannelSpace(
+        mean,
+        np.ascontiguousarray(vectors.T[::-1]).reshape(kept, many, beams),
+        np.maximum(eigenvalues[::-1], 0.0),
+        float(np.trace(covariance)),
+    )
+
+
+def coefficients(channels: NDArray[np.float32], space: ChannelSpace, every: int = 1) -> NDArray[np.float32]:
+    """Coefficients (P, N / every, M) of every `every`-th window of panoramas with channels (F, P, N)."""
+    turn = channels.shape[2]
+    filters = np.conj(fft.rfft(space.vectors, turn, axis=2))
+    out = np.empty((channels.shape[1], -(-turn // every), len(space.vectors)), dtype=np.float32)
+    for start in range(0, channels.shape[1], _CACHED):
+        block = channels[:, start : start + _CACHED] - space.mean[:, None, None]
+        spectrum = np.einsum("fpk,mfk->pmk", fft.rfft(block, axis=2), filters)
+        out[start : start + _CACHED] = fft.irfft(spectrum, turn, axis=2)[:, :, ::every].transpose(0, 2, 1)
+    return out

@@ -1,0 +1,24 @@
+"""How far a refined pose can be off."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+POINT_SIGMA = 0.1
+"""m, error of a beam's end point about the map's wall."""
+INDEPENDENCE = 0.25
+"""Independent points per point: neighbours err alike."""
+PRIOR = np.diag([0.25, 0.25, np.deg2rad(5.0)]) ** 2
+"""Where the walls do not hold a pose (along a hallway), the grid that it started from does."""
+FLOOR = np.diag([0.05, 0.05, np.deg2rad(0.7)]) ** 2
+"""No pose is surer than this: the map's own error."""
+
+
+def pose_covariances(information: Array, _points: int) -> Array:
+    """Covariances (n, 3, 3) of poses from J'WJ (n, 3, 3) of their points' distances."""
+    certain = information * (INDEPENDENCE / POINT_SIGMA**2)
+    covariance: Array = np.linalg.inv(certain + np.linalg.inv(PRIOR)) + FLOOR
+    return covariance

@@ -1,0 +1,59 @@
+"""All positions of the site once, on the model's own grid, with what the sensor would see from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.eigenspace.model import RegionModel
+from eigenscan.eigenspace.panorama import resample
+from eigenscan.projector.observation import ANALYSIS_TURN
+from numpy.typing import NDArray
+
+SEARCH_SPACING = 0.5
+"""m, between the positions that are searched in eigenspace; the finer ones refine what was found."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """P positions (P, 2) m, map frame; panoramas (P, N) m on the analysis grid, +inf: no wall in sight.
+
+    `neighbours` (P, 9): index of the position one step of the model's grid away, -1 where there is none; itself
+    at 4. `regions` holds for each region the indices of its positions, `searched` those of them that are
+    searched.
+    """
+
+    positions: NDArray[np.float64]
+    panoramas: NDArray[np.float32]
+    neighbours: NDArray[np.int32]
+    regions: tuple[NDArray[np.int64], ...]
+    searched: tuple[NDArray[np.int64], ...]
+
+    @classmethod
+    def of(cls, models: tuple[RegionModel, ...]) -> Lattice:
+        """Lattice of the regions of one set; positions that several share are kept once."""
+        cell = np.rint(np.concatenate([m.positions for m in models]) / models[0].spacing * 64).astype(
+            np.int64
+        )
+        _, first, member = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+        bounds = np.cumsum([0, *(len(model.index) for model in models)])
+        member = member.reshape(-1)
+        regions = tuple(member[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True))
+        index = np.concatenate([model.index for model in models])
+        stride = max(1, round(SEARCH_SPACING / models[0].spacing))
+        searched = tuple(
+            own[np.unique(model.index // stride, axis=0, return_index=True)[1]]
+            for own, model in zip(regions, models, strict=True)
+        )
+        panoramas = np.concatenate([resample(model.panoramas, ANALYSIS_TURN) for model in models])
+        positions = np.concatenate([model.positions for model in models])
+        return cls(positions[first], panoramas[first], _neighbours(index[first]), regions, searched)
+
+
+def _neighbours(index: NDArray[np.int32]) -> NDArray[np.int32]:
+    low = index.min(axis=0) - 1
+    grid = np.full(index.max(axis=0) - low + 2, -1, dtype=np.int32)
+    at = index - low
+    grid[at[:, 0], at[:, 1]] = np.arange(len(index))
+    steps = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    return np.stack([grid[at[:, 0] + dx, at[:, 1] + dy] for dx, dy in steps], axis=1)
