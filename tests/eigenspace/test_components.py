@@ -3,9 +3,10 @@ import pytest
 from eigenscan.eigenspace.components import all_coefficients, all_norms, analyse, autocovariance
 from eigenscan.eigenspace.panorama import all_windows, windows
 from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.eigenspace.symmetric_toeplitz import eigenpairs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import toeplitz
+from scipy.linalg import eigh, toeplitz
 
 
 def panoramas(count, turn, seed=0):
@@ -138,3 +139,14 @@ def test_a_round_room_has_no_variance_and_is_no_fault():
     space = analyse(np.full((3, 24), 4.0, np.float32), 13)
     assert len(space.eigenvalues) == 1
     np.testing.assert_allclose(space.reconstruct(space.project(np.full(13, 4.0))), 4.0, rtol=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 999), beams=st.integers(1, 40), count=st.integers(1, 40))
+def test_the_halved_eigenproblem_is_the_whole_one(seed, beams, count):
+    row = np.random.default_rng(seed).normal(size=beams) + beams * (np.arange(beams) == 0)
+    matrix, count = toeplitz(row), min(count, beams)
+    values, vectors = eigenpairs(row, count)
+    np.testing.assert_allclose(values, eigh(matrix, eigvals_only=True)[::-1][:count], rtol=1e-9)
+    np.testing.assert_allclose(vectors @ vectors.T, np.eye(count), atol=1e-9)
+    np.testing.assert_allclose(matrix @ vectors.T, vectors.T * values, atol=1e-9 * beams)

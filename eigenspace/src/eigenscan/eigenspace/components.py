@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from eigenscan.eigenspace.symmetric_toeplitz import eigenpairs
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
-from scipy.linalg import eigh, toeplitz
 from threadpoolctl import threadpool_limits
 
 _BLOCK = 1024
@@ -102,18 +102,15 @@ def analyse(
     if not np.isfinite(covariance).all():
         raise ValueError("panoramas hold values that are not finite: clip them first")
     _one_blas_thread()
-    matrix = toeplitz(covariance[:beams])
     total = float(covariance[0]) * beams
-    if count is not None:
-        count = min(count, beams)
-        eigenvalues, vectors = eigh(matrix, subset_by_index=(beams - count, beams - 1))
-    else:
-        eigenvalues, vectors = eigh(matrix)
-        held = np.cumsum(eigenvalues[::-1])
+    wanted = beams if count is None else min(count, beams)
+    eigenvalues, vectors = eigenpairs(covariance[:beams], wanted)
+    if count is None:
         # rounding must not ask for components that hold nothing
-        count = min(int(np.searchsorted(held, share * total * (1 - 1e-12))) + 1, beams)
-    kept = np.maximum(eigenvalues[::-1][:count], 0.0)
-    return Eigenspace(mean, _upright(vectors.T[::-1][:count]), kept.astype(np.float32), total)
+        held = np.cumsum(eigenvalues)
+        wanted = min(int(np.searchsorted(held, share * total * (1 - 1e-12))) + 1, beams)
+    kept = np.maximum(eigenvalues[:wanted], 0.0).astype(np.float32)
+    return Eigenspace(mean, _upright(vectors[:wanted]), kept, total)
 
 
 def all_coefficients(values: NDArray[np.float32], space: Eigenspace) -> NDArray[np.float32]:
