@@ -1,6 +1,5 @@
 """`eigenscan run`: one's own map and robot in one command."""
 
-import json
 import signal
 import subprocess
 import sys
@@ -53,20 +52,23 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -
     assert list((tmp_path / "out/mcap").glob("*.mcap"))
 
 
-def test_settings_that_a_service_refuses_are_told_in_its_words(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_model(tmp_path: Path) -> None:
     (tmp_path / "model").mkdir()
-    zenoh = _lonely_network(tmp_path)
-    command = [*EIGENSCAN, "run", "--map", str(tmp_path / "model"), "--site", f"test-{uuid4().hex}",
-               "--zenoh", str(zenoh), "--no-viewer", "--out", str(tmp_path / "out")]  # fmt: skip
+    _expect_one_line(tmp_path, ["--map", str(tmp_path / "model")], str(tmp_path / "model"))
+
+
+def test_a_site_that_is_no_chunk_of_a_key(tmp_path: Path) -> None:
+    write_map(office().render(), tmp_path / "map.yaml")
+    _, zenoh = open_hub(tmp_path / "net")
+    _expect_one_line(
+        tmp_path, ["--map", str(tmp_path / "map.yaml"), "--zenoh", str(zenoh), "--site", "a/b"], "a/b"
+    )
+
+
+def _expect_one_line(folder: Path, flags: list[str], part: str) -> None:
+    command = [*EIGENSCAN, "run", *flags, "--no-viewer", "--out", str(folder / "out")]
     result = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
-    assert result.returncode == 1
-    assert "mapbuilder ended with exit code" in result.stderr
-    assert "Traceback" not in result.stderr
-
-
-def _lonely_network(folder: Path) -> Path:
-    path = folder / "zenoh.json5"
-    config = {"mode": "peer", "listen": {"endpoints": ["tcp/127.0.0.1:0"]},
-              "scouting": {"multicast": {"enabled": False}}}  # fmt: skip
-    path.write_text(json.dumps(config))
-    return path
+    assert result.returncode == 2, result.stderr
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert part in result.stderr
+    assert not (folder / "out").exists()

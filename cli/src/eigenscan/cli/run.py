@@ -40,12 +40,15 @@ def run(
         raise UsageError(f"--map {map_or_model}: is not there: give a map_server yaml or a model folder")
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
+    from eigenscan.eigenspace.folder import read_models
     from eigenscan.geometry.gridmap import read_map
 
+    # read here as well: it tells at once what is wrong with them
     if map_or_model.is_dir():
+        read_models(map_or_model)
         model_flags = ["--model", str(map_or_model)]
     else:
-        read_map(map_or_model)  # tells at once what is wrong with it
+        read_map(map_or_model)
         model_flags = ["--map", str(map_or_model)]
     folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
     pipeline = Pipeline(site, robot, model_flags, zenoh, mcap=folder / "mcap", rrd=None, viewer=viewer)
