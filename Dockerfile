@@ -67,6 +67,12 @@ FROM numeric AS mapbuilder
 COPY --from=own /own/mapbuilder /opt/own
 ENTRYPOINT ["eigenscan-mapbuilder"]
 
+# the whole command but for what draws: a simulated robot, or docker run --entrypoint eigenscan IMAGE evaluate ...
+FROM numeric AS simulator
+COPY --from=own /own/simulator /opt/own
+HEALTHCHECK NONE
+ENTRYPOINT ["eigenscan", "simulate", "--live"]
+
 # --- layer: recording ---
 FROM lean-files AS recorder-files
 RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --require-hashes -r /requirements/recorder.lock
@@ -76,14 +82,3 @@ COPY --from=recorder-files /opt/eigenscan /opt/eigenscan
 FROM recording AS recorder
 COPY --from=own /own/recorder /opt/own
 ENTRYPOINT ["eigenscan-recorder"]
-
-# --- layer: the whole command; a simulated robot by default, else docker run --entrypoint eigenscan IMAGE evaluate ... ---
-FROM numeric-files AS command-files
-RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --require-hashes -r /requirements/command.lock
-FROM shell AS command
-COPY --from=command-files /opt/eigenscan /opt/eigenscan
-
-FROM command AS simulator
-COPY --from=own /own/simulator /opt/own
-HEALTHCHECK NONE
-ENTRYPOINT ["eigenscan", "simulate", "--live"]
