@@ -25,8 +25,9 @@ from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.recorder.settings import RecorderSettings
-from eigenscan.schemas.channels import CHANNELS, MAP, POSE, SCAN, TRUTH
+from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -229,6 +230,57 @@ def test_the_error_is_the_distance_from_the_truth_of_the_same_moment(tmp_path: P
             assert set(plotted) == set(expected), name
             for moment, errors in expected.items():
                 assert plotted[moment][0] == pytest.approx(errors[index], abs=1e-6), name
+
+
+def test_a_viewer_that_comes_after_hours_of_the_same_state_is_told_it(tmp_path: Path) -> None:
+    """Old rows are dropped from a live viewer's memory: state and bar must come again."""
+    draw(tmp_path / "a.rrd", [localized(S * second, [1.0, 1.0, 0.0]) for second in range(1, 302)])
+    for entity, column in (("/state/r1", "StateChange:state"), ("/status", "Image:buffer")):
+        moments = [moment for moment, _ in rows(tmp_path / "a.rrd", entity, column)]
+        assert moments[0] == S
+        assert max(np.diff([*moments, 301 * S])) <= 60 * S
+        assert len(moments) <= 16
+
+
+def test_a_robot_that_says_nothing_any_more_is_not_shown_as_well(tmp_path: Path) -> None:
+    """Health goes on at the services' clock, which is another than the log's."""
+    clock = 1_000_000 * S
+
+    def health(second: int) -> Envelope:
+        message = Health(timestamp=stamp(clock + second * S), service="recorder")
+        return Envelope(HEALTH, ADDRESS | {"service": "recorder", "instance": "0"}, message)
+
+    told = [health(0), localized(S, [1, 1, 0]), health(1), localized(2 * S, [1, 1, 0])]
+    draw(
+        tmp_path / "a.rrd", [*told, *(health(second) for second in range(2, 10)), localized(9 * S, [1, 1, 0])]
+    )
+    states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
+    assert states == [(S, ["LOCALIZED"]), (2 * S, ["SILENT"]), (9 * S, ["LOCALIZED"])]
+
+
+def test_the_board_tells_of_every_robot(tmp_path: Path) -> None:
+    """A robot whose line changes all the time does not keep another's off the board."""
+    other = ADDRESS | {"robot": "r2"}
+    messages = []
+    for tenth in range(10, 150):
+        at = tenth * S // 10
+        messages.append(localized(at, [1, 1, 0]))
+        messages[-1].open(PoseEstimate).confidence = (tenth % 7) / 7
+        if tenth % 2:
+            calm = PoseEstimate(
+                timestamp=stamp(at + 1),
+                state=STATE_LOCALIZED,
+                confidence=0.5 if tenth < 40 else 0.9,
+                track_id=1,
+            )
+            messages.append(Envelope(POSE, other, calm))
+    draw(tmp_path / "a.rrd", messages)
+    boards = rows(tmp_path / "a.rrd", "/status", "Image:buffer")
+    moments = [moment or 0 for moment, _ in boards]
+    second = [np.array(pixels[0]).reshape(2, -1)[1].tobytes() for _, pixels in boards[1:]]
+    changed = [moment for moment, a, b in zip(moments[2:], second, second[1:], strict=False) if a != b]
+    assert len(changed) == 1
+    assert 4 * S <= changed[0] <= 6.2 * S
 
 
 def test_every_pose_is_plotted_however_few_pictures_are_drawn(tmp_path: Path) -> None:

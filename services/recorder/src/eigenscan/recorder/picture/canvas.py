@@ -11,6 +11,8 @@ from eigenscan.schemas.envelope import nanoseconds
 from google.protobuf.timestamp_pb2 import Timestamp
 
 TIMELINE = "time"
+REPEAT_NS = 30_000_000_000
+"""What changes seldom is drawn again after this: a late viewer is not given what is long ago."""
 LATEST_NS = 2**62
 """Stamps beyond it (year 2116) are no times."""
 

@@ -62,7 +62,7 @@ class Picture:
             HYPOTHESES: (belief.draw_hypotheses, space.draw),
             OBSTACLES: (belief.draw_obstacles, beams.draw),
             TRACKS: (belief.draw_tracks,),
-            HEALTH: (events.hear_health,),
+            HEALTH: (events.hear_health, board.hear_health),
         }
         canvas.fix("legend", rr.TextDocument(LEGEND, media_type=rr.MediaType.MARKDOWN))
         self._show()

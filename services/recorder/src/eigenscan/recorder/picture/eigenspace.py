@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.recorder.picture.belief import HYPOTHESES_DRAWN, probabilities
-from eigenscan.recorder.picture.canvas import Canvas, stamp_of
+from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
 from eigenscan.recorder.picture.manifold import Manifold
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import HYPOTHESIS, PLACE, SCAN, UNLIKELY, blend
@@ -29,14 +29,14 @@ class EigenspacePicture:
         self._models: dict[str, RegionModel] = {}
         self._manifolds: OrderedDict[str, Manifold] = OrderedDict()
         self._best: dict[str, str] = {}
-        self._shown: dict[str, str] = {}
+        self._shown: dict[str, tuple[str, int]] = {}
 
     def keep_model(self, heard: Envelope) -> None:
         """Takes the newest model of a region."""
         region = heard.address["region"]
         self._models[region] = heard.open(RegionModel)
         self._manifolds.pop(region, None)
-        self._shown = {robot: shown for robot, shown in self._shown.items() if shown != region}
+        self._shown = {robot: shown for robot, shown in self._shown.items() if shown[0] != region}
 
     def draw(self, heard: Envelope) -> None:
         """Scan and hypotheses; those of other regions live in other spaces and are left out."""
@@ -51,8 +51,9 @@ class EigenspacePicture:
         scan = self._scans.newest(robot, heard.address["lidar"], stamp)
         if manifold is None or scan is None or not scan.angle_increment > 0:
             return
-        if self._shown.get(robot) != region:
-            self._shown[robot] = region
+        shown, drawn_at = self._shown.get(robot, ("", 0))
+        if shown != region or abs(stamp - drawn_at) >= REPEAT_NS:
+            self._shown[robot] = region, stamp
             self._draw_places(stamp, robot, manifold)
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)

@@ -4,7 +4,8 @@ LEGEND = """
 The **bar on top** says it in one word:
 **LOCALIZED** (green): one pose holds the belief, act on it;
 **AMBIGUOUS** (amber): several places fit all that was seen;
-**LOST** (red): no pose deserves belief, so none is drawn.
+**LOST** (red): no pose deserves belief, so none is drawn;
+**SILENT** (grey): no pose comes any more.
 
 **On the map** (north up, metres):
 - **arrow with a disc**, in the state's colour: the estimated pose

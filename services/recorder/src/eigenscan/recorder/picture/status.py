@@ -7,19 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
-from eigenscan.recorder.picture.canvas import Canvas, stamp_of
+from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
 from eigenscan.recorder.picture.palette import SILENT, STATE_COLOURS, Colour, state_name
 from eigenscan.schemas.envelope import Envelope
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_UNSPECIFIED, PoseEstimate, State
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from PIL import Image, ImageDraw, ImageFont
 
 LINE_PX = (1000, 46)
 REFRESH_NS = 2_000_000_000
+SILENT_NS = 3_000_000_000
+"""A robot that says no pose for so long is silent."""
+SILENCE = "SILENT"
+WELL = state_name(STATE_LOCALIZED)
 ADVICE = {
     "LOCALIZED": "act on the pose",
     "AMBIGUOUS": "several places fit: see the tracks",
     "LOST": "do not act on any pose",
     "UNKNOWN": "no state",
+    SILENCE: "no pose comes any more: is its tracker running?",
 }
 
 
@@ -38,8 +44,12 @@ class StatusBoard:
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
         self._lines: dict[str, Line] = {}
-        self._states: dict[str, State] = {}
+        self._states: dict[str, str] = {}
+        self._told_at: dict[str, int] = {}
         self._drawn_at = 0
+        self._drawn: list[Line] = []
+        self._now = 0
+        self._heard_at: dict[str, int] = {}
 
     def hear_pose(self, heard: Envelope) -> None:
         """Updates the robot's line."""
@@ -47,35 +57,46 @@ class StatusBoard:
         stamp = stamp_of(message.timestamp)
         if stamp is None:
             return
-        line = _line(robot, message)
-        changed = self._states.get(robot) != message.state
-        if changed:
-            self._announce(stamp, robot, message)
-        if changed or (self._lines.get(robot) != line and abs(stamp - self._drawn_at) >= REFRESH_NS):
-            self._lines[robot] = line
-            self._drawn_at = stamp
-            self._canvas.draw(stamp, "status", _board(list(self._lines.values())))
+        self._heard_at[robot] = self._now
+        self._tell(stamp, robot, state_name(message.state), _line(robot, message))
 
-    def _announce(self, stamp: int, robot: str, message: PoseEstimate) -> None:
-        """State changes go to the timeline of states and to the events."""
+    def hear_health(self, heard: Envelope) -> None:
+        """Takes the services' clock: while it goes on, a robot without poses is silent, not well."""
+        stamp = stamp_of(heard.open(Health).timestamp)
+        self._now = max(self._now, stamp or 0)
+        for robot, heard_at in self._heard_at.items():
+            if heard_at and self._now - heard_at > SILENT_NS:
+                self._heard_at[robot] = 0
+                self._tell(
+                    self._canvas.newest, robot, SILENCE, Line(SILENT, f"{robot}: {SILENCE}", ADVICE[SILENCE])
+                )
+
+    def _tell(self, stamp: int, robot: str, name: str, line: Line) -> None:
+        self._lines[robot] = line
         before = self._states.get(robot)
-        self._states[robot] = message.state
-        name = state_name(message.state)
-        path = f"state/{robot}"
-        if before is None:
-            self._canvas.fix(path, _state_styles())
-        self._canvas.draw(stamp, path, rr.StateChange(state=name))
-        came_from = "" if before is None else f"{state_name(before)} -> "
-        level = rr.TextLogLevel.INFO if message.state == STATE_LOCALIZED else rr.TextLogLevel.WARN
-        self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(f"{robot}: {came_from}{name}", level=level))
+        if before != name:
+            self._announce(stamp, robot, name, before)
+        if before != name or abs(stamp - self._told_at.get(robot, 0)) >= REPEAT_NS:
+            self._told_at[robot] = stamp
+            self._canvas.draw(stamp, f"state/{robot}", rr.StateChange(state=name))
+        lines = list(self._lines.values())
+        due = REFRESH_NS if lines != self._drawn else REPEAT_NS
+        if before != name or abs(stamp - self._drawn_at) >= due:
+            self._drawn, self._drawn_at = lines, stamp
+            self._canvas.draw(stamp, "status", _board(lines))
+
+    def _announce(self, stamp: int, robot: str, name: str, before: str | None) -> None:
+        """State changes go to the events."""
+        self._states[robot] = name
+        self._canvas.style(f"state/{robot}", _state_styles)
+        level = rr.TextLogLevel.INFO if name == WELL else rr.TextLogLevel.WARN
+        text = f"{robot}: {name}" if before is None else f"{robot}: {before} -> {name}"
+        self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(text, level=level))
 
 
-def _state_styles() -> rr.StateConfiguration:
-    known = [state for state in STATE_COLOURS if state != STATE_UNSPECIFIED]
-    return rr.StateConfiguration(
-        values=[state_name(state) for state in known],
-        colors=[STATE_COLOURS[state] for state in known],
-    )
+def _state_styles() -> tuple[rr.StateConfiguration]:
+    colours = {state_name(state): colour for state, colour in STATE_COLOURS.items()} | {SILENCE: SILENT}
+    return (rr.StateConfiguration(values=list(colours), colors=list(colours.values())),)
 
 
 def _line(robot: str, message: PoseEstimate) -> Line:
