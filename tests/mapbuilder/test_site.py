@@ -51,6 +51,12 @@ def test_the_same_map_gives_the_same_site_on_any_number_of_threads(office):
     assert len(versions) == 1
 
 
+def test_a_site_that_is_cast_in_batches_is_the_same(office, monkeypatch):
+    whole = build_site(office, QUICK).to_message()
+    monkeypatch.setattr("eigenscan.mapbuilder.site._CAST_AT_ONCE", 60)
+    assert build_site(office, QUICK).to_message() == whole
+
+
 def test_a_change_at_one_end_leaves_the_models_that_do_not_see_it(office):
     before = {m.region: m.version for m in build_site(office, QUICK).regions}
     cells = office.cells.copy()

@@ -39,9 +39,11 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
 def transform(pose: ArrayLike, points: ArrayLike) -> Array:
     """Points (..., 2), given in the frame of `pose` (3,), in the frame that `pose` is given in."""
     x, y, theta = np.asarray(pose, dtype=np.float64)
-    rotation = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
-    moved: Array = np.asarray(points, dtype=np.float64) @ rotation.T + np.array([x, y])
-    return moved
+    array = np.asarray(points, dtype=np.float64)
+    # element by element: a matrix product may round a point differently among other points
+    ahead = np.cos(theta) * array[..., 0] - np.sin(theta) * array[..., 1]
+    aside = np.sin(theta) * array[..., 0] + np.cos(theta) * array[..., 1]
+    return np.stack([ahead + x, aside + y], axis=-1)
 
 
 def from_message(message: Pose2) -> Array:

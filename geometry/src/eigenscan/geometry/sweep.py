@@ -115,9 +115,10 @@ def _sweep(x, y, what, bounds, leap, angles, rows, limit, unit, out):  # type: i
     low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
     for k in rows:
         dx, dy = np.cos(angles[k]), np.sin(angles[k])
-        # a lane is a coordinate across the direction; a cell reaches 2 beyond its corner at most
-        least = min(-dy * low_x, -dy * high_x) + min(dx * low_y, dx * high_y) - 2.0
-        width = abs(dy) * (high_x - low_x) + abs(dx) * (high_y - low_y) + 4.0
+        # a lane is a coordinate across the direction; a cell reaches 2 beyond its corner at most. They
+        # start at a whole number, so that a point's range does not depend on the other points
+        least = np.floor(min(-dy * low_x, -dy * high_x) + min(dx * low_y, dx * high_y)) - 2.0
+        width = abs(dy) * (high_x - low_x) + abs(dx) * (high_y - low_y) + 5.0
         lanes = np.full(int(width * LANES_PER_CELL) + 2, -1, dtype=np.int32)
         run = 2 * ((1 if dx < 0.0 else 0) + (2 if dy < 0.0 else 0)) + (1 if abs(dy) > abs(dx) else 0)
         part = slice(bounds[run], bounds[run + 1])

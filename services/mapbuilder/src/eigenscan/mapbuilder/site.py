@@ -19,6 +19,9 @@ from eigenscan.mapbuilder.positions import Positions, free_positions
 from eigenscan.mapbuilder.regions import Division, Regions, divide
 from numpy.typing import NDArray
 
+_CAST_AT_ONCE = 20_000
+"""Positions whose panoramas are in memory as floats, 60 MB at half a degree."""
+
 Progress = Callable[[str, float], None]
 """Hears the step's name and the share of the whole that is done."""
 
@@ -41,7 +44,12 @@ class Plan:
     @property
     def sensor(self) -> Sensor:
         """The sensor that the published eigenspaces are for."""
-        return Sensor.facing(self.field_of_view, TURN / round(TURN / self.step), self.range_cap)
+        return Sensor.facing(self.field_of_view, TURN / self.turn, self.range_cap)
+
+    @property
+    def turn(self) -> int:
+        """Beams of a panorama: the step is rounded to a whole part of a turn."""
+        return round(TURN / self.step)
 
 
 def build_site(grid: GridMap, plan: Plan, progress: Progress = lambda _step, _share: None) -> SiteModel:
@@ -54,43 +62,71 @@ def build_site(grid: GridMap, plan: Plan, progress: Progress = lambda _step, _sh
             "check the map's thresholds and resolution, or ask for a finer spacing"
         )
     regions = divide(grid, plan.division)
-    points = positions.points
-    progress("panoramas", 0.1)
-    ranges = RayCaster.of(grid).panoramas(points, plan.sensor.turn, plan.range_max, plan.threads)
-    inhabited = [(n, inside) for n, inside in enumerate(regions.members(points)) if len(inside)]
-    members = [(f"r{k:02}", n, inside) for k, (n, inside) in enumerate(inhabited, 1)]
-    models = []
+    inhabited = [(n, inside) for n, inside in enumerate(regions.members(positions.points)) if len(inside)]
+    digits = max(2, len(str(len(inhabited))))
+    members = [_Member(f"r{k:0{digits}}", n, inside) for k, (n, inside) in enumerate(inhabited, 1)]
+    caster, models = RayCaster.of(grid), list[RegionModel]()
     with ThreadPoolExecutor(max(plan.threads, 1)) as pool:
-        made = pool.map(lambda item: _model(plan, positions, regions, ranges, *item), members)
-        for done, model in enumerate(made, 1):
-            models.append(model)
-            progress("eigenspaces", 0.5 + 0.5 * done / len(members))
+        for batch in _batches(members, positions.points):
+            progress("panoramas", 0.1 + 0.9 * len(models) / len(members))
+            held, where = np.unique(np.concatenate([m.inside for m in batch]), return_inverse=True)
+            ranges = caster.panoramas(positions.points[held], plan.turn, plan.range_max, plan.threads)
+            rows = np.split(where, np.cumsum([len(m.inside) for m in batch])[:-1])
+            for model in pool.map(
+                lambda member, own, ranges=ranges: _model(plan, positions, regions, member, ranges[own]),
+                batch,
+                rows,
+            ):
+                models.append(model)
+                progress("eigenspaces", 0.1 + 0.9 * len(models) / len(members))
+    models.sort(key=lambda model: model.region)
     return SiteModel(grid, plan.frame_id, tuple(models))
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A region's name, its number on the raster, and the indices of its positions."""
+
+    name: str
+    number: int
+    inside: NDArray[np.int64]
+
+
+def _batches(members: list[_Member], points: NDArray[np.float64]) -> list[list[_Member]]:
+    """Neighbouring regions that are cast together: halved across the longer side until they fit."""
+    if len(members) == 1 or sum(len(member.inside) for member in members) <= _CAST_AT_ONCE:
+        return [members]
+    middles = np.array([points[member.inside].mean(axis=0) for member in members])
+    axis = int(np.argmax(np.ptp(middles, axis=0)))
+    order = np.argsort(middles[:, axis], kind="stable")
+    half = len(order) // 2
+    return [
+        batch
+        for part in (order[:half], order[half:])
+        for batch in _batches([members[i] for i in part], points)
+    ]
 
 
 def _model(
     plan: Plan,
     positions: Positions,
     regions: Regions,
-    ranges: NDArray[np.float32],
-    name: str,
-    number: int,
-    inside: NDArray[np.int64],
+    member: _Member,
+    panoramas: NDArray[np.float32],
 ) -> RegionModel:
-    panoramas = ranges[inside]
     sensor = plan.sensor
     space = analyse(RangeTransform(plan.range_cap)(panoramas), sensor.beams, share=plan.share)
     model = RegionModel(
-        region=name,
+        region=member.name,
         frame_id=plan.frame_id,
         spacing=positions.spacing,
         origin=positions.origin,
-        index=positions.index[inside],
+        index=positions.index[member.inside],
         ranges=quantize(panoramas),
         sensor=sensor,
         range_cap=plan.range_cap,
         space=space,
-        outline=regions.outline(number),
+        outline=regions.outline(member.number),
     )
     model.to_message()  # hashes and packs here, on this thread; the model keeps both
     return model
