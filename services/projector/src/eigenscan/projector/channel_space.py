@@ -1,7 +1,8 @@
 """Principal components of windows of panoramas with several channels a beam.
 
-As in one channel (paper, section 2) every heading of every position is in the set, so the covariance of channel
-f at beam j and channel g at beam l depends on j - l only: it is block Toeplitz, and exact by one FFT a panorama.
+As in one channel (paper, section 2) every heading of every position is in the set, so the covariance of
+channel f at beam j and channel g at beam l depends on j - l only: it is block Toeplitz, and exact by one FFT
+a panorama.
 """
 
 from __future__ import annotations
@@ -29,24 +30,47 @@ class ChannelSpace:
     def noise(self) -> float:
         """Mean variance of a channel of a beam that the kept components leave out."""
         left_over = self.total_variance - float(self.eigenvalues.sum())
-        return max(left_over / self.vectors[0].size, 1e-9 * self.total_variance, 1e-12)
+        return float(max(left_over / self.vectors[0].size, 1e-9 * self.total_variance, 1e-12))
+
+
+@dataclass(frozen=True)
+class ChannelSpaces:
+    """The spaces of R regions, stacked: mean (R, F), vectors (R, M, F, J), prior (R, M): noise over variance."""
+
+    mean: NDArray[np.float64]
+    vectors: NDArray[np.float64]
+    prior: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, spaces: list[ChannelSpace]) -> ChannelSpaces:
+        """Stack of spaces of the same sensor."""
+        return cls(
+            np.stack([space.mean for space in spaces]),
+            np.stack([space.vectors for space in spaces]),
+            np.stack([space.noise / np.maximum(space.eigenvalues, 1e-12) for space in spaces]),
+        )
 
     def project(
         self, channels: NDArray[np.float32], seen: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], float]:
-        """Coefficients (M,) of a scan (F, J) and its error's mean square over the beams `seen` (J,).
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Coefficients (R, M) of a scan (F, J), and its error's mean square (R,) over the beams `seen` (J,).
 
         Beams that are not seen take no part: least squares on the others, held by the coefficients' own
         variances where these do not fix them.
         """
-        basis = self.vectors[:, :, seen].reshape(len(self.vectors), -1)
-        scan = (channels[:, seen] - self.mean[:, None]).ravel()
-        spread = np.maximum(self.eigenvalues, 1e-12)
-        normal = basis @ basis.T
-        normal[np.diag_indices_from(normal)] += self.noise / spread
-        alpha: NDArray[np.float64] = np.linalg.solve(normal, basis @ scan)
-        error = scan - alpha @ basis
-        return alpha, float(error @ error) / max(error.size, 1)
+        regions, components = self.prior.shape
+        basis = self.vectors[..., seen].reshape(regions, components, -1)
+        scan = (channels[:, seen] - self.mean[..., None]).reshape(regions, -1, 1)
+        if 2 * np.count_nonzero(seen) > len(seen):
+            # the vectors are orthonormal over all beams
+            hidden = self.vectors[..., ~seen].reshape(regions, components, -1)
+            normal = np.eye(components) - hidden @ hidden.transpose(0, 2, 1)
+        else:
+            normal = basis @ basis.transpose(0, 2, 1)
+        normal[:, np.arange(components), np.arange(components)] += self.prior
+        alpha = np.linalg.solve(normal, basis @ scan)
+        error = scan - basis.transpose(0, 2, 1) @ alpha
+        return alpha[..., 0], np.mean(error[..., 0] ** 2, axis=1)
 
 
 def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> ChannelSpace:

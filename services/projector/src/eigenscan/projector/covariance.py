@@ -17,7 +17,7 @@ FLOOR = np.diag([0.05, 0.05, np.deg2rad(0.7)]) ** 2
 """No pose is surer than this: the map's own error."""
 
 
-def pose_covariances(information: Array, _points: int) -> Array:
+def pose_covariances(information: Array) -> Array:
     """Covariances (n, 3, 3) of poses from J'WJ (n, 3, 3) of their points' distances."""
     certain = information * (INDEPENDENCE / POINT_SIGMA**2)
     covariance: Array = np.linalg.inv(certain + np.linalg.inv(PRIOR)) + FLOOR

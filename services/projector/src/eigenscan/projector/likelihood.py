@@ -1,13 +1,16 @@
 """How much likelier a scan is at a pose than at a place that the map does not show.
 
 A beam speaks for a pose where it ends on a wall, and against it where it went through one. A beam that ends
-before its wall (a person, furniture) does neither. What the beams say is summed, less what they would say
-of the best pose in a building that is not the map's, and weighed by how many of them are independent.
+before its wall (a person, furniture) does neither. What the beams say is averaged, less what they would say
+of the best pose in a building that is not the map's.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.pose import compose, inverse
+from eigenscan.projector.wall_field import WallField
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -19,23 +22,63 @@ THROUGH_MARGIN = 0.3
 THROUGH_WEIGHT = 0.8
 """What a beam through a wall says against a pose, in beams on a wall."""
 STRANGE_SUPPORT = 0.45
-"""Mean support a beam that the best pose in a foreign building reaches."""
+"""Mean support that the best pose in a foreign building reaches."""
 NATS = 60.0
 """ln of the odds that a scan with full support gives over one with none."""
 
 
-def support(seen: NDArray[np.float32], predicted: NDArray[np.float32], distance: Array) -> Array:
-    """Mean support (n,) of beams (B,) for poses, at most 1.
+def support(
+    field: WallField,
+    poses: Array,
+    bearings: Array,
+    seen: NDArray[np.float32],
+    predicted: NDArray[np.float32],
+) -> tuple[Array, Array]:
+    """Mean support (n,) of a scan for sensor poses (n, 3), at most 1, and the share (n,) of explained beams.
 
-    `seen` (B,) finite ranges, `predicted` (n, B) +inf where no wall is in sight, `distance` (n, B) of the end
-    points from the nearest wall, all in m.
+    `seen` (B,) are finite ranges along `bearings` (B,), `predicted` (n, B) the map's, +inf where no wall is
+    in sight. A beam is explained that ends within THROUGH_MARGIN of the predicted wall.
     """
-    on_wall = WALL_SCALE**2 / (WALL_SCALE**2 + distance**2)
-    through = seen > predicted + THROUGH_MARGIN
-    mean: Array = (on_wall - THROUGH_WEIGHT * through).mean(axis=1)
-    return mean
+    local = np.ascontiguousarray(compose(inverse(field.origin), poses))
+    out = np.empty((2, len(local)))
+    _support(field.cells, field.cell, local, bearings, seen, predicted, out)
+    return out[0], out[1]
 
 
 def log_likelihood(support: Array) -> Array:
-    """Ln p(scan | pose) / p(scan | unknown place), (n,), of the mean support (n,)."""
+    """ln p(scan | pose) / p(scan | unknown place), (n,), of the mean support (n,)."""
     return NATS * (support - STRANGE_SUPPORT)
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _support(
+    cells: NDArray[np.float32],
+    cell: float,
+    poses: Array,
+    bearings: Array,
+    seen: NDArray[np.float32],
+    predicted: NDArray[np.float32],
+    out: Array,
+) -> None:
+    height, width = cells.shape[:2]
+    beams = len(seen)
+    px, py = seen * np.cos(bearings), seen * np.sin(bearings)
+    for i in range(len(poses)):
+        cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        total, explained = 0.0, 0
+        for j in range(beams):
+            u = (poses[i, 0] + cos * px[j] - sin * py[j]) / cell + 1.0
+            v = (poses[i, 1] + sin * px[j] + cos * py[j]) / cell + 1.0
+            u, v = min(max(u, 0.0), width - 0.5), min(max(v, 0.0), height - 0.5)
+            column, row = int(u), int(v)
+            near = cells[row, column]
+            d = near[0] + (near[1] * (u - column - 0.5) + near[2] * (v - row - 0.5)) * cell
+            total += WALL_SCALE**2 / (WALL_SCALE**2 + d * d)
+            # +inf minus a range stays out of both comparisons under fast math
+            wall = min(predicted[i, j], np.float32(1e9))
+            if seen[j] > wall + THROUGH_MARGIN:
+                total -= THROUGH_WEIGHT
+            elif seen[j] > wall - THROUGH_MARGIN:
+                explained += 1
+        out[0, i] = total / max(beams, 1)
+        out[1, i] = explained / max(beams, 1)

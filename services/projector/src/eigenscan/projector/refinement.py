@@ -1,138 +1,153 @@
 """Polishing poses below the grid: end points of the beams on the map's distance field.
 
-Gauss-Newton with Geman-McClure weights whose scale shrinks from the grid's to the map's, so that a pose
-slides into the nearest good fit and single foreign points lose their say. First many poses slide on a coarse
-field, then the best of them on the map's own.
+Gauss-Newton with Geman-McClure weights whose scale shrinks, so that a pose slides into the nearest good fit
+and single foreign points lose their say. Many poses slide on a coarse field, the best of them are polished
+on the map's own. Between the cells' centres the distance is extrapolated along its gradient.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from eigenscan.geometry.distance_field import DistanceField, bilinear
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.projector.wall_field import WallField
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
-SLIDE_SCALES = (0.5, 0.15)
-"""m, first and last distance from a wall at which a point has lost three quarters of its weight."""
-POLISH_SCALES = (0.2, 0.1)
-SLIDE_STEPS, POLISH_STEPS = 6, 6
+
+@dataclass(frozen=True)
+class Schedule:
+    """`steps` evaluations whose scale falls from `first` to `last`, m: there a point's weight is a quarter."""
+
+    first: float
+    last: float
+    steps: int
+
+
+SLIDE = Schedule(0.5, 0.15, 6)
+POLISH = Schedule(0.2, 0.1, 6)
 _LARGEST_STEP_M, _LARGEST_STEP_RAD = 0.15, 0.1
 _DAMPING = 1e-3
 
 
-def slide(field: WallField, origin: Array, poses: Array, points: Array) -> tuple[Array, Array]:
-    """Poses (n, 3) of the sensor slid towards a fit, and their cost (n,), 0 where all points are on walls.
-
-    `points` (B, 2) in the sensor's frame, m; `origin` (3,) of the map's grid.
+@dataclass(frozen=True)
+class Fit:
+    """Poses (n, 3) of the sensor, map frame; cost (n,), 0 where all points are on walls and 1 where none is;
+    information (n, 3, 3): J'WJ of the points' distances by x, y, theta.
     """
-    local = np.ascontiguousarray(compose(inverse(origin), poses))
+
+    poses: Array
+    cost: Array
+    information: Array
+
+
+def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fit:
+    """Fit of points (B, 2), m, sensor frame, to the walls, from sensor poses (n, 3) in the map frame."""
+    local = np.ascontiguousarray(compose(inverse(field.origin), poses))
     cost = np.empty(len(local))
-    _slide(field.cells, field.cell, local, np.ascontiguousarray(points), cost)
-    return compose(origin, local), cost
-
-
-def polish(field: DistanceField, poses: Array, points: Array) -> tuple[Array, Array]:
-    """Polished poses (n, 3) of the sensor and J'WJ (n, 3, 3) of the distances by x, y, theta, map frame."""
-    origin = np.asarray(field.origin, dtype=np.float64)
-    local = np.ascontiguousarray(compose(inverse(origin), poses))
-    information = np.zeros((len(local), 3, 3))
-    _polish(field.distance, field.resolution, local, np.ascontiguousarray(points), information)
-    cos, sin = np.cos(origin[2]), np.sin(origin[2])
+    information = np.empty((len(local), 3, 3))
+    flat = field.cells.reshape(-1)
+    height, width = field.cells.shape[:2]
+    x, y = (points.T / field.cell).astype(np.float32)
+    scales = np.geomspace(schedule.first, schedule.last, schedule.steps) ** 2
+    _fit(flat, height, width, field.cell, local, x, y, scales, cost, information)
+    cos, sin = np.cos(field.origin[2]), np.sin(field.origin[2])
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return compose(origin, local), R @ information @ R.T
+    return Fit(compose(field.origin, local), cost, R @ information @ R.T)
 
 
-@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
-def _scale(scales: tuple[float, float], step: int, steps: int) -> float:
-    return scales[0] * (scales[1] / scales[0]) ** (step / (steps - 1))
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
+def _fit(
+    flat: Singles,
+    height: int,
+    width: int,
+    cell: float,
+    poses: Array,
+    x: Singles,
+    y: Singles,
+    scales: Array,
+    cost: Array,
+    information: Array,
+) -> None:
+    sums = np.empty(10, dtype=np.float64)
+    for i in range(len(poses)):
+        pose = poses[i]
+        for step in range(len(scales)):
+            _sum(flat, height, width, cell, pose, x, y, scales[step], sums)
+            if step < len(scales) - 1:
+                _move(pose, sums, len(x))
+        cost[i] = sums[0] / max(len(x), 1)
+        information[i, 0, 0], information[i, 1, 1], information[i, 2, 2] = sums[1], sums[4], sums[6]
+        information[i, 0, 1] = information[i, 1, 0] = sums[2]
+        information[i, 0, 2] = information[i, 2, 0] = sums[3]
+        information[i, 1, 2] = information[i, 2, 1] = sums[5]
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
+def _sum(
+    flat: Singles,
+    height: int,
+    width: int,
+    cell: float,
+    pose: Array,
+    px: Singles,
+    py: Singles,
+    scale2: float,
+    sums: Array,
+) -> None:
+    """Cost, upper triangle of J'WJ row by row, and J'Wd. Single precision, so that it fits vector units."""
+    one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
+    cos, sin = np.float32(np.cos(pose[2])), np.float32(np.sin(pose[2]))
+    # one cell of border lies around the grid
+    x, y = np.float32(pose[0] / cell + 1.0), np.float32(pose[1] / cell + 1.0)
+    s2, unit = np.float32(scale2), np.float32(cell)
+    right, top = np.float32(width) - half, np.float32(height) - half
+    total = h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = zero
+    for j in range(len(px)):
+        rx, ry = cos * px[j] - sin * py[j], sin * px[j] + cos * py[j]
+        u, v = min(max(x + rx, zero), right), min(max(y + ry, zero), top)
+        column, row = np.int32(u), np.int32(v)
+        k = (row * np.int32(width) + column) * np.int32(4)
+        gx, gy = flat[k + 1], flat[k + 2]
+        away = gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)
+        d = flat[k] + away * unit
+        q = s2 / (s2 + d * d)
+        w = q * q
+        gt = (gy * rx - gx * ry) * unit
+        wx, wy, wt = w * gx, w * gy, w * gt
+        total += one - q
+        h00 += wx * gx
+        h01 += wx * gy
+        h02 += wx * gt
+        h11 += wy * gy
+        h12 += wy * gt
+        h22 += wt * gt
+        g0 += wx * d
+        g1 += wy * d
+        g2 += wt * d
+    sums[0] = total
+    sums[1], sums[2], sums[3], sums[4], sums[5], sums[6] = h00, h01, h02, h11, h12, h22
+    sums[7], sums[8], sums[9] = g0, g1, g2
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _move(pose: Array, h: Array, g: Array, points: int) -> None:
-    """One damped Gauss-Newton step; `h` holds the upper triangle of J'WJ, row by row."""
-    damping = _DAMPING * points
-    a, b, c, d, e, f = h[0] + damping, h[1], h[2], h[3] + damping, h[4], h[5] + damping
+def _move(pose: Array, sums: Array, points: int) -> None:
+    """One damped Gauss-Newton step."""
+    damping = _DAMPING * max(points, 1)
+    a, b, c = sums[1] + damping, sums[2], sums[3]
+    d, e, f = sums[4] + damping, sums[5], sums[6] + damping
+    g0, g1, g2 = sums[7], sums[8], sums[9]
     c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
     det = a * c00 + b * c01 + c * c02
     c11, c12, c22 = a * f - c * c, b * c - a * e, a * d - b * b
-    x = -(c00 * g[0] + c01 * g[1] + c02 * g[2]) / det
-    y = -(c01 * g[0] + c11 * g[1] + c12 * g[2]) / det
-    turn = -(c02 * g[0] + c12 * g[1] + c22 * g[2]) / det
+    x = -(c00 * g0 + c01 * g1 + c02 * g2) / det
+    y = -(c01 * g0 + c11 * g1 + c12 * g2) / det
+    turn = -(c02 * g0 + c12 * g1 + c22 * g2) / det
     shorten = min(1.0, _LARGEST_STEP_M / max(np.sqrt(x * x + y * y), 1e-12))
     pose[0] += x * shorten
     pose[1] += y * shorten
     pose[2] += min(max(turn, -_LARGEST_STEP_RAD), _LARGEST_STEP_RAD)
-
-
-@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
-def _slide(cells: NDArray[np.float32], cell: float, poses: Array, points: Array, cost: Array) -> None:
-    height, width = cells.shape[:2]
-    px, py = points[:, 0] / cell, points[:, 1] / cell
-    h, g = np.empty(6), np.empty(3)
-    for i in range(len(poses)):
-        pose = poses[i]
-        for step in range(SLIDE_STEPS):
-            s2 = _scale(SLIDE_SCALES, step, SLIDE_STEPS) ** 2
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
-            # one cell of border around the field
-            x, y = pose[0] / cell + 1.0, pose[1] / cell + 1.0
-            h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = total = 0.0
-            for j in range(len(px)):
-                rx, ry = cos * px[j] - sin * py[j], sin * px[j] + cos * py[j]
-                column = min(max(int(x + rx), 0), width - 1)
-                row = min(max(int(y + ry), 0), height - 1)
-                d, gx, gy = cells[row, column, 0], cells[row, column, 1], cells[row, column, 2]
-                q = s2 / (s2 + d * d)
-                w = q * q
-                gt = (gy * rx - gx * ry) * cell
-                total += 1.0 - q
-                h00 += w * gx * gx
-                h01 += w * gx * gy
-                h02 += w * gx * gt
-                h11 += w * gy * gy
-                h12 += w * gy * gt
-                h22 += w * gt * gt
-                g0 += w * gx * d
-                g1 += w * gy * d
-                g2 += w * gt * d
-            cost[i] = total / max(len(px), 1)
-            if step < SLIDE_STEPS - 1:
-                h[0], h[1], h[2], h[3], h[4], h[5] = h00, h01, h02, h11, h12, h22
-                g[0], g[1], g[2] = g0, g1, g2
-                _move(pose, h, g, len(px))
-
-
-@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
-def _polish(
-    distance: NDArray[np.float32], resolution: float, poses: Array, points: Array, information: Array
-) -> None:
-    h, g = np.empty(6), np.empty(3)
-    for i in range(len(poses)):
-        pose = poses[i]
-        for step in range(POLISH_STEPS):
-            s2 = _scale(POLISH_SCALES, step, POLISH_STEPS) ** 2
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
-            h[:] = 0.0
-            g[:] = 0.0
-            for j in range(len(points)):
-                rx, ry = cos * points[j, 0] - sin * points[j, 1], sin * points[j, 0] + cos * points[j, 1]
-                d, gx, gy = bilinear(distance, (pose[0] + rx) / resolution, (pose[1] + ry) / resolution)
-                gx, gy = gx / resolution, gy / resolution
-                w = (s2 / (s2 + d * d)) ** 2
-                gt = gy * rx - gx * ry
-                h[0] += w * gx * gx
-                h[1] += w * gx * gy
-                h[2] += w * gx * gt
-                h[3] += w * gy * gy
-                h[4] += w * gy * gt
-                h[5] += w * gt * gt
-                g[0] += w * gx * d
-                g[1] += w * gy * d
-                g[2] += w * gt * d
-            if step < POLISH_STEPS - 1:
-                _move(pose, h, g, len(points))
-        information[i] = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])

@@ -9,7 +9,7 @@ import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.projector.channel_space import ChannelSpace, analyse_channels, coefficients
+from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients
 from eigenscan.projector.embedding import Embedding
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 KEPT_SENSORS = 8
 """Sensor grids whose subspaces are kept; the longest unused one goes first."""
+COARSE_CELL = 0.1
+"""m, of the walls that many poses slide to."""
 HEADING_STRIDE = 3
 """Headings of the analysis grid from one searched heading to the next: 6 degrees."""
 
@@ -30,12 +32,12 @@ HEADING_STRIDE = 3
 class SensorView:
     """The site as one sensor sees it.
 
-    `spaces` holds a region each. A row of `table` is a pose: position `row_position` (n,) of the lattice and
+    A row of `table` is a pose: position `row_position` (n,) of the lattice and
     window `row_window` (n,) of its panorama. `windows` (P, N + J) are the panoramas to verify against.
     """
 
     embedding: Embedding
-    spaces: tuple[ChannelSpace, ...]
+    spaces: ChannelSpaces
     table: SweepTable
     row_position: NDArray[np.int32]
     row_window: NDArray[np.int16]
@@ -48,8 +50,8 @@ class Site:
     def __init__(self, whole: WholeSet, settings: ProjectorSettings) -> None:
         self.version, self.frame_id = whole.version, whole.frame_id
         self.free_area_m2 = whole.free_area_m2
-        self.field = DistanceField.of(whole.grid)
-        self.walls = WallField.of(self.field)
+        field = DistanceField.of(whole.grid)
+        self.walls, self.coarse_walls = WallField.of(field), WallField.of(field, COARSE_CELL)
         self.caster = RayCaster.of(whole.grid)
         self.lattice = Lattice.of(whole.regions)
         self.regions = tuple(region.region for region in whole.regions)
@@ -88,7 +90,7 @@ class Site:
         headings = np.arange(0, ANALYSIS_TURN, HEADING_STRIDE, dtype=np.int16)
         return SensorView(
             embedding,
-            tuple(spaces),
+            ChannelSpaces.of(spaces),
             SweepTable.of(tables),
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),

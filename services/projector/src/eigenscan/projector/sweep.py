@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 _STEPS = 127
 _BLOCK = 2048
-_BINS = 8192
+_BINS = 4096
 
 
 @dataclass(frozen=True)
@@ -43,23 +43,23 @@ class SweepTable:
         `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What the space does not
         hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces.
         """
-        query = np.clip(np.rint(alphas / self.unit), -2 * _STEPS, 2 * _STEPS).astype(np.int32)
-        extra = np.minimum(np.rint(residuals / self.unit**2), 2**29).astype(np.int32)
+        query = (alphas / self.unit).astype(np.float32)
+        extra = (residuals / self.unit**2).astype(np.float32)
         rows, square = _nearest(self.table, self.bounds, query, extra, count)
-        order = np.argsort(square, kind="stable")
+        order = np.argsort(square)[:count]
         return rows[order], (square[order] * self.unit**2).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _nearest(
     table: NDArray[np.int8],
     bounds: NDArray[np.int64],
-    query: NDArray[np.int32],
-    extra: NDArray[np.int32],
+    query: NDArray[np.float32],
+    extra: NDArray[np.float32],
     count: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     components, total = table.shape
-    square = np.empty(total, dtype=np.int32)
+    square = np.empty(total, dtype=np.float32)
     for r in range(len(bounds) - 1):
         for start in range(bounds[r], bounds[r + 1], _BLOCK):
             stop = min(start + _BLOCK, bounds[r + 1])
@@ -69,31 +69,26 @@ def _nearest(
                 q = query[r, m]
                 row = table[m, start:stop]
                 for i in range(len(part)):
-                    d = np.int32(row[i]) - q
+                    d = np.float32(row[i]) - q
                     part[i] += d * d
-    least = square.min()
-    shift = 0
-    # distances grow from the least: a histogram of the near ones finds the count-th without sorting
-    spread = min(max(np.int64(square[:: max(total // 512, 1)].mean()) - least, 1), 2**30)
-    while (spread >> shift) >= _BINS:
-        shift += 1
-    histogram = np.zeros(_BINS, dtype=np.int64)
-    for i in range(total):
-        bin_ = (square[i] - least) >> shift
-        if bin_ < _BINS:
-            histogram[bin_] += 1
-    limit, found = _BINS - 1, 0
-    for b in range(_BINS):
-        found += histogram[b]
-        if found >= count:
-            limit = b
-            break
-    threshold = least + ((limit + 1) << shift)
-    rows = np.empty(min(found, total), dtype=np.int64)
+    # a histogram from the least distance up to the mean finds the count-th without sorting;
+    # a sample of the poses tells its place well enough
+    every = max(1, min(total // (16 * count), 16))
+    least, mean = square.min(), square.mean()
+    width = np.float32(max((mean - least) / _BINS, 1e-6))
+    histogram = np.zeros(_BINS + 1, dtype=np.int64)
+    scale = np.float32(1.0) / width
+    for i in range(0, total, every):
+        histogram[min(int((square[i] - least) * scale), _BINS)] += every
+    limit, found = 0, histogram[0]
+    while found < count and limit < _BINS:
+        limit += 1
+        found += histogram[limit]
+    threshold = least + (limit + 1) * width if limit < _BINS else np.float32(np.inf)
+    rows = np.empty(total, dtype=np.int64)
     k = 0
     for i in range(total):
-        if square[i] < threshold:
-            rows[k] = i
-            k += 1
-    rows = rows[:k]
+        rows[k] = i
+        k += square[i] <= threshold
+    rows = rows[:k].copy()
     return rows, square[rows]

@@ -16,7 +16,7 @@ TRUNCATION = 0.5
 RANGE_CAP = 10.0
 """m: beyond, ranges differ too much within a grid cell to be compared."""
 EMPTY_WEIGHT = 0.5
-"""Of a beam that came back empty within the reach of a short-sighted sensor: dark and slanted walls do the same."""
+"""Of a beam that came back empty to a short-sighted sensor: dark and slanted walls give none either."""
 
 
 def predicted(lattice: Lattice, beams: int, range_max: float) -> NDArray[np.float32]:
@@ -48,10 +48,7 @@ def verify(
     best_position, best_heading = position.copy(), heading.copy()
     cost = np.empty(len(position), dtype=np.float32)
     _turn(windows, best_position, best_heading, scan, weight, limit, cost)
-    if climbing < len(cost):
-        better = np.argpartition(cost, climbing)[:climbing]
-    else:
-        better = np.arange(len(cost))
+    better = np.argsort(cost)[:climbing]
     _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, limit, cost)
     return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
 
