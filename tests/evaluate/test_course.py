@@ -46,7 +46,7 @@ SCHEMA: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Drive:
-    """A simulated drive of 24 s."""
+    """A simulated drive of 16 s."""
 
     recording: Path
     truth: Path
@@ -77,7 +77,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     folder = tmp_path_factory.mktemp("drive")
     made = Drive(folder / "d.mcap", folder / "d.tum", folder / "map.yaml", folder / "w.csv")
     command = [EIGENSCAN, "simulate", "-o", made.recording, "--truth", made.truth, "--save-map", made.map]
-    subprocess.run([*command, "--seconds", "24", "--rate", "5", "--beams", "181", "--seed", "4"], check=True)
+    subprocess.run([*command, "--seconds", "16", "--rate", "5", "--beams", "181", "--seed", "4"], check=True)
     first, last = (float(made.truth.read_text().splitlines()[line].split()[0]) for line in (0, -1))
     middle = (first + last) / 2
     made.windows.write_text(f"start_time,end_time\n{first:.9f},{middle:.9f}\n{middle:.9f},{last:.9f}\n")
@@ -112,17 +112,19 @@ def check(figures: Any, schema: Any, name: str) -> None:
 def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
     # relative paths, from another folder
     out = subprocess.run(
-        [EIGENSCAN, "evaluate", "--log", "d.mcap", "--map", "map.yaml", "--ground-truth", "d.tum"]
-        + [
-            "--windows",
-            "w.csv",
-            "--kidnap",
-            "--limit",
-            "4",
-            "--spacing",
-            "0.5",
-            "--json",
-            tmp_path / "o.json",
+        [
+            *(EIGENSCAN, "evaluate", "--log", "d.mcap", "--map", "map.yaml", "--ground-truth", "d.tum"),
+            *(
+                "--windows",
+                "w.csv",
+                "--kidnap",
+                "--limit",
+                "4",
+                "--spacing",
+                "0.5",
+                "--json",
+                tmp_path / "o.json",
+            ),
         ],
         cwd=drive.recording.parent,
         capture_output=True,
@@ -134,7 +136,7 @@ def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
     check(figures, SCHEMA, "figures")
     assert figures["windows"] == len(figures["per_window"]) == 2
     assert figures["single_scan"]["n"] == 4
-    assert figures["kidnap"]["kidnaps"] == 2
+    assert figures["kidnap"]["kidnaps"] >= 1
     assert 0 < figures["cpu_ms_per_scan"]["median"] < figures["cpu_ms_per_scan"]["p99"]
     assert "success" in out.stdout
     assert "kidnaps recovered" in out.stdout
@@ -159,7 +161,7 @@ def test_poses_are_the_same_each_time_in_any_number_of_processes_and_whatever_th
     files = [tmp_path / f"{number}.csv" for number in range(3)]
     results = [run(replace(one, poses=file)) for one, file in zip(tasks, files, strict=True)]
     texts = [file.read_text() for file in files]
-    assert len(texts[0].splitlines()) > 100
+    assert len(texts[0].splitlines()) > 60
     assert texts[0] == texts[1] == texts[2]
     assert results[0]["error"] == results[1]["error"]
     assert results[2]["success_rate"] == 0.0
@@ -222,16 +224,9 @@ def test_bad_input_is_one_line_and_exit_code_2(
         given[broken].write_text(text)
     out = subprocess.run(
         [
-            EIGENSCAN,
-            "evaluate",
-            "--log",
-            given["log"],
-            "--map",
-            given["map"],
-            "--ground-truth",
-            given["truth"],
-        ]
-        + ["--windows", given["windows"], "--spacing", "0.5"],
+            *(EIGENSCAN, "evaluate", "--log", given["log"], "--map", given["map"]),
+            *("--ground-truth", given["truth"], "--windows", given["windows"], "--spacing", "0.5"),
+        ],
         capture_output=True,
         text=True,
         check=False,
