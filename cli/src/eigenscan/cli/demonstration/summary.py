@@ -17,7 +17,11 @@ def summarize(before: Stretch, after: Stretch, kidnap: float, files: Sequence[Pa
         (f"kidnap at {kidnap:.0f} s", _noticed(after)),
         ("found again", _found(after)),
         ("error", _accuracy(after)),
-        ("claims", f"{before.claims + after.claims}, wrong {before.wrong_claims + after.wrong_claims}"),
+        (
+            "claims",
+            f"{before.claims} before the kidnap, {before.wrong_claims} of them wrong; "
+            f"{after.claims} after it, {after.wrong_claims} wrong",
+        ),
     ]
     rows += [("files" if not number else "", _file(path)) for number, path in enumerate(files)]
     lines = [f"  {name:<16}{text}" for name, text in rows]

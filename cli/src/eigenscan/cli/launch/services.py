@@ -58,7 +58,7 @@ def wait_until_ready(supervisor: Supervisor, witness: Witness, line: StatusLine,
             return True
         if time.monotonic() > deadline:
             raise FailedError(f"not ready after {READY_S:.0f} s: still waiting for {', '.join(missing)}")
-        line.show(f"starting: waiting for {', '.join(missing)}")
+        line.show(f"starting, on the first run for a minute: waiting for {', '.join(missing)}")
         wake.wait(0.1)
     return False
 
