@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from eigenscan.cli.evaluation.figures import finite
 from eigenscan.cli.evaluation.metrics import (
     Stream,
     calibration,
@@ -129,3 +130,11 @@ def test_normalised_errors_have_three_degrees_of_freedom() -> None:
     values = normalised_errors(offsets, np.tile(covariance, (50_000, 1, 1)))
     assert np.mean(values) == pytest.approx(3.0, rel=0.03)
     assert np.isnan(normalised_errors(np.ones((1, 3)), np.zeros((1, 3, 3)))).all()
+
+
+def test_numbers_that_json_does_not_have_are_null() -> None:
+    assert finite({"a": [1.0, float("nan"), {"b": float("inf")}], "c": 3, "d": True}) == {
+        "a": [1.0, None, {"b": None}],
+        "c": 3,
+        "d": True,
+    }

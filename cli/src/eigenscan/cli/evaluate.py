@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from eigenscan.cli.frame import UsageError
+from eigenscan.schemas.channels import DEFAULT_ROBOT
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 PARTS = ("windows", "single-scans", "exhaustive")
@@ -42,9 +44,11 @@ def evaluate(
         int, typer.Option(min=1, help="processes side by side; CPU figures are cleanest with one")
     ] = 1,
     lidar: Annotated[
-        list[str] | None, typer.Option(help="topic or lidar name to take; all without it")
+        list[str] | None,
+        typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
     ] = None,
-    odometry: Annotated[str | None, typer.Option(help="odometry topic; found without it")] = None,
+    odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
+    robot: Annotated[str, typer.Option(help="robot to judge, in a recording of several")] = DEFAULT_ROBOT,
     reference_offset: Annotated[
         float, typer.Option(help="s, added to the stamps of reference, windows and single scans")
     ] = 0.0,
@@ -52,6 +56,7 @@ def evaluate(
     """Judge global localization on a log: success, false claims, time to localize, errors, CPU.
 
     The pipeline never sees the reference. The exit code is 0 when it ran, whatever the figures.
+    Mounts that a log does not tell: eigenscan import --mount, then evaluate the MCAP.
 
     \b
     Examples:
@@ -85,7 +90,7 @@ def evaluate(
         limit=limit,
         jobs=jobs,
         poses=poses,
-        options=LogOptions(lidars=tuple(lidar or ()), odometry=odometry),
+        options=LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry),
     )
     for file in (json_file, poses):
         if file:  # an unwritable file is an error now, not after the work
@@ -95,4 +100,4 @@ def evaluate(
         figures = run(task, bars)
     if json_file:
         json_file.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    show(figures, f"{log} on {map_file}", Console(soft_wrap=True))
+    show(figures, f"{log} on {map_file}", Console(width=None if sys.stdout.isatty() else 110))

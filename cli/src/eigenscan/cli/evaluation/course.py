@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from eigenscan.cli.evaluation.figures import Figures, windows_figures
+from eigenscan.cli.evaluation.figures import Figures, finite, windows_figures
 from eigenscan.cli.evaluation.log import Log, read_log
 from eigenscan.cli.evaluation.models import Built, build, gallery_of
 from eigenscan.cli.evaluation.progress import Bars
@@ -68,7 +68,7 @@ def evaluate(task: Task, bars: Bars) -> Figures:
     built = build(task.map, task.spacing, bars.start_share("model"))
     with Workers(task.jobs, built.models, log.beginning) as workers:
         bench = Bench(log, reference, workers, bars.start)
-        return _figures(task, bench, built, windows, times)
+        return finite(_figures(task, bench, built, windows, times))
 
 
 def _figures(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +25,20 @@ from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOST
 from numpy.typing import NDArray
 
 Figures = dict[str, Any]
+
+
+def finite(figures: Figures) -> Figures:
+    """The same without numbers that JSON does not have: they are None."""
+    plain: Figures = _finite(figures)
+    return plain
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def window_row(window: Window, judged: Judged, cpu_ms: NDArray[np.float64]) -> Figures:
