@@ -77,6 +77,13 @@ def test_every_message_is_in_the_file_and_decodes_with_the_schema_there(
 
     path = only_file(tmp_path / "out")
     assert path.name.startswith(recorder.site)
+    judged = subprocess.run(
+        [sys.executable, "-m", "rerun", "mcap", "check", str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert judged.returncode == 0, judged.stdout + judged.stderr
     found = contents(path)
     times = [record.log_time for _, _, record in found]
     assert before <= times[0]
@@ -182,7 +189,9 @@ def test_a_full_disk_degrades_and_a_new_file_begins_when_there_is_space(
     held = Site(recorder.site, seconds=0.2).messages()
     map_message = next(message for message in held if message.channel == MAP)
     recorder.bus.say(map_message)
-    recorder.await_written(2)
+    recorder.await_health(
+        lambda _: MAP in [record.envelope.channel for record in read(tmp_path / "full.mcap")]
+    )
     pid = recorder.process.pid
     # a file may grow no further: what a full disk looks like, without one
     resource.prlimit(pid, resource.RLIMIT_FSIZE, ((tmp_path / "full.mcap").stat().st_size, -1))

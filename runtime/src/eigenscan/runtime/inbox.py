@@ -25,7 +25,9 @@ class Arrival:
 class Inbox:
     """Thread-safe queue over many keys, each bounded by its channel's depth. All it does takes O(1)."""
 
-    def __init__(self) -> None:
+    def __init__(self, slack: int = 1) -> None:
+        """`slack` times the channels' depth may wait: for who wants all of it rather than the newest."""
+        self._slack = slack
         self._waiting: OrderedDict[int, Arrival] = OrderedDict()  # by order of arrival
         self._orders: dict[str, deque[int]] = {}  # of the samples that wait, by key
         self._next = 0
@@ -34,10 +36,10 @@ class Inbox:
         self._dropped: Counter[str] = Counter()
 
     def put(self, channel: Channel, key: str, payload: bytes, encoding: str) -> None:
-        """Adds a sample; where its key has `depth` waiting already the oldest of that key goes."""
+        """Adds a sample; where its key has enough waiting already the oldest of that key goes."""
         with self._ready:
             orders = self._orders.setdefault(key, deque())
-            if channel.qos.depth and len(orders) >= channel.qos.depth:
+            if channel.qos.depth and len(orders) >= self._slack * channel.qos.depth:
                 del self._waiting[orders.popleft()]
                 self._dropped[channel.name] += 1
             orders.append(self._next)

@@ -38,6 +38,8 @@ STOP_CORE_S = 1.0
 """What the core gets to end its present message and say what it holds back, when told to stop."""
 STOP_ALL_S = 1.9
 """After this a process that was told to stop is ended by force."""
+WHOLE_SITE_SLACK = 16
+"""Who hears a whole site may fall behind so many times farther, while a disk is busy, before it drops."""
 EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
@@ -53,7 +55,7 @@ def main(
     """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
 
     `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
-    hears keys of the site that are not of the contract, to count them.
+    hears keys of the site that are not of the contract, to count them, and drops later than others.
     """
     wake = Wake()
     with wake.on_signals():
@@ -98,7 +100,7 @@ class Node:
             settings.log_level, settings.log_format, service=service, instance=settings.instance
         )
         self._monitor = Monitor(service, settings.instance, _package_version(service))
-        self._inbox = Inbox()
+        self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1)
         self._bus: Bus | None = None
         self._fault: BaseException | None = None
 

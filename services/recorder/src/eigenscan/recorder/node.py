@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from eigenscan.recorder.aside import Aside
 from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import McapSink
 from eigenscan.recorder.settings import RecorderSettings
@@ -26,7 +27,7 @@ def make_core(settings: RecorderSettings) -> RecorderCore:
         picture = RerunSink(settings)
         if picture.url:
             print(f"viewer: {picture.url}", flush=True)
-        sinks.append(picture)
+        sinks.append(Aside(picture))
     if not sinks:
         raise SettingsError("nothing to record to: give mcap, rrd or viewer_port")
     return RecorderCore(sinks)

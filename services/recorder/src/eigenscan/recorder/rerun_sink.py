@@ -22,7 +22,7 @@ class RerunSink:
 
     def __init__(self, settings: RecorderSettings) -> None:
         """Opens files and ports. Raises SettingsError or OSError naming what cannot be had."""
-        self._counts: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter(drawn=0)
         self._closing = ExitStack()
         self._stream = rr.RecordingStream(APPLICATION)
         self.url = ""

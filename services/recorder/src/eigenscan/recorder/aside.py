@@ -1,0 +1,85 @@
+"""A sink on a thread of its own, so that it holds up nobody."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+
+import structlog
+from eigenscan.recorder.sink import Sink
+from eigenscan.schemas.envelope import Envelope
+
+WAITING = 4096
+"""So many messages wait for it; then the oldest goes, but never one that is latched."""
+DRAIN_S = 0.3
+"""What it gets at the end for what still waits."""
+
+
+class Aside:
+    """Passes messages on to `sink` when that has time. Where it fails on one, that is counted and logged."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._waiting: deque[Envelope] = deque()
+        self._latched: deque[Envelope] = deque()
+        self._news = threading.Condition()
+        self._end_at: float | None = None
+        self._counts: Counter[str] = Counter(undrawn=0, undrawable=0)
+        self._known: set[type[Exception]] = set()
+        self._thread = threading.Thread(target=self._run, name="aside", daemon=True)
+        self._thread.start()
+
+    @property
+    def problem(self) -> str:
+        """That of the sink."""
+        return self._sink.problem
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Those of the sink, and `undrawn` (no time for it) and `undrawable` (it failed)."""
+        return {**self._sink.counters, **self._counts}
+
+    def write(self, heard: Envelope) -> None:
+        """Lets the message wait its turn."""
+        with self._news:
+            if heard.channel.qos.latched:
+                self._latched.append(heard)
+            else:
+                self._waiting.append(heard)
+                if len(self._waiting) > WAITING:
+                    self._waiting.popleft()
+                    self._counts["undrawn"] += 1
+            self._news.notify()
+
+    def close(self) -> None:
+        """Gives what waits DRAIN_S, then closes the sink."""
+        with self._news:
+            self._end_at = time.monotonic() + DRAIN_S
+            self._news.notify()
+        self._thread.join(2 * DRAIN_S)
+        self._counts["undrawn"] += len(self._waiting) + len(self._latched)
+        if not self._thread.is_alive():
+            self._sink.close()
+
+    def _run(self) -> None:
+        while True:
+            heard = self._take()
+            if heard is None:
+                return
+            try:
+                self._sink.write(heard)
+            except Exception as error:
+                self._counts["undrawable"] += 1
+                if type(error) not in self._known:
+                    self._known.add(type(error))
+                    structlog.get_logger().warning("undrawable", key=heard.key, exc_info=error)
+
+    def _take(self) -> Envelope | None:
+        """The next message, latched ones first; None at the end."""
+        with self._news:
+            self._news.wait_for(lambda: self._waiting or self._latched or self._end_at is not None)
+            late = self._end_at is not None and time.monotonic() > self._end_at
+            queue = self._latched or self._waiting
+            return queue.popleft() if queue and not late else None

@@ -1,0 +1,109 @@
+"""A picture that is slow or fails holds up nobody."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+import pytest
+from eigenscan.recorder.aside import WAITING, Aside
+from eigenscan.schemas.channels import MAP, POSE
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+
+ADDRESS = {"site": "s", "robot": "r"}
+
+
+class Slow:
+    """A sink that writes only when it is let, and fails on request."""
+
+    def __init__(self, fails_on: Callable[[Envelope], bool] = lambda heard: False) -> None:
+        self.may_write, self.writes = threading.Event(), threading.Event()
+        self.written: list[Envelope] = []
+        self.closed = False
+        self._fails_on = fails_on
+
+    problem = ""
+    counters: Mapping[str, int] = {"drawn": 7}
+
+    def write(self, heard: Envelope) -> None:
+        self.writes.set()
+        self.may_write.wait(20)
+        if self._fails_on(heard):
+            raise ValueError("undrawable")
+        self.written.append(heard)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def pose(number: int) -> Envelope:
+    return Envelope(POSE, ADDRESS, PoseEstimate(timestamp=stamp(number)))
+
+
+def await_that(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def numbers(sink: Slow) -> list[int]:
+    return [heard.message.timestamp.nanos for heard in sink.written if heard.channel == POSE]  # type: ignore[attr-defined]
+
+
+def test_in_order_and_whole_where_there_is_time() -> None:
+    sink = Slow()
+    sink.may_write.set()
+    aside = Aside(sink)
+    for number in range(200):
+        aside.write(pose(number))
+    await_that(lambda: len(sink.written) == 200)
+    aside.close()
+    assert sink.closed
+    assert numbers(sink) == list(range(200))
+    assert aside.counters == {"drawn": 7, "undrawn": 0, "undrawable": 0}
+
+
+def test_a_slow_sink_loses_the_oldest_but_never_the_map() -> None:
+    sink = Slow()
+    aside = Aside(sink)
+    aside.write(pose(0))
+    assert sink.writes.wait(20)
+    aside.write(Envelope(MAP, ADDRESS, Grid()))
+    for number in range(1, WAITING + 101):
+        aside.write(pose(number))
+    assert aside.counters["undrawn"] == 100
+    sink.may_write.set()
+    await_that(lambda: len(sink.written) == WAITING + 2)
+    aside.close()
+    assert [heard.channel for heard in sink.written[:2]] == [POSE, MAP]
+    assert numbers(sink) == [0, *range(101, WAITING + 101)]
+
+
+def test_a_sink_that_hangs_does_not_keep_the_recorder_from_ending() -> None:
+    sink = Slow()
+    aside = Aside(sink)
+    for number in range(10):
+        aside.write(pose(number))
+    assert sink.writes.wait(20)
+    aside.close()
+    assert not sink.closed
+    assert aside.counters["undrawn"] == 9
+    sink.may_write.set()
+
+
+def test_what_fails_is_counted_and_logged_once(capsys: pytest.CaptureFixture[str]) -> None:
+    sink = Slow(fails_on=lambda heard: heard.message.timestamp.nanos % 2 == 1)  # type: ignore[attr-defined]
+    sink.may_write.set()
+    aside = Aside(sink)
+    for number in range(10):
+        aside.write(pose(number))
+    await_that(lambda: aside.counters["undrawable"] == 5 and len(sink.written) == 5)
+    aside.close()
+    assert numbers(sink) == [0, 2, 4, 6, 8]
+    assert aside.counters["undrawable"] == 5
+    output = capsys.readouterr()
+    assert (output.out + output.err).count("ValueError: undrawable") == 1
