@@ -8,6 +8,7 @@ from types import TracebackType
 
 from eigenscan.schemas.tracking_pb2 import State
 from rich.console import Console
+from rich.markup import escape
 
 QUIET_PERIOD_S = 5.0
 """Without a terminal a line is printed so often."""
@@ -37,7 +38,7 @@ class StatusLine:
     def show(self, text: str) -> None:
         """Puts `text` in the line."""
         if self.console.is_terminal:
-            self._status.update(text)
+            self._status.update(escape(text))
         elif time.monotonic() >= self._due:
             self.say(text)
 
