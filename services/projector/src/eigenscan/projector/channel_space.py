@@ -35,7 +35,7 @@ class ChannelSpace:
 
 @dataclass(frozen=True)
 class ChannelSpaces:
-    """The spaces of R regions, stacked: mean (R, F), vectors (R, M, F, J), prior (R, M): noise over variance."""
+    """The spaces of R regions: mean (R, F), vectors (R, M, F, J), prior (R, M) = noise / eigenvalue."""
 
     mean: NDArray[np.float64]
     vectors: NDArray[np.float64]
@@ -70,7 +70,8 @@ class ChannelSpaces:
         normal[:, np.arange(components), np.arange(components)] += self.prior
         alpha = np.linalg.solve(normal, basis @ scan)
         error = scan - basis.transpose(0, 2, 1) @ alpha
-        return alpha[..., 0], np.mean(error[..., 0] ** 2, axis=1)
+        square: NDArray[np.float64] = np.mean(error[..., 0] ** 2, axis=1)
+        return alpha[..., 0].astype(np.float64), square
 
 
 def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> ChannelSpace:

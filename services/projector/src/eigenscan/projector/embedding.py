@@ -1,8 +1,8 @@
 """What of a range enters the eigenspace: the paper's clipped range, or its place on a ring.
 
-On a ring a range is an angle, 2 pi r / circumference, and enters as cosine and sine. Two ranges are then never
-farther apart than the ring's diameter: a beam that is wrong by metres (a person, an open door) counts little
-more than one that is wrong by a metre, where in plain ranges it counts with the square of its error.
+On a ring a range is an angle, 2 pi r / circumference, and enters as cosine and sine. Two ranges are then
+never farther apart than the ring's diameter: a beam that is wrong by metres (a person, an open door) counts
+little more than one that is wrong by a metre, where in plain ranges it counts with the square of its error.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from eigenscan.eigenspace.model import RegionModel
@@ -18,9 +19,9 @@ SEARCH_SPACING = 0.5
 class Lattice:
     """P positions (P, 2) m, map frame; panoramas (P, N) m on the analysis grid, +inf: no wall in sight.
 
-    `neighbours` (P, 9): index of the position one step of the model's grid away, -1 where there is none; itself
-    at 4. `regions` holds for each region the indices of its positions, `searched` those of them that are
-    searched.
+    `neighbours` (P, 9): index of the position one step of the model's grid away, -1 where there is none;
+    itself at 4. `regions` holds for each region the indices of its positions, `searched` those of them that
+    are searched.
     """
 
     positions: NDArray[np.float64]
@@ -38,7 +39,7 @@ class Lattice:
         _, first, member = np.unique(cell, axis=0, return_index=True, return_inverse=True)
         bounds = np.cumsum([0, *(len(model.index) for model in models)])
         member = member.reshape(-1)
-        regions = tuple(member[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True))
+        regions = tuple(member[a:b] for a, b in pairwise(bounds))
         index = np.concatenate([model.index for model in models])
         stride = max(1, round(SEARCH_SPACING / models[0].spacing))
         searched = tuple(

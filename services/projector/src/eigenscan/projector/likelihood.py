@@ -1,8 +1,8 @@
 """How much likelier a scan is at a pose than at a place that the map does not show.
 
 A beam speaks for a pose where it ends on a wall, and against it where it went through one. A beam that ends
-before its wall (a person, furniture) does neither. What the beams say is averaged, less what they would say
-of the best pose in a building that is not the map's.
+before its wall (a person, furniture) does neither. What the beams say is averaged, less what they say of
+places that merely look similar.
 """
 
 from __future__ import annotations
@@ -21,10 +21,14 @@ THROUGH_MARGIN = 0.3
 """m behind the predicted wall before a beam counts as having gone through it."""
 THROUGH_WEIGHT = 0.8
 """What a beam through a wall says against a pose, in beams on a wall."""
-STRANGE_SUPPORT = 0.45
-"""Mean support that the best pose in a foreign building reaches."""
-NATS = 60.0
-"""ln of the odds that a scan with full support gives over one with none."""
+ORDINARY_RANK = 10
+"""The support of so manieth best place tells what a place gets that merely looks similar."""
+NATS, STRANGE, SIMILAR = 33.0, 0.13, 0.54
+"""ln odds per support; the support that counts for nothing: STRANGE, and SIMILAR times an ordinary place's.
+
+By maximum likelihood of being right, with ln(area 2 pi / volume of a pose) = 13 for the prior, on scans of
+two buildings in their own maps and in foreign ones; held against three others (benchmarks/single_scan.py).
+"""
 
 
 def support(
@@ -45,9 +49,15 @@ def support(
     return out[0], out[1]
 
 
-def log_likelihood(support: Array) -> Array:
-    """ln p(scan | pose) / p(scan | unknown place), (n,), of the mean support (n,)."""
-    return NATS * (support - STRANGE_SUPPORT)
+def log_likelihood(supports: Array) -> Array:
+    """Values (n,) of ln p(scan | pose) / p(scan | unknown place) for supports (n,) of places, best first.
+
+    A plain scan (a wall, a corner) finds support in many places, also of a foreign building: what an ordinary
+    place gets is no evidence.
+    """
+    ordinary = supports[min(ORDINARY_RANK, len(supports) - 1)]
+    odds: Array = NATS * (supports - STRANGE - SIMILAR * ordinary)
+    return odds
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled

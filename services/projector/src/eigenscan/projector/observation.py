@@ -54,8 +54,10 @@ def observe(scan: Scan) -> Observation:
     """
     beams = len(scan.ranges)
     step = scan.angle_increment
-    if not beams or not (np.isfinite(step) and step > 0 and np.isfinite(scan.angle_min)):
+    if not beams or not (0.0 < step < np.pi and np.isfinite(scan.angle_min)):
         raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
+    if not 0.0 <= scan.range_max < np.inf:
+        raise ValueError(f"range_max = {scan.range_max} m")
     ranges = np.array(scan.ranges, dtype=np.float32)
     # a negative range is no range
     ranges[ranges < 0] = np.nan

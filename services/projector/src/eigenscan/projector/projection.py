@@ -110,15 +110,15 @@ def _weigh(
     z, bearing = seen.coarse[used], seen.bearings[used]
     predicted = site.caster.cast(poses, bearing, float(z.max()) + THROUGH_MARGIN)
     supported, explained = support(site.walls, poses, bearing, z, predicted)
-    likelihood = log_likelihood(supported)
-    kept = np.argsort(-likelihood)[: settings.published]
+    kept = np.argsort(-supported)[: settings.published]
+    likelihood = log_likelihood(supported[kept])
     chosen = best[kept]
     return Candidates(
         poses[kept],
         pose_covariances(polished.information[chosen]),
-        likelihood[kept],
+        likelihood,
         explained[kept],
         region[chosen],
         projected,
-        float(min(likelihood[kept[-1]], 0.0)),
+        float(min(likelihood[-1], 0.0)),
     )

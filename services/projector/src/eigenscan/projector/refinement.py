@@ -21,7 +21,7 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Schedule:
-    """`steps` evaluations whose scale falls from `first` to `last`, m: there a point's weight is a quarter."""
+    """`steps` evaluations; the scale falls from `first` to `last`, m: there a point weighs a quarter."""
 
     first: float
     last: float

@@ -1,7 +1,7 @@
 """The poses nearest to a scan in eigenspace, over all regions at once, by comparing with every one.
 
-The table is small (a lattice of half a metre and 6 degrees, a byte a coefficient) and lies component by component,
-so that comparing with all of it costs less than a tree that has to look at a share of it.
+The table is small (a lattice of half a metre and 6 degrees, a byte a coefficient) and lies component by
+component, so that comparing with all of it costs less than a tree that looks at a share of it.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class SweepTable:
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Rows (k,) of the about `count` poses with the smallest ||S - S'||^2 (k,), nearest first.
 
-        `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What the space does not
-        hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces.
+        `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What the space does
+        not hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces.
         """
         query = (alphas / self.unit).astype(np.float32)
         extra = (residuals / self.unit**2).astype(np.float32)
