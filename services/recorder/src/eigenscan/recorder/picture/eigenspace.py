@@ -94,8 +94,8 @@ def _places_style() -> tuple[rr.LineStrips3D]:
 
 
 def _hypotheses_style() -> tuple[rr.Points3D]:
-    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0)),)
+    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(9.0)),)
 
 
 def _scan_style() -> tuple[rr.Points3D]:
-    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(11.0)),)
+    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(6.0)),)
