@@ -42,9 +42,15 @@ class Monitor:
     """Keeps a service's condition; safe to use from any thread."""
 
     def __init__(
-        self, service: str, instance: str, version: str, stalled_after_s: float = STALLED_AFTER_S
+        self,
+        service: str,
+        instance: str,
+        version: str,
+        stalled_after_s: float = STALLED_AFTER_S,
+        settings: str = "",
     ) -> None:
         self.service, self.instance, self.version = service, instance, version
+        self._settings = settings
         self._condition = Condition(Health.STATUS_WAITING, "starting")
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
@@ -97,6 +103,7 @@ class Monitor:
             detail=condition.detail,
             counters=dict(condition.counters),
             package_version=self.version,
+            settings=self._settings,
         )
 
     def probe(self) -> tuple[int, dict[str, object]]:

@@ -99,7 +99,9 @@ class Node:
         self._log = configure(
             settings.log_level, settings.log_format, service=service, instance=settings.instance
         )
-        self._monitor = Monitor(service, settings.instance, _package_version(service))
+        self._monitor = Monitor(
+            service, settings.instance, _package_version(service), settings=settings.told()
+        )
         self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1)
         self._bus: Bus | None = None
         self._fault: BaseException | None = None

@@ -26,6 +26,8 @@ from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 
+_OF_THE_PROCESS = {"zenoh", "metrics_port", "metrics_host", "log_level", "log_format"}
+
 
 class SettingsError(ValueError):
     """Settings that do not hold; the message names the source, the field and the fix."""
@@ -58,6 +60,10 @@ class ServiceSettings(BaseModel):
         pattern="^(auto|json|console)$",
         description="json, console, or auto: console on a terminal",
     )
+
+    def told(self) -> str:
+        """What the core's answers may depend on, as JSON: all but how the process itself is run."""
+        return self.model_dump_json(exclude=_OF_THE_PROCESS)
 
     @field_validator("site", "robot", "instance")
     @classmethod

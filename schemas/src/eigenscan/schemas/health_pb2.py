@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1e\x65igenscan/schemas/health.proto\x12\teigenscan\x1a\x1fgoogle/protobuf/timestamp.proto\"\xeb\x02\n\x06Health\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x0f\n\x07service\x18\x02 \x01(\t\x12\x10\n\x08instance\x18\x03 \x01(\t\x12(\n\x06status\x18\x04 \x01(\x0e\x32\x18.eigenscan.Health.Status\x12\x0e\n\x06\x64\x65tail\x18\x05 \x01(\t\x12\x31\n\x08\x63ounters\x18\x06 \x03(\x0b\x32\x1f.eigenscan.Health.CountersEntry\x12\x17\n\x0fpackage_version\x18\x07 \x01(\t\x1a/\n\rCountersEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x04:\x02\x38\x01\"X\n\x06Status\x12\x16\n\x12STATUS_UNSPECIFIED\x10\x00\x12\r\n\tSTATUS_OK\x10\x01\x12\x12\n\x0eSTATUS_WAITING\x10\x02\x12\x13\n\x0fSTATUS_DEGRADED\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1e\x65igenscan/schemas/health.proto\x12\teigenscan\x1a\x1fgoogle/protobuf/timestamp.proto\"\xfd\x02\n\x06Health\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x0f\n\x07service\x18\x02 \x01(\t\x12\x10\n\x08instance\x18\x03 \x01(\t\x12(\n\x06status\x18\x04 \x01(\x0e\x32\x18.eigenscan.Health.Status\x12\x0e\n\x06\x64\x65tail\x18\x05 \x01(\t\x12\x31\n\x08\x63ounters\x18\x06 \x03(\x0b\x32\x1f.eigenscan.Health.CountersEntry\x12\x17\n\x0fpackage_version\x18\x07 \x01(\t\x12\x10\n\x08settings\x18\x08 \x01(\t\x1a/\n\rCountersEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x04:\x02\x38\x01\"X\n\x06Status\x12\x16\n\x12STATUS_UNSPECIFIED\x10\x00\x12\r\n\tSTATUS_OK\x10\x01\x12\x12\n\x0eSTATUS_WAITING\x10\x02\x12\x13\n\x0fSTATUS_DEGRADED\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,9 +35,9 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_HEALTH_COUNTERSENTRY']._loaded_options = None
   _globals['_HEALTH_COUNTERSENTRY']._serialized_options = b'8\001'
   _globals['_HEALTH']._serialized_start=79
-  _globals['_HEALTH']._serialized_end=442
-  _globals['_HEALTH_COUNTERSENTRY']._serialized_start=305
-  _globals['_HEALTH_COUNTERSENTRY']._serialized_end=352
-  _globals['_HEALTH_STATUS']._serialized_start=354
-  _globals['_HEALTH_STATUS']._serialized_end=442
+  _globals['_HEALTH']._serialized_end=460
+  _globals['_HEALTH_COUNTERSENTRY']._serialized_start=323
+  _globals['_HEALTH_COUNTERSENTRY']._serialized_end=370
+  _globals['_HEALTH_STATUS']._serialized_start=372
+  _globals['_HEALTH_STATUS']._serialized_end=460
 # @@protoc_insertion_point(module_scope)

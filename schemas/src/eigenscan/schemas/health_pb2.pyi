@@ -11,7 +11,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Health(_message.Message):
-    __slots__ = ("timestamp", "service", "instance", "status", "detail", "counters", "package_version")
+    __slots__ = ("timestamp", "service", "instance", "status", "detail", "counters", "package_version", "settings")
     class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATUS_UNSPECIFIED: _ClassVar[Health.Status]
@@ -36,6 +36,7 @@ class Health(_message.Message):
     DETAIL_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     PACKAGE_VERSION_FIELD_NUMBER: _ClassVar[int]
+    SETTINGS_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     service: str
     instance: str
@@ -43,4 +44,5 @@ class Health(_message.Message):
     detail: str
     counters: _containers.ScalarMap[str, int]
     package_version: str
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., service: _Optional[str] = ..., instance: _Optional[str] = ..., status: _Optional[_Union[Health.Status, str]] = ..., detail: _Optional[str] = ..., counters: _Optional[_Mapping[str, int]] = ..., package_version: _Optional[str] = ...) -> None: ...
+    settings: str
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., service: _Optional[str] = ..., instance: _Optional[str] = ..., status: _Optional[_Union[Health.Status, str]] = ..., detail: _Optional[str] = ..., counters: _Optional[_Mapping[str, int]] = ..., package_version: _Optional[str] = ..., settings: _Optional[str] = ...) -> None: ...
