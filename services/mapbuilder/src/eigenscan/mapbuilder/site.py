@@ -20,7 +20,7 @@ from eigenscan.mapbuilder.regions import Division, Regions, divide
 from numpy.typing import NDArray
 
 _CAST_AT_ONCE = 40_000
-"""Positions whose panoramas are in memory as floats, 120 MB at half a degree; each batch meets all walls in reach."""
+"""Positions whose panoramas are in memory as floats, 120 MB at half a degree."""
 
 Progress = Callable[[str, float], None]
 """Hears the step's name and the share of the whole that is done."""
