@@ -9,8 +9,10 @@ import subprocess
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 import yaml
@@ -68,13 +70,20 @@ class Stack:
     project: str
     site: str
     port: int
+    viewer_port: int
+    data_port: int
 
     def compose(self, *arguments: str) -> str:
+        environment = {
+            "EIGENSCAN_IMAGES": self.project,
+            "EIGENSCAN_SITE": self.site,
+            "EIGENSCAN_PORT": str(self.port),
+            "EIGENSCAN_VIEWER_PORT": str(self.viewer_port),
+            "EIGENSCAN_DATA_PORT": str(self.data_port),
+        }
         ran = subprocess.run(
             [*_compose_command(), "-p", self.project, "--profile", "demo", *arguments],
-            cwd=ROOT, capture_output=True, text=True, check=False, timeout=1800,
-            env=os.environ | {"EIGENSCAN_IMAGES": self.project, "EIGENSCAN_SITE": self.site,
-                              "EIGENSCAN_PORT": str(self.port)},
+            cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=1800,
         )  # fmt: skip
         assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
         return ran.stdout
@@ -95,9 +104,10 @@ def stack() -> Iterator[Stack]:
     if not _has_base() and subprocess.run(["docker", "pull", "-q", BASE], check=False).returncode != 0:
         subprocess.run([MAKE_BASE], check=True, timeout=900)
     name = f"eigenscan-test-{uuid.uuid4().hex[:8]}"
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    stack = Stack(name, name, port)
+    with ExitStack() as taken:
+        servers = [taken.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(3)]
+        ports = [server.getsockname()[1] for server in servers]
+    stack = Stack(name, name, *ports)
     try:
         stack.compose("build")
         stack.compose("up", "-d")
@@ -208,6 +218,20 @@ for line in urllib.request.urlopen("http://127.0.0.1:9100/metrics").read().decod
     if line.startswith('eigenscan_messages_total{what="said_pose"}'):
         print(float(line.split()[1]))
 """
+
+
+def test_the_live_picture_is_served(stack: Stack) -> None:
+    links = [
+        line for line in stack.compose("logs", "--no-color", "recorder").splitlines() if "viewer: " in line
+    ]
+    assert len(links) == 1
+    link = links[0].partition("viewer: ")[2].strip()
+    assert link.startswith(f"http://127.0.0.1:{stack.viewer_port}/?url=")
+    assert f"127.0.0.1%3A{stack.data_port}" in link
+    with urlopen(link, timeout=10) as page:
+        assert b"rerun" in page.read().lower()
+    with socket.create_connection(("127.0.0.1", stack.data_port), timeout=10):
+        pass
 
 
 def test_the_robot_goes_on_without_the_site(stack: Stack, bus: Bus) -> None:
