@@ -228,3 +228,15 @@ def test_a_position_sees_the_same_alone_as_among_others(yaw):
     together = raycast.panoramas(grid, points, 90, 1.0)
     alone = np.vstack([raycast.panoramas(grid, point[None], 90, 1.0) for point in points])
     np.testing.assert_allclose(together, alone, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_ray_goes_on_beyond_what_is_swept(seed, monkeypatch):
+    grid = random_map(seed, (1.0, 2.0, 0.3))
+    points = free_poses(grid, 6, seed)[:, :2]
+    points = points[np.linalg.norm(points - points[0], axis=1) < 1.5]
+    whole = raycast.panoramas(grid, points, 180, 6.0)
+    monkeypatch.setattr(raycast, "SWEPT", 0.4)
+    part = raycast.panoramas(grid, points, 180, 6.0)
+    assert close(part, whole, 1e-5).mean() > 0.999
+    assert np.isfinite(part[part > 2.0]).any()

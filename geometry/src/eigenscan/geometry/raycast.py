@@ -22,6 +22,9 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 DARK_CELLS = 2.0
 """Depth in UNKNOWN, in cells from anything known, beyond which nothing is known."""
 
+SWEPT = 20.0
+"""m around the positions in which walls are swept; a ray that leaves that part of the map is traced on."""
+
 _NO_WALL = np.float32(np.inf)
 
 
@@ -82,14 +85,15 @@ class RayCaster:
             raise ValueError("panoramas: a position is not finite")
         if not len(points):
             return np.empty((0, beams), dtype=np.float32)
-        wall, dark, corner = self._within(points, range_max / self.grid.resolution)
+        limit, unit = range_max / self.grid.resolution, self.grid.resolution
+        near = min(limit, SWEPT / unit)
+        wall, dark, corner = self._within(points, near)
         seen = visits(wall, dark, points, corner)
         angles = np.arange(beams) * (2.0 * np.pi / beams) - self.grid.origin[2]
         by_direction = np.empty((beams, len(points)), dtype=np.float32)
 
         def work(block: NDArray[np.int64]) -> None:
-            limit, unit = range_max / self.grid.resolution, self.grid.resolution
-            sweep(seen, self.leap, angles, block, limit, unit, by_direction)
+            sweep(seen, self.leap, angles, block, (near, limit), unit, by_direction)
 
         blocks = [block for block in np.array_split(np.arange(beams), 4 * max(threads, 1)) if len(block)]
         if threads > 1:

@@ -98,20 +98,21 @@ def sweep(
     leap: NDArray[np.uint8],
     angles: NDArray[np.float64],
     rows: NDArray[np.int64],
-    limit: float,
+    reach: tuple[float, float],
     unit: float,
     out: NDArray[np.float32],
 ) -> None:
     """Fills `rows` of `out` (N, P), m, for the directions `angles` (N,), rad, in the grid's frame.
 
-    `limit` in cells, `unit` in m per cell; inf where no wall is in sight. Lets other threads run.
+    `reach`: how far from every point all stops are among the visits, and how far a ray goes; in cells,
+    `unit` in m per cell. inf where no wall is in sight. Lets other threads run.
     """
     if len(seen.x):
-        _sweep(seen.x, seen.y, seen.what, seen.bounds, leap, angles, rows, limit, unit, out)
+        _sweep(seen.x, seen.y, seen.what, seen.bounds, leap, angles, rows, reach, unit, out)
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _sweep(x, y, what, bounds, leap, angles, rows, limit, unit, out):  # type: ignore[no-untyped-def]
+def _sweep(x, y, what, bounds, leap, angles, rows, reach, unit, out):  # type: ignore[no-untyped-def]
     low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
     for k in rows:
         dx, dy = np.cos(angles[k]), np.sin(angles[k])
@@ -122,15 +123,16 @@ def _sweep(x, y, what, bounds, leap, angles, rows, limit, unit, out):  # type: i
         lanes = np.full(int(width * LANES_PER_CELL) + 2, -1, dtype=np.int32)
         run = 2 * ((1 if dx < 0.0 else 0) + (2 if dy < 0.0 else 0)) + (1 if abs(dy) > abs(dx) else 0)
         part = slice(bounds[run], bounds[run + 1])
-        _sweep_one(x[part], y[part], what[part], leap, dx, dy, least, limit, unit, lanes, out[k])
+        _sweep_one(x[part], y[part], what[part], leap, dx, dy, least, reach, unit, lanes, out[k])
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _sweep_one(x, y, what, leap, dx, dy, least, limit, unit, lanes, out):  # type: ignore[no-untyped-def]
+def _sweep_one(x, y, what, leap, dx, dy, least, reach, unit, lanes, out):  # type: ignore[no-untyped-def]
     inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
     inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
     across_x, across_y, offset = -dy * LANES_PER_CELL, dx * LANES_PER_CELL, -least * LANES_PER_CELL
     down, up = _extent(dx, dy)
+    near, limit = reach
     for i in range(len(x)):
         place = across_x * x[i] + across_y * y[i] + offset
         if what[i] < 0:
@@ -138,9 +140,12 @@ def _sweep_one(x, y, what, leap, dx, dy, least, limit, unit, lanes, out):  # typ
                 lanes[lane] = i
             continue
         stop, other = lanes[int(place)], lanes[int(place) + 1]
-        if stop != other:
+        if stop < 0 and other < 0:
+            # no stop on the way out of the part of the map that was swept
+            reached = trace(leap, x[i], y[i], dx, dy, limit, near)
+        elif stop != other:
             reached = _between(x, y, what, leap, dx, dy, i, place - int(place), stop, other, limit)
-        elif stop >= 0 and what[stop] == WALL_VISIT:
+        elif what[stop] == WALL_VISIT:
             # what blocks both lanes blocks the ray between them
             reached = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y, 0.0)
         else:
