@@ -62,7 +62,7 @@ class Drive:
             windows=self.windows,
             single_scans=None,
             kidnap=False,
-            skip=frozenset({"single-scans"}),
+            skip=frozenset({"single-scans", "memory"}),
             spacing=0.5,
             offset_s=0.0,
             limit=None,
@@ -143,7 +143,7 @@ def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
 
 
 def test_what_is_not_asked_for_is_null(drive: Drive) -> None:
-    figures = run(replace(drive.task, skip=frozenset({"windows", "single-scans"})))
+    figures = run(replace(drive.task, skip=frozenset({"windows", "single-scans", "memory"})))
     assert figures["kidnap"] is None
     assert figures["single_scan"] is None
     assert figures["success_rate"] is None

@@ -12,7 +12,7 @@ from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
-PARTS = ("windows", "single-scans", "exhaustive")
+PARTS = ("windows", "single-scans", "exhaustive", "memory")
 
 
 def evaluate(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +27,7 @@ from eigenscan.cli.evaluation.windows import (
     read_windows,
     thin,
 )
-from eigenscan.cli.evaluation.workers import Workers
+from eigenscan.cli.evaluation.workers import Workers, model_mb
 from eigenscan.cli.importers import LogOptions
 from numpy.typing import NDArray
 
@@ -84,18 +82,19 @@ def _figures(
     if "windows" not in task.skip:
         figures = global_localization(bench, windows, task.poses)
     kidnap = kidnapping(bench, windows) if task.kidnap else None
-    peak = _peak_mb(task.jobs)
+    peak = bench.workers.peak_mb
     single = None
     if "single-scans" not in task.skip:
         shown = None if "exhaustive" in task.skip else gallery_of(built)
         single = single_scans(bench, thin(times, task.limit), shown)
+    weight = None if "memory" in task.skip else model_mb(built.models, bench.log.beginning)
     return figures | {
         "windows_left_out": len(asked) - len(windows),
         "kidnap": kidnap,
         "single_scan": single,
         "peak_rss_mb": peak,
         "map_m2": built.map_m2,
-        "model": built.figures | {"memory_mb": bench.workers.model_mb},
+        "model": built.figures | {"memory_mb": weight},
         "log": {
             "scans": len(bench.log.scans),
             "lidars": bench.log.lidars,
@@ -116,10 +115,3 @@ def _check_overlap(task: Task, log: Log, reference: Trajectory) -> None:
 
 def _span(stamps: NDArray[np.int64]) -> str:
     return f"{stamps.min() / NS:.3f} to {stamps.max() / NS:.3f} s"
-
-
-def _peak_mb(jobs: int) -> float:
-    """Largest resident set of a process that ran the pipeline, MB."""
-    who = resource.RUSAGE_SELF if jobs == 1 else resource.RUSAGE_CHILDREN
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(who).ru_maxrss * unit / 1e6

@@ -5,6 +5,8 @@ The reference stays with the caller: a worker gets models and a stretch of the l
 
 from __future__ import annotations
 
+import resource
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -20,16 +22,13 @@ R = TypeVar("R")
 
 
 class Worker:
-    """One warm pipeline. `model_mb`: what loading its models added to the resident set, MB."""
+    """One warm pipeline."""
 
     def __init__(self, models: Packed, warm_up: Packed) -> None:
         """Hears `warm_up` once: what is compiled late is compiled before the clock counts."""
         numba.set_num_threads(1)
-        envelopes = list(unpack(models))
-        before = psutil.Process().memory_info().rss
-        self._pipeline = Pipeline(envelopes)
+        self._pipeline = Pipeline(list(unpack(models)))
         self._pipeline.warm_up(unpack(warm_up))
-        self.model_mb = (psutil.Process().memory_info().rss - before) / 1e6
 
     def run(self, heard: Packed) -> Run:
         """One cold run over a stretch of the log."""
@@ -52,8 +51,24 @@ def _call(work: Callable[[Worker, Packed], R], packed: Packed) -> R:
     return work(_here[0], packed)
 
 
-def _model_mb(worker: Worker, _: Packed) -> float:
-    return worker.model_mb
+def _peak_mb(_: Worker, __: Packed) -> float:
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def _weigh(models: Packed, warm_up: Packed) -> float:
+    first = Worker(models, warm_up)  # brings the code, which is no part of the model
+    before = psutil.Process().memory_info().rss
+    second = Worker(models, warm_up)
+    added = psutil.Process().memory_info().rss - before
+    del first, second
+    return added / 1e6
+
+
+def model_mb(models: Sequence[Envelope], warm_up: Sequence[Envelope]) -> float:
+    """What models add to the resident set of a process that uses them, MB; found in a process of its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(_weigh, pack(models), pack(warm_up)).result()
 
 
 class Workers:
@@ -62,6 +77,7 @@ class Workers:
     def __init__(self, jobs: int, models: Sequence[Envelope], warm_up: Sequence[Envelope]) -> None:
         beginning = (pack(models), pack(warm_up))
         self._pool: ProcessPoolExecutor | None = None
+        self._asked = 1 if jobs == 1 else 8 * jobs  # so many that each process is asked, most likely
         if jobs > 1:
             self._pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, beginning)
         else:
@@ -75,9 +91,9 @@ class Workers:
             self._pool.shutdown(cancel_futures=True)
 
     @property
-    def model_mb(self) -> float:
-        """What a loaded model adds to the resident set, MB."""
-        return next(self._each(_model_mb, [()]))
+    def peak_mb(self) -> float:
+        """Largest resident set of a worker's process so far, MB."""
+        return max(self._each(_peak_mb, [()] * self._asked))
 
     def runs(self, stretches: Iterable[Sequence[Envelope]]) -> Iterator[Run]:
         """One cold run for each stretch of the log, in order."""
