@@ -61,6 +61,19 @@ def test_the_answer_is_the_base_and_not_the_sensor() -> None:
     assert abs(np.exp(1j * (sensor[2] + directions[4])) - np.exp(1j * heading * STEP)) < 1e-9
 
 
+def test_beyond_the_sensors_reach_nothing_counts() -> None:
+    rng = np.random.default_rng(4)
+    panoramas = rng.uniform(1, 20, (6, BEAMS))
+    shown = gallery(np.stack([np.arange(6.0), np.zeros(6)], axis=1), panoramas, 15.0)
+    # the sensor reaches 4 m: all that lies further comes back empty
+    seen = panoramas[3, (np.arange(BEAMS) + 9) % BEAMS]
+    ranges = np.where(seen > 4.0, np.inf, seen)
+    found = best_pose(shown.up_to(4.0), ranges, np.arange(BEAMS) * STEP, np.zeros(3))
+    assert found is not None
+    assert (found[0], round(found[2] / STEP) % BEAMS) == (3.0, 9)
+    assert shown.up_to(0.0) is shown
+
+
 def test_a_sensor_of_very_many_beams_does_not_overflow() -> None:
     rng = np.random.default_rng(2)
     panoramas = rng.uniform(1, 20, (3, BEAMS))

@@ -32,6 +32,13 @@ class Gallery:
     beams: int
     cap_m: float
 
+    def up_to(self, reach_m: float) -> Gallery:
+        """The same as a sensor of that reach sees it; 0 or less: not limited."""
+        if not 0.0 < reach_m < self.cap_m:
+            return self
+        seen = np.minimum(self.ranges, np.int16(round(reach_m / UNIT_M)))
+        return Gallery(self.positions, seen, self.beams, reach_m)
+
     def first(self) -> Gallery:
         """The first position alone."""
         return Gallery(self.positions[:1], self.ranges[:1], self.beams, self.cap_m)
