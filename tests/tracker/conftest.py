@@ -44,7 +44,7 @@ class Speaker:
     ) -> Envelope:
         listed = [*zip(poses, log_likelihoods, strict=True)]
         if listed:
-            # a projector lists many that fit badly; they tell how likelihood grows with what is explained
+            # a projector lists many that fit badly: the right ones stand above them
             listed += [(np.array([100.0 + 5.0 * k, 0.0, 0.0]), 2.0 + k) for k in range(self.clutter)]
         message = Hypotheses(
             timestamp=stamp(round(time * 1e9)),
@@ -57,8 +57,6 @@ class Speaker:
                     pose=to_message(pose),
                     covariance=covariance_to_message(self.covariance),
                     log_likelihood=float(value) / TRUST,
-                    # as on real scans: a right pose stands above the trend of the wrong ones
-                    explained=float(np.clip(0.64 + (value - 15.0) / 40.0, 0.0, 0.95)),
                 )
                 for pose, value in listed
             ],

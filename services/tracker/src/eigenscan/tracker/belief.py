@@ -29,6 +29,8 @@ OFF_MAP_SHARE = 0.02
 """Of the robots that no track holds, how many are where no map shows the place."""
 RETURN_RATE = 0.1
 """1/s, how soon a robot off the map comes back to it."""
+LOG_COINCIDENCE = float(np.log(0.02))
+"""How rarely a wrong hypothesis lies in the gate of a right track whose own pose the list lacks."""
 MOST_DECAY = 5.0
 """However long the silence, a little of the mass stays where it was."""
 BREAK_SHARE = 0.5
@@ -214,9 +216,11 @@ class Belief:
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         alone = np.arange(len(old))
         origin = np.concatenate([alone, pairs.track])
+        missed = _missed(seen, old.C)
+        missed[pairs.track] += LOG_COINCIDENCE
         fit = np.concatenate(
             [
-                np.logaddexp(seen.unlisted, _missed(seen, old.C)),
+                np.logaddexp(seen.unlisted, missed),
                 _above(seen.log_likelihoods, seen.unlisted)[pairs.hypothesis] + pairs.log_overlap,
             ]
         )
@@ -305,6 +309,10 @@ class Belief:
         """Makes all masses sum to 1."""
         rest = np.array([part.log_weight for part in self.elsewhere])
         total = np.logaddexp.reduce(np.concatenate([self.tracks.log_weight, rest]))
+        if total == -np.inf:
+            # the last track ended: nothing is left but that nothing is known
+            self.elsewhere[-1].log_weight = 0.0
+            return
         self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight - total)
         for part in self.elsewhere:
             part.log_weight -= float(total)

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from eigenscan.geometry.pose import (
     covariance_to_message,
-    from_pose3,
     quaternion,
     to_message,
+    yaw,
 )
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
@@ -80,12 +80,16 @@ class TrackerCore:
         key = (address["site"], address["robot"])
         frames = (message.frame_id or DEFAULT_ODOM_FRAME, message.body_frame_id or DEFAULT_BODY_FRAME)
         self._odom_frames[key] = frames
+        position = message.pose.position
         yield from self._say(
-            address, robot.hear_odometry(nanoseconds(message.timestamp), from_pose3(message.pose))
+            address,
+            robot.hear_odometry(
+                nanoseconds(message.timestamp), (position.x, position.y, yaw(message.pose.orientation))
+            ),
         )
         transform = robot.map_to_odom()
         if transform is not None:
-            x, y, theta = transform.tolist()
+            x, y, theta = transform
             yield Envelope(
                 TRANSFORM,
                 address,

@@ -18,10 +18,8 @@ Array = NDArray[np.float64]
 
 LOG_LIKELIHOOD_LIMIT = 300.0
 """Evidence beyond this is an overflow of somebody's arithmetic, not knowledge."""
-RIGHT_EXPLAINS = 0.95
-"""Share of beams that a right pose explains in a building that has not changed."""
-LEAST_LIST, LEAST_SPREAD = 5, 0.02
-"""Hypotheses, and spread of their explained shares, from which a trend can be told."""
+WRONG_RANK, RIGHT_ABOVE = 5, 12.0
+"""Nats by which a right pose usually exceeds the fifth of a list; so it was in every building tried."""
 FARTHEST = 1e7
 """m from the map's origin: beyond it a number is an overflow, not a place."""
 SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
@@ -72,25 +70,25 @@ def observe(
     rows = np.array(
         [
             (
-                *(h.pose.x, h.pose.y, h.pose.theta, h.log_likelihood, h.explained),
+                *(h.pose.x, h.pose.y, h.pose.theta, h.log_likelihood),
                 *(h.covariance.xx, h.covariance.xy, h.covariance.xt),
                 *(h.covariance.yy, h.covariance.yt, h.covariance.tt),
             )
             for h in message.hypotheses
         ],
         dtype=np.float64,
-    ).reshape(-1, 11)
-    finite = np.isfinite(rows[:, :5]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
+    ).reshape(-1, 10)
+    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
     if not finite.all():
         counts["hypothesis_not_finite"] += int((~finite).sum())
         rows = rows[finite]
-    covariances = rows[:, [5, 6, 7, 6, 8, 9, 7, 9, 10]].reshape(-1, 3, 3)
+    covariances = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
     good = is_covariance(covariances)
     if not good.all():
         counts["covariance_replaced"] += int((~good).sum())
         sigma = np.array([settings.grid_spacing, settings.grid_spacing, settings.grid_step])
         covariances = np.where(good[:, None, None], covariances, np.diag(sigma**2))
-    fit = settings.trust * rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)
+    listed = rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)
     unlisted = message.unlisted_log_likelihood
     unlisted = (
         float(np.clip(unlisted, -LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT))
@@ -104,30 +102,24 @@ def observe(
         message.frame_id,
         np.column_stack([rows[:, :2], wrap(rows[:, 2])]),
         limit_sigma(covariances),
-        fit,
+        settings.trust * listed,
         settings.trust * unlisted,
-        float(np.log(settings.miss_probability)) + hidden_fit(fit, rows[:, 4]),
+        float(np.log(settings.miss_probability)) + settings.trust * hidden_fit(listed, unlisted),
         message.searched_area_m2 if 1.0 <= message.searched_area_m2 < 1e9 else 1.0,
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
     )
 
 
-def hidden_fit(fit: Array, explained: Array) -> float:
+def hidden_fit(log_likelihoods: Array, unlisted: float) -> float:
     """Log-likelihood that the right pose would have if it were outside the list.
 
-    Over a list, likelihood grows with the share of beams `explained` (k,); the line through all but
-    the likeliest, which may be the right one, is followed up to what a right pose usually explains.
-    Without such a list: as the likeliest.
+    It stands above the wrong ones. The fifth of the list is one of those even where a symmetric
+    building has four right-looking ones; a shorter list says that all others are at `unlisted`.
     """
-    if not len(fit):
-        return 0.0
-    rest = np.arange(len(fit)) != np.argmax(fit)
-    e, y = explained[rest].clip(0.0, 1.0), fit[rest]
-    if len(y) < LEAST_LIST or e.std() < LEAST_SPREAD:
-        return float(fit.max())
-    slope = ((e - e.mean()) * (y - y.mean())).mean() / e.var()
-    return float(y.mean() + slope * (max(RIGHT_EXPLAINS, float(explained.max())) - e.mean()))
+    if len(log_likelihoods) < WRONG_RANK:
+        return unlisted + RIGHT_ABOVE
+    return float(np.sort(log_likelihoods)[-WRONG_RANK]) + RIGHT_ABOVE
 
 
 def limit_sigma(covariances: Array) -> Array:

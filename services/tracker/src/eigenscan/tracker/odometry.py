@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass
+from math import hypot, isfinite
 
-import numpy as np
-from eigenscan.geometry.pose import between, compose
+from eigenscan.tracker.planar import Pose, between, compose, scaled
 from eigenscan.tracker.velocity_gate import Reading, VelocityGate
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 KEPT_NS = 60_000_000_000
 """Odometry older than this is forgotten. A projector's first answer may come many seconds late."""
@@ -27,10 +24,10 @@ class Sample:
     """Odometry at a stamp (ns): sums since the start of a chain from which jumps are taken out."""
 
     stamp: int
-    raw: Array
-    """Base in the odom frame, (3,), as odometry gave it."""
-    chained: Array
-    """Base in a frame without jumps, (3,)."""
+    raw: Pose
+    """Base in the odom frame, as odometry gave it."""
+    chained: Pose
+    """Base in a frame without jumps."""
     way: float = 0.0
     """m driven."""
     turn: float = 0.0
@@ -45,9 +42,9 @@ class Sample:
 
 @dataclass(frozen=True)
 class Motion:
-    """From one stamp to another: pose increment (3,) in the base frame and what its error grows with."""
+    """From one stamp to another: pose increment in the base frame and what its error grows with."""
 
-    delta: Array
+    delta: Pose
     way: float
     turn: float
     slip: float
@@ -82,13 +79,13 @@ class OdometryTrail:
         """Last sample taken."""
         return self._samples[-1] if self._samples else None
 
-    def take(self, stamp: int, pose: Array) -> str:
-        """Adds odometry (3,) at `stamp` ns; gives what became of it: taken, or the reason it was not.
+    def take(self, stamp: int, pose: Pose) -> str:
+        """Adds odometry at `stamp` ns; gives what became of it: taken, or the reason it was not.
 
         `taken_as_slip` and `taken_as_jump` are kept too: the first with doubt, the second as a new
         start of the odom frame, its increment unknown. `restarted`: the clock was set back.
         """
-        if not (np.abs(pose) < FARTHEST).all():
+        if not all(isfinite(value) and abs(value) < FARTHEST for value in pose):
             return "odometry_not_finite"
         last = self.newest
         if last is None:
@@ -103,7 +100,7 @@ class OdometryTrail:
         self._append(last, stamp, pose, step, reading, seconds)
         return f"odometry_{reading.value}"
 
-    def _from_the_past(self, stamp: int, pose: Array, last: Sample) -> str:
+    def _from_the_past(self, stamp: int, pose: Pose, last: Sample) -> str:
         if stamp == last.stamp:
             return "odometry_duplicate"
         self._past_in_row += 1
@@ -116,9 +113,9 @@ class OdometryTrail:
         return "odometry_restarted"
 
     def _append(
-        self, last: Sample, stamp: int, pose: Array, step: Array, reading: Reading, seconds: float
+        self, last: Sample, stamp: int, pose: Pose, step: Pose, reading: Reading, seconds: float
     ) -> None:
-        way, turn = float(np.hypot(step[0], step[1])), abs(float(step[2]))
+        way, turn = hypot(step[0], step[1]), abs(step[2])
         jump = reading is Reading.JUMP
         slip = reading is Reading.SLIP
         self._samples.append(
@@ -178,8 +175,8 @@ def _interpolate(a: Sample, b: Sample, stamp: int) -> Sample:
     return Sample(
         stamp,
         # between the two sides of a jump there is nothing to interpolate
-        near.raw if jumped else compose(a.raw, share * between(a.raw, b.raw)),
-        compose(a.chained, share * between(a.chained, b.chained)),
+        near.raw if jumped else compose(a.raw, scaled(between(a.raw, b.raw), share)),
+        compose(a.chained, scaled(between(a.chained, b.chained), share)),
         mix(a.way, b.way),
         mix(a.turn, b.turn),
         mix(a.slip, b.slip),

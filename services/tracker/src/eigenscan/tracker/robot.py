@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from eigenscan.geometry.pose import compose, inverse
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief, Share, Tracks
 from eigenscan.tracker.confidence import Verdict, judge, next_state
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
+from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.timeline import Timeline
 from eigenscan.tracker.unification import prune, unify
@@ -41,7 +42,7 @@ class Estimate:
     verdict: Verdict
     state: State
     none_probability: float
-    map_to_odom: Array | None
+    map_to_odom: Pose | None
     model_version: str
 
 
@@ -66,14 +67,15 @@ class RobotTracker:
         self._reset()
 
     def _reset(self) -> None:
-        self.belief = Belief(self._settings)
+        kind = Sequences if self._settings.method == "paper" else Belief
+        self.belief = kind(self._settings)
         self.state: State = STATE_LOST
         self._histories: dict[int, deque[Array]] = {}
         self._sources: dict[str, _Source] = {}
-        self._anchor: Array | None = None
+        self._anchor: Pose | None = None
 
-    def hear_odometry(self, stamp: int, pose: Array) -> list[Estimate]:
-        """Takes odometry, base in the odom frame (3,); gives the estimates that waited for it."""
+    def hear_odometry(self, stamp: int, pose: Pose) -> list[Estimate]:
+        """Takes odometry, base in the odom frame; gives the estimates that waited for it."""
         result = self._trail.take(stamp, pose)
         self._counts[result] += 1
         if self._trail.newest is not None:
@@ -90,8 +92,8 @@ class RobotTracker:
         """Estimates for all that still waits."""
         return [self._step(seen) for seen in self._timeline.rest()]
 
-    def map_to_odom(self) -> Array | None:
-        """Odom frame's origin in the map (3,) as of the newest odometry, once a pose was claimed."""
+    def map_to_odom(self) -> Pose | None:
+        """Odom frame's origin in the map as of the newest odometry, once a pose was claimed."""
         newest = self._trail.newest
         if self._anchor is None or newest is None:
             return None
@@ -119,7 +121,7 @@ class RobotTracker:
         a, b = self._trail.at(start), self._trail.at(end)
         if a is None or b is None:
             seconds = (end - start) * 1e-9
-            return Motion(np.zeros(3), 0.0, 0.0, 0.0, abs(seconds), 0.0, seconds)
+            return Motion(IDENTITY, 0.0, 0.0, 0.0, abs(seconds), 0.0, seconds)
         return motion(a, b)
 
     def _brought_forward(self, seen: Observation, stamp: int) -> Observation:
@@ -177,10 +179,11 @@ class RobotTracker:
         newest = self._trail.newest
         return newest is not None and stamp <= newest.stamp + int(self._settings.patience * 1e9)
 
-    def _map_to_odom_of(self, verdict: Verdict, odometry: Sample | None) -> Array | None:
+    def _map_to_odom_of(self, verdict: Verdict, odometry: Sample | None) -> Pose | None:
         if odometry is None or verdict.track < 0:
             return None
-        pose = self.belief.tracks.x[verdict.track]
+        x, y, theta = self.belief.tracks.x[verdict.track].tolist()
+        pose = (x, y, theta)
         if self.state == STATE_LOCALIZED:
             self._anchor = compose(pose, inverse(odometry.chained))
         return compose(pose, inverse(odometry.raw))

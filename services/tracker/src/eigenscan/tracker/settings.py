@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from eigenscan.runtime.settings import ServiceSettings
 from pydantic import Field
 
@@ -9,6 +11,11 @@ from pydantic import Field
 class TrackerSettings(ServiceSettings):
     """Settings of the tracker. The defaults suit indoor robots up to 2 m/s."""
 
+    method: Literal["mixture", "paper"] = Field(
+        "mixture",
+        description="mixture: with mass for 'none of these'; paper: section 7 alone, which assumes that "
+        "one of its sequences is right",
+    )
     v_max: float = Field(2.0, gt=0, description="m/s, fastest the robot moves")
     turn_max: float = Field(3.0, gt=0, description="rad/s, fastest the robot turns")
     grid_spacing: float = Field(
@@ -40,16 +47,16 @@ class TrackerSettings(ServiceSettings):
         0.5, gt=0, description="s over which the evidence of scans from one place is averaged"
     )
     kidnap_rate: float = Field(
-        0.001, ge=0, description="1/s, how often a robot is carried away or its track is wrong"
+        0.01, ge=0, description="1/s, how often a robot is carried away or its track is wrong"
     )
     trust: float = Field(
-        0.3,
+        0.7,
         gt=0,
         le=1,
         description="exponent on likelihoods: the beams of a scan share their mistakes",
     )
     miss_probability: float = Field(
-        0.1, gt=0, lt=1, description="how often a projector's list lacks the right pose, at a hard place"
+        0.02, gt=0, lt=1, description="how often a projector's list lacks the right pose, at a hard place"
     )
     gate_probability: float = Field(
         0.999, gt=0, lt=1, description="share of right hypotheses that the validation gate lets through"

@@ -7,8 +7,10 @@ speed can make is a jump of the odom frame.
 from __future__ import annotations
 
 from enum import Enum
+from math import hypot
 
 import numpy as np
+from eigenscan.tracker.planar import Pose
 from filterpy.kalman import KalmanFilter
 from filterpy.stats import mahalanobis
 from numpy.typing import NDArray
@@ -20,8 +22,8 @@ ACCELERATION = np.array([3.0, 1.0, 6.0])
 """m/s^2 ahead, m/s^2 sideways, rad/s^2: sigma of a wheeled robot's change of velocity."""
 STEP_NOISE = np.array([0.01, 0.01, 0.01])
 """m, m, rad: resolution of a reading, including the jitter of its stamp."""
-JUMP_SLACK = np.array([0.2, 0.3])
-"""m, rad: what bad stamps may add to an increment before it counts as a jump."""
+JUMP_SLACK_M, JUMP_SLACK_RAD = 0.2, 0.3
+"""What bad stamps may add to an increment before it counts as a jump."""
 OUTLIERS_IN_ROW = 3
 """So many readings outside the gate in a row are a new velocity, not slip."""
 GATE = float(chi2.ppf(1.0 - 1e-6, 3))
@@ -39,7 +41,7 @@ class VelocityGate:
     """Judges odometry increments one after another."""
 
     def __init__(self, v_max: float, turn_max: float) -> None:
-        self._limit = np.array([v_max, turn_max])
+        self._limit = (v_max, turn_max)
         self._filter: KalmanFilter | None = None
         self._outliers = 0
 
@@ -48,13 +50,14 @@ class VelocityGate:
         self._filter = None
         self._outliers = 0
 
-    def judge(self, step: Array, seconds: float) -> Reading:
-        """Reading of increment `step` (3,) in the base frame over `seconds` > 0."""
-        size = np.array([np.hypot(step[0], step[1]), abs(step[2])])
-        if (size > 2.0 * self._limit * seconds + JUMP_SLACK).any():
+    def judge(self, step: Pose, seconds: float) -> Reading:
+        """Reading of increment `step` in the base frame over `seconds` > 0."""
+        way, turn = hypot(step[0], step[1]), abs(step[2])
+        v_max, turn_max = self._limit
+        if way > 2.0 * v_max * seconds + JUMP_SLACK_M or turn > 2.0 * turn_max * seconds + JUMP_SLACK_RAD:
             self.forget()
             return Reading.JUMP
-        velocity = step / seconds
+        velocity = np.array(step) / seconds
         noise = np.diag((STEP_NOISE / seconds) ** 2)
         if self._filter is None:
             self._filter = _velocity_filter(velocity, noise)
