@@ -13,7 +13,11 @@ COMMANDS = {
     "build": ("eigenscan.cli.build:build", "build the models of a map, into a folder"),
     "import": ("eigenscan.cli.import_log:import_log", "turn a CARMEN log or a ROS bag into a recording"),
     "evaluate": ("eigenscan.cli.evaluate:evaluate", "judge the pipeline on a log with a reference"),
-    "replay": ("eigenscan.cli.replay:replay", "play a recording onto Zenoh"),
+    "replay": ("eigenscan.cli.replay:replay", "play a recording onto Zenoh, or into one service to compare"),
+    "replay-test": (
+        "eigenscan.cli.replay_test:replay_test",
+        "check a folder of recordings against the services",
+    ),
     "view": ("eigenscan.cli.view:view", "look at a recording in Rerun's web viewer"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
 }

@@ -1,4 +1,4 @@
-"""`eigenscan replay`: a recording back onto Zenoh, at its own pace."""
+"""`eigenscan replay`: a recording back onto Zenoh, at its own pace, or into a service and compared."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.frame import UsageError
+from eigenscan.cli.process_replay.command import Request, process_replay
 
 if TYPE_CHECKING:
     from eigenscan.cli.simulation.stage import Timed
@@ -43,14 +44,60 @@ def replay(
     robot: Annotated[str | None, typer.Option(help="play under this robot's name")] = None,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     wait: Annotated[float, typer.Option(min=0.0, help="s to wait for somebody who listens")] = 5.0,
+    service: Annotated[
+        str | None,
+        typer.Option(help="replay into scan-ingest, projector, tracker or pipeline, here and without Zenoh"),
+    ] = None,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="with --service: it must say what is recorded")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="with --service: write what it hears and says, MCAP")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="with --service: model folder, instead of the recorded models")
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="with --service: SETTING=VALUE other than recorded; repeat for more"),
+    ] = None,
+    tolerant: Annotated[
+        bool, typer.Option("--tolerant", help="with --compare: small numerical differences pass")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="with --compare: judge also what arrival order decides")
+    ] = False,
+    ignore: Annotated[
+        list[str] | None, typer.Option(help="with --compare: CHANNEL.FIELD not to judge; repeat for more")
+    ] = None,
+    least: Annotated[int, typer.Option(min=1, help="with --compare: messages that must be compared")] = 10,
 ) -> None:
     """Play a recording onto Zenoh, stamps as recorded: raw scans and odometry, or what is asked for.
+
+    With --service NAME --compare: give a service what it heard, and compare what it says with what it said.
+    Exit code 0: the same, 1: a difference, 2: the recording cannot be replayed.
 
     \b
     Examples:
       eigenscan replay drive.mcap --speed 4
       eigenscan replay night.mcap --from 120 --to 180 --only scan_raw --only odometry
+      eigenscan replay night.mcap --service tracker --compare
     """  # noqa: D301 - \b keeps the lines apart in --help
+    if service is not None:
+        _refuse_for_service(begin=begin, end=end, only=only, everything=everything, site=site, robot=robot)
+        process_replay(
+            Request(
+                *(file, service, compare, out, model),
+                changes=changes or (),
+                tolerant=tolerant,
+                strict=strict,
+                ignored=ignore or (),
+                least=least,
+            )
+        )
+        return
+    if compare or out or model or changes or tolerant or strict or ignore:
+        raise UsageError("--compare and what goes with it: give --service NAME as well")
     from eigenscan.cli.simulation.live import publish
     from eigenscan.runtime.bus import Bus
     from eigenscan.runtime.session import open_session
@@ -65,6 +112,14 @@ def replay(
         if not bus.wait_for_listener(first, wait):
             typer.echo(f"eigenscan replay: nobody listens to {first}", err=True)
         publish(_watched(_chosen(file, selection), length), bus.say, speed)
+
+
+def _refuse_for_service(**options: object) -> None:
+    """Raises UsageError for what would leave out a part: a service remembers all that it heard."""
+    names = {"begin": "from", "end": "to", "everything": "all"}
+    for name, value in options.items():
+        if value:
+            raise UsageError(f"--{names.get(name, name)}: not with --service, which hears all that it heard")
 
 
 def _channels(only: Sequence[str] | None, everything: bool) -> tuple[str, ...]:

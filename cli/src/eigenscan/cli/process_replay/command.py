@@ -1,0 +1,119 @@
+"""What `eigenscan replay --service` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+from eigenscan.cli.frame import FailedError, UsageError
+
+if TYPE_CHECKING:
+    from eigenscan.cli.process_replay.survey import Survey
+    from eigenscan.schemas.envelope import Envelope
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of a process replay, as they were given."""
+
+    file: Path
+    service: str
+    compare: bool
+    out: Path | None
+    model: Path | None
+    changes: Sequence[str]
+    tolerant: bool
+    strict: bool
+    ignored: Sequence[str]
+    least: int
+
+
+def process_replay(request: Request) -> None:
+    """Replays, reports, and raises FailedError for a difference."""
+    from eigenscan.cli.process_replay.one_thread import one_thread
+
+    one_thread()
+    from eigenscan.cli.process_replay.comparison import Terms
+    from eigenscan.cli.process_replay.report import report, summary
+    from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES
+    from eigenscan.cli.process_replay.survey import survey
+    from eigenscan.cli.process_replay.trial import Trial, run
+
+    if request.service not in CHOICES:
+        raise UsageError(f"--service {request.service}: there are {', '.join(CHOICES)}")
+    if not (request.compare or request.out):
+        raise UsageError("--service: give --compare, --out FILE, or both")
+    found = survey(request.file)
+    if request.out and request.out.exists() and request.out.samefile(request.file):
+        raise UsageError(f"--out {request.out}: is the recording itself: choose another file")
+    trial = Trial(
+        CHOICES[request.service],
+        Terms(
+            tolerant=request.tolerant,
+            ignored=frozenset(_fields(request.ignored)),
+            unjudged={} if request.strict else ARRIVAL,
+            least=request.least,
+        ),
+        _changes(request.changes, request.service),
+        _models(request.model, found) if request.model else (),
+        out=request.out,
+    )
+    with _progress(found) as moved:
+        outcome = run(trial, found, moved)
+    typer.echo(report(outcome))
+    if request.compare and outcome.comparison.problems:
+        raise FailedError(f"{request.file}: {summary(outcome)}")
+    if request.compare:
+        typer.echo(f"the same: {summary(outcome)}")
+
+
+def _fields(names: Sequence[str]) -> Iterator[str]:
+    from eigenscan.schemas.channels import by_name
+
+    for name in names:
+        channel, _, path = name.partition(".")
+        known = by_name(channel).message.DESCRIPTOR.fields_by_name
+        if path.partition(".")[0] not in known:
+            raise UsageError(f"--ignore {name}: give CHANNEL.FIELD; {channel} has {', '.join(known)}")
+        yield name
+
+
+def _changes(given: Sequence[str], service: str) -> dict[str, dict[str, str]]:
+    """`--set` by service and setting; a setting without a service is of the one that is replayed."""
+    result: dict[str, dict[str, str]] = {}
+    for text in given:
+        place, equals, value = text.partition("=")
+        of, _, name = place.rpartition(".")
+        if not equals or not name:
+            raise UsageError(f"--set {text}: give SETTING=VALUE, or SERVICE.SETTING=VALUE for the pipeline")
+        result.setdefault(of or service, {})[name] = value
+    return result
+
+
+def _models(folder: Path, found: Survey) -> list[Envelope]:
+    """The messages of a model folder, for the site of the recording."""
+    from eigenscan.eigenspace.folder import read_models
+    from eigenscan.mapbuilder.core import MapbuilderCore
+    from eigenscan.mapbuilder.settings import MapbuilderSettings
+
+    built = read_models(folder)
+    return [
+        envelope
+        for site in sorted(found.sites)
+        for envelope in MapbuilderCore(MapbuilderSettings(model=folder, site=site), built).start()
+    ]
+
+
+@contextmanager
+def _progress(found: Survey) -> Iterator[Callable[[int], None]]:
+    """A bar in seconds of the recording; gives what moves it, by log time in ns."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bars:
+        bar = bars.add_task("replay", total=max(found.end - found.begin, 1))
+        yield lambda time: bars.update(bar, completed=time - found.begin)

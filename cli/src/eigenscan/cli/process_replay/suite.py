@@ -1,0 +1,146 @@
+"""A folder of recordings as a test suite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from eigenscan.cli.frame import UsageError, by_users, one_line
+from eigenscan.cli.process_replay.casting import cast
+from eigenscan.cli.process_replay.comparison import Terms
+from eigenscan.cli.process_replay.playing import play
+from eigenscan.cli.process_replay.reference import SUFFIX, Reference, open_beside, write_beside
+from eigenscan.cli.process_replay.report import report, summary
+from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES, PIPELINE
+from eigenscan.cli.process_replay.survey import Survey, survey
+from eigenscan.cli.process_replay.trial import Trial, run
+
+PASSED, DIFFERENT, BAD = "same", "different", "bad input"
+
+
+@dataclass(frozen=True)
+class Case:
+    """The result for one recording and one choice of services."""
+
+    recording: Path
+    choice: str
+    result: str
+    line: str
+    text: str = ""
+    took_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is asked of every recording; no choices: what each one allows."""
+
+    choices: tuple[str, ...] = ()
+    tolerant: bool = False
+    least: int = Terms.least
+
+
+def recordings(folder: Path) -> list[Path]:
+    """The recordings of a folder. Raises UsageError where there are none, or a reference lost its own."""
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: is no folder: give one that holds recordings")
+    files = sorted(folder.glob("*.mcap"))
+    found = [path for path in files if not path.name.endswith(SUFFIX)]
+    if not found:
+        raise UsageError(f"{folder}: holds no .mcap: put recordings there")
+    names = {path.stem for path in found}
+    for path in files:
+        if path.name.endswith(SUFFIX) and path.name.removesuffix(SUFFIX) not in names:
+            raise UsageError(f"{path}: its recording is gone: remove it, or bring the recording back")
+    return found
+
+
+def judge(recording: Path, plan: Plan) -> Iterator[Case]:
+    """A case for each choice of services. Bad input makes a case, not an exception."""
+    try:
+        found, reference = survey(recording), open_beside(recording)
+        choices = _choices(found, reference, plan)
+    except Exception as error:
+        yield _bad(recording, "recording", error)
+        return
+    for choice in choices:
+        kept = reference if reference and choice in reference.choices else None
+        terms = Terms(plan.tolerant, unjudged={} if kept else ARRIVAL, least=plan.least)
+        try:
+            outcome = run(Trial(CHOICES[choice], terms, reference=kept), found)
+        except Exception as error:
+            yield _bad(recording, choice, error)
+            continue
+        result = DIFFERENT if outcome.comparison.problems else PASSED
+        made = f"\nreference made with {kept.made_with}" if kept else ""
+        yield Case(recording, choice, result, summary(outcome), report(outcome) + made, outcome.took_s)
+
+
+def update(recording: Path, plan: Plan) -> Case:
+    """Makes what the cores say now the reference of a recording."""
+    try:
+        found = survey(recording)
+        choices = plan.choices or _spoken(found) or (PIPELINE,)
+        parts = {choice: play(found, CHOICES[choice], cast(found, CHOICES[choice], {})) for choice in choices}
+        count = write_beside(recording, parts)
+    except Exception as error:
+        return _bad(recording, "recording", error)
+    return Case(recording, " ".join(choices), PASSED, f"{count} messages are the reference now")
+
+
+def _choices(found: Survey, reference: Reference | None, plan: Plan) -> tuple[str, ...]:
+    choices = plan.choices or (reference.choices if reference else _spoken(found))
+    if not choices:
+        raise UsageError(
+            f"{found.path}: holds nothing that a service said: --update keeps what they say now as reference"
+        )
+    return choices
+
+
+def _spoken(found: Survey) -> tuple[str, ...]:
+    """Services whose words are recorded."""
+    return tuple(
+        name
+        for name, services in CHOICES.items()
+        if len(services) == 1 and any(found.counts[channel] for channel in services[0].says)
+    )
+
+
+def _bad(recording: Path, choice: str, error: Exception) -> Case:
+    if not by_users(error):
+        raise error
+    return Case(recording, choice, BAD, one_line(error))
+
+
+def junit(cases: Sequence[Case]) -> str:
+    """The cases as JUnit XML."""
+    root = ElementTree.Element(
+        "testsuite",
+        name="eigenscan replay-test",
+        tests=str(len(cases)),
+        failures=str(sum(case.result == DIFFERENT for case in cases)),
+        errors=str(sum(case.result == BAD for case in cases)),
+        time=f"{sum(case.took_s for case in cases):.3f}",
+    )
+    for case in cases:
+        node = ElementTree.SubElement(
+            root, "testcase", classname=case.recording.name, name=case.choice, time=f"{case.took_s:.3f}"
+        )
+        if case.result != PASSED:
+            kind = "failure" if case.result == DIFFERENT else "error"
+            ElementTree.SubElement(node, kind, message=case.line).text = case.text or case.line
+        else:
+            ElementTree.SubElement(node, "system-out").text = case.text
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def run_all(files: Sequence[Path], plan: Plan, said: Callable[[Case], None]) -> list[Case]:
+    """The cases of all files; `said` hears each as soon as it is there."""
+    cases = []
+    for path in files:
+        for case in judge(path, plan):
+            said(case)
+            cases.append(case)
+    return cases

@@ -1,0 +1,71 @@
+"""`eigenscan replay-test`: a folder of recordings as a test suite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from eigenscan.cli.frame import FailedError, UsageError
+
+
+def replay_test(
+    folder: Annotated[Path, typer.Argument(help="folder; each .mcap in it is a test")],
+    service: Annotated[
+        list[str] | None,
+        typer.Option(help="scan-ingest, projector, tracker or pipeline; repeat for more; default: all heard"),
+    ] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="accept what the services say now as the reference")
+    ] = False,
+    junit_file: Annotated[Path | None, typer.Option("--junit", help="write results here, JUnit XML")] = None,
+    tolerant: Annotated[
+        bool, typer.Option("--tolerant", help="let small numerical differences pass, as on another machine")
+    ] = False,
+    least: Annotated[int, typer.Option(min=1, help="messages that a test must compare")] = 10,
+) -> None:
+    """Replay every recording of a folder into the services of today; they must say what they said then.
+
+    A recording is its own reference, unless NAME.reference.mcap lies beside NAME.mcap; --update writes that.
+    Exit code 0: all the same, 1: a difference, 2: a recording that cannot be replayed.
+
+    \b
+    Examples:
+      eigenscan replay-test incidents --junit results.xml
+      eigenscan replay-test incidents --service tracker --update
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.process_replay.one_thread import one_thread
+
+    one_thread()
+    from eigenscan.cli.process_replay import suite
+    from eigenscan.cli.process_replay.services import CHOICES
+
+    for name in service or ():
+        if name not in CHOICES:
+            raise UsageError(f"--service {name}: there are {', '.join(CHOICES)}")
+    files = suite.recordings(folder)
+    plan = suite.Plan(tuple(service or ()), tolerant, least)
+
+    def say(case: suite.Case) -> None:
+        typer.echo(f"{case.result:9}  {case.recording.name}  {case.choice}: {case.line}")
+        if case.result == suite.DIFFERENT:
+            typer.echo("".join(f"    {line}\n" for line in case.text.splitlines()), nl=False)
+
+    if update:
+        cases = []
+        for path in files:
+            cases.append(suite.update(path, plan))
+            say(cases[-1])
+    else:
+        cases = suite.run_all(files, plan, say)
+    if junit_file:
+        junit_file.parent.mkdir(parents=True, exist_ok=True)
+        junit_file.write_text(suite.junit(cases), encoding="utf-8")
+    different = sum(case.result == suite.DIFFERENT for case in cases)
+    bad = sum(case.result == suite.BAD for case in cases)
+    counted = f"{folder}: {different} different and {bad} bad of {len(cases)} tests"
+    if different:
+        raise FailedError(counted)
+    if bad:
+        raise UsageError(counted)
+    typer.echo(f"{folder}: all {len(cases)} the same" if not update else f"{folder}: {len(cases)} references")
