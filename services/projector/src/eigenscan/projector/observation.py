@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 ANALYSIS_TURN = 180
 """Beams and headings of a full turn in the analysis: steps of 2 degrees."""
 
+NEAREST = 0.25
+"""m: a shorter beam met a cover or the robot itself and says nothing of the building."""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -59,13 +62,12 @@ def observe(scan: Scan) -> Observation:
     if not 0.0 <= scan.range_max < np.inf:
         raise ValueError(f"range_max = {scan.range_max} m")
     ranges = np.array(scan.ranges, dtype=np.float32)
-    # a negative range is no range
-    ranges[ranges < 0] = np.nan
     sensor = Sensor(scan.angle_min, step, beams, scan.range_max)
     grid = coarse_sensor(sensor)
     offset = np.arange(grid.beams) * grid.angle_increment
     nearest = np.rint(offset / step).astype(np.int64)
     inside = nearest < beams
     coarse = np.where(inside, ranges[np.minimum(nearest, beams - 1)], np.nan).astype(np.float32)
+    coarse[coarse < NEAREST] = np.nan
     bearings = np.where(inside, nearest, offset / step) * step + scan.angle_min
     return Observation(sensor, ranges, coarse, bearings)

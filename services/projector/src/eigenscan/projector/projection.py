@@ -26,7 +26,7 @@ POLISHED, WEIGHED = 60, 36
 """Slid poses that are polished, and polished poses that are weighed."""
 CLIMBING = 300
 """Candidates that also look at the model's finer positions around them."""
-SLIDE_POINTS, WEIGHED_BEAMS = 32, 60
+SLIDE_POINTS, WEIGHED_BEAMS = 32, 120
 """Beams that are enough for the coarse refinement, and for the likelihood."""
 
 

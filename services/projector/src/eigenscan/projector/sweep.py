@@ -71,20 +71,11 @@ def _nearest(
                 for i in range(len(part)):
                     d = np.float32(row[i]) - q
                     part[i] += d * d
-    # a histogram from the least distance up to the mean finds the count-th without sorting;
-    # a sample of the poses tells its place well enough
-    every = max(1, min(total // (16 * count), 16))
     least, mean = square.min(), square.mean()
     width = np.float32(max((mean - least) / _BINS, 1e-6))
-    histogram = np.zeros(_BINS + 1, dtype=np.int64)
-    scale = np.float32(1.0) / width
-    for i in range(0, total, every):
-        histogram[min(int((square[i] - least) * scale), _BINS)] += every
-    limit, found = 0, histogram[0]
-    while found < count and limit < _BINS:
-        limit += 1
-        found += histogram[limit]
-    threshold = least + (limit + 1) * width if limit < _BINS else np.float32(np.inf)
+    # a sample of the poses tells well enough how far the count-th is, unless they are few
+    every = max(1, min(count // 128, 16))
+    threshold = _threshold(square, least, width, every, count)
     rows = np.empty(total, dtype=np.int64)
     k = 0
     for i in range(total):
@@ -92,3 +83,19 @@ def _nearest(
         k += square[i] <= threshold
     rows = rows[:k].copy()
     return rows, square[rows]
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _threshold(
+    square: NDArray[np.float32], least: np.float32, width: np.float32, every: int, count: int
+) -> np.float32:
+    """Distance below which about `count` poses lie, by a histogram from the least distance to the mean."""
+    histogram = np.zeros(_BINS + 1, dtype=np.int64)
+    scale = np.float32(1.0) / width
+    for i in range(0, len(square), every):
+        histogram[min(int((square[i] - least) * scale), _BINS)] += every
+    limit, found = 0, histogram[0]
+    while found < count and limit < _BINS:
+        limit += 1
+        found += histogram[limit]
+    return least + (limit + 1) * width if limit < _BINS else np.float32(1e30)

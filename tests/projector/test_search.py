@@ -1,0 +1,157 @@
+"""Sweep, verification, thinning, refinement and likelihood against plain loops."""
+
+import numpy as np
+from eigenscan.geometry.distance_field import DistanceField
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.pose import compose, inverse
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
+from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.likelihood import support
+from eigenscan.projector.observation import ANALYSIS_TURN, observe
+from eigenscan.projector.refinement import POLISH, SLIDE, fit
+from eigenscan.projector.sweep import SweepTable
+from eigenscan.projector.verification import RANGE_CAP, TRUNCATION, predicted, verify
+from eigenscan.projector.wall_field import WallField
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.projector.office import free_poses, office, scan_at, site
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**16), st.integers(1, 3), st.integers(1, 40))
+def test_the_sweep_finds_the_nearest_of_all_regions(seed: int, regions: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    # whole numbers up to the largest: packing into bytes loses nothing
+    tables = [
+        rng.integers(-127, 128, size=(int(rng.integers(1, 90)), 4)).astype(np.float32) for _ in range(regions)
+    ]
+    tables[0][0] = 127.0
+    alphas = rng.normal(0, 60, size=(regions, 4))
+    residuals = rng.uniform(0, 4000, regions)
+    rows, square = SweepTable.of(tables).nearest(alphas, residuals, count)
+    direct = np.concatenate(
+        [((t - a) ** 2).sum(axis=1) + e for t, a, e in zip(tables, alphas, residuals, strict=True)]
+    )
+    nearest = np.sort(direct)[:count]
+    assert len(rows) == len(nearest)
+    assert np.allclose(square, nearest, rtol=1e-4)
+    assert np.allclose(direct[rows], nearest, rtol=1e-4)
+
+
+def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:
+    lattice = Lattice.of(site(0.25).regions)
+    truth = free_poses(1, 3)[0]
+    seen = observe(scan_at(truth))
+    windows = predicted(lattice, len(seen.coarse), 30.0)
+    rng = np.random.default_rng(0)
+    position = rng.integers(0, len(lattice.positions), 50)
+    heading = rng.integers(0, ANALYSIS_TURN, 50)
+    found_position, found_heading, cost = verify(windows, lattice, position, heading, seen.coarse, 30.0, 50)
+
+    used = np.isfinite(seen.coarse)
+
+    def direct(p: int, k: int) -> float:
+        wall = np.minimum(lattice.panoramas[p, (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN], RANGE_CAP)
+        off = np.abs(wall - np.minimum(seen.coarse, RANGE_CAP))
+        return float(np.minimum(off, TRUNCATION)[used].mean())
+
+    for i in range(50):
+        turned = min(
+            ((direct(position[i], heading[i] + step), step) for step in (0, -1, 1)), key=lambda t: t[0]
+        )
+        around = lattice.neighbours[position[i]]
+        all_of_them = [
+            direct(p, heading[i] + turned[1] + step) for p in around[around >= 0] for step in (-1, 0, 1)
+        ]
+        assert np.isclose(cost[i], min(*all_of_them, turned[0]), atol=1e-5)
+        assert np.isclose(cost[i], direct(found_position[i], found_heading[i]), atol=1e-5)
+
+
+def test_lattice_keeps_shared_positions_once_and_searches_every_place() -> None:
+    models = site(0.25).regions
+    lattice = Lattice.of(models)
+    assert len(np.unique(np.round(lattice.positions, 4), axis=0)) == len(lattice.positions)
+    for model, own, searched in zip(models, lattice.regions, lattice.searched, strict=True):
+        assert np.allclose(lattice.positions[own], model.positions)
+        away = lattice.positions[own][:, None] - lattice.positions[searched][None]
+        # every position has a searched one in its own block of half a metre
+        assert np.abs(away).max(axis=2).min(axis=1).max() <= 0.5 - 1e-6 + 0.25
+    step = lattice.positions[lattice.neighbours[:, 5]] - lattice.positions
+    there = lattice.neighbours[:, 5] >= 0
+    assert np.allclose(step[there], [0.0, 0.25])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**16), st.integers(1, 12))
+def test_thinning_keeps_the_best_of_each_neighbourhood(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack([rng.uniform(0, 2, (40, 2)), rng.uniform(-np.pi, np.pi, 40)])
+    order = rng.permutation(40)
+    kept: list[int] = []
+    for i in order:
+        turn = np.abs((poses[kept, 2] - poses[i, 2] + np.pi) % (2 * np.pi) - np.pi)
+        near = (np.hypot(*(poses[kept, :2] - poses[i, :2]).T) <= 0.5) & (turn <= 0.4)
+        if len(kept) < count and not near.any():
+            kept.append(int(i))
+    assert best_of_neighbourhoods(poses, order, 0.5, 0.4, count).tolist() == kept
+
+
+def test_lattice_poses_look_along_their_windows() -> None:
+    poses = lattice_poses(np.array([[1.0, 2.0]]), np.array([0, 0]), np.array([0, 45]), 180, -np.pi / 2)
+    assert np.allclose(poses, [[1.0, 2.0, np.pi / 2], [1.0, 2.0, -np.pi]])
+
+
+def test_refinement_goes_home_from_half_a_grid_step() -> None:
+    field = DistanceField.of(office())
+    coarse, fine = WallField.of(field, 0.1), WallField.of(field)
+    errors = []
+    for i, truth in enumerate(free_poses(30, 5)):
+        points = observe(scan_at(truth, seed=i)).points
+        start = truth + np.random.default_rng(i).uniform(-1, 1, 3) * [0.2, 0.2, 0.05]
+        slid = fit(coarse, start[None], points, SLIDE)
+        home = fit(fine, slid.poses, points, POLISH)
+        errors.append(np.abs(home.poses[0] - truth))
+    # within a cell of the map
+    assert np.median(errors, axis=0).max() < 0.05
+    assert np.mean(np.max(errors, axis=1) < 0.12) >= 0.9
+
+
+def test_a_turned_map_turns_the_refined_pose_and_its_information() -> None:
+    grid = office()
+    shift = np.array([2.0, -1.0, 0.7])
+    turned = GridMap(grid.cells, grid.resolution, compose(shift, grid.origin))
+    truth = free_poses(1, 8)[0]
+    points = observe(scan_at(truth)).points
+    start = truth + np.array([0.1, -0.05, 0.03])
+    plain = fit(WallField.of(DistanceField.of(grid)), start[None], points, POLISH)
+    other = fit(WallField.of(DistanceField.of(turned)), compose(shift, start)[None], points, POLISH)
+    assert np.allclose(compose(inverse(shift), other.poses), plain.poses, atol=1e-4)
+    cos, sin = np.cos(shift[2]), np.sin(shift[2])
+    R = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    assert np.allclose(R.T @ other.information[0] @ R, plain.information[0], rtol=1e-2, atol=0.5)
+
+
+def test_support_counts_walls_and_beams_through_them() -> None:
+    grid = office()
+    field = WallField.of(DistanceField.of(grid))
+    caster = RayCaster.of(grid)
+    truth = free_poses(1, 11)[0]
+    seen = observe(scan_at(truth, noise=0.0))
+    used = seen.used
+    z, bearings = seen.coarse[used], seen.bearings[used]
+
+    def of(pose: np.ndarray, ranges: np.ndarray) -> tuple[float, float]:
+        predicted_ = caster.cast(pose, bearings, 40.0)
+        mean, explained = support(field, pose[None], bearings, ranges.astype(np.float32), predicted_)
+        return float(mean[0]), float(explained[0])
+
+    full, explained = of(truth, z)
+    assert full > 0.9
+    assert explained > 0.95
+    shorter, _ = of(truth, np.where(np.arange(len(z)) % 2, z, 0.3))
+    longer, _ = of(truth, np.where(np.arange(len(z)) % 2, z, z + 1.0))
+    # something in front of every other beam takes its support; a wall that is not there speaks against
+    assert 0.4 < shorter < 0.75
+    assert longer < shorter - 0.2
