@@ -1,0 +1,228 @@
+"""One scan, no prior: how often the projector's first pose is right, and what it costs.
+
+    .venv/bin/python benchmarks/single_scan.py [--datasets FOLDER] [--only intel] [--scans 100]
+        [--spacing 0.5] [--occlude 0.3] [--foreign] [--exhaustive] [--json OUT]
+
+`--foreign` adds the scans of the other buildings to each map, none of which may look like home. The datasets
+are not part of the project; by default they are looked for beside it. CPU is process time: set
+OMP_NUM_THREADS=1.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.cli.evaluation.exhaustive import Gallery, best_pose, gallery
+from eigenscan.cli.evaluation.log import Log, read_log
+from eigenscan.cli.evaluation.metrics import errors, right
+from eigenscan.cli.evaluation.reference import NS, read_trajectory
+from eigenscan.cli.importers.log import LogOptions
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.geometry.gridmap import read_map, to_message
+from eigenscan.geometry.pose import covariance_from_message, from_message
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.scan_pb2 import Scan
+
+DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
+PRIOR_NATS = 13.0
+"""ln of area times a full turn over the volume of one pose: what a likelihood has to overcome."""
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    folder: str
+    log: str
+    lidar: str
+    own: bool = False
+
+
+CASES = (
+    Case("intel", "intel", "log.clf.gz", "", own=True),
+    Case("fr079", "fr079", "log.clf.gz", "", own=True),
+    Case("jarvis nav", "jarvis", "jarvis_complex_path_fast.bag", "/driver_laser_navigation/laser_scan"),
+    Case("guardian 3", "guardian", "guardian_3.bag", "/scan"),
+    Case("guardian 3 rear", "guardian", "guardian_3.bag", "/hokuyo_back_scan"),
+    Case("guardian 2", "guardian", "guardian_controller_2.bag", "/scan"),
+    Case("guardian 2 rear", "guardian", "guardian_controller_2.bag", "/hokuyo_back_scan"),
+    Case("olin", "olin_mac", "rosbag2", "/scan"),
+)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One canonical scan and the true pose of the base."""
+
+    scan: Scan
+    truth: np.ndarray
+
+
+@cache
+def samples(datasets: Path, case: Case, count: int) -> list[Sample]:
+    folder = datasets / case.folder
+    log = read_log(folder / case.log, LogOptions(lidars=(case.lidar,) if case.lidar else ()), lambda _: None)
+    reference = read_trajectory(folder / (case.log.split(".")[0] + ".tum"))
+    if case.own:
+        times = np.loadtxt(folder / "single_scans.csv", skiprows=1) * NS
+        stamps = times.astype(np.int64)
+    else:
+        stamps = log.scans[np.linspace(0, len(log.scans) - 1, count).astype(np.int64)]
+    found = [scan for stamp in stamps[:count] if (scan := log.nearest_scan(int(stamp), 1e-3)) is not None]
+    truths, known = reference.at([scan.stamp for scan in found])
+    kept = [(Log.canonical(s.envelope), t) for s, t, there in zip(found, truths, known, strict=True) if there]
+    return [Sample(scan, truth) for scan, truth in kept if scan is not None]
+
+
+def occluded(scan: Scan, share: float, seed: int) -> Scan:
+    """Random runs of beams cut short by something near, until `share` of them is."""
+    rng = np.random.default_rng(seed)
+    ranges = np.array(scan.ranges)
+    hidden = np.zeros(len(ranges), dtype=bool)
+    while hidden.mean() < share:
+        run = (rng.integers(len(ranges)) + np.arange(int(rng.uniform(4, 16) * len(ranges) / 180))) % len(
+            ranges
+        )
+        ranges[run] = np.fmin(ranges[run], rng.uniform(0.4, 1.5))
+        hidden[run] = True
+    other = Scan()
+    other.CopyFrom(scan)
+    other.ranges[:] = ranges.tolist()
+    return other
+
+
+def projector(site: SiteModel) -> ProjectorCore:
+    core = ProjectorCore(ProjectorSettings())
+    core.handle(Envelope(MAP, {"site": "s"}, to_message(site.grid, site.frame_id)))
+    for model in site.regions:
+        core.handle(Envelope(MODEL, {"site": "s", "region": model.region}, model.to_message()))
+    core.handle(Envelope(MODEL_SET, {"site": "s"}, site.to_message()))
+    return core
+
+
+def ask(core: ProjectorCore, scan: Scan) -> tuple[Hypotheses, float]:
+    """Answer and CPU ms."""
+    envelope = Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, scan)
+    before = time.process_time()
+    said = list(core.handle(envelope))
+    return said[0].open(Hypotheses), (time.process_time() - before) * 1e3
+
+
+def judge(core: ProjectorCore, chosen: list[Sample], share: float) -> dict[str, Any]:
+    started = time.perf_counter()
+    ask(core, chosen[0].scan)
+    first_scan_s = time.perf_counter() - started
+    first, listed, length, cpu, nees, off, confidence = [], [], [], [], [], [], []
+    for number, sample in enumerate(chosen):
+        message, spent = ask(core, occluded(sample.scan, share, number) if share else sample.scan)
+        cpu.append(spent)
+        poses = np.array([from_message(h.pose) for h in message.hypotheses]).reshape(-1, 3)
+        away, turn = errors(poses, np.broadcast_to(sample.truth, poses.shape))
+        hit = right(away, turn)
+        first.append(bool(hit[:1].any()))
+        listed.append(bool(hit.any()))
+        length.append(len(hit))
+        odds = np.array([h.log_likelihood for h in message.hypotheses]) - PRIOR_NATS
+        confidence.append(float(np.exp(odds[0] - np.logaddexp.reduce([0.0, *odds]))) if len(odds) else 0.0)
+        if first[-1]:
+            error = poses[0] - sample.truth
+            error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+            nees.append(
+                error @ np.linalg.solve(covariance_from_message(message.hypotheses[0].covariance), error)
+            )
+            off.append(float(away[0]))
+    sure = np.array(confidence) > 0.9
+    return {
+        "n": len(chosen), "top1": np.mean(first), "in_list": np.mean(listed), "list_length": np.mean(length),
+        "median_error_m": np.median(off) if off else None,
+        "nees_mean": np.mean(nees) if nees else None, "nees_median": np.median(nees) if nees else None,
+        "sure": np.mean(sure), "sure_right": np.mean(np.array(first)[sure]) if sure.any() else None,
+        "cpu_ms": {"median": np.median(cpu), "p99": np.percentile(cpu, 99)}, "first_scan_s": first_scan_s,
+    }  # fmt: skip
+
+
+def judge_exhaustive(shown: Gallery, chosen: list[Sample]) -> dict[str, Any]:
+    hits, cpu = [], []
+    for sample in chosen:
+        ranges = np.asarray(sample.scan.ranges, dtype=np.float64)
+        directions = sample.scan.angle_min + sample.scan.angle_increment * np.arange(len(ranges))
+        reached = shown.up_to(sample.scan.range_max)
+        before = time.process_time()
+        pose = best_pose(reached, ranges, directions, from_message(sample.scan.mount))
+        cpu.append((time.process_time() - before) * 1e3)
+        hits.append(pose is not None and bool(right(*errors(pose[None], sample.truth[None]))[0]))
+    return {"exhaustive_top1": np.mean(hits), "exhaustive_cpu_ms": np.median(cpu[1:])}
+
+
+def foreign_confidence(core: ProjectorCore, strangers: list[Sample]) -> dict[str, Any]:
+    """The posterior of the best pose for scans of other buildings."""
+    best = []
+    for sample in strangers:
+        odds = np.array([h.log_likelihood for h in ask(core, sample.scan)[0].hypotheses]) - PRIOR_NATS
+        best.append(float(np.exp(odds[0] - np.logaddexp.reduce([0.0, *odds]))) if len(odds) else 0.0)
+    return {
+        "foreign_n": len(best),
+        "foreign_over_half": np.mean(np.array(best) > 0.5),
+        "foreign_max": max(best),
+    }
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    columns = [name for name in rows[0] if name not in ("cpu_ms", "list_length", "nees_median")]
+    columns += ["median", "p99"]
+    flat = [{**row, **row["cpu_ms"]} for row in rows]
+    print(" | ".join(columns))
+    for row in flat:
+        cells = [row.get(name) for name in columns]
+        print(" | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in cells), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--datasets", type=Path, default=DATASETS)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--scans", type=int, default=100)
+    parser.add_argument("--spacing", type=float, default=0.5)
+    parser.add_argument("--occlude", type=float, default=0.0)
+    parser.add_argument("--foreign", action="store_true")
+    parser.add_argument("--exhaustive", action="store_true")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    rows = []
+    for case in CASES:
+        if options.only not in case.name:
+            continue
+        site = build_site(
+            read_map(options.datasets / case.folder / "map.yaml"), Plan(spacing=options.spacing)
+        )
+        core = projector(site)
+        chosen = samples(options.datasets, case, options.scans)
+        row = {"case": case.name, "map_m2": site.grid.free_area, **judge(core, chosen, options.occlude)}
+        if options.exhaustive:
+            fine = build_site(site.grid, Plan(spacing=0.25))
+            shown = gallery(
+                np.concatenate([m.positions for m in fine.regions]),
+                np.concatenate([m.panoramas for m in fine.regions]).astype(np.float64)[:, ::2],
+                15.0,
+            )
+            row |= judge_exhaustive(shown, chosen)
+        if options.foreign:
+            others = [c for c in CASES if c.folder != case.folder]
+            row |= foreign_confidence(core, [s for c in others for s in samples(options.datasets, c, 20)])
+        rows.append(row)
+        show(rows[-1:])
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1, default=float))
+
+
+if __name__ == "__main__":
+    main()
