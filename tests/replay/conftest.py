@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from eigenscan.cli.evaluate import THREADS
+from eigenscan.cli.main import app
 from eigenscan.cli.simulation.stage import Scenario, Stage, Timed
 from eigenscan.cli.simulation.world import office
 from eigenscan.eigenspace.folder import write_models
@@ -23,6 +25,8 @@ from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from google.protobuf.message import Message
+from typer.testing import CliRunner
 
 SECONDS = 8.0
 LATENCY_NS = 3_000_000
@@ -89,3 +93,42 @@ def recording(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     services = ("scan-ingest", "projector", "tracker")
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     return run.write(path, settings=dict.fromkeys(services, text))
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Ended]
+
+
+@pytest.fixture
+def eigenscan(monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Runs the command in this process; what it does to the environment ends with the test."""
+
+    def call(*arguments: object) -> Ended:
+        with monkeypatch.context() as patch:
+            for name in THREADS:
+                patch.setenv(name, "1")
+            result = CliRunner().invoke(app, [*map(str, arguments)])
+        return Ended(result.exit_code, result.stdout, result.stderr)
+
+    return call
+
+
+def changed(message: Message, **fields: object) -> Message:
+    """A copy with other values; `pose__x` is the field x of pose."""
+    copy = type(message)()
+    copy.CopyFrom(message)
+    for path, value in fields.items():
+        *around, name = path.split("__")
+        place = copy
+        for part in around:
+            place = getattr(place, part)
+        setattr(place, name, value)
+    return copy

@@ -125,4 +125,6 @@ def _settings(service: Service, values: Mapping[str, object]) -> ServiceSettings
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or service.name
-        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {first['msg']}") from error
+        known = ", ".join(service.settings.model_fields)
+        fault = f"there are {known}" if first["type"] == "extra_forbidden" else first["msg"]
+        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {fault}") from error

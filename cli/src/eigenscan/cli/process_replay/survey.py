@@ -118,5 +118,6 @@ def survey(path: Path) -> Survey:
     for record in read(path):
         found.take(record)
     if not found.counts:
-        raise UsageError(f"{path}: holds no message of ours: give a file that eigenscan's recorder wrote")
+        why = "give a file that the recorder wrote" if complete else "it ends before the first whole chunk"
+        raise UsageError(f"{path}: holds no message of ours: {why}")
     return found
