@@ -1,0 +1,60 @@
+"""`eigenscan replay`: what was recorded is said again, unchanged and in order."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from eigenscan.cli.importers import stamp_of
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.wire import encode
+
+from tests.system.house import PROGRAMS, Drive, House
+
+
+@pytest.mark.dataset
+def test_a_stretch_of_a_recording_is_said_as_it_was(drive: Drive, house: House) -> None:
+    start = stamp_of(drive.envelopes[0])
+    wanted = [e for e in drive.envelopes if 2.0 <= (stamp_of(e) - start) * 1e-9 <= 8.0]
+    assert len(wanted) > 20
+    house.replay(drive.recording, "--from", 2, "--to", 8, "--speed", 20)
+    house.ear.wait_for(lambda heard: len(heard) >= len(wanted), "all that was recorded")
+    for channel in (SCAN_RAW, ODOMETRY):
+        heard = [encode(e.message) for e in house.ear.heard if e.channel is channel]
+        assert heard == [encode(e.message) for e in wanted if e.channel is channel]
+    assert {e.address["site"] for e in house.ear.heard} == {house.site}
+
+
+@pytest.mark.dataset
+def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> None:
+    house.replay(drive.recording, "--to", 3, "--speed", 20, "--only", "odometry", "--robot", "r9")
+    house.ear.wait_for(lambda heard: len(heard) >= 10, "odometry")
+    assert {(e.channel.name, e.address["robot"]) for e in house.ear.heard} == {("odometry", "r9")}
+
+
+@pytest.mark.dataset
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        (["--only", "nothing"], "--only nothing: there are scan_raw"),
+        (["--from", "5", "--to", "4"], "--to 4: must be after --from 5"),
+        (["--from", "5000"], "nothing to play"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line_and_exit_code_2(
+    drive: Drive, flags: list[str], named: str
+) -> None:
+    command = [PROGRAMS / "eigenscan", "replay", drive.recording, *flags]
+    out = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert out.returncode == 2
+    assert out.stderr.startswith("eigenscan replay: ")
+    assert named in out.stderr
+    assert len(out.stderr.splitlines()) == 1
+
+
+def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "drive.mcap"
+    file.write_bytes(b"not an mcap")
+    command = [PROGRAMS / "eigenscan", "replay", file]
+    out = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert out.returncode == 2
+    assert "drive.mcap" in out.stderr
