@@ -59,18 +59,16 @@ class ChannelSpaces:
         variances where these do not fix them.
         """
         regions, components = self.prior.shape
-        basis = self.vectors[..., seen].reshape(regions, components, -1)
-        scan = (channels[:, seen] - self.mean[..., None]).reshape(regions, -1, 1)
-        if 2 * np.count_nonzero(seen) > len(seen):
-            # the vectors are orthonormal over all beams
-            hidden = self.vectors[..., ~seen].reshape(regions, components, -1)
-            normal = np.eye(components) - hidden @ hidden.transpose(0, 2, 1)
-        else:
-            normal = basis @ basis.transpose(0, 2, 1)
+        scan = (channels - self.mean[..., None]) * seen
+        target = np.matmul(self.vectors.reshape(regions, components, -1), scan.reshape(regions, -1, 1))
+        # the vectors are orthonormal over all beams
+        hidden = self.vectors[..., ~seen].reshape(regions, components, -1)
+        normal = np.eye(components) - hidden @ hidden.transpose(0, 2, 1)
         normal[:, np.arange(components), np.arange(components)] += self.prior
-        alpha = np.linalg.solve(normal, basis @ scan)
-        error = scan - basis.transpose(0, 2, 1) @ alpha
-        square: NDArray[np.float64] = np.mean(error[..., 0] ** 2, axis=1)
+        alpha = np.linalg.solve(normal, target)
+        rebuilt = np.matmul(alpha.transpose(0, 2, 1), self.vectors.reshape(regions, components, -1))
+        error = (scan.reshape(regions, -1) - rebuilt[:, 0]).reshape(scan.shape)[..., seen]
+        square: NDArray[np.float64] = np.mean(error**2, axis=(1, 2))
         return alpha[..., 0].astype(np.float64), square
 
 

@@ -21,12 +21,13 @@ class Lattice:
 
     `neighbours` (P, 9): index of the position one step of the model's grid away, -1 where there is none;
     itself at 4. `regions` holds for each region the indices of its positions, `searched` those of them that
-    are searched.
+    are searched; `finer` tells whether there are others.
     """
 
     positions: NDArray[np.float64]
     panoramas: NDArray[np.float32]
     neighbours: NDArray[np.int32]
+    finer: bool
     regions: tuple[NDArray[np.int64], ...]
     searched: tuple[NDArray[np.int64], ...]
 
@@ -48,7 +49,9 @@ class Lattice:
         )
         panoramas = np.concatenate([resample(model.panoramas, ANALYSIS_TURN) for model in models])
         positions = np.concatenate([model.positions for model in models])
-        return cls(positions[first], panoramas[first], _neighbours(index[first]), regions, searched)
+        return cls(
+            positions[first], panoramas[first], _neighbours(index[first]), stride > 1, regions, searched
+        )
 
 
 def _neighbours(index: NDArray[np.int32]) -> NDArray[np.int32]:

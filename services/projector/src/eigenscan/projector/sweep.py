@@ -24,6 +24,8 @@ class SweepTable:
     table: NDArray[np.int8]
     bounds: NDArray[np.int64]
     unit: float
+    scratch: NDArray[np.float32]
+    """Room (n,) for the distances: a large array made anew costs more than what is written to it."""
 
     @classmethod
     def of(cls, tables: list[NDArray[np.float32]]) -> SweepTable:
@@ -33,7 +35,7 @@ class SweepTable:
         packed = np.empty((tables[0].shape[1], bounds[-1]), dtype=np.int8)
         for start, table in zip(bounds[:-1], tables, strict=True):
             packed[:, start : start + len(table)] = np.rint(table.T / np.float32(unit))
-        return cls(packed, bounds, unit)
+        return cls(packed, bounds, unit, np.empty(bounds[-1], dtype=np.float32))
 
     def nearest(
         self, alphas: NDArray[np.float64], residuals: NDArray[np.float64], count: int
@@ -45,7 +47,7 @@ class SweepTable:
         """
         query = (alphas / self.unit).astype(np.float32)
         extra = (residuals / self.unit**2).astype(np.float32)
-        rows, square = _nearest(self.table, self.bounds, query, extra, count)
+        rows, square = _nearest(self.table, self.bounds, query, extra, count, self.scratch)
         order = np.argsort(square)[:count]
         return rows[order], (square[order] * self.unit**2).astype(np.float32)
 
@@ -57,9 +59,9 @@ def _nearest(
     query: NDArray[np.float32],
     extra: NDArray[np.float32],
     count: int,
+    square: NDArray[np.float32],
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     components, total = table.shape
-    square = np.empty(total, dtype=np.float32)
     for r in range(len(bounds) - 1):
         for start in range(bounds[r], bounds[r + 1], _BLOCK):
             stop = min(start + _BLOCK, bounds[r + 1])
@@ -76,12 +78,15 @@ def _nearest(
     # a sample of the poses tells well enough how far the count-th is, unless they are few
     every = max(1, min(count // 128, 16))
     threshold = _threshold(square, least, width, every, count)
-    rows = np.empty(total, dtype=np.int64)
+    near = 0
+    for i in range(total):
+        near += square[i] <= threshold
+    rows = np.empty(near, dtype=np.int64)
     k = 0
     for i in range(total):
-        rows[k] = i
-        k += square[i] <= threshold
-    rows = rows[:k].copy()
+        if square[i] <= threshold:
+            rows[k] = i
+            k += 1
     return rows, square[rows]
 
 

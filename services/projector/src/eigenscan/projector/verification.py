@@ -48,8 +48,9 @@ def verify(
     best_position, best_heading = position.copy(), heading.copy()
     cost = np.empty(len(position), dtype=np.float32)
     _turn(windows, best_position, best_heading, scan, weight, limit, cost)
-    better = np.argsort(cost)[:climbing]
-    _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, limit, cost)
+    if lattice.finer:
+        better = np.argsort(cost)[:climbing]
+        _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, limit, cost)
     return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
 
 
