@@ -29,8 +29,8 @@ OFF_MAP_SHARE = 0.02
 """Of the robots that no track holds, how many are where no map shows the place."""
 RETURN_RATE = 0.1
 """1/s, how soon a robot off the map comes back to it."""
-LOG_COINCIDENCE = float(np.log(0.02))
-"""How rarely a wrong hypothesis lies in the gate of a right track whose own pose the list lacks."""
+LOG_COINCIDENCE = float(np.log(0.2))
+"""How often a wrong hypothesis lies in the gate of a right track whose own pose the list lacks."""
 MOST_DECAY = 5.0
 """However long the silence, a little of the mass stays where it was."""
 BREAK_SHARE = 0.5
@@ -298,9 +298,7 @@ class Belief:
 
     def _weigh_elsewhere(self, frame: int, seen: Observation, source: int, share: Share) -> None:
         """Unlisted poses of this frame, and places off every map: the reference, log-likelihood 0."""
-        peak = float(_log_volume(seen.covariances)[0]) if len(seen.covariances) else 0.0
-        missed = seen.missed + peak - np.log(seen.area * 2.0 * np.pi)
-        for index, fit in ((frame, float(np.logaddexp(seen.unlisted, missed))), (0, 0.0)):
+        for index, fit in ((frame, float(np.logaddexp(seen.unlisted, 0.0))), (0, 0.0)):
             part = self.elsewhere[index]
             part.log_weight += share.weight * fit - share.novelty * part.evidence[source]
             part.evidence[source] += share.novelty * (fit - part.evidence[source])
@@ -356,13 +354,16 @@ def _branch_shares(fit: Array, origin: Index, tracks: int, weight: float) -> Arr
 def _missed(seen: Observation, C: Array) -> Array:
     """Log-likelihood (n,) of tracks (n, 3, 3) whose right pose the list lacks.
 
-    It would be one peak within the track, as narrow as a listed one: a vague track holds it less well.
+    A list that lacks the right pose says as much as one of a place off the map: over the whole area it is
+    worth 0. Held by one peak as narrow as a listed one, that is the area over the peak's volume; a vague
+    track holds the peak less well.
     """
     if not len(seen.covariances):
-        return np.full(len(C), seen.missed)
+        return np.zeros(len(C))
     R = seen.covariances[0]
+    peak = float(_log_volume(R[None])[0])
     overlap: Array = 0.5 * np.log(determinant(R) / determinant(C + R))
-    return seen.missed + overlap
+    return float(np.log(seen.area * 2.0 * np.pi)) - peak + overlap
 
 
 def _log_volume(C: Array) -> Array:

@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 
 LOG_LIKELIHOOD_LIMIT = 300.0
 """Evidence beyond this is an overflow of somebody's arithmetic, not knowledge."""
-WRONG_RANK, RIGHT_ABOVE = 5, 12.0
-"""Nats by which a right pose usually exceeds the fifth of a list; so it was in every building tried."""
 FARTHEST = 1e7
 """m from the map's origin: beyond it a number is an overflow, not a place."""
 SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
@@ -40,8 +38,6 @@ class Observation:
     log_likelihoods: Array
     unlisted: float
     """Log-likelihood of any pose in the map that is not listed."""
-    missed: float
-    """Log-likelihood of the right pose where the list lacks it: how well it may fit, how often it lacks."""
     area: float
     """m^2 that the search covered."""
     usable: bool
@@ -104,22 +100,10 @@ def observe(
         limit_sigma(covariances),
         settings.trust * listed,
         settings.trust * unlisted,
-        float(np.log(settings.miss_probability)) + settings.trust * hidden_fit(listed, unlisted),
         message.searched_area_m2 if 1.0 <= message.searched_area_m2 < 1e9 else 1.0,
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
     )
-
-
-def hidden_fit(log_likelihoods: Array, unlisted: float) -> float:
-    """Log-likelihood that the right pose would have if it were outside the list.
-
-    It stands above the wrong ones. The fifth of the list is one of those even where a symmetric
-    building has four right-looking ones; a shorter list says that all others are at `unlisted`.
-    """
-    if len(log_likelihoods) < WRONG_RANK:
-        return unlisted + RIGHT_ABOVE
-    return float(np.sort(log_likelihoods)[-WRONG_RANK]) + RIGHT_ABOVE
 
 
 def limit_sigma(covariances: Array) -> Array:

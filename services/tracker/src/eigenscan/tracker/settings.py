@@ -47,16 +47,13 @@ class TrackerSettings(ServiceSettings):
         0.5, gt=0, description="s over which the evidence of scans from one place is averaged"
     )
     kidnap_rate: float = Field(
-        0.01, ge=0, description="1/s, how often a robot is carried away or its track is wrong"
+        0.001, ge=0, description="1/s, how often a robot is carried away or its track is wrong"
     )
     trust: float = Field(
-        0.7,
+        1.0,
         gt=0,
         le=1,
-        description="exponent on likelihoods: the beams of a scan share their mistakes",
-    )
-    miss_probability: float = Field(
-        0.02, gt=0, lt=1, description="how often a projector's list lacks the right pose, at a hard place"
+        description="exponent on likelihoods; below 1 for a projector that is too sure of itself",
     )
     gate_probability: float = Field(
         0.999, gt=0, lt=1, description="share of right hypotheses that the validation gate lets through"
