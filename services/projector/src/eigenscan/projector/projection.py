@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
+from eigenscan.projector.foreground import foreground
 from eigenscan.projector.likelihood import THROUGH_MARGIN, log_likelihood, support
 from eigenscan.projector.observation import ANALYSIS_TURN, Observation
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
@@ -24,6 +25,8 @@ SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
 """Refined poses this near to each other are one."""
 POLISHED, WEIGHED = 60, 36
 """Slid poses that are polished, and polished poses that are weighed."""
+FOREGROUND_SHARE = 0.1
+"""Of the beams on free-standing things, from which on the scan is also searched without them."""
 CLIMBING = 300
 """Candidates that also look at the model's finer positions around them."""
 SLIDE_POINTS, WEIGHED_BEAMS = 32, 120
@@ -55,12 +58,7 @@ def find_candidates(
     site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame."""
-    projected = project(view, seen)
-    rows, _ = view.table.nearest(
-        projected.coefficients,
-        projected.error_energy**2 * view.embedding.channels * len(seen.coarse),
-        settings.candidates,
-    )
+    projected, rows = _associate(view, seen, settings.candidates)
     seeds, region = _seeds(site, view, seen, rows, settings.refined)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
@@ -69,12 +67,34 @@ def find_candidates(
     return _weigh(site, seen, slid.poses[best], region[best], projected, settings)
 
 
-def project(view: SensorView, seen: Observation) -> Projected:
-    """The scan in every region's space; beams without a return take no part."""
-    usable = np.isfinite(seen.coarse)
-    channels = view.embedding(np.where(usable, seen.coarse, np.float32(0)))
-    coefficients, square = view.spaces.project(channels, usable)
+def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Projected, Index]:
+    """The scan in every region's space, and the rows (k,) of the table nearest to it, nearest first.
+
+    Where narrow things stand free in the scan, half the rows are the nearest to the scan without them.
+    """
+    returned = np.isfinite(seen.coarse)
+    behind = returned & ~foreground(seen.coarse, 2.0 * np.pi / ANALYSIS_TURN)
+    projected = project(view, seen, returned)
+    cut_off = np.count_nonzero(returned) - np.count_nonzero(behind)
+    if cut_off < FOREGROUND_SHARE * len(behind) or np.count_nonzero(behind) < len(behind) // 4:
+        return projected, _nearest(view, projected, len(behind), count)
+    whole = _nearest(view, projected, len(behind), count // 2)
+    rest = _nearest(view, project(view, seen, behind), len(behind), count // 2)
+    fewer = min(len(whole), len(rest))
+    return projected, np.stack([whole[:fewer], rest[:fewer]], axis=1).ravel()
+
+
+def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Projected:
+    """The scan in every region's space; only the beams `used` (J,) take part."""
+    channels = view.embedding(np.where(used, seen.coarse, np.float32(0)))
+    coefficients, square = view.spaces.project(channels, used)
     return Projected(coefficients, np.sqrt(square))
+
+
+def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> Index:
+    square = projected.error_energy**2 * (view.embedding.channels * beams)
+    rows, _ = view.table.nearest(projected.coefficients, square, count)
+    return rows
 
 
 def _seeds(site: Site, view: SensorView, seen: Observation, rows: Index, count: int) -> tuple[Array, Index]:

@@ -73,11 +73,9 @@ def _nearest(
                 for i in range(len(part)):
                     d = np.float32(row[i]) - q
                     part[i] += d * d
-    least, mean = square.min(), square.mean()
-    width = np.float32(max((mean - least) / _BINS, 1e-6))
     # a sample of the poses tells well enough how far the count-th is, unless they are few
     every = max(1, min(count // 128, 16))
-    threshold = _threshold(square, least, width, every, count)
+    threshold = _threshold(square, every, count)
     near = 0
     for i in range(total):
         near += square[i] <= threshold
@@ -91,14 +89,15 @@ def _nearest(
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
-def _threshold(
-    square: NDArray[np.float32], least: np.float32, width: np.float32, every: int, count: int
-) -> np.float32:
+def _threshold(square: NDArray[np.float32], every: int, count: int) -> np.float32:
     """Distance below which about `count` poses lie, by a histogram from the least distance to the mean."""
+    sample = square[::every].copy()
+    least, mean = sample.min(), sample.mean()
+    width = np.float32(max((mean - least) / _BINS, 1e-6))
     histogram = np.zeros(_BINS + 1, dtype=np.int64)
     scale = np.float32(1.0) / width
-    for i in range(0, len(square), every):
-        histogram[min(int((square[i] - least) * scale), _BINS)] += every
+    for i in range(len(sample)):
+        histogram[min(int((sample[i] - least) * scale), _BINS)] += every
     limit, found = 0, histogram[0]
     while found < count and limit < _BINS:
         limit += 1
