@@ -111,6 +111,32 @@ def test_an_update_accepts_and_then_holds(run: Run, folder: Path, eigenscan: Com
     assert "its recording is gone" in ended.err
 
 
+def test_an_update_of_one_service_leaves_the_others(folder: Path, eigenscan: Command) -> None:
+    reference = folder / "whole.reference.mcap"
+    assert eigenscan("replay-test", folder, "--update").code == 0
+    before = reference.read_bytes()
+    alter(reference)
+    ended = eigenscan("replay-test", folder, "--update", "--service", "scan-ingest")
+    assert ended.code == 0
+    assert eigenscan("replay-test", folder, "--service", "scan-ingest").code == 0
+    ended = eigenscan("replay-test", folder)
+    assert ended.code == 1
+    assert "1 different and 0 bad of 3 tests" in ended.err
+    assert eigenscan("replay-test", folder, "--update", "--service", "tracker").code == 0
+    assert eigenscan("replay-test", folder).code == 0
+    assert sorted(said(reference)) == sorted(said_in(before, folder))
+
+
+def said(path: Path) -> list[tuple[str, bytes]]:
+    return [(record.envelope.key, encode(record.envelope.message)) for record in read(path)]
+
+
+def said_in(content: bytes, folder: Path) -> list[tuple[str, bytes]]:
+    path = folder.with_suffix(".mcap")
+    path.write_bytes(content)
+    return said(path)
+
+
 def alter(reference: Path) -> None:
     """Moves one pose of a reference."""
     records, metadata = list(read(reference)), read_metadata(reference)

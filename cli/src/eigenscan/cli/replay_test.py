@@ -38,11 +38,13 @@ def replay_test(
 
     one_thread()
     from eigenscan.cli.process_replay import suite
-    from eigenscan.cli.process_replay.services import CHOICES
+    from eigenscan.cli.process_replay.services import CHOICES, PIPELINE
 
     for name in service or ():
         if name not in CHOICES:
             raise UsageError(f"--service {name}: there are {', '.join(CHOICES)}")
+    if update and PIPELINE in (service or ()) and len(service or ()) > 1:
+        raise UsageError(f"--update --service {PIPELINE}: alone, for it says what the others say")
     files = suite.recordings(folder)
     plan = suite.Plan(tuple(service or ()), tolerant, least)
 

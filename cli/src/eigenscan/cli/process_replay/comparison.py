@@ -126,19 +126,19 @@ class Comparison:
         """Why this says nothing, or not that all is well; empty where it is equal."""
         judged = self.judged
         compared = sum(tally.compared for tally in judged.values())
-        outside = sum(tally.outside for tally in judged.values())
+        lone = sum(tally.missing + tally.extra for tally in judged.values())
         found = []
-        if compared + sum(tally.missing + tally.extra for tally in judged.values()) < self.terms.least:
+        if compared + lone < self.terms.least:
             found.append(
                 f"only {compared} messages to compare, fewer than {self.terms.least}: proves nothing"
             )
-        elif outside > compared:
-            found.append(f"only {compared} of {compared + outside} messages are in the recording")
-        found += [
-            f"{channel.name}: {tally.different} different, {tally.missing} missing, {tally.extra} too many"
-            for channel, tally in judged.items()
-            if not tally.is_equal
-        ]
+        for channel, tally in judged.items():
+            if not tally.is_equal:
+                counts = f"{tally.different} different, {tally.missing} missing, {tally.extra} too many"
+                found.append(f"{channel.name}: {counts}")
+            elif tally.outside > tally.compared:
+                said = tally.compared + tally.outside
+                found.append(f"{channel.name}: only {tally.compared} of {said} messages are in the recording")
         return found
 
     def _is_outside(self, key: str, stamp: int) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import chain
@@ -13,8 +13,9 @@ from pathlib import Path
 from eigenscan.cli.frame import UsageError
 from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.process_replay.playing import Event, Side
-from eigenscan.cli.process_replay.services import PARTS
+from eigenscan.cli.process_replay.services import CHOICES, PARTS
 from eigenscan.runtime.recording import RecordingWriter, read, read_metadata
+from eigenscan.schemas.channels import Channel
 
 SUFFIX = ".reference.mcap"
 _RECORD = "reference"
@@ -30,6 +31,12 @@ class Reference:
     made_with: str
     choices: tuple[str, ...]
     """What it holds the words of, as `--service` takes it."""
+
+    def words(self, side: Side, channels: Sequence[Channel]) -> Iterator[Event]:
+        """What it holds on `channels`, as events of `side`."""
+        for record in read(self.path):
+            if record.envelope.channel in channels:
+                yield Event(side, record.log_time, record.envelope)
 
 
 def path_beside(recording: Path) -> Path:
@@ -48,12 +55,13 @@ def open_beside(recording: Path) -> Reference | None:
     entry = read_metadata(path).get(_RECORD, {})
     if entry.get("recording_sha256") != _digest(recording):
         raise UsageError(f"{path}: is of another recording than {recording.name}: --update makes it anew")
+    choices = tuple(name for name in entry.get("choices", "").split() if name in CHOICES)
     spans: dict[str, tuple[int, int]] = {}
     for record in read(path):
         key, stamp = record.envelope.key, stamp_of(record.envelope)
         first, last = spans.get(key, (stamp, stamp))
         spans[key] = min(first, stamp), max(last, stamp)
-    return Reference(path, spans, entry.get("made_with", ""), tuple(entry.get("choices", "").split()))
+    return Reference(path, spans, entry.get("made_with", ""), choices)
 
 
 def write_beside(recording: Path, parts: Mapping[str, Iterable[Event]]) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 from eigenscan.cli.frame import UsageError, by_users, one_line
 from eigenscan.cli.process_replay.casting import cast
 from eigenscan.cli.process_replay.comparison import Terms
-from eigenscan.cli.process_replay.playing import play
+from eigenscan.cli.process_replay.playing import Event, Side, play
 from eigenscan.cli.process_replay.reference import SUFFIX, Reference, open_beside, write_beside
 from eigenscan.cli.process_replay.report import report, summary
-from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES, PIPELINE
+from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES, PIPELINE, said_by
 from eigenscan.cli.process_replay.survey import Survey, survey
 from eigenscan.cli.process_replay.trial import Trial, run
 
@@ -82,15 +82,29 @@ def update(recording: Path, plan: Plan) -> Case:
     try:
         found = survey(recording)
         choices = plan.choices or _spoken(found) or (PIPELINE,)
-        parts = {choice: play(found, CHOICES[choice], cast(found, CHOICES[choice], {})) for choice in choices}
-        count = write_beside(recording, parts)
+        parts: dict[str, Iterable[Event]] = {
+            choice: play(found, CHOICES[choice], cast(found, CHOICES[choice], {})) for choice in choices
+        }
+        count = write_beside(recording, _kept(recording, choices) | parts)
     except Exception as error:
         return _bad(recording, "recording", error)
     return Case(recording, " ".join(choices), PASSED, f"{count} messages are the reference now")
 
 
+def _kept(recording: Path, choices: tuple[str, ...]) -> dict[str, Iterable[Event]]:
+    """What the present reference holds of services other than `choices`."""
+    try:
+        present = open_beside(recording)
+    except ValueError:  # of another recording, or damaged: it is made anew
+        return {}
+    anew = {channel for choice in choices for channel in said_by(CHOICES[choice])}
+    others = [name for name in present.choices if anew.isdisjoint(said_by(CHOICES[name]))] if present else []
+    return {name: present.words(Side.REPLAYED, said_by(CHOICES[name])) for name in others} if present else {}
+
+
 def _choices(found: Survey, reference: Reference | None, plan: Plan) -> tuple[str, ...]:
-    choices = plan.choices or (reference.choices if reference else _spoken(found))
+    kept = reference.choices if reference else ()
+    choices = plan.choices or tuple(dict.fromkeys([*kept, *_spoken(found)]))
     if not choices:
         raise UsageError(
             f"{found.path}: holds nothing that a service said: --update keeps what they say now as reference"

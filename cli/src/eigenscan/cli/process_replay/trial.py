@@ -14,7 +14,7 @@ from eigenscan.cli.process_replay.playing import Event, Side, play
 from eigenscan.cli.process_replay.reference import Reference
 from eigenscan.cli.process_replay.services import Service, said_by
 from eigenscan.cli.process_replay.survey import Survey
-from eigenscan.runtime.recording import RecordingWriter, read
+from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Envelope
 
@@ -70,11 +70,7 @@ def run(trial: Trial, survey: Survey, moved: Callable[[int], None] = lambda _tim
 
 def _beside(reference: Reference, channels: Sequence[Channel], events: Iterable[Event]) -> Iterator[Event]:
     """The events with the reference in the recording's place."""
-    wanted = (
-        Event(Side.RECORDED, record.log_time, record.envelope)
-        for record in read(reference.path)
-        if record.envelope.channel in channels
-    )
+    wanted = reference.words(Side.RECORDED, channels)
     upcoming = next(wanted, None)
     for event in events:
         while upcoming and upcoming.time <= event.time:
