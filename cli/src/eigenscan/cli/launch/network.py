@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 
 import zenoh
-from eigenscan.runtime.session import open_session
+from eigenscan.runtime.session import PATIENT_QUEUE, open_session
 from eigenscan.schemas.channels import ContractError
 
 ATTEMPTS = 5
@@ -46,17 +46,7 @@ def _write(path: Path, listen: str, connect: list[str]) -> Path:
         "connect": {"endpoints": connect},
         # those who meet at the hub learn of each other by gossip
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
-        # by default 2 urgent messages may wait 1 ms before one is dropped: too little for a busy machine
-        "transport": {
-            "link": {
-                "tx": {
-                    "queue": {
-                        "size": {"real_time": 16, "interactive_high": 16},
-                        "congestion_control": {"drop": {"wait_before_drop": 20_000}},
-                    }
-                }
-            }
-        },
+        "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
     }
     path.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
     return path

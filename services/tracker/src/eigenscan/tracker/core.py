@@ -24,7 +24,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-DEFAULT_BODY_FRAME = "base"
+DEFAULT_BODY_FRAME = "base_link"
 DEFAULT_ODOM_FRAME = "odom"
 
 
