@@ -212,7 +212,7 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
     words = [
         health(text, heard_odometry=300, dropped_odometry=7),
         health(text, heard_odometry=4),
-        health(text, heard_odometry=5, dropped_odometry=3),
+        health(text.replace("}", ', "trust": 0.5}'), heard_odometry=5, dropped_odometry=3),
     ]
     messages = [
         *(Timed(run.messages[0].time, word) for word in words),
@@ -223,6 +223,7 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
     assert "note: tracker t ran before the recording began (its first track here is " in ended.out
     assert "note: tracker t was started again 1 times" in ended.out
     assert "note: tracker t lost 3 odometry" in ended.out
+    assert "note: tracker t was given other settings while it was recorded" in ended.out
 
 
 def test_an_instance_hears_only_its_robot(run: Run, eigenscan: Command, tmp_path: Path) -> None:

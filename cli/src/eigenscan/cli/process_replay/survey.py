@@ -23,6 +23,7 @@ class Told:
 
     version: str = ""
     settings: str = ""
+    settings_changed: bool = False
     restarts: int = 0
     counters: dict[str, int] = field(default_factory=dict)
 
@@ -32,6 +33,7 @@ class Told:
         self.restarts += any(count > heard.get(name, 0) for name, count in self.counters.items())
         self.version, self.counters = health.package_version, heard
         self.settings = self.settings or health.settings
+        self.settings_changed |= health.settings not in ("", self.settings)
 
     @property
     def lost(self) -> dict[str, int]:

@@ -105,6 +105,8 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
         told = survey.told.get((instance.service.name, instance.name))
         if told and told.restarts:
             yield f"{name} was started again {told.restarts} times: what it forgot then is not forgotten here"
+        if told and told.settings_changed:
+            yield f"{name} was given other settings while it was recorded: here the first hold to the end"
         for channel, count in told.lost.items() if told else ():
             yield f"{name} lost {count} {channel}: its inbox was full; here it hears all that is recorded"
         if instance.faults:
