@@ -36,6 +36,8 @@ HEALTH_PERIOD_S = 1.0
 CONDITION_PERIOD_S = 0.25
 STOP_CORE_S = 1.0
 """What the core gets to end its present message and say what it holds back, when told to stop."""
+CLOSE_S = 0.7
+"""What the session gets to close: a neighbour may be slow to take a large answer."""
 STOP_ALL_S = 1.9
 """After this a process that was told to stop is ended by force."""
 WHOLE_SITE_SLACK = 16
@@ -125,7 +127,10 @@ class Node:
             core.join(STOP_CORE_S)
             unfinished = core.is_alive()
             if self._bus:
-                self._bus.close()
+                closing = threading.Thread(target=self._bus.close, name="close", daemon=True)
+                closing.start()
+                closing.join(CLOSE_S)
+                unfinished = unfinished or closing.is_alive()
             self._monitor.close()
         finally:
             faulthandler.cancel_dump_traceback_later()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -11,12 +10,6 @@ from eigenscan.schemas.channels import ContractError
 
 LOG_FILTER = "error,zenoh::net::routing=off"
 """Of Zenoh's own log, where RUST_LOG says nothing else; its routing takes a neighbour's end for an error."""
-
-PATIENT_QUEUE = {
-    "size": {"real_time": 16, "interactive_high": 16},
-    "congestion_control": {"drop": {"wait_before_drop": 20_000}},
-}
-"""By default 2 urgent messages wait 1 ms (here: us) before one is dropped: too little for a busy machine."""
 
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
@@ -34,7 +27,6 @@ def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
         else:
             config = zenoh.Config()
             config.insert_json5("mode", f'"{mode}"')
-            config.insert_json5("transport/link/tx/queue", json.dumps(PATIENT_QUEUE))
     except zenoh.ZError as error:
         raise ContractError(f"{path}: is no Zenoh configuration: {_reason(error)}") from error
     try:
