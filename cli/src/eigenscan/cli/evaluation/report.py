@@ -23,7 +23,10 @@ def show(figures: Figures, title: str, console: Console) -> None:
 def _lines(f: Figures) -> list[tuple[str, str]]:
     reach, error = f["to_localize"], f["error"]
     lines = [
-        ("windows", f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference)"),
+        (
+            "windows",
+            f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference, or --limit)",
+        ),
         ("success", _percent(f["success_rate"])),
         ("windows with a false claim", _percent(f["false_claim_rate"])),
         *((f"to localize, {name}", _pair(reach[name], "p95")) for name in reach),
