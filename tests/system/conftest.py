@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from eigenscan.cli.importers import open_log, stamp_of
+from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.runtime.recording import RecordingWriter
 
 from tests.system.house import (
@@ -60,6 +61,8 @@ def house(tmp_path: Path) -> Iterator[House]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
     alone = {"scouting": {"multicast": {"enabled": False}}}
+    # a busy machine must not lose what the test counts
+    alone = alone | {"transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}}}
     leaf = tmp_path / "leaf.json5"
     leaf.write_text(json.dumps(alone | {"mode": "client", "connect": {"endpoints": [endpoint]}}))
     router = zenoh.Config.from_json5(
