@@ -20,8 +20,8 @@ class Lattice:
     """P positions (P, 2) m, map frame; panoramas (P, N) m on the analysis grid, +inf: no wall in sight.
 
     `neighbours` (P, 9): index of the position one step of the model's grid away, -1 where there is none;
-    itself at 4. `regions` holds for each region the indices of its positions, `searched` those of them that
-    are searched; `finer` tells whether there are others.
+    itself at 4. `regions` holds for each region the indices of its positions, `searched` those (S,) of them
+    that are searched, `cells` (S, 2) their place on the search grid; `finer` tells whether there are others.
     """
 
     positions: NDArray[np.float64]
@@ -30,6 +30,7 @@ class Lattice:
     finer: bool
     regions: tuple[NDArray[np.int64], ...]
     searched: tuple[NDArray[np.int64], ...]
+    cells: tuple[NDArray[np.int64], ...]
 
     @classmethod
     def of(cls, models: tuple[RegionModel, ...]) -> Lattice:
@@ -43,14 +44,19 @@ class Lattice:
         regions = tuple(member[a:b] for a, b in pairwise(bounds))
         index = np.concatenate([model.index for model in models])
         stride = max(1, round(SEARCH_SPACING / models[0].spacing))
-        searched = tuple(
-            own[np.unique(model.index // stride, axis=0, return_index=True)[1]]
-            for own, model in zip(regions, models, strict=True)
-        )
+        blocks = [np.unique(model.index // stride, axis=0, return_index=True) for model in models]
+        searched = tuple(own[at] for own, (_, at) in zip(regions, blocks, strict=True))
+        cells = tuple(cell.astype(np.int64) for cell, _ in blocks)
         panoramas = np.concatenate([resample(model.panoramas, ANALYSIS_TURN) for model in models])
         positions = np.concatenate([model.positions for model in models])
         return cls(
-            positions[first], panoramas[first], _neighbours(index[first]), stride > 1, regions, searched
+            positions[first],
+            panoramas[first],
+            _neighbours(index[first]),
+            stride > 1,
+            regions,
+            searched,
+            cells,
         )
 
 

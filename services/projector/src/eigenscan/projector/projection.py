@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
 from eigenscan.projector.foreground import foreground
@@ -58,8 +59,8 @@ def find_candidates(
     site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame."""
-    projected, rows = _associate(view, seen, settings.candidates)
-    seeds, region = _seeds(site, view, seen, rows, settings.refined)
+    projected, matches = _associate(view, seen, settings.candidates)
+    seeds, region = _seeds(site, view, seen, matches, settings.refined)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
     slid = fit(site.coarse_walls, seeds, sliding, SLIDE)
@@ -67,10 +68,10 @@ def find_candidates(
     return _weigh(site, seen, slid.poses[best], region[best], projected, settings)
 
 
-def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Projected, Index]:
-    """The scan in every region's space, and the rows (k,) of the table nearest to it, nearest first.
+def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Projected, Matches]:
+    """The scan in every region's space, and the poses nearest to it there.
 
-    Where narrow things stand free in the scan, half the rows are the nearest to the scan without them.
+    Where narrow things stand free in the scan, half of them are the nearest to the scan without them.
     """
     returned = np.isfinite(seen.coarse)
     behind = returned & ~foreground(seen.coarse, 2.0 * np.pi / ANALYSIS_TURN)
@@ -80,8 +81,7 @@ def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Project
         return projected, _nearest(view, projected, len(behind), count)
     whole = _nearest(view, projected, len(behind), count // 2)
     rest = _nearest(view, project(view, seen, behind), len(behind), count // 2)
-    fewer = min(len(whole), len(rest))
-    return projected, np.stack([whole[:fewer], rest[:fewer]], axis=1).ravel()
+    return projected, whole.alternating(rest)
 
 
 def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Projected:
@@ -91,19 +91,21 @@ def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Pro
     return Projected(coefficients, np.sqrt(square))
 
 
-def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> Index:
+def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> Matches:
     square = projected.error_energy**2 * (view.embedding.channels * beams)
-    rows, _ = view.table.nearest(projected.coefficients, square, count)
-    return rows
+    return view.association.nearest(projected.coefficients, square, count)
 
 
-def _seeds(site: Site, view: SensorView, seen: Observation, rows: Index, count: int) -> tuple[Array, Index]:
+def _seeds(
+    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int
+) -> tuple[Array, Index]:
     """Poses to refine: half the nearest in eigenspace, half the best verified, one a neighbourhood."""
+    rows = matches.rows
     position = view.row_position[rows].astype(np.int64)
     window = view.row_window[rows].astype(np.int64)
-    region = np.searchsorted(view.table.bounds, rows, side="right") - 1
+    region = np.searchsorted(view.bounds, rows, side="right") - 1
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
-    near = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
+    near = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min) + matches.offsets
     first = best_of_neighbourhoods(near, np.arange(len(near)), PATCH_M, PATCH_RAD, count // 2)
     position, window, cost = verify(
         view.windows, site.lattice, position, window, seen.coarse, seen.sensor.range_max, CLIMBING

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from eigenscan.projector.association import kinds
 from eigenscan.projector.embedding import Kind
 from eigenscan.runtime.settings import ServiceSettings
 from pydantic import Field
@@ -13,6 +14,7 @@ class ProjectorSettings(ServiceSettings):
     embedding: Kind = Field("ring", description="what of a range is analysed: ring, or range as in the paper")
     range_cap: float = Field(15.0, gt=0, description="m, plain ranges count as this at most")
     components: int = Field(16, ge=1, le=64, description="coefficients kept of each subspace")
+    association: kinds.Kind = Field("sweep", description="how near poses are found in eigenspace")
     candidates: int = Field(3000, ge=1, description="nearest poses in eigenspace that are verified")
     refined: int = Field(200, ge=2, description="candidates that are polished below the grid")
     published: int = Field(30, ge=1, le=30, description="hypotheses of a scan at most")

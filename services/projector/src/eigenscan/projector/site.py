@@ -9,13 +9,14 @@ import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.projector.association.kinds import association
+from eigenscan.projector.association.manifold import Association, Index, Sheets
 from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients
 from eigenscan.projector.embedding import Embedding
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
-from eigenscan.projector.sweep import SweepTable
 from eigenscan.projector.verification import predicted
 from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
@@ -32,13 +33,15 @@ HEADING_STRIDE = 3
 class SensorView:
     """The site as one sensor sees it.
 
-    A row of `table` is a pose: position `row_position` (n,) of the lattice and
-    window `row_window` (n,) of its panorama. `windows` (P, N + J) are the panoramas to verify against.
+    A row of `association` is a pose: position `row_position` (n,) of the lattice and window `row_window` (n,)
+    of its panorama; region r has the rows from `bounds[r]` to `bounds[r + 1]`.
+    `windows` (P, N + J) are the panoramas to verify against.
     """
 
     embedding: Embedding
     spaces: ChannelSpaces
-    table: SweepTable
+    association: Association
+    bounds: Index
     row_position: NDArray[np.int32]
     row_window: NDArray[np.int16]
     windows: NDArray[np.float32]
@@ -80,18 +83,19 @@ class Site:
     def _make(self, coarse: Sensor) -> SensorView:
         settings, lattice = self._settings, self.lattice
         embedding = Embedding.of(settings.embedding, settings.range_cap, coarse.range_max)
-        spaces, tables = [], []
-        for own, searched in zip(lattice.regions, lattice.searched, strict=True):
+        spaces, regions = [], []
+        for own, searched, cells in zip(lattice.regions, lattice.searched, lattice.cells, strict=True):
             space = analyse_channels(embedding(lattice.panoramas[own]), coarse.beams, settings.components)
-            table = coefficients(embedding(lattice.panoramas[searched]), space, HEADING_STRIDE)
+            sampled = coefficients(embedding(lattice.panoramas[searched]), space, HEADING_STRIDE)
             spaces.append(space)
-            tables.append(table.reshape(-1, table.shape[-1]))
+            regions.append(Sheets(sampled, lattice.positions[searched], cells))
         searched = np.concatenate(lattice.searched).astype(np.int32)
         headings = np.arange(0, ANALYSIS_TURN, HEADING_STRIDE, dtype=np.int16)
         return SensorView(
             embedding,
             ChannelSpaces.of(spaces),
-            SweepTable.of(tables),
+            association(settings.association, regions),
+            np.cumsum([0, *(region.rows for region in regions)]),
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),
             predicted(lattice, coarse.beams, coarse.range_max),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
 from numba import njit
 from numpy.typing import NDArray
 
@@ -22,14 +23,15 @@ class SweepTable:
     """Coefficients (M, n) int8 in units of `unit`, region after region: `bounds` (R + 1,)."""
 
     table: NDArray[np.int8]
-    bounds: NDArray[np.int64]
+    bounds: Index
     unit: float
     scratch: NDArray[np.float32]
     """Room (n,) for the distances: a large array made anew costs more than what is written to it."""
 
     @classmethod
-    def of(cls, tables: list[NDArray[np.float32]]) -> SweepTable:
-        """Table of the regions' coefficients (n_r, M)."""
+    def of(cls, regions: list[Sheets]) -> SweepTable:
+        """Table of all poses of the regions."""
+        tables = [r.coefficients.reshape(r.rows, -1) for r in regions]
         unit = max(max(float(np.abs(table).max(initial=0.0)) for table in tables) / _STEPS, 1e-9)
         bounds = np.cumsum([0, *(len(table) for table in tables)])
         packed = np.empty((tables[0].shape[1], bounds[-1]), dtype=np.int8)
@@ -37,19 +39,18 @@ class SweepTable:
             packed[:, start : start + len(table)] = np.rint(table.T / np.float32(unit))
         return cls(packed, bounds, unit, np.empty(bounds[-1], dtype=np.float32))
 
-    def nearest(
-        self, alphas: NDArray[np.float64], residuals: NDArray[np.float64], count: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Rows (k,) of the about `count` poses with the smallest ||S - S'||^2 (k,), nearest first.
+    @property
+    def nbytes(self) -> int:
+        """Memory of the index, bytes."""
+        return self.table.nbytes + self.scratch.nbytes
 
-        `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What the space does
-        not hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces.
-        """
+    def nearest(self, alphas: Array, residuals: Array, count: int) -> Matches:
+        """The about `count` nearest of all poses; see Association."""
         query = (alphas / self.unit).astype(np.float32)
         extra = (residuals / self.unit**2).astype(np.float32)
         rows, square = _nearest(self.table, self.bounds, query, extra, count, self.scratch)
         order = np.argsort(square)[:count]
-        return rows[order], (square[order] * self.unit**2).astype(np.float32)
+        return Matches.on_grid(rows[order], (square[order] * self.unit**2).astype(np.float32))
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled

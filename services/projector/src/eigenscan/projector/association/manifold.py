@@ -1,0 +1,75 @@
+"""The sampled manifold of a site's scans, and what an association with it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sheets:
+    """One region's family of surfaces in its own eigenspace (paper, section 4): a sheet for each heading.
+
+    `coefficients` (P, H, M): [p, h] is the scan at position p and heading h of H over a full turn.
+    `positions` (P, 2) m, map frame, and `cells` (P, 2), their whole-numbered place on the searched grid:
+    positions whose cells differ by one are neighbours on a sheet.
+    """
+
+    coefficients: NDArray[np.float32]
+    positions: Array
+    cells: Index
+
+    @property
+    def rows(self) -> int:
+        """P * H."""
+        return len(self.positions) * int(self.coefficients.shape[1])
+
+
+@dataclass(frozen=True)
+class Matches:
+    """k poses near a scan in eigenspace, nearest first.
+
+    `rows` (k,): the pose, counted through regions, positions and headings; `squares` (k,): ||S - S'||^2 as
+    far as the subspaces tell; `offsets` (k, 3): where between the grid's poses the scan lies, from the row's
+    own, m, m, rad in the map frame; 0 where the association does not interpolate.
+    """
+
+    rows: Index
+    squares: NDArray[np.float32]
+    offsets: Array
+
+    @classmethod
+    def on_grid(cls, rows: Index, squares: NDArray[np.float32]) -> Matches:
+        """Matches that are not interpolated."""
+        return cls(rows, squares, np.zeros((len(rows), 3)))
+
+    def alternating(self, other: Matches) -> Matches:
+        """Both lists as one, turn by turn; as long as twice the shorter."""
+        fewer = min(len(self.rows), len(other.rows))
+        order = np.arange(2 * fewer).reshape(2, fewer).T.ravel()
+        return Matches(
+            np.concatenate([self.rows[:fewer], other.rows[:fewer]])[order],
+            np.concatenate([self.squares[:fewer], other.squares[:fewer]])[order],
+            np.concatenate([self.offsets[:fewer], other.offsets[:fewer]])[order],
+        )
+
+
+class Association(Protocol):
+    """Finds the poses whose scans lie near a scan in eigenspace."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the index, bytes."""
+
+    def nearest(self, alphas: Array, residuals: Array, count: int) -> Matches:
+        """At most about `count` matches of all regions.
+
+        `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What a space does
+        not hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces.
+        """
