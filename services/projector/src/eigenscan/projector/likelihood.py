@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse
-from eigenscan.projector.wall_field import WallField
+from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
 
@@ -62,7 +62,7 @@ def log_likelihood(supports: Array) -> Array:
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _support(
-    cells: NDArray[np.float32],
+    cells: NDArray[np.uint32],
     cell: float,
     poses: Array,
     bearings: Array,
@@ -81,8 +81,8 @@ def _support(
             v = (poses[i, 1] + sin * px[j] + cos * py[j]) / cell + 1.0
             u, v = min(max(u, 0.0), width - 0.5), min(max(v, 0.0), height - 0.5)
             column, row = int(u), int(v)
-            near = cells[row, column]
-            d = near[0] + (near[1] * (u - column - 0.5) + near[2] * (v - row - 0.5)) * cell
+            centre, gx, gy = unpack(cells[row, column])
+            d = centre + (gx * (u - column - 0.5) + gy * (v - row - 0.5)) * cell
             total += WALL_SCALE**2 / (WALL_SCALE**2 + d * d)
             # +inf minus a range stays out of both comparisons under fast math
             wall = min(predicted[i, j], np.float32(1e9))

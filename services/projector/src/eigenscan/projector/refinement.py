@@ -8,15 +8,17 @@ on the map's own. Between the cells' centres the distance is extrapolated along 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse
-from eigenscan.projector.wall_field import WallField
+from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Words = NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,18 @@ class Schedule:
     last: float
     steps: int
 
+    @cached_property
+    def squares(self) -> Array:
+        """Squared scales (steps,), m^2."""
+        return np.geomspace(self.first, self.last, self.steps) ** 2
+
 
 SLIDE = Schedule(0.5, 0.15, 6)
 POLISH = Schedule(0.2, 0.1, 6)
 _LARGEST_STEP_M, _LARGEST_STEP_RAD = 0.15, 0.1
 _DAMPING = 1e-3
+_LANES = 16
+"""Single numbers in the widest vector registers."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +59,11 @@ def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fi
     local = np.ascontiguousarray(compose(inverse(field.origin), poses))
     cost = np.empty(len(local))
     information = np.empty((len(local), 3, 3))
-    flat = field.cells.reshape(-1)
-    height, width = field.cells.shape[:2]
-    x, y = (points.T / field.cell).astype(np.float32)
-    scales = np.geomspace(schedule.first, schedule.last, schedule.steps) ** 2
-    _fit(flat, height, width, field.cell, local, x, y, scales, cost, information)
+    # x, y and weight; a whole number of vectors, for the rest of a loop is slow
+    padded = np.zeros((3, -(-len(points) // _LANES) * _LANES), dtype=np.float32)
+    padded[:2, : len(points)] = points.T / field.cell
+    padded[2, : len(points)] = 1.0
+    _fit(field.cells, field.cell, local, padded, schedule.squares, cost, information)
     cos, sin = np.cos(field.origin[2]), np.sin(field.origin[2])
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return Fit(compose(field.origin, local), cost, R @ information @ R.T)
@@ -62,25 +71,29 @@ def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fi
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
 def _fit(
-    flat: Singles,
-    height: int,
-    width: int,
+    cells: Words,
     cell: float,
     poses: Array,
-    x: Singles,
-    y: Singles,
+    points: Singles,
     scales: Array,
     cost: Array,
     information: Array,
 ) -> None:
-    sums = np.empty(10, dtype=np.float64)
+    sums = np.empty(10, dtype=np.float32)
+    count = max(points[2].sum(), np.float32(1.0))
+    ahead, aside = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    # pose by pose within a step: the processor works at several poses at once
+    for step in range(len(scales) - 1):
+        for i in range(len(poses)):
+            _sum(cells, cell, poses[i], ahead[i], aside[i], points, scales[step], sums)
+            turn = _move(poses[i], sums, count)
+            # of at most _LARGEST_STEP_RAD, by its series
+            t2 = turn * turn
+            cos, sin = 1.0 - t2 * (0.5 - t2 / 24.0), turn * (1.0 - t2 * (1.0 / 6.0 - t2 / 120.0))
+            ahead[i], aside[i] = ahead[i] * cos - aside[i] * sin, aside[i] * cos + ahead[i] * sin
     for i in range(len(poses)):
-        pose = poses[i]
-        for step in range(len(scales)):
-            _sum(flat, height, width, cell, pose, x, y, scales[step], sums)
-            if step < len(scales) - 1:
-                _move(pose, sums, len(x))
-        cost[i] = sums[0] / max(len(x), 1)
+        _sum(cells, cell, poses[i], ahead[i], aside[i], points, scales[-1], sums)
+        cost[i] = sums[0] / count
         information[i, 0, 0], information[i, 1, 1], information[i, 2, 2] = sums[1], sums[4], sums[6]
         information[i, 0, 1] = information[i, 1, 0] = sums[2]
         information[i, 0, 2] = information[i, 2, 0] = sums[3]
@@ -89,37 +102,36 @@ def _fit(
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
 def _sum(
-    flat: Singles,
-    height: int,
-    width: int,
+    cells: Words,
     cell: float,
     pose: Array,
-    px: Singles,
-    py: Singles,
+    ahead: float,
+    aside: float,
+    points: Singles,
     scale2: float,
-    sums: Array,
+    sums: Singles,
 ) -> None:
     """Cost, upper triangle of J'WJ row by row, and J'Wd. Single precision, so that it fits vector units."""
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
-    cos, sin = np.float32(np.cos(pose[2])), np.float32(np.sin(pose[2]))
+    flat, width = cells.reshape(-1), np.int32(cells.shape[1])
+    right, top = np.float32(cells.shape[1]) - half, np.float32(cells.shape[0]) - half
+    cos, sin = np.float32(ahead), np.float32(aside)
     # one cell of border lies around the grid
     x, y = np.float32(pose[0] / cell + 1.0), np.float32(pose[1] / cell + 1.0)
     s2, unit = np.float32(scale2), np.float32(cell)
-    right, top = np.float32(width) - half, np.float32(height) - half
+    px, py, weight = points[0], points[1], points[2]
     total = h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = zero
     for j in range(len(px)):
         rx, ry = cos * px[j] - sin * py[j], sin * px[j] + cos * py[j]
         u, v = min(max(x + rx, zero), right), min(max(y + ry, zero), top)
         column, row = np.int32(u), np.int32(v)
-        k = (row * np.int32(width) + column) * np.int32(4)
-        gx, gy = flat[k + 1], flat[k + 2]
-        away = gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)
-        d = flat[k] + away * unit
+        centre, gx, gy = unpack(flat[np.uint32(np.int32(row * width) + column)])
+        d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit
         q = s2 / (s2 + d * d)
-        w = q * q
+        w = q * q * weight[j]
         gt = (gy * rx - gx * ry) * unit
         wx, wy, wt = w * gx, w * gy, w * gt
-        total += one - q
+        total += (one - q) * weight[j]
         h00 += wx * gx
         h01 += wx * gy
         h02 += wx * gt
@@ -134,10 +146,10 @@ def _sum(
     sums[7], sums[8], sums[9] = g0, g1, g2
 
 
-@njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _move(pose: Array, sums: Array, points: int) -> None:
-    """One damped Gauss-Newton step."""
-    damping = _DAMPING * max(points, 1)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
+def _move(pose: Array, sums: Singles, points: float) -> float:
+    """One damped Gauss-Newton step; how far it turned, rad."""
+    damping = _DAMPING * points
     a, b, c = sums[1] + damping, sums[2], sums[3]
     d, e, f = sums[4] + damping, sums[5], sums[6] + damping
     g0, g1, g2 = sums[7], sums[8], sums[9]
@@ -147,7 +159,9 @@ def _move(pose: Array, sums: Array, points: int) -> None:
     x = -(c00 * g0 + c01 * g1 + c02 * g2) / det
     y = -(c01 * g0 + c11 * g1 + c12 * g2) / det
     turn = -(c02 * g0 + c12 * g1 + c22 * g2) / det
+    turn = min(max(turn, -_LARGEST_STEP_RAD), _LARGEST_STEP_RAD)
     shorten = min(1.0, _LARGEST_STEP_M / max(np.sqrt(x * x + y * y), 1e-12))
     pose[0] += x * shorten
     pose[1] += y * shorten
-    pose[2] += min(max(turn, -_LARGEST_STEP_RAD), _LARGEST_STEP_RAD)
+    pose[2] += turn
+    return turn
