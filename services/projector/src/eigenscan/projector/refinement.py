@@ -158,7 +158,7 @@ def _move(pose: Array, sums: Singles, points: float) -> float:
     c11, c12, c22 = a * f - c * c, b * c - a * e, a * d - b * b
     x = -(c00 * g0 + c01 * g1 + c02 * g2) / det
     y = -(c01 * g0 + c11 * g1 + c12 * g2) / det
-    turn = -(c02 * g0 + c12 * g1 + c22 * g2) / det
+    turn: float = -(c02 * g0 + c12 * g1 + c22 * g2) / det
     turn = min(max(turn, -_LARGEST_STEP_RAD), _LARGEST_STEP_RAD)
     shorten = min(1.0, _LARGEST_STEP_M / max(np.sqrt(x * x + y * y), 1e-12))
     pose[0] += x * shorten

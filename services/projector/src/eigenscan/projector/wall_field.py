@@ -51,7 +51,7 @@ class WallField:
 def _pack(
     distance: NDArray[np.float32], by_column: NDArray[np.float32], by_row: NDArray[np.float32]
 ) -> NDArray[np.uint32]:
-    words = np.rint(distance / _DISTANCE_UNIT).astype(np.uint32)
+    words: NDArray[np.uint32] = np.rint(distance / _DISTANCE_UNIT).astype(np.uint32)
     for shift, slope in ((12, by_column), (22, by_row)):
         steps = np.rint(np.clip(slope, -1.0, 1.0) * _SLOPE_STEPS) + (_SLOPE_STEPS + 1)
         words |= steps.astype(np.uint32) << np.uint32(shift)
