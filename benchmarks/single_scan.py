@@ -1,11 +1,11 @@
 """One scan, no prior: how often the projector's first pose is right, and what it costs.
 
     .venv/bin/python benchmarks/single_scan.py [--datasets FOLDER] [--only intel] [--scans 100]
-        [--spacing 0.5] [--occlude 0.3] [--foreign] [--exhaustive] [--json OUT]
+        [--spacing 0.5] [--occlude 0.3] [--foreign] [--exhaustive] [--stages] [--json OUT]
 
-`--foreign` adds the scans of the other buildings to each map, none of which may look like home. The datasets
-are not part of the project; by default they are looked for beside it. CPU is process time: set
-OMP_NUM_THREADS=1.
+`--foreign` adds the scans of the other buildings to each map, none of which may look like home. `--stages`
+tells in what share of the scans each stage of the search still had the right pose. The datasets are not part
+of the project; by default they are looked for beside it. CPU is process time: set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -24,10 +24,14 @@ from eigenscan.cli.evaluation.reference import NS, read_trajectory
 from eigenscan.cli.importers.log import LogOptions
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import read_map, to_message
-from eigenscan.geometry.pose import covariance_from_message, from_message
+from eigenscan.geometry.pose import compose, covariance_from_message, from_message
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.observation import observe
+from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.shelf import WholeSet
+from eigenscan.projector.site import Site
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
@@ -176,6 +180,24 @@ def foreign_confidence(core: ProjectorCore, strangers: list[Sample]) -> dict[str
     }
 
 
+def recall_by_stage(built: SiteModel, chosen: list[Sample], share: float) -> dict[str, Any]:
+    """Share of the scans of which a stage still has a pose that is right."""
+    whole = WholeSet("", built.frame_id, built.grid, tuple(built.regions), built.grid.free_area)
+    settings = ProjectorSettings()
+    site = Site(whole, settings)
+    found: dict[str, list[bool]] = {}
+    for number, sample in enumerate(chosen):
+        scan = occluded(sample.scan, share, number) if share else sample.scan
+        seen, truth = observe(scan), compose(sample.truth, from_message(scan.mount))
+
+        def witness(stage: str, poses: np.ndarray, truth: np.ndarray = truth) -> None:
+            hit = right(*errors(poses, np.broadcast_to(truth, poses.shape)))
+            found.setdefault(stage, []).append(bool(hit.any()))
+
+        find_candidates(site, site.view(seen.sensor), seen, settings, witness)
+    return {stage: np.mean(hits) for stage, hits in found.items()}
+
+
 def show(rows: list[dict[str, Any]]) -> None:
     columns = [name for name in rows[0] if name not in ("cpu_ms", "list_length", "nees_median")]
     columns += ["median", "p99"]
@@ -195,6 +217,7 @@ def main() -> None:
     parser.add_argument("--occlude", type=float, default=0.0)
     parser.add_argument("--foreign", action="store_true")
     parser.add_argument("--exhaustive", action="store_true")
+    parser.add_argument("--stages", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     rows = []
@@ -218,6 +241,8 @@ def main() -> None:
         if options.foreign:
             others = [c for c in CASES if c.folder != case.folder]
             row |= foreign_confidence(core, [s for c in others for s in samples(options.datasets, c, 20)])
+        if options.stages:
+            row |= recall_by_stage(site, chosen, options.occlude)
         rows.append(row)
         show(rows[-1:])
     if options.json:

@@ -12,7 +12,7 @@ from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.likelihood import support
 from eigenscan.projector.observation import ANALYSIS_TURN, observe
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
-from eigenscan.projector.verification import RANGE_CAP, TRUNCATION, predicted, verify
+from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -66,8 +66,9 @@ def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:
 
     def direct(p: int, k: int) -> float:
         wall = np.minimum(lattice.panoramas[p, (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN], RANGE_CAP)
-        off = np.abs(wall - np.minimum(seen.coarse, RANGE_CAP))
-        return float(np.minimum(off, TRUNCATION)[used].mean())
+        beyond = np.minimum(seen.coarse, RANGE_CAP) - wall
+        off = np.where(beyond > 0, np.minimum(beyond, LONG), np.minimum(-beyond, SHORT))
+        return float(off[used].mean())
 
     for i in range(50):
         turned = min(

@@ -6,6 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+_BUCKETS = 2048
+"""Of the hash of the plane's squares; a power of two, several times what is kept."""
+
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def best_of_neighbourhoods(
@@ -13,23 +16,36 @@ def best_of_neighbourhoods(
 ) -> NDArray[np.int64]:
     """At most `count` indices of poses (n, 3) out of `order`, best first, none near a better one in both."""
     kept = np.empty(count, dtype=np.int64)
+    # those kept, by the square of the plane that they lie in: a near one lies in one of nine
+    bucket = np.full(_BUCKETS, -1, dtype=np.int64)
+    following = np.empty(count, dtype=np.int64)
     found = 0
     for i in order:
+        if found == count:
+            break
+        x, y, theta = poses[i]
+        column, row = int(np.floor(x / apart_m)), int(np.floor(y / apart_m))
         free = True
-        for k in range(found):
-            other = poses[kept[k]]
-            dx, dy = poses[i, 0] - other[0], poses[i, 1] - other[1]
-            if dx * dx + dy * dy <= apart_m * apart_m:
-                turn = abs(poses[i, 2] - other[2]) % (2.0 * np.pi)
-                if min(turn, 2.0 * np.pi - turn) <= apart_rad:
-                    free = False
-                    break
-        if free:
-            kept[found] = i
-            found += 1
-            if found == count:
+        for square in range(9):
+            k = bucket[_hashed(column + square % 3 - 1, row + square // 3 - 1)]
+            while k >= 0 and free:
+                other = poses[kept[k]]
+                turn = abs(theta - other[2]) % (2.0 * np.pi)
+                near = (x - other[0]) ** 2 + (y - other[1]) ** 2 <= apart_m * apart_m
+                free = not (near and min(turn, 2.0 * np.pi - turn) <= apart_rad)
+                k = following[k]
+            if not free:
                 break
+        if free:
+            own = _hashed(column, row)
+            kept[found], following[found], bucket[own] = i, bucket[own], found
+            found += 1
     return kept[:found]
+
+
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def _hashed(column: int, row: int) -> int:
+    return (column * 73856093 ^ row * 19349663) & (_BUCKETS - 1)
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Witness = Callable[[str, Array], None]
+"""Hears of each stage by name what sensor poses (n, 3) it leaves."""
 
 PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
 """Of the candidates this near to each other only the best is refined."""
@@ -56,32 +59,37 @@ class Candidates:
 
 
 def find_candidates(
-    site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings
+    site: Site,
+    view: SensorView,
+    seen: Observation,
+    settings: ProjectorSettings,
+    witness: Witness = lambda *_: None,
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame."""
     projected, matches = _associate(view, seen, settings.candidates)
-    seeds, region = _seeds(site, view, seen, matches, settings.refined)
+    seeds, region = _verified(site, view, seen, matches, settings.refined, witness)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
     slid = fit(site.coarse_walls, seeds, sliding, SLIDE)
+    witness("slid", slid.poses)
     best = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), SAME_M, SAME_RAD, POLISHED)
-    return _weigh(site, seen, slid.poses[best], region[best], projected, settings)
+    witness("kept to polish", slid.poses[best])
+    return _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness)
 
 
 def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Projected, Matches]:
     """The scan in every region's space, and the poses nearest to it there.
 
-    Where narrow things stand free in the scan, half of them are the nearest to the scan without them.
+    Where narrow things stand free in the scan, also as many of the nearest to the scan without them.
     """
     returned = np.isfinite(seen.coarse)
     behind = returned & ~foreground(seen.coarse, 2.0 * np.pi / ANALYSIS_TURN)
     projected = project(view, seen, returned)
+    whole = _nearest(view, projected, len(behind), count)
     cut_off = np.count_nonzero(returned) - np.count_nonzero(behind)
     if cut_off < FOREGROUND_SHARE * len(behind) or np.count_nonzero(behind) < len(behind) // 4:
-        return projected, _nearest(view, projected, len(behind), count)
-    whole = _nearest(view, projected, len(behind), count // 2)
-    rest = _nearest(view, project(view, seen, behind), len(behind), count // 2)
-    return projected, whole.alternating(rest)
+        return projected, whole
+    return projected, whole.alternating(_nearest(view, project(view, seen, behind), len(behind), count))
 
 
 def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Projected:
@@ -96,24 +104,23 @@ def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> 
     return view.association.nearest(projected.coefficients, square, count)
 
 
-def _seeds(
-    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int
+def _verified(
+    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, witness: Witness
 ) -> tuple[Array, Index]:
-    """Poses to refine: half the nearest in eigenspace, half the best verified, one a neighbourhood."""
-    rows = matches.rows
+    """Poses to refine (k, 3) and their regions (k,): the best verified, one a neighbourhood."""
+    rows = np.unique(matches.rows)
     position = view.row_position[rows].astype(np.int64)
     window = view.row_window[rows].astype(np.int64)
     region = np.searchsorted(view.bounds, rows, side="right") - 1
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
-    near = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min) + matches.offsets
-    first = best_of_neighbourhoods(near, np.arange(len(near)), PATCH_M, PATCH_RAD, count // 2)
     position, window, cost = verify(
         view.windows, site.lattice, position, window, seen.coarse, seen.sensor.range_max, CLIMBING
     )
-    verified = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
-    order = np.argsort(cost)
-    second = best_of_neighbourhoods(verified, order, PATCH_M, PATCH_RAD, count // 2)
-    return np.concatenate([verified[second], near[first]]), np.concatenate([region[second], region[first]])
+    poses = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
+    witness("associated", poses)
+    best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
+    witness("verified", poses[best])
+    return poses[best], region[best]
 
 
 def _weigh(
@@ -123,16 +130,21 @@ def _weigh(
     region: Index,
     projected: Projected,
     settings: ProjectorSettings,
+    witness: Witness,
 ) -> Candidates:
     polished = fit(site.walls, slid, seen.points, POLISH)
+    witness("polished", polished.poses)
     best = best_of_neighbourhoods(polished.poses, np.argsort(polished.cost), SAME_M, SAME_RAD, WEIGHED)
     poses = polished.poses[best]
+    witness("kept to weigh", poses)
     used = np.flatnonzero(seen.used)
     used = used[:: max(1, -(-len(used) // WEIGHED_BEAMS))]
     z, bearing = seen.coarse[used], seen.bearings[used]
     predicted = site.caster.cast(poses, bearing, float(z.max()) + THROUGH_MARGIN)
     supported, explained = support(site.walls, poses, bearing, z, predicted)
     kept = np.argsort(-supported)[: settings.published]
+    witness("published", poses[kept])
+    witness("first", poses[kept[:1]])
     likelihood = log_likelihood(supported[kept])
     chosen = best[kept]
     return Candidates(

@@ -1,4 +1,4 @@
-"""How well predicted scans explain a scan: truncated L1 over windows of the panoramas.
+"""How well predicted scans explain a scan: one-sided truncated L1 over windows of the panoramas.
 
 Each candidate of the search lattice is tried at the neighbouring headings, and the better ones also at the
 neighbouring positions of the model's own grid.
@@ -11,8 +11,9 @@ from eigenscan.projector.lattice import Lattice
 from numba import njit
 from numpy.typing import NDArray
 
-TRUNCATION = 0.5
-"""m: a beam that is off by more says no more."""
+SHORT, LONG = 0.5, 1.0
+"""m: a beam that ends before its wall by more says no more, nor one that ends behind it: people and open
+doors shorten a beam, but nothing lets it through a wall."""
 RANGE_CAP = 10.0
 """m: beyond, ranges differ too much within a grid cell to be compared."""
 EMPTY_WEIGHT = 0.5
@@ -44,23 +45,21 @@ def verify(
     weight = np.isfinite(coarse).astype(np.float32)
     weight[np.isinf(coarse)] = EMPTY_WEIGHT if empty_counts else 0.0
     scan = np.minimum(np.nan_to_num(coarse, nan=0.0, posinf=cap), cap).astype(np.float32)
-    limit = np.float32(TRUNCATION)
     best_position, best_heading = position.copy(), heading.copy()
     cost = np.empty(len(position), dtype=np.float32)
-    _turn(windows, best_position, best_heading, scan, weight, limit, cost)
+    _turn(windows, best_position, best_heading, scan, weight, cost)
     if lattice.finer:
         better = np.argsort(cost)[:climbing]
-        _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, limit, cost)
+        _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, cost)
     return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
-def _cost(
-    window: NDArray[np.float32], scan: NDArray[np.float32], weight: NDArray[np.float32], limit: np.float32
-) -> np.float32:
+def _cost(window: NDArray[np.float32], scan: NDArray[np.float32], weight: NDArray[np.float32]) -> np.float32:
     total = np.float32(0.0)
     for j in range(len(scan)):
-        total += weight[j] * min(abs(window[j] - scan[j]), limit)
+        beyond = scan[j] - window[j]
+        total += weight[j] * max(min(beyond, np.float32(LONG)), min(-beyond, np.float32(SHORT)))
     return total
 
 
@@ -71,7 +70,6 @@ def _turn(
     heading: NDArray[np.int64],
     scan: NDArray[np.float32],
     weight: NDArray[np.float32],
-    limit: np.float32,
     cost: NDArray[np.float32],
 ) -> None:
     beams = len(scan)
@@ -81,7 +79,7 @@ def _turn(
         cost[i] = np.float32(np.inf)
         for step in (0, -1, 1):
             k = (centre + step) % turn
-            c = _cost(windows[position[i], k : k + beams], scan, weight, limit)
+            c = _cost(windows[position[i], k : k + beams], scan, weight)
             if c < cost[i]:
                 cost[i], heading[i] = c, k
 
@@ -95,7 +93,6 @@ def _climb(
     heading: NDArray[np.int64],
     scan: NDArray[np.float32],
     weight: NDArray[np.float32],
-    limit: np.float32,
     cost: NDArray[np.float32],
 ) -> None:
     beams = len(scan)
@@ -109,6 +106,6 @@ def _climb(
                 continue
             for step in (-1, 0, 1):
                 k = (centre + step) % turn
-                c = _cost(windows[p, k : k + beams], scan, weight, limit)
+                c = _cost(windows[p, k : k + beams], scan, weight)
                 if c < cost[i]:
                     cost[i], heading[i], position[i] = c, k, p
