@@ -240,3 +240,11 @@ def test_a_ray_goes_on_beyond_what_is_swept(seed, monkeypatch):
     part = raycast.panoramas(grid, points, 180, 6.0)
     assert close(part, whole, 1e-5).mean() > 0.999
     assert np.isfinite(part[part > 2.0]).any()
+
+
+def test_each_ray_may_end_at_its_own_range():
+    grid = random_map(4, (3.0, -7.5, 0.4))
+    poses, bearings = free_poses(grid, 20, 4), np.linspace(-np.pi, np.pi, 40)
+    limits = np.random.default_rng(4).uniform(0.2, 5.0, 40)
+    far, near = raycast.cast(grid, poses, bearings, 50.0), raycast.cast(grid, poses, bearings, limits)
+    assert np.array_equal(near, np.where(far <= limits.astype(np.float32), far, np.float32(np.inf)))

@@ -75,8 +75,9 @@ def test_projection_without_the_missing_beams_is_regularised_least_squares(seed:
         target = (scan[:, seen] - space.mean[:, None]).ravel()
         rows = np.vstack([basis, np.diag(np.sqrt(space.noise / space.eigenvalues))])
         direct, *_ = np.linalg.lstsq(rows, np.concatenate([target, np.zeros(5)]), rcond=None)
-        assert np.allclose(alpha[r], direct, atol=1e-6)
-        assert square[r] == pytest.approx(np.mean((target - basis @ direct) ** 2), abs=1e-8)
+        # the vectors are in single precision
+        assert np.allclose(alpha[r], direct, atol=1e-4)
+        assert square[r] == pytest.approx(np.mean((target - basis @ direct) ** 2), abs=1e-5)
 
 
 def test_nothing_to_analyse_is_said() -> None:

@@ -58,16 +58,19 @@ class RayCaster:
         """Map-frame points (..., 2), m, as continuous (column, row) of `leap`."""
         return self.grid.to_grid(points) + 1.0
 
-    def cast(self, poses: ArrayLike, bearings: ArrayLike, range_max: float) -> NDArray[np.float32]:
+    def cast(self, poses: ArrayLike, bearings: ArrayLike, range_max: ArrayLike) -> NDArray[np.float32]:
         """Ranges (P, B), m, from poses (P, 3) along theta + bearings (B,); +inf where no wall is in sight.
 
-        A pose in a wall gives 0, one that is not finite NaN.
+        Rays end at `range_max`, one for all or (B,). A pose in a wall gives 0, one that is not finite NaN.
         """
         pose = np.atleast_2d(np.asarray(poses, dtype=np.float64))
         angles = np.atleast_1d(np.asarray(bearings, dtype=np.float64))
         starts = np.column_stack([self.to_cells(pose[:, :2]), pose[:, 2] - self.grid.origin[2]])
         resolution = self.grid.resolution
-        out: NDArray[np.float32] = _cast(self.leap, starts, angles, float(range_max) / resolution, resolution)
+        limits = np.ascontiguousarray(
+            np.broadcast_to(np.asarray(range_max, dtype=np.float64) / resolution, angles.shape)
+        )
+        out: NDArray[np.float32] = _cast(self.leap, starts, angles, limits, resolution)
         return out
 
     def panoramas(
@@ -121,7 +124,7 @@ class RayCaster:
 
 
 def cast(
-    grid: GridMap | RayCaster, poses: ArrayLike, bearings: ArrayLike, range_max: float
+    grid: GridMap | RayCaster, poses: ArrayLike, bearings: ArrayLike, range_max: ArrayLike
 ) -> NDArray[np.float32]:
     """RayCaster.cast, also straight from a map."""
     caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
@@ -141,7 +144,7 @@ def _cast(
     leap: NDArray[np.uint8],
     starts: NDArray[np.float64],
     bearings: NDArray[np.float64],
-    limit: float,
+    limits: NDArray[np.float64],
     resolution: float,
 ) -> NDArray[np.float32]:
     cos, sin = np.cos(bearings), np.sin(bearings)
@@ -154,7 +157,7 @@ def _cast(
         ahead, aside = np.cos(theta), np.sin(theta)
         for b in range(len(bearings)):
             dx, dy = ahead * cos[b] - aside * sin[b], aside * cos[b] + ahead * sin[b]
-            out[p, b] = trace(leap, x, y, dx, dy, limit, 0.0) * resolution
+            out[p, b] = trace(leap, x, y, dx, dy, limits[b], 0.0) * resolution
     return out
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import eigh
@@ -37,16 +38,16 @@ class ChannelSpace:
 class ChannelSpaces:
     """The spaces of R regions: mean (R, F), vectors (R, M, F, J), prior (R, M) = noise / eigenvalue."""
 
-    mean: NDArray[np.float64]
-    vectors: NDArray[np.float64]
+    mean: NDArray[np.float32]
+    vectors: NDArray[np.float32]
     prior: NDArray[np.float64]
 
     @classmethod
     def of(cls, spaces: list[ChannelSpace]) -> ChannelSpaces:
         """Stack of spaces of the same sensor."""
         return cls(
-            np.stack([space.mean for space in spaces]),
-            np.stack([space.vectors for space in spaces]),
+            np.stack([space.mean for space in spaces]).astype(np.float32),
+            np.stack([space.vectors for space in spaces]).astype(np.float32),
             np.stack([space.noise / np.maximum(space.eigenvalues, 1e-12) for space in spaces]),
         )
 
@@ -59,17 +60,79 @@ class ChannelSpaces:
         variances where these do not fix them.
         """
         regions, components = self.prior.shape
-        scan = (channels - self.mean[..., None]) * seen
-        target = np.matmul(self.vectors.reshape(regions, components, -1), scan.reshape(regions, -1, 1))
+        alpha, square = np.empty((regions, components)), np.empty(regions)
+        _project(self.mean, self.vectors, self.prior, channels, seen, alpha, square)
+        return alpha, square
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _project(
+    mean: NDArray[np.float32],
+    vectors: NDArray[np.float32],
+    prior: NDArray[np.float64],
+    channels: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    alpha: NDArray[np.float64],
+    square: NDArray[np.float64],
+) -> None:
+    regions, components, many, beams = vectors.shape
+    lacking = np.flatnonzero(~seen)
+    scan = np.empty(many * beams, dtype=np.float32)
+    hidden = np.empty((components, many * len(lacking)), dtype=np.float32)
+    gram, normal = np.empty((components, components)), np.empty((components, components))
+    target = np.empty(components)
+    for r in range(regions):
+        for f in range(many):
+            for j in range(beams):
+                scan[f * beams + j] = (channels[f, j] - mean[r, f]) if seen[j] else np.float32(0.0)
+        energy = _dot(scan, scan)
+        for m in range(components):
+            target[m] = _dot(vectors[r, m].reshape(-1), scan)
+            for f in range(many):
+                for h in range(len(lacking)):
+                    hidden[m, f * len(lacking) + h] = vectors[r, m, f, lacking[h]]
         # the vectors are orthonormal over all beams
-        hidden = self.vectors[..., ~seen].reshape(regions, components, -1)
-        normal = np.eye(components) - hidden @ hidden.transpose(0, 2, 1)
-        normal[:, np.arange(components), np.arange(components)] += self.prior
-        alpha = np.linalg.solve(normal, target)
-        rebuilt = np.matmul(alpha.transpose(0, 2, 1), self.vectors.reshape(regions, components, -1))
-        error = (scan.reshape(regions, -1) - rebuilt[:, 0]).reshape(scan.shape)[..., seen]
-        square: NDArray[np.float64] = np.mean(error**2, axis=(1, 2))
-        return alpha[..., 0].astype(np.float64), square
+        for m in range(components):
+            for n in range(m + 1):
+                gram[m, n] = gram[n, m] = (1.0 if m == n else 0.0) - _dot(hidden[m], hidden[n])
+                normal[m, n] = gram[m, n] + (prior[r, m] if m == n else 0.0)
+        _solve(normal, target, alpha[r])
+        # ||S - V a||^2 = ||S||^2 - 2 a V'S + a V'V a
+        left_over = float(energy)
+        for m in range(components):
+            left_over -= alpha[r, m] * (2.0 * target[m] - _dot64(gram[m], alpha[r]))
+        square[r] = max(left_over, 0.0) / max(many * (beams - len(lacking)), 1)
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _dot(a: NDArray[np.float32], b: NDArray[np.float32]) -> np.float32:
+    total = np.float32(0.0)
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _dot64(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _solve(normal: NDArray[np.float64], target: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Solution of normal @ out = target by Cholesky; the lower triangle of `normal` is used up."""
+    size = len(target)
+    for m in range(size):
+        for n in range(m):
+            normal[m, n] = (normal[m, n] - _dot64(normal[m, :n], normal[n, :n])) / normal[n, n]
+        normal[m, m] = np.sqrt(max(normal[m, m] - _dot64(normal[m, :m], normal[m, :m]), 1e-12))
+        out[m] = (target[m] - _dot64(normal[m, :m], out[:m])) / normal[m, m]
+    for m in range(size - 1, -1, -1):
+        out[m] /= normal[m, m]
+        for n in range(m):
+            out[n] -= normal[m, n] * out[m]
 
 
 def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> ChannelSpace:

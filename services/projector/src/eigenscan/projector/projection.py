@@ -140,7 +140,7 @@ def _weigh(
     used = np.flatnonzero(seen.used)
     used = used[:: max(1, -(-len(used) // WEIGHED_BEAMS))]
     z, bearing = seen.coarse[used], seen.bearings[used]
-    predicted = site.caster.cast(poses, bearing, float(z.max()) + THROUGH_MARGIN)
+    predicted = site.caster.cast(poses, bearing, z + THROUGH_MARGIN)
     supported, explained = support(site.walls, poses, bearing, z, predicted)
     kept = np.argsort(-supported)[: settings.published]
     witness("published", poses[kept])

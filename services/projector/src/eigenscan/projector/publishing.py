@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_message
+from eigenscan.geometry.pose import compose, inverse, to_message
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.obstacles import find_obstacles
 from eigenscan.projector.projection import Candidates
 from eigenscan.projector.site import Site
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, Projection
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
 
@@ -30,39 +30,41 @@ def hypotheses_message(
     scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
 ) -> Hypotheses:
     """The list, most likely first."""
-    base, covariance = to_base(found.poses, found.covariances, mount)
-    listed = [
-        Hypothesis(
-            pose=to_message(base[i]),
-            covariance=covariance_to_message(covariance[i]),
-            log_likelihood=float(found.log_likelihoods[i]),
-            region=site.regions[found.region[i]],
-            error_energy=float(found.projected.error_energy[found.region[i]]),
-            explained=float(found.explained[i]),
-        )
-        for i in range(len(base))
-    ]
-    return Hypotheses(
+    base, covariances = to_base(found.poses, found.covariances, mount)
+    energy = found.projected.error_energy
+    message = Hypotheses(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
         status=Hypotheses.STATUS_OK,
-        hypotheses=listed,
         unlisted_log_likelihood=found.unlisted_log_likelihood,
         searched_area_m2=site.free_area_m2,
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         projections=[
-            Projection(
-                region=region,
-                coefficients=coefficients.tolist(),
-                error_energy=float(energy),
-                searched=True,
-            )
-            for region, coefficients, energy in zip(
-                site.regions, found.projected.coefficients, found.projected.error_energy, strict=True
+            Projection(region=region, coefficients=coefficients, error_energy=error, searched=True)
+            for region, coefficients, error in zip(
+                site.regions, found.projected.coefficients.tolist(), energy.tolist(), strict=True
             )
         ],
     )
+    for pose, covariance, likelihood, explained, region, error in zip(
+        base.tolist(),
+        covariances.tolist(),
+        found.log_likelihoods.tolist(),
+        found.explained.tolist(),
+        found.region.tolist(),
+        energy[found.region].tolist(),
+        strict=True,
+    ):
+        # filled in place: messages put together from messages take three times as long
+        added = message.hypotheses.add(
+            log_likelihood=likelihood, explained=explained, region=site.regions[region], error_energy=error
+        )
+        added.pose.x, added.pose.y, added.pose.theta = pose
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance
+        c = added.covariance
+        c.xx, c.xy, c.xt, c.yy, c.yt, c.tt = xx, xy, xt, yy, yt, tt
+    return message
 
 
 def obstacles_message(

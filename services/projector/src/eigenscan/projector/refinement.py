@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from eigenscan.geometry.pose import compose, inverse
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
@@ -56,76 +55,97 @@ class Fit:
 
 def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fit:
     """Fit of points (B, 2), m, sensor frame, to the walls, from sensor poses (n, 3) in the map frame."""
-    local = np.ascontiguousarray(compose(inverse(field.origin), poses))
-    cost = np.empty(len(local))
-    information = np.empty((len(local), 3, 3))
-    # x, y and weight; a whole number of vectors, for the rest of a loop is slow
-    padded = np.zeros((3, -(-len(points) // _LANES) * _LANES), dtype=np.float32)
-    padded[:2, : len(points)] = points.T / field.cell
-    padded[2, : len(points)] = 1.0
-    _fit(field.cells, field.cell, local, padded, schedule.squares, cost, information)
-    cos, sin = np.cos(field.origin[2]), np.sin(field.origin[2])
-    R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return Fit(compose(field.origin, local), cost, R @ information @ R.T)
+    # a whole number of vectors, for the rest of a loop is slow
+    room = -(-len(points) // _LANES) * _LANES
+    x, y, weight = np.zeros(room, np.float32), np.zeros(room, np.float32), np.zeros(room, np.float32)
+    x[: len(points)], y[: len(points)] = points.T / field.cell
+    weight[: len(points)] = 1.0
+    found = Fit(np.empty(poses.shape), np.empty(len(poses)), np.empty((len(poses), 3, 3)))
+    _fit(
+        (field.cells.reshape(-1), *field.cells.shape, field.cell, *field.origin.tolist()),
+        poses,
+        (x, y, weight, float(max(len(points), 1))),
+        schedule.squares,
+        found.poses,
+        found.cost,
+        found.information,
+    )
+    return found
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
 def _fit(
-    cells: Words,
-    cell: float,
-    poses: Array,
-    points: Singles,
+    field: tuple[Words, int, int, float, float, float, float],
+    start: Array,
+    points: tuple[Singles, Singles, Singles, float],
     scales: Array,
+    poses: Array,
     cost: Array,
     information: Array,
 ) -> None:
+    flat, height, width, cell, x0, y0, turned = field
+    x, y, weight, count = points
     sums = np.empty(10, dtype=np.float32)
-    count = max(points[2].sum(), np.float32(1.0))
-    ahead, aside = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    cos0, sin0 = np.cos(turned), np.sin(turned)
+    ahead, aside = np.cos(start[:, 2] - turned), np.sin(start[:, 2] - turned)
+    for i in range(len(poses)):
+        # cells of the field, around whose grid lies a border of one cell
+        dx, dy = start[i, 0] - x0, start[i, 1] - y0
+        poses[i, 0] = (cos0 * dx + sin0 * dy) / cell + 1.0
+        poses[i, 1] = (cos0 * dy - sin0 * dx) / cell + 1.0
+        poses[i, 2] = start[i, 2]
     # pose by pose within a step: the processor works at several poses at once
     for step in range(len(scales) - 1):
         for i in range(len(poses)):
-            _sum(cells, cell, poses[i], ahead[i], aside[i], points, scales[step], sums)
-            turn = _move(poses[i], sums, count)
+            at = poses[i, 0], poses[i, 1], ahead[i], aside[i]
+            _sum(flat, height, width, cell, at, x, y, weight, scales[step], sums)
+            x_step, y_step, turn = _step(sums, count)
+            poses[i, 0] += x_step / cell
+            poses[i, 1] += y_step / cell
+            poses[i, 2] += turn
             # of at most _LARGEST_STEP_RAD, by its series
             t2 = turn * turn
             cos, sin = 1.0 - t2 * (0.5 - t2 / 24.0), turn * (1.0 - t2 * (1.0 / 6.0 - t2 / 120.0))
             ahead[i], aside[i] = ahead[i] * cos - aside[i] * sin, aside[i] * cos + ahead[i] * sin
     for i in range(len(poses)):
-        _sum(cells, cell, poses[i], ahead[i], aside[i], points, scales[-1], sums)
+        at = poses[i, 0], poses[i, 1], ahead[i], aside[i]
+        _sum(flat, height, width, cell, at, x, y, weight, scales[-1], sums)
         cost[i] = sums[0] / count
-        information[i, 0, 0], information[i, 1, 1], information[i, 2, 2] = sums[1], sums[4], sums[6]
-        information[i, 0, 1] = information[i, 1, 0] = sums[2]
-        information[i, 0, 2] = information[i, 2, 0] = sums[3]
-        information[i, 1, 2] = information[i, 2, 1] = sums[5]
+        _turn(sums, cos0, sin0, information[i])
+        dx, dy = (poses[i, 0] - 1.0) * cell, (poses[i, 1] - 1.0) * cell
+        poses[i, 0] = x0 + cos0 * dx - sin0 * dy
+        poses[i, 1] = y0 + sin0 * dx + cos0 * dy
+        poses[i, 2] = (poses[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
 def _sum(
-    cells: Words,
+    flat: Words,
+    height: int,
+    width: int,
     cell: float,
-    pose: Array,
-    ahead: float,
-    aside: float,
-    points: Singles,
+    at: tuple[float, float, float, float],
+    px: Singles,
+    py: Singles,
+    weight: Singles,
     scale2: float,
     sums: Singles,
 ) -> None:
-    """Cost, upper triangle of J'WJ row by row, and J'Wd. Single precision, so that it fits vector units."""
+    """Cost, upper triangle of J'WJ row by row, and J'Wd. Single precision, so that it fits vector units.
+
+    `at`: x and y in cells, cosine and sine of the heading.
+    """
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
-    flat, width = cells.reshape(-1), np.int32(cells.shape[1])
-    right, top = np.float32(cells.shape[1]) - half, np.float32(cells.shape[0]) - half
-    cos, sin = np.float32(ahead), np.float32(aside)
-    # one cell of border lies around the grid
-    x, y = np.float32(pose[0] / cell + 1.0), np.float32(pose[1] / cell + 1.0)
+    columns = np.int32(width)
+    right, top = np.float32(width) - half, np.float32(height) - half
+    x, y, cos, sin = np.float32(at[0]), np.float32(at[1]), np.float32(at[2]), np.float32(at[3])
     s2, unit = np.float32(scale2), np.float32(cell)
-    px, py, weight = points[0], points[1], points[2]
     total = h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = zero
     for j in range(len(px)):
         rx, ry = cos * px[j] - sin * py[j], sin * px[j] + cos * py[j]
         u, v = min(max(x + rx, zero), right), min(max(y + ry, zero), top)
         column, row = np.int32(u), np.int32(v)
-        centre, gx, gy = unpack(flat[np.uint32(np.int32(row * width) + column)])
+        centre, gx, gy = unpack(flat[np.uint32(np.int32(row * columns) + column)])
         d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit
         q = s2 / (s2 + d * d)
         w = q * q * weight[j]
@@ -147,8 +167,8 @@ def _sum(
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
-def _move(pose: Array, sums: Singles, points: float) -> float:
-    """One damped Gauss-Newton step; how far it turned, rad."""
+def _step(sums: Singles, points: float) -> tuple[float, float, float]:
+    """One damped Gauss-Newton step: m, m, rad, in the field's frame."""
     damping = _DAMPING * points
     a, b, c = sums[1] + damping, sums[2], sums[3]
     d, e, f = sums[4] + damping, sums[5], sums[6] + damping
@@ -158,10 +178,18 @@ def _move(pose: Array, sums: Singles, points: float) -> float:
     c11, c12, c22 = a * f - c * c, b * c - a * e, a * d - b * b
     x = -(c00 * g0 + c01 * g1 + c02 * g2) / det
     y = -(c01 * g0 + c11 * g1 + c12 * g2) / det
-    turn: float = -(c02 * g0 + c12 * g1 + c22 * g2) / det
-    turn = min(max(turn, -_LARGEST_STEP_RAD), _LARGEST_STEP_RAD)
+    turn = -(c02 * g0 + c12 * g1 + c22 * g2) / det
     shorten = min(1.0, _LARGEST_STEP_M / max(np.sqrt(x * x + y * y), 1e-12))
-    pose[0] += x * shorten
-    pose[1] += y * shorten
-    pose[2] += turn
-    return turn
+    return x * shorten, y * shorten, min(max(turn, -_LARGEST_STEP_RAD), _LARGEST_STEP_RAD)
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
+def _turn(sums: Singles, cos: float, sin: float, out: Array) -> None:
+    """J'WJ (3, 3) in the map frame."""
+    a, b, c, d, e = sums[1], sums[2], sums[3], sums[4], sums[5]
+    out[0, 0] = cos * cos * a - 2.0 * cos * sin * b + sin * sin * d
+    out[1, 1] = sin * sin * a + 2.0 * cos * sin * b + cos * cos * d
+    out[0, 1] = out[1, 0] = cos * sin * (a - d) + (cos * cos - sin * sin) * b
+    out[0, 2] = out[2, 0] = cos * c - sin * e
+    out[1, 2] = out[2, 1] = sin * c + cos * e
+    out[2, 2] = sums[6]
