@@ -5,7 +5,7 @@ from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.projector.association.manifold import Matches, Sheets
+from eigenscan.projector.association.manifold import Sheets
 from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.lattice import Lattice
@@ -41,15 +41,6 @@ def test_the_sweep_finds_the_nearest_of_all_regions(seed: int, regions: int, cou
     assert len(rows) == len(nearest)
     assert np.allclose(square, nearest, rtol=1e-4)
     assert np.allclose(direct[rows], nearest, rtol=1e-4)
-
-
-def test_two_lists_of_matches_alternate() -> None:
-    one = Matches(np.array([5, 6, 7]), np.array([1, 2, 3], np.float32), np.eye(3))
-    other = Matches.on_grid(np.array([8, 9]), np.array([4, 5], np.float32))
-    both = one.alternating(other)
-    assert both.rows.tolist() == [5, 8, 6, 9]
-    assert both.squares.tolist() == [1, 4, 2, 5]
-    assert both.offsets.tolist() == [[1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 0]]
 
 
 def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:

@@ -55,6 +55,8 @@ def log_likelihood(supports: Array) -> Array:
     A plain scan (a wall, a corner) finds support in many places, also of a foreign building: what an ordinary
     place gets is no evidence.
     """
+    if not len(supports):
+        return supports
     ordinary = supports[min(ORDINARY_RANK, len(supports) - 1)]
     odds: Array = NATS * (supports - STRANGE - SIMILAR * ordinary)
     return odds

@@ -154,5 +154,5 @@ def _weigh(
         explained[kept],
         region[chosen],
         projected,
-        float(min(likelihood[-1], 0.0)),
+        float(likelihood.min(initial=0.0)),
     )

@@ -15,6 +15,9 @@ class ProjectorSettings(ServiceSettings):
     range_cap: float = Field(15.0, gt=0, description="m, plain ranges count as this at most")
     components: int = Field(16, ge=1, le=64, description="coefficients kept of each subspace")
     association: kinds.Kind = Field("sweep", description="how near poses are found in eigenspace")
+    margin: float = Field(
+        0.5, ge=0, le=1, description="of its size that a scan may lie outside of a triangle or tetrahedron"
+    )
     candidates: int = Field(3000, ge=1, description="nearest poses in eigenspace that are verified")
     refined: int = Field(200, ge=2, description="candidates that are polished below the grid")
     published: int = Field(30, ge=1, le=30, description="hypotheses of a scan at most")

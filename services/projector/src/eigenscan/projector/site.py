@@ -94,7 +94,7 @@ class Site:
         return SensorView(
             embedding,
             ChannelSpaces.of(spaces),
-            association(settings.association, regions),
+            association(settings.association, regions, settings.margin),
             np.cumsum([0, *(region.rows for region in regions)]),
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),

@@ -30,6 +30,23 @@ class Sheets:
         """P * H."""
         return len(self.positions) * int(self.coefficients.shape[1])
 
+    def links(self) -> tuple[tuple[Index, Index], tuple[Index, Index]]:
+        """Pairs of neighbouring positions (k,), (k,): along x, and along y."""
+        right, above = self.beside(1, 0), self.beside(0, 1)
+        return (
+            (np.flatnonzero(right >= 0), right[right >= 0]),
+            (np.flatnonzero(above >= 0), above[above >= 0]),
+        )
+
+    def beside(self, dx: int, dy: int) -> Index:
+        """Of each position (P,) the one `dx` and `dy` cells away, -1 where there is none."""
+        low = self.cells.min(axis=0)
+        at = self.cells - low + max(abs(dx), abs(dy))
+        grid = np.full(at.max(axis=0) + 1 + max(abs(dx), abs(dy)), -1, dtype=np.int64)
+        grid[at[:, 0], at[:, 1]] = np.arange(len(at))
+        found: Index = grid[at[:, 0] + dx, at[:, 1] + dy]
+        return found
+
 
 @dataclass(frozen=True)
 class Matches:
@@ -49,15 +66,26 @@ class Matches:
         """Matches that are not interpolated."""
         return cls(rows, squares, np.zeros((len(rows), 3)))
 
+    def take(self, which: Index) -> Matches:
+        """The matches `which` (j,), in that order."""
+        return Matches(self.rows[which], self.squares[which], self.offsets[which])
+
+    def best(self, count: int) -> Matches:
+        """At most `count`, nearest first."""
+        few = np.arange(len(self.rows))
+        if count < len(few):
+            few = np.argpartition(self.squares, count)[:count]
+        return self.take(few[np.argsort(self.squares[few], kind="stable")])
+
     def alternating(self, other: Matches) -> Matches:
-        """Both lists as one, turn by turn; as long as twice the shorter."""
-        fewer = min(len(self.rows), len(other.rows))
-        order = np.arange(2 * fewer).reshape(2, fewer).T.ravel()
-        return Matches(
-            np.concatenate([self.rows[:fewer], other.rows[:fewer]])[order],
-            np.concatenate([self.squares[:fewer], other.squares[:fewer]])[order],
-            np.concatenate([self.offsets[:fewer], other.offsets[:fewer]])[order],
+        """Both lists as one, turn by turn."""
+        both = Matches(
+            np.concatenate([self.rows, other.rows]),
+            np.concatenate([self.squares, other.squares]),
+            np.concatenate([self.offsets, other.offsets]),
         )
+        turn = np.concatenate([2 * np.arange(len(self.rows)), 2 * np.arange(len(other.rows)) + 1])
+        return both.take(np.argsort(turn))
 
 
 class Association(Protocol):
