@@ -18,6 +18,7 @@ COMMANDS = {
         "eigenscan.cli.replay_test:replay_test",
         "check a folder of recordings against the services",
     ),
+    "conform": ("eigenscan.cli.conform:conform", "judge any program in a service's place by the contract"),
     "view": ("eigenscan.cli.view:view", "look at a recording in Rerun's web viewer"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
 }

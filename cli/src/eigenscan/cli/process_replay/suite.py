@@ -127,11 +127,11 @@ def _bad(recording: Path, choice: str, error: Exception) -> Case:
     return Case(recording, choice, BAD, one_line(error))
 
 
-def junit(cases: Sequence[Case]) -> str:
-    """The cases as JUnit XML."""
+def junit(cases: Sequence[Case], name: str = "eigenscan replay-test") -> str:
+    """The cases as JUnit XML, a suite called `name`."""
     root = ElementTree.Element(
         "testsuite",
-        name="eigenscan replay-test",
+        name=name,
         tests=str(len(cases)),
         failures=str(sum(case.result == DIFFERENT for case in cases)),
         errors=str(sum(case.result == BAD for case in cases)),

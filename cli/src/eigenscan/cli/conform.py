@@ -1,0 +1,74 @@
+"""`eigenscan conform`: does a program fit in a service's place?"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import uuid
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from eigenscan.cli.frame import FailedError, UsageError
+
+
+def conform(
+    service: Annotated[str, typer.Argument(help="scan-ingest, projector, tracker or mapbuilder")],
+    command: Annotated[list[str], typer.Argument(help="after --: the program and its arguments")],
+    latency: Annotated[
+        float, typer.Option(min=0.001, help="s within which 95 % of the answers must come")
+    ] = 0.2,
+    start: Annotated[float, typer.Option(min=1.0, help="s that the program may take to be ready")] = 60.0,
+    speed: Annotated[float, typer.Option(min=0.1, help="times faster than the drive was")] = 1.0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the results here, JSON")] = None,
+    junit_file: Annotated[
+        Path | None, typer.Option("--junit", help="write the results here, JUnit XML")
+    ] = None,
+) -> None:
+    """Start any program in a service's place, play it the contract's vectors over Zenoh, and judge it.
+
+    The program is told where it is by {zenoh}, {endpoint}, {site}, {robot}, {instance} (and {map} for a
+    mapbuilder) in its arguments, and by the same names as EIGENSCAN_ZENOH and so on in its environment.
+    Exit code 0: it conforms, 1: it does not, 2: it cannot be started. Checks rest on docs/contract.md.
+
+    \b
+    Examples:
+      eigenscan conform tracker -- eigenscan-tracker
+      eigenscan conform projector --json result.json -- python my_projector.py
+      eigenscan conform scan-ingest -- ./my-ingest --connect {endpoint} --site {site} --robot {robot}
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.conformance import vectors
+    from eigenscan.cli.conformance.candidate import Candidate
+    from eigenscan.cli.conformance.check import FAILED
+    from eigenscan.cli.conformance.checks import judge
+    from eigenscan.cli.conformance.profiles import PROFILES
+    from eigenscan.cli.conformance.report import as_json, junit, report
+    from eigenscan.cli.conformance.trial import Observed, Terms, Trial
+    from eigenscan.cli.launch.network import open_hub
+
+    profile = PROFILES.get(service)
+    if profile is None:
+        raise UsageError(f"{service}: there are {', '.join(PROFILES)}")
+    address = {"site": f"conform-{uuid.uuid4().hex[:8]}", "robot": "r1"}
+    vector = vectors.load(profile.file, profile.hears, (*profile.says, *profile.reference), address)
+    seen = Observed(profile, vector, address, instance="candidate")
+    with tempfile.TemporaryDirectory() as place:
+        session, others = open_hub(Path(place))
+        (endpoint,) = json.loads(others.read_text(encoding="utf-8"))["connect"]["endpoints"]
+        told = {"zenoh": str(others), "endpoint": endpoint, **address, "instance": seen.instance}
+        if profile.asks is None:
+            told["map"] = str(vectors.folder() / vectors.MAP_FILE)
+        trial = Trial(session, others, seen, Terms(start_s=start, speed=speed))
+        trial.prepare()
+        with Candidate(command, told, Path(place) / "log.txt") as candidate:
+            trial.run(candidate)
+    checks = judge(seen, latency)
+    typer.echo(report(seen, checks))
+    for path, text in ((json_file, as_json(seen, checks, command)), (junit_file, junit(seen, checks))):
+        if path:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+    failed = [check.name for check in checks if check.result == FAILED]
+    if failed:
+        raise FailedError(f"{command[0]} does not conform to {service}: {', '.join(failed)}")
+    typer.echo(f"{command[0]} conforms to {service}")

@@ -1,0 +1,1 @@
+"""Conformance: any program in a service's place is played the contract's vectors over Zenoh, and judged."""

@@ -1,0 +1,129 @@
+"""`eigenscan conform` over real Zenoh: our services pass; each wrong one fails at what is wrong with it."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+PROGRAMS = Path(sys.executable).parent
+ODD_INGEST = Path(__file__).parent / "odd_ingest.py"
+AT_ONCE = 5
+"""Runs mostly wait for their drive."""
+OURS = ("scan-ingest", "projector", "tracker", "mapbuilder")
+
+# fault: the checks that must fail for it, and words that one of them must say
+FAULTS = {
+    "other-key": (["keys", "answers"], "is no key of the contract"),
+    "other-schema": (["schema", "answers"], "eigenscan.Scan/2"),
+    "other-qos": (["qos"], "priority DATA, the contract has REAL_TIME"),
+    "dies-on-garbage": (
+        ["bad input"],
+        "ended with code 3: cannot decode, goodbye (after bytes that are no message",
+    ),
+    "no-liveliness": (["presence"], "no liveliness token on"),
+    "arrival-time": (["answers"], "48 of 48 answers are missing"),
+    "metres-off": (["numbers"], "] is "),
+    "slow": (["latency"], "asked for 30 ms"),
+    "miscounts": (["counted"], "counter undecodable grew by 0, not by 12"),
+    "deaf-to-sigterm": (["stops"], "SIGTERM does not end it"),
+}
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How `eigenscan conform` ended, and what it wrote."""
+
+    code: int
+    out: str
+    err: str
+    checks: dict[str, tuple[str, str]]
+    junit: Path
+
+
+def conform(folder: Path, name: str, service: str, command: Sequence[object], *flags: object) -> Ended:
+    results, junit = folder / f"{name}.json", folder / f"{name}.xml"
+    options = ["--json", results, "--junit", junit, *flags]
+    done = subprocess.run(
+        [str(word) for word in (PROGRAMS / "eigenscan", "conform", service, *options, "--", *command)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    checks = {}
+    if results.exists():
+        checks = {c["name"]: (c["result"], c["words"]) for c in json.loads(results.read_text())["checks"]}
+    return Ended(done.returncode, done.stdout, done.stderr, checks, junit)
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ended]:
+    """All runs of this module, some at a time: of our services, and of the odd one with each fault."""
+    folder = tmp_path_factory.mktemp("conform")
+    patient = ("--latency", 5)
+    runs = {service: (service, [PROGRAMS / f"eigenscan-{service}"], *patient) for service in OURS}
+    for fault in ("none", *FAULTS):
+        limit = ("--latency", 0.03) if fault == "slow" else patient
+        runs[fault] = ("scan-ingest", [sys.executable, ODD_INGEST, fault], *limit)
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        futures = {name: pool.submit(conform, folder, name, *run) for name, run in runs.items()}
+    return {name: future.result() for name, future in futures.items()}
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", [*OURS, "none"])
+def test_what_is_right_conforms(ended: dict[str, Ended], name: str) -> None:
+    run = ended[name]
+    assert run.code == 0, run.out + run.err
+    assert "conforms to" in run.out.splitlines()[-1]
+    assert "FAILED" not in run.out
+    assert [check for check, (result, _) in run.checks.items() if result == "ok"], run.out
+    assert len(run.checks) >= 11
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_fails_at_that_and_says_so(ended: dict[str, Ended], fault: str) -> None:
+    checks, words = FAULTS[fault]
+    run = ended[fault]
+    assert run.code == 1, run.out + run.err
+    failed = {check: said for check, (result, said) in run.checks.items() if result == "FAILED"}
+    assert set(checks) <= set(failed), run.out
+    assert any(words in failed[check] for check in checks), run.out
+    assert "[docs/contract.md, " in run.out
+    assert run.err.startswith("eigenscan conform: ")
+    assert checks[0] in run.err
+    root = ElementTree.parse(run.junit).getroot()
+    assert {case.get("name") for case in root.iter("testcase") if case.find("failure") is not None} == set(
+        failed
+    )
+
+
+def test_what_is_right_otherwise_fails_at_nothing_else(ended: dict[str, Ended]) -> None:
+    for fault in ("other-qos", "no-liveliness", "slow", "miscounts", "deaf-to-sigterm", "metres-off"):
+        failed = [check for check, (result, _) in ended[fault].checks.items() if result == "FAILED"]
+        assert failed == FAULTS[fault][0], ended[fault].out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("nothing", "--", "true"), 2, "nothing: there are scan-ingest, projector, tracker, mapbuilder"),
+        (("tracker", "--", "no-such-program"), 2, "no-such-program: is no program that can be started"),
+        (("tracker", "--", "false"), 1, "does not conform to tracker: presence"),
+    ],
+)
+def test_what_cannot_be_judged(arguments: tuple[str, ...], code: int, words: str) -> None:
+    done = subprocess.run(
+        [PROGRAMS / "eigenscan", "conform", *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
