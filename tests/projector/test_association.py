@@ -14,12 +14,17 @@ from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.association.tetrahedra import Tetrahedra
 from eigenscan.projector.association.tree import Trees
 from eigenscan.projector.association.triangles import Triangles
+from eigenscan.projector.observation import observe
+from eigenscan.projector.projection import find_candidates
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.shelf import WholeSet
+from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, tower
+from tests.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, site, tower
 
 Array = NDArray[np.float64]
 seeds = st.integers(0, 2**16)
@@ -327,3 +332,23 @@ def test_a_scan_outside_of_all_volumes_has_no_hypotheses_and_is_no_fault() -> No
         assert (obstacles is None) == (lengths[-1] == 0)
         assert message.unlisted_log_likelihood <= 0.0
     assert min(lengths) == 0
+
+
+def test_interpolated_poses_are_handed_on() -> None:
+    model = site()
+    whole = WholeSet("", model.frame_id, model.grid, tuple(model.regions), model.grid.free_area)
+    nearest: dict[str, list[float]] = {"sweep": [], "triangles": [], "tetrahedra": []}
+    for kind, found in nearest.items():
+        settings_ = ProjectorSettings.model_validate({"association": kind})
+        built = Site(whole, settings_)
+        for i, truth in enumerate(free_poses(12, 71, clearance=0.6)):
+            seen = observe(scan_at(truth, noise=0.0, seed=i))
+
+            def witness(stage: str, poses: Array, truth: Array = truth, found: list[float] = found) -> None:
+                if stage == "associated":
+                    here = poses[is_right(poses, truth)]
+                    found.append(np.hypot(*(here - truth)[:, :2].T).min(initial=1.0))
+
+            find_candidates(built, built.view(seen.sensor), seen, settings_, witness)
+    assert np.median(nearest["tetrahedra"]) < 0.5 * np.median(nearest["sweep"])
+    assert np.median(nearest["triangles"]) < 0.5 * np.median(nearest["sweep"])

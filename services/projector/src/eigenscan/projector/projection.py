@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
@@ -83,7 +84,7 @@ def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Project
     Where narrow things stand free in the scan, also as many of the nearest to the scan without them.
     """
     returned = np.isfinite(seen.coarse)
-    behind = returned & ~foreground(seen.coarse, 2.0 * np.pi / ANALYSIS_TURN)
+    behind = returned & ~foreground(seen.coarse, TURN / ANALYSIS_TURN)
     projected = project(view, seen, returned)
     whole = _nearest(view, projected, len(behind), count)
     cut_off = np.count_nonzero(returned) - np.count_nonzero(behind)
@@ -108,15 +109,18 @@ def _verified(
     site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, witness: Witness
 ) -> tuple[Array, Index]:
     """Poses to refine (k, 3) and their regions (k,): the best verified, one a neighbourhood."""
-    rows = np.unique(matches.rows)
-    position = view.row_position[rows].astype(np.int64)
-    window = view.row_window[rows].astype(np.int64)
+    rows, first = np.unique(matches.rows, return_index=True)
+    offset = matches.offsets[first]
+    home = view.row_position[rows].astype(np.int64)
+    turned = np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
+    window = (view.row_window[rows].astype(np.int64) + turned) % ANALYSIS_TURN
     region = np.searchsorted(view.bounds, rows, side="right") - 1
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
     position, window, cost = verify(
-        view.windows, site.lattice, position, window, seen.coarse, seen.sensor.range_max, CLIMBING
+        view.windows, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
     )
     poses = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
+    poses[:, :2] += offset[:, :2] * (position == home)[:, None]
     witness("associated", poses)
     best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
     witness("verified", poses[best])
