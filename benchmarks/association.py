@@ -1,0 +1,183 @@
+"""The associations side by side: which poses each proposes for a scan, and what comes of them.
+
+    .venv/bin/python benchmarks/association.py [--datasets FOLDER] [--only intel] [--scans 100]
+        [--embedding ring] [--components 16] [--picture docs/images/figure_6_7.png] [--json OUT]
+
+recall: a candidate is right (0.5 m, 10 degrees). false: candidates that are not, one a neighbourhood. ahead:
+how many of these are nearer than the right one (median). top1, listed: after verification and refinement.
+ms: CPU of the association alone, and of a scan. `--picture` draws figures 6 and 7 of the paper instead. The
+datasets are not part of the project; by default they are looked for beside it. Set OMP_NUM_THREADS=1.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from build import office
+from eigenscan.cli.evaluation.metrics import WITHIN_M, WITHIN_RAD, errors, right
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.geometry.gridmap import read_map
+from eigenscan.geometry.pose import compose, from_message, to_message
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.positions import free_positions
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
+from eigenscan.projector.observation import ANALYSIS_TURN, Observation, observe
+from eigenscan.projector.projection import find_candidates, project
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.shelf import WholeSet
+from eigenscan.projector.site import SensorView, Site
+from eigenscan.schemas.scan_pb2 import Scan
+from single_scan import CASES, DATASETS, samples
+
+SIMULATED = "office (simulated)"
+CHOSEN = ("intel", "fr079", "guardian 3")
+VARIANTS: dict[str, dict[str, Any]] = {
+    "sweep": {"association": "sweep"},
+    "sweep, 300 nearest": {"association": "sweep", "candidates": 300},
+    "cells": {"association": "cells"},
+    "tree": {"association": "tree"},
+    "connectivity": {"association": "connectivity"},
+    "triangles": {"association": "triangles"},
+    "triangles, margin 0": {"association": "triangles", "margin": 0},
+    "tetrahedra": {"association": "tetrahedra"},
+    "tetrahedra, margin 0": {"association": "tetrahedra", "margin": 0},
+}
+COLUMNS = (
+    ("recall %", "recall", "{:.0f}", 100), ("false", "false", "{:.0f}", 1), ("ahead", "ahead", "{:.0f}", 1),
+    ("top1 %", "top1", "{:.0f}", 100), ("listed %", "in_list", "{:.0f}", 100),
+    ("assoc. ms", "association_ms", "{:.2f}", 1), ("scan ms", "scan_ms", "{:.1f}", 1),
+    ("index MB", "index_mb", "{:.1f}", 1), ("kB / m2", "kb_per_m2", "{:.1f}", 1),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A scan on the analysis grid and the true pose of its sensor."""
+
+    seen: Observation
+    truth: np.ndarray
+
+
+def simulated(count: int, area: float = 470.0) -> tuple[SiteModel, list[Asked]]:
+    """An office, and scans of half a turn at half a degree, 2 cm of noise."""
+    built = build_site(office(area), Plan(spacing=0.5))
+    rng = np.random.default_rng(0)
+    free = free_positions(built.grid, 0.1, 0.35).points
+    poses = np.column_stack([rng.permutation(free)[:count], rng.uniform(-np.pi, np.pi, count)])
+    bearings = np.deg2rad(np.arange(361) * 0.5 - 90.0)
+    ranges = RayCaster.of(built.grid).cast(poses, bearings, 30.0) + rng.normal(0, 0.02, (count, 361))
+    scans = [
+        Scan(
+            mount=to_message(np.zeros(3)), angle_min=bearings[0], angle_increment=np.deg2rad(0.5),
+            range_min=0.05, range_max=30.0, ranges=row.tolist(),
+        )
+        for row in ranges
+    ]  # fmt: skip
+    return built, [Asked(observe(scan), pose) for scan, pose in zip(scans, poses, strict=True)]
+
+
+def recorded(datasets: Path, name: str, count: int) -> tuple[SiteModel, list[Asked]]:
+    case = next(case for case in CASES if case.name == name)
+    built = build_site(read_map(datasets / case.folder / "map.yaml"), Plan(spacing=0.5))
+    chosen = samples(datasets, case, count)
+    asked = [Asked(observe(s.scan), compose(s.truth, from_message(s.scan.mount))) for s in chosen]
+    return built, asked
+
+
+def whole(built: SiteModel) -> WholeSet:
+    return WholeSet("", built.frame_id, built.grid, tuple(built.regions), built.grid.free_area)
+
+
+def candidates(site: Site, view: SensorView, seen: Observation, count: int) -> tuple[np.ndarray, float]:
+    """Poses (k, 3) of the sensor, nearest first, and the association's CPU ms."""
+    projected = project(view, seen, seen.used)
+    squares = projected.error_energy**2 * (view.embedding.channels * len(seen.coarse))
+    before = time.process_time()
+    found = view.association.nearest(projected.coefficients, squares, count)
+    spent = (time.process_time() - before) * 1e3
+    position, window = (of[found.rows].astype(np.int64) for of in (view.row_position, view.row_window))
+    at = lattice_poses(site.lattice.positions, position, window, ANALYSIS_TURN, seen.sensor.angle_min)
+    return at + found.offsets, spent
+
+
+def hits(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return right(*errors(poses, np.broadcast_to(truth, poses.shape)))
+
+
+def apart(poses: np.ndarray) -> np.ndarray:
+    """One pose of each neighbourhood, nearest first."""
+    order = np.arange(len(poses))
+    return poses[best_of_neighbourhoods(poses, order, WITHIN_M, WITHIN_RAD, max(len(poses), 1))]
+
+
+def judge(built: SiteModel, asked: list[Asked], settings: ProjectorSettings) -> dict[str, Any]:
+    site = Site(whole(built), settings)
+    view = site.view(asked[0].seen.sensor)
+    find_candidates(site, view, asked[0].seen, settings)
+    recall, false, ahead, top1, listed, alone, scan = [], [], [], [], [], [], []
+    for one in asked:
+        poses, spent = candidates(site, view, one.seen, settings.candidates)
+        alone.append(spent)
+        recall.append(bool(hits(poses, one.truth).any()))
+        hit = hits(apart(poses), one.truth)
+        false.append(np.count_nonzero(~hit))
+        ahead.append(np.argmax(hit) if hit.any() else np.inf)
+        before = time.process_time()
+        final = hits(find_candidates(site, view, one.seen, settings).poses, one.truth)
+        scan.append((time.process_time() - before) * 1e3)
+        top1.append(bool(final[:1].any()))
+        listed.append(bool(final.any()))
+    return {
+        "n": len(asked), "recall": np.mean(recall), "false": np.mean(false), "ahead": np.median(ahead),
+        "top1": np.mean(top1), "in_list": np.mean(listed),
+        "association_ms": np.median(alone), "scan_ms": np.median(scan),
+        "index_mb": view.association.nbytes / 1e6,
+        "kb_per_m2": view.association.nbytes / 1e3 / built.grid.free_area,
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--datasets", type=Path, default=DATASETS)
+    parser.add_argument("--only", default="", help="cases whose name holds this")
+    parser.add_argument("--scans", type=int, default=100)
+    parser.add_argument("--embedding", choices=("ring", "range"), action="append", help="both by default")
+    parser.add_argument(
+        "--components", type=int, default=ProjectorSettings.model_fields["components"].default
+    )
+    parser.add_argument("--picture", type=Path, help="draw figures 6 and 7 of the paper to this file")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    if options.picture:
+        from figures import draw_6_7
+
+        draw_6_7(options.picture)
+        return
+    rows = []
+    print(" | ".join(["case", "embedding", "association", *(name for name, *_ in COLUMNS)]))
+    for name in (*CHOSEN, SIMULATED):
+        if options.only not in name:
+            continue
+        built, asked = (
+            simulated(options.scans) if name == SIMULATED else recorded(options.datasets, name, options.scans)
+        )
+        for embedding in options.embedding or ("ring", "range"):
+            for variant, chosen in VARIANTS.items():
+                settings = ProjectorSettings.model_validate(
+                    {"embedding": embedding, "components": options.components, **chosen}
+                )
+                row = judge(built, asked, settings)
+                rows.append({"case": name, "embedding": embedding, "variant": variant, **row})
+                cells = [form.format(row[key] * scale) for _, key, form, scale in COLUMNS]
+                print(" | ".join([name, embedding, variant, *cells]), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1, default=float))
+
+
+if __name__ == "__main__":
+    main()
