@@ -154,9 +154,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     if options.picture:
-        from figures import draw_6_7
+        from association_picture import draw_6_7
 
-        draw_6_7(options.picture)
+        print(json.dumps(draw_6_7(options.picture), indent=1))
         return
     rows = []
     print(" | ".join(["case", "embedding", "association", *(name for name, *_ in COLUMNS)]))
