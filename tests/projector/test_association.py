@@ -295,14 +295,13 @@ def test_the_mean_step_is_that_of_all_pairs_of_neighbours() -> None:
     assert mean_step([sheets]) == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-5)
 
 
-def test_two_lists_of_matches_alternate() -> None:
-    one = Matches(np.array([5, 6, 7, 4]), np.array([1, 2, 3, 6], np.float32), np.eye(4)[:, :3])
-    other = Matches.on_grid(np.array([8, 9]), np.array([4, 5], np.float32))
-    both = one.alternating(other)
-    assert both.rows.tolist() == [5, 8, 6, 9, 7, 4]
-    assert both.squares.tolist() == [1, 4, 2, 5, 3, 6]
-    assert both.offsets[[0, 2, 4]].tolist() == np.eye(3).tolist()
-    assert not both.offsets[[1, 3, 5]].any()
+def test_matches_of_two_lists_are_one_a_pose() -> None:
+    one = Matches(np.array([5, 7, 6, 4]), np.array([1, 2, 3, 6], np.float32), np.eye(4)[:, :3])
+    other = Matches.on_grid(np.array([8, 7]), np.array([4, 5], np.float32))
+    both = one.joined(other).by_row()
+    assert both.rows.tolist() == [4, 5, 6, 7, 8]
+    assert both.squares.tolist() == [6, 1, 3, 2, 4]
+    assert both.offsets.tolist() == [*np.eye(4)[[3, 0, 2, 1], :3].tolist(), [0, 0, 0]]
 
 
 @pytest.mark.parametrize("kind", get_args(Kind))

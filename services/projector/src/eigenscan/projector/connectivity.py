@@ -58,8 +58,8 @@ def lattice_poses(
 ) -> NDArray[np.float64]:
     """Poses (n, 3) of a sensor that sees the window (n,) of `turn` from the position (n,) of (P, 2), m."""
     poses = np.empty((len(position), 3))
+    headings = (np.arange(turn) * (2.0 * np.pi / turn) - angle_min + np.pi) % (2.0 * np.pi) - np.pi
     for i in range(len(position)):
         poses[i, 0], poses[i, 1] = positions[position[i], 0], positions[position[i], 1]
-        heading = window[i] * (2.0 * np.pi / turn) - angle_min
-        poses[i, 2] = (heading + np.pi) % (2.0 * np.pi) - np.pi
+        poses[i, 2] = headings[window[i]]
     return poses

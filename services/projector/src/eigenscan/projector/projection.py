@@ -90,7 +90,7 @@ def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Project
     cut_off = np.count_nonzero(returned) - np.count_nonzero(behind)
     if cut_off < FOREGROUND_SHARE * len(behind) or np.count_nonzero(behind) < len(behind) // 4:
         return projected, whole
-    return projected, whole.alternating(_nearest(view, project(view, seen, behind), len(behind), count))
+    return projected, whole.joined(_nearest(view, project(view, seen, behind), len(behind), count))
 
 
 def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Projected:
@@ -109,12 +109,11 @@ def _verified(
     site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, witness: Witness
 ) -> tuple[Array, Index]:
     """Poses to refine (k, 3) and their regions (k,): the best verified, one a neighbourhood."""
-    rows, first = np.unique(matches.rows, return_index=True)
-    offset = matches.offsets[first]
+    once = matches.by_row()
+    rows, offset = once.rows, once.offsets
     home = view.row_position[rows].astype(np.int64)
     turned = np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
     window = (view.row_window[rows].astype(np.int64) + turned) % ANALYSIS_TURN
-    region = np.searchsorted(view.bounds, rows, side="right") - 1
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
     position, window, cost = verify(
         view.windows, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
@@ -124,7 +123,7 @@ def _verified(
     witness("associated", poses)
     best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
     witness("verified", poses[best])
-    return poses[best], region[best]
+    return poses[best], np.searchsorted(view.bounds, rows[best], side="right") - 1
 
 
 def _weigh(

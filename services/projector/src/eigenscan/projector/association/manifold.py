@@ -77,15 +77,21 @@ class Matches:
             few = np.argpartition(self.squares, count)[:count]
         return self.take(few[np.argsort(self.squares[few], kind="stable")])
 
-    def alternating(self, other: Matches) -> Matches:
-        """Both lists as one, turn by turn."""
-        both = Matches(
+    def joined(self, other: Matches) -> Matches:
+        """These and the others, in one list."""
+        return Matches(
             np.concatenate([self.rows, other.rows]),
             np.concatenate([self.squares, other.squares]),
             np.concatenate([self.offsets, other.offsets]),
         )
-        turn = np.concatenate([2 * np.arange(len(self.rows)), 2 * np.arange(len(other.rows)) + 1])
-        return both.take(np.argsort(turn))
+
+    def by_row(self) -> Matches:
+        """Each pose once, by its first match, in the order of the rows."""
+        # sorting numbers takes a fifth of the time of sorting their places
+        count = max(len(self.rows), 1)
+        order = np.sort(self.rows * count + np.arange(len(self.rows))) % count
+        rows = self.rows[order]
+        return self.take(order[np.diff(rows, prepend=-1) > 0])
 
 
 class Association(Protocol):

@@ -1,0 +1,243 @@
+"""Where the time of a scan goes, stage by stage, beside what this machine could do at best.
+
+    .venv/bin/python benchmarks/projector.py [--area 700] [--spacing 0.5] [--scans 200] [--json OUT]
+
+A made-up floor of `--area` m2, a lidar of 180 degrees in steps of half a degree, 10 % of its beams on people.
+Each scan is timed `--repeat` times and its fastest counts: that is what the work costs, not what else the
+machine does. A stage's floor is the greater of its arithmetic at the rate of a matrix product and its
+memory traffic at the rate of a sum over 64 MB. Also: the first scan of a new lidar, the start from the
+models, and the memory by its owner. Set OMP_NUM_THREADS=1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.geometry.gridmap import to_message
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector import core as core_module
+from eigenscan.projector import projection, publishing
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.warm_up import warm_up
+from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.wire import decode, encode
+from floors import floor, poses, scan_at
+
+SITE = {"site": "s", "robot": "r", "lidar": "l"}
+STAGES = {
+    "observe": (core_module, "observe"),
+    "tell what stands free": (projection, "foreground"),
+    "project": (projection, "project"),
+    "associate": (projection, "_nearest"),
+    "verify": (projection, "verify"),
+    "one a neighbourhood": (projection, "best_of_neighbourhoods"),
+    "refine": (projection, "fit"),
+    "cast rays": (RayCaster, "cast"),
+    "weigh": (projection, "support"),
+    "hypotheses message": (core_module, "hypotheses_message"),
+    "obstacles": (publishing, "find_obstacles"),
+}
+
+
+class Stopwatch:
+    """Time spent in each stage, ms, since `clear`."""
+
+    def __init__(self) -> None:
+        self.spent: dict[str, float] = {}
+        for stage, (owner, name) in STAGES.items():
+            setattr(owner, name, self._timed(stage, getattr(owner, name)))
+
+    def _timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*given: Any, **named: Any) -> Any:
+            began = time.perf_counter()
+            result = function(*given, **named)
+            self.add(stage, began)
+            return result
+
+        return run
+
+    def add(self, stage: str, began: float) -> None:
+        self.spent[stage] = self.spent.get(stage, 0.0) + (time.perf_counter() - began) * 1e3
+
+
+def models(built: Any) -> list[Envelope]:
+    return [
+        Envelope(MAP, SITE, to_message(built.grid, built.frame_id)),
+        *(Envelope(MODEL, {**SITE, "region": m.region}, m.to_message()) for m in built.regions),
+        Envelope(MODEL_SET, SITE, built.to_message()),
+    ]
+
+
+def one_scan(core: ProjectorCore, payload: bytes, watch: Stopwatch) -> Hypotheses:
+    """From bytes to bytes, as the node does it."""
+    watch.spent.clear()
+    began = time.perf_counter()
+    scan = decode(SCAN, payload)
+    watch.add("decode", began)
+    said = list(core.handle(Envelope(SCAN, SITE, scan)))
+    packing = time.perf_counter()
+    for envelope in said:
+        encode(envelope.message)
+    watch.add("encode", packing)
+    watch.add("whole", began)
+    return said[0].open(Hypotheses)
+
+
+def is_right(message: Hypotheses, truth: np.ndarray) -> list[bool]:
+    return [
+        bool(
+            np.hypot(h.pose.x - truth[0], h.pose.y - truth[1]) <= 0.5
+            and abs((h.pose.theta - truth[2] + np.pi) % (2 * np.pi) - np.pi) <= np.deg2rad(10)
+        )
+        for h in message.hypotheses
+    ]
+
+
+def machine() -> dict[str, float]:
+    """Rates of one core: Gflop/s of a matrix product, GB/s of a sum, both in single precision."""
+    a, big = np.ones((768, 768), np.float32), np.ones(1 << 24, np.float32)
+    flops, traffic = [], []
+    for _ in range(7):
+        began = time.perf_counter()
+        a @ a
+        flops.append(2 * 768**3 / (time.perf_counter() - began) / 1e9)
+        began = time.perf_counter()
+        big.sum()
+        traffic.append(big.nbytes / (time.perf_counter() - began) / 1e9)
+    return {"gflops": max(flops), "gbytes": max(traffic)}
+
+
+def floors_of_stages(core: ProjectorCore, scan: Scan, rates: dict[str, float]) -> dict[str, float]:
+    """The least time, ms, that the arithmetic and the memory traffic of the large stages allow."""
+    site = core._site
+    assert site is not None
+    seen = core_module.observe(scan)
+    view = site.view(seen.sensor)
+    settings = ProjectorSettings()
+    beams, turned = len(seen.coarse), 3
+    rows, components = int(view.bounds[-1]), settings.components
+    slid = settings.refined * 6 * projection.SLIDE_POINTS
+    polished = projection.POLISHED * 6 * len(seen.points)
+    work = {  # floating point operations, bytes
+        "project": (2 * view.spaces.vectors.size, view.spaces.vectors.nbytes),
+        "associate": (3 * rows * components, rows * components),
+        "verify": (6 * settings.candidates * turned * beams, settings.candidates * (beams + 2) * 4),
+        "refine": (45 * (slid + polished), 64 * (slid + polished) // 6),
+    }
+    return {
+        stage: max(flops / rates["gflops"], touched / rates["gbytes"]) * 1e-6
+        for stage, (flops, touched) in work.items()
+    }
+
+
+def memory(core: ProjectorCore, built: Any) -> dict[str, float]:
+    """kB for each m2 of free area, by owner; the models are kept to share them with the next set."""
+    site = core._site
+    assert site is not None
+    view = next(iter(site._views.values()))
+    parts = {
+        "models": sum(m.ranges.nbytes for m in built.regions),
+        "map, distances, rays": site.walls.cells.nbytes + site.coarse_walls.cells.nbytes
+        + site.caster.leap.nbytes + site.caster.grid.cells.nbytes,
+        "panoramas": site.lattice.panoramas.nbytes + site.lattice.positions.nbytes
+        + site.lattice.neighbours.nbytes,
+        "index, a lidar": view.association.nbytes + view.row_position.nbytes + view.row_window.nbytes,
+        "predicted scans, a lidar": view.windows.nbytes,
+        "eigenvectors, a lidar": view.spaces.vectors.nbytes,
+    }  # fmt: skip
+    area = built.grid.free_area
+    return {name: size / 1e3 / area for name, size in parts.items()} | {
+        "sum": sum(parts.values()) / 1e3 / area
+    }
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    grid = floor(options.area)
+    built = build_site(grid, Plan(spacing=options.spacing))
+    heard = [(e.channel, e.address, encode(e.message)) for e in models(built)]
+    warm_up(ProjectorSettings())
+    core = ProjectorCore(ProjectorSettings())
+    began = time.perf_counter()
+    for channel, address, payload in heard:
+        core.handle(Envelope(channel, address, decode(channel, payload)))
+    start_s = time.perf_counter() - began
+    caster = RayCaster.of(grid)
+    truths = poses(grid, options.scans, 3)
+    scans = [scan_at(caster, pose, number) for number, pose in enumerate(truths)]
+    payloads = [encode(scan) for scan in scans]
+    watch = Stopwatch()
+    one_scan(core, payloads[0], watch)
+    first_scan_s = watch.spent["whole"] / 1e3
+    fastest = [{} for _ in scans]
+    right = []
+    for repeat in range(options.repeat):
+        for number, payload in enumerate(payloads):
+            message = one_scan(core, payload, watch)
+            if repeat == 0:
+                right.append(is_right(message, truths[number]))
+            if watch.spent["whole"] < fastest[number].get("whole", np.inf):
+                fastest[number] = dict(watch.spent)
+    names = ["decode", *STAGES, "encode"]
+    columns = {name: np.array([spent.get(name, 0.0) for spent in fastest]) for name in names}
+    whole = np.array([spent["whole"] for spent in fastest])
+    # what lies between the stages
+    columns["the rest"] = whole - sum(columns.values())
+    rates = machine()
+    least = floors_of_stages(core, scans[0], rates)
+    return {
+        "free_m2": grid.free_area, "spacing_m": options.spacing, "regions": len(built.regions),
+        "stages_ms": {
+            name: {"median": float(np.median(spent)), "p99": float(np.percentile(spent, 99)),
+                   "least": least.get(name)}
+            for name, spent in {**columns, "whole": whole}.items()
+        },
+        "machine": rates, "start_s": start_s, "first_scan_s": first_scan_s,
+        "kb_per_m2": memory(core, built),
+        "top1": float(np.mean([r[:1] == [True] for r in right])),
+        "in_list": float(np.mean([any(r) for r in right])),
+    }  # fmt: skip
+
+
+def show(found: dict[str, Any]) -> None:
+    print(
+        f"{found['free_m2']:.0f} m2 free, {found['regions']} regions, {found['spacing_m']} m; "
+        f"first right {found['top1']:.1%}, in the list {found['in_list']:.1%}"
+    )
+    print(f"{'stage':24} {'p50 ms':>8} {'p99 ms':>8} {'at best':>8}")
+    for name, spent in found["stages_ms"].items():
+        least = f"{spent['least']:8.3f}" if spent["least"] is not None else ""
+        print(f"{name:24} {spent['median']:8.3f} {spent['p99']:8.3f} {least}")
+    print(f"one core: {found['machine']['gflops']:.0f} Gflop/s, {found['machine']['gbytes']:.1f} GB/s")
+    print(
+        f"start from the models {found['start_s']:.2f} s, first scan of a lidar {found['first_scan_s']:.3f} s"
+    )
+    print("kB/m2: " + ", ".join(f"{name} {kb:.1f}" for name, kb in found["kb_per_m2"].items()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--area", type=float, default=700.0)
+    parser.add_argument("--spacing", type=float, default=0.5)
+    parser.add_argument("--scans", type=int, default=200)
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found = measure(options)
+    show(found)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
