@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from eigenscan.eigenspace.model import RegionModel
 from eigenscan.eigenspace.panorama import resample
 from eigenscan.projector.observation import ANALYSIS_TURN
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 SEARCH_SPACING = 0.5
 """m, between the positions that are searched in eigenspace; the finer ones refine what was found."""
@@ -31,6 +33,11 @@ class Lattice:
     regions: tuple[NDArray[np.int64], ...]
     searched: tuple[NDArray[np.int64], ...]
     cells: tuple[NDArray[np.int64], ...]
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Tree of the positions."""
+        return cKDTree(self.positions)
 
     @classmethod
     def of(cls, models: tuple[RegionModel, ...]) -> Lattice:

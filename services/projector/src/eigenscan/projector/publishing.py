@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse, to_message
+from eigenscan.projector.coordinates import coordinates
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.obstacles import find_obstacles
 from eigenscan.projector.projection import Candidates
@@ -47,18 +48,25 @@ def hypotheses_message(
             )
         ],
     )
-    for pose, covariance, likelihood, explained, region, error in zip(
+    view = site.view(seen.sensor)
+    own = coordinates(view, site.lattice, found.poses, found.region, seen.sensor.angle_min)
+    for pose, covariance, likelihood, explained, region, error, place in zip(
         base.tolist(),
         covariances.tolist(),
         found.log_likelihoods.tolist(),
         found.explained.tolist(),
         found.region.tolist(),
         energy[found.region].tolist(),
+        own.tolist(),
         strict=True,
     ):
         # filled in place: messages put together from messages take three times as long
         added = message.hypotheses.add(
-            log_likelihood=likelihood, explained=explained, region=site.regions[region], error_energy=error
+            log_likelihood=likelihood,
+            explained=explained,
+            region=site.regions[region],
+            error_energy=error,
+            coefficients=place,
         )
         added.pose.x, added.pose.y, added.pose.theta = pose
         (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance
