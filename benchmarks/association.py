@@ -1,12 +1,16 @@
 """The associations side by side: which poses each proposes for a scan, and what comes of them.
 
     .venv/bin/python benchmarks/association.py [--datasets FOLDER] [--only intel] [--scans 100]
-        [--embedding ring] [--components 16] [--picture docs/images/figure_6_7.png] [--json OUT]
+        [--embedding ring] [--components 16] [--json OUT]
+    .venv/bin/python benchmarks/association.py --pruning [--datasets FOLDER] [--json OUT]
+    .venv/bin/python benchmarks/association.py --picture docs/images/figure_6_7.png
 
 recall: a candidate is right (0.5 m, 10 degrees). false: candidates that are not, one a neighbourhood. ahead:
 how many of these are nearer than the right one (median). top1, listed: after verification and refinement.
-ms: CPU of the association alone, and of a scan. `--picture` draws figures 6 and 7 of the paper instead. The
-datasets are not part of the project; by default they are looked for beside it. Set OMP_NUM_THREADS=1.
+ms: CPU of the association alone, and of a scan. `--pruning`: the share of the poses that are not searched
+because the error vector is too large in their region, and of the scans whose right pose is among them.
+`--picture` draws figures 6 and 7 of the paper. The datasets are not part of the project; by default they are
+looked for beside it. Set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -32,7 +36,7 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.schemas.scan_pb2 import Scan
-from single_scan import CASES, DATASETS, samples
+from single_scan import CASES, DATASETS, occluded, samples
 
 SIMULATED = "office (simulated)"
 CHOSEN = ("intel", "fr079", "guardian 3")
@@ -81,12 +85,13 @@ def simulated(count: int, area: float = 470.0) -> tuple[SiteModel, list[Asked]]:
     return built, [Asked(observe(scan), pose) for scan, pose in zip(scans, poses, strict=True)]
 
 
-def recorded(datasets: Path, name: str, count: int) -> tuple[SiteModel, list[Asked]]:
+def recorded(datasets: Path, name: str, count: int, occlude: float = 0.0) -> tuple[SiteModel, list[Asked]]:
     case = next(case for case in CASES if case.name == name)
     built = build_site(read_map(datasets / case.folder / "map.yaml"), Plan(spacing=0.5))
     chosen = samples(datasets, case, count)
-    asked = [Asked(observe(s.scan), compose(s.truth, from_message(s.scan.mount))) for s in chosen]
-    return built, asked
+    scans = [occluded(s.scan, occlude, i) if occlude else s.scan for i, s in enumerate(chosen)]
+    truths = [compose(s.truth, from_message(s.scan.mount)) for s in chosen]
+    return built, [Asked(observe(scan), truth) for scan, truth in zip(scans, truths, strict=True)]
 
 
 def whole(built: SiteModel) -> WholeSet:
@@ -141,6 +146,23 @@ def judge(built: SiteModel, asked: list[Asked], settings: ProjectorSettings) -> 
     }  # fmt: skip
 
 
+def pruning(built: SiteModel, asked: list[Asked]) -> dict[str, float]:
+    """Share of the poses that are not searched, and of the scans that lose all right ones by it."""
+    site = Site(whole(built), ProjectorSettings())
+    view = site.view(asked[0].seen.sensor)
+    rows = np.arange(view.bounds[-1])
+    position, window = view.row_position.astype(np.int64), view.row_window.astype(np.int64)
+    region = np.searchsorted(view.bounds, rows, side="right") - 1
+    skipped, lost = [], []
+    for one in asked:
+        searched = project(view, one.seen, one.seen.used).searched[region]
+        at = lattice_poses(site.lattice.positions, position, window, ANALYSIS_TURN, one.seen.sensor.angle_min)
+        skipped.append(1.0 - searched.mean())
+        hit = hits(at, one.truth)
+        lost.append(bool(hit.any() and not searched[hit].any()))
+    return {"n": len(asked), "pruned": float(np.mean(skipped)), "lost": float(np.mean(lost))}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--datasets", type=Path, default=DATASETS)
@@ -150,6 +172,7 @@ def main() -> None:
     parser.add_argument(
         "--components", type=int, default=ProjectorSettings.model_fields["components"].default
     )
+    parser.add_argument("--pruning", action="store_true", help="what region pruning skips and loses")
     parser.add_argument("--picture", type=Path, help="draw figures 6 and 7 of the paper to this file")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -158,6 +181,25 @@ def main() -> None:
 
         print(json.dumps(draw_6_7(options.picture), indent=1))
         return
+    rows = show_pruning(options) if options.pruning else show_associations(options)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1, default=float))
+
+
+def show_pruning(options: argparse.Namespace) -> list[dict[str, Any]]:
+    rows = []
+    print("case | occluded % | scans | poses pruned % | right pose pruned %")
+    for case in CASES:
+        for share in (0.0, 0.3):
+            if options.only in case.name:
+                row = pruning(*recorded(options.datasets, case.name, options.scans, share))
+                rows.append({"case": case.name, "occluded": share, **row})
+                shares = f"{100 * row['pruned']:.1f} | {100 * row['lost']:.1f}"
+                print(f"{case.name} | {100 * share:.0f} | {row['n']} | {shares}", flush=True)
+    return rows
+
+
+def show_associations(options: argparse.Namespace) -> list[dict[str, Any]]:
     rows = []
     print(" | ".join(["case", "embedding", "association", *(name for name, *_ in COLUMNS)]))
     for name in (*CHOSEN, SIMULATED):
@@ -175,8 +217,7 @@ def main() -> None:
                 rows.append({"case": name, "embedding": embedding, "variant": variant, **row})
                 cells = [form.format(row[key] * scale) for _, key, form, scale in COLUMNS]
                 print(" | ".join([name, embedding, variant, *cells]), flush=True)
-    if options.json:
-        options.json.write_text(json.dumps(rows, indent=1, default=float))
+    return rows
 
 
 if __name__ == "__main__":

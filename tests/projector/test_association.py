@@ -15,7 +15,7 @@ from eigenscan.projector.association.tetrahedra import Tetrahedra
 from eigenscan.projector.association.tree import Trees
 from eigenscan.projector.association.triangles import Triangles
 from eigenscan.projector.observation import observe
-from eigenscan.projector.projection import find_candidates
+from eigenscan.projector.projection import SURELY_LARGER, explaining, find_candidates
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
@@ -282,6 +282,22 @@ def test_interpolation_is_exact_on_an_affine_manifold(seed: int) -> None:
         assert np.all(np.abs(found.offsets[:, 2]) <= step)
 
 
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_a_pruned_region_is_as_if_it_were_not_there(kind: Kind) -> None:
+    rng = np.random.default_rng(8)
+    sheets = [_sheets(rng) for _ in range(3)]
+    alphas, residuals = _query(rng, sheets)
+    residuals[1] = np.inf
+    found = association(kind, sheets, 0.5).nearest(alphas, residuals, 60)
+    region = np.searchsorted(np.cumsum([s.rows for s in sheets]), found.rows, side="right")
+    assert len(found.rows)
+    assert set(region) <= {0, 2}
+    if kind in ("sweep", "tree"):
+        direct = np.sort(_direct(sheets, alphas, residuals))[:60]
+        # the sweep keeps a byte a coefficient
+        assert np.allclose(found.squares, direct, rtol=0.03)
+
+
 def test_the_mean_step_is_that_of_all_pairs_of_neighbours() -> None:
     sheets = _sheets(np.random.default_rng(4))
     squares = []
@@ -351,3 +367,27 @@ def test_interpolated_poses_are_handed_on() -> None:
             find_candidates(built, built.view(seen.sensor), seen, settings_, witness)
     assert np.median(nearest["tetrahedra"]) < 0.5 * np.median(nearest["sweep"])
     assert np.median(nearest["triangles"]) < 0.5 * np.median(nearest["sweep"])
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 50.0), st.floats(0.01, 50.0)), min_size=1, max_size=9))
+def test_pruned_is_what_explains_the_scan_worse_than_its_own_scans_and_than_another_region(
+    pairs: list[tuple[float, float]],
+) -> None:
+    square, usual = np.array(pairs).T
+    searched = explaining(square, usual)
+    least = min(s / u for s, u in pairs)
+    for (s, u), kept in zip(pairs, searched, strict=True):
+        assert kept == (s / u <= 1.0 or s / u <= SURELY_LARGER * least)
+    assert searched.any()
+
+
+def test_some_regions_are_pruned_and_none_that_holds_the_pose() -> None:
+    core = ready()
+    pruned = 0
+    for i, truth in enumerate(free_poses(30, 3)):
+        message, _ = hear(core, scan_at(truth, field_of_view=2 * np.pi, seed=i))
+        searched = {p.region for p in message.projections if p.searched}
+        pruned += len(message.projections) - len(searched)
+        assert {h.region for h in message.hypotheses} <= searched
+        assert is_right(poses_of(message), truth).any()
+    assert pruned

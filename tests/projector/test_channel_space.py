@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients
+from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients, error_squares
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -59,6 +59,21 @@ def test_coefficients_are_inner_products(size: tuple[int, int, int, int, int], e
     scans = _every_window(panoramas, beams)[:, ::every] - space.mean[:, None]
     direct = np.einsum("pkfj,mfj->pkm", scans, space.vectors)
     assert np.allclose(coefficients(panoramas, space, every), direct, atol=1e-4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(sizes, st.integers(1, 4), st.integers(1, 4))
+def test_error_squares_are_those_of_each_error_vector(
+    size: tuple[int, int, int, int, int], every: int, kept: int
+) -> None:
+    channels, positions, turn, beams, seed = size
+    panoramas = _panoramas(channels, positions, turn, seed)
+    space = analyse_channels(panoramas, beams, count=kept)
+    scans = _every_window(panoramas, beams)[:, ::every] - space.mean[:, None]
+    rebuilt = np.einsum("pkm,mfj->pkfj", np.einsum("pkfj,mfj->pkm", scans, space.vectors), space.vectors)
+    direct = ((scans - rebuilt) ** 2).mean(axis=(2, 3))
+    found = error_squares(panoramas, space, coefficients(panoramas, space, every), every)
+    assert np.allclose(found, direct, atol=1e-4)
 
 
 @settings(max_examples=60, deadline=None)

@@ -163,6 +163,19 @@ def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> C
     )
 
 
+def error_squares(
+    channels: NDArray[np.float32], space: ChannelSpace, coefficients: NDArray[np.float32], every: int = 1
+) -> NDArray[np.float64]:
+    """Mean squares (P, N / every) of the error vectors of the windows that have these coefficients."""
+    beams = space.vectors.shape[2]
+    squares = ((channels - space.mean[:, None, None]) ** 2).sum(axis=0)
+    running = np.cumsum(np.concatenate([squares, squares[:, :beams]], axis=1), axis=1)
+    norms = running[:, beams - 1 : -1] - running[:, :-beams] + squares
+    held = (coefficients.astype(np.float64) ** 2).sum(axis=2)
+    square: NDArray[np.float64] = np.maximum(norms[:, ::every] - held, 0.0) / space.vectors[0].size
+    return square
+
+
 def coefficients(channels: NDArray[np.float32], space: ChannelSpace, every: int = 1) -> NDArray[np.float32]:
     """Coefficients (P, N / every, M) of every `every`-th window of panoramas with channels (F, P, N)."""
     turn = channels.shape[2]

@@ -34,16 +34,22 @@ FOREGROUND_SHARE = 0.1
 """Of the beams on free-standing things, from which on the scan is also searched without them."""
 CLIMBING = 300
 """Candidates that also look at the model's finer positions around them."""
+SURELY_LARGER = 2.0
+"""Ratio of the mean squares of 45 independent errors each that chance exceeds in one of 100 (F-test)."""
 SLIDE_POINTS, WEIGHED_BEAMS = 32, 120
 """Beams that are enough for the coarse refinement, and for the likelihood."""
 
 
 @dataclass(frozen=True)
 class Projected:
-    """A scan in each region's space: coefficients (R, M) and its error, root mean square (R,), m."""
+    """A scan in each region's space: coefficients (R, M) and its error, root mean square (R,), m.
+
+    `searched` (R,): the region's space explains the scan well enough.
+    """
 
     coefficients: Array
     error_energy: Array
+    searched: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -97,11 +103,22 @@ def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Pro
     """The scan in every region's space; only the beams `used` (J,) take part."""
     channels = view.embedding(np.where(used, seen.coarse, np.float32(0)))
     coefficients, square = view.spaces.project(channels, used)
-    return Projected(coefficients, np.sqrt(square))
+    return Projected(coefficients, np.sqrt(square), explaining(square, view.usual_error))
+
+
+def explaining(square: Array, usual: Array) -> NDArray[np.bool_]:
+    """Which regions (R,) can explain a scan whose error has these mean squares (R,) in their spaces.
+
+    Not those where the error is larger than that of nearly all their own scans, and more so than elsewhere:
+    what stands in front of the sensor is no region's, and adds to the error in all of them alike.
+    """
+    unusual = square / np.maximum(usual, 1e-12)
+    return np.asarray(unusual <= np.maximum(1.0, SURELY_LARGER * unusual.min()))
 
 
 def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> Matches:
     square = projected.error_energy**2 * (view.embedding.channels * beams)
+    square[~projected.searched] = np.inf
     return view.association.nearest(projected.coefficients, square, count)
 
 

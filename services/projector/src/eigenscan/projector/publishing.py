@@ -42,9 +42,13 @@ def hypotheses_message(
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         projections=[
-            Projection(region=region, coefficients=coefficients, error_energy=error, searched=True)
-            for region, coefficients, error in zip(
-                site.regions, found.projected.coefficients.tolist(), energy.tolist(), strict=True
+            Projection(region=region, coefficients=coefficients, error_energy=error, searched=searched)
+            for region, coefficients, error, searched in zip(
+                site.regions,
+                found.projected.coefficients.tolist(),
+                energy.tolist(),
+                found.projected.searched.tolist(),
+                strict=True,
             )
         ],
     )

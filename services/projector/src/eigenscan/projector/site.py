@@ -11,7 +11,7 @@ from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.projector.association.kinds import association
 from eigenscan.projector.association.manifold import Association, Index, Sheets
-from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients
+from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients, error_squares
 from eigenscan.projector.embedding import Embedding
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
@@ -25,6 +25,8 @@ KEPT_SENSORS = 8
 """Sensor grids whose subspaces are kept; the longest unused one goes first."""
 COARSE_CELL = 0.1
 """m, of the walls that many poses slide to."""
+USUAL_SHARE = 0.999
+"""Of a region's own scans whose error is usual there."""
 HEADING_STRIDE = 3
 """Headings of the analysis grid from one searched heading to the next: 6 degrees."""
 
@@ -35,6 +37,7 @@ class SensorView:
 
     A row of `association` is a pose: position `row_position` (n,) of the lattice and window `row_window` (n,)
     of its panorama; region r has the rows from `bounds[r]` to `bounds[r + 1]`.
+    `usual_error` (R,): mean square of the error vector that nearly no scan of a region's own exceeds.
     `windows` (P, N + J) are the panoramas to verify against.
     """
 
@@ -44,6 +47,7 @@ class SensorView:
     bounds: Index
     row_position: NDArray[np.int32]
     row_window: NDArray[np.int16]
+    usual_error: NDArray[np.float64]
     windows: NDArray[np.float32]
 
 
@@ -83,10 +87,13 @@ class Site:
     def _make(self, coarse: Sensor) -> SensorView:
         settings, lattice = self._settings, self.lattice
         embedding = Embedding.of(settings.embedding, settings.range_cap, coarse.range_max)
-        spaces, regions = [], []
+        spaces, regions, errors = [], [], []
         for own, searched, cells in zip(lattice.regions, lattice.searched, lattice.cells, strict=True):
             space = analyse_channels(embedding(lattice.panoramas[own]), coarse.beams, settings.components)
-            sampled = coefficients(embedding(lattice.panoramas[searched]), space, HEADING_STRIDE)
+            channels = embedding(lattice.panoramas[searched])
+            sampled = coefficients(channels, space, HEADING_STRIDE)
+            square = error_squares(channels, space, sampled, HEADING_STRIDE)
+            errors.append(float(np.quantile(square, USUAL_SHARE)))
             spaces.append(space)
             regions.append(Sheets(sampled, lattice.positions[searched], cells))
         searched = np.concatenate(lattice.searched).astype(np.int32)
@@ -98,5 +105,6 @@ class Site:
             np.cumsum([0, *(region.rows for region in regions)]),
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),
+            np.array(errors),
             predicted(lattice, coarse.beams, coarse.range_max),
         )

@@ -54,19 +54,20 @@ class CellTable:
         """
         centre = (leading(alphas.astype(np.float32)) - self.low) // self.side
         cell = np.clip(centre.astype(np.int64), 0, self.shape - 1)
-        wanted = min(count, len(self.rows))
+        searched = np.flatnonzero(np.isfinite(residuals))
+        wanted = min(count, int(np.diff(self.points.bounds)[searched].sum()))
         rings = 1
-        rows = self._within(cell, rings)
+        rows = self._within(searched, cell[searched], rings)
         while len(rows) < wanted:
             rings += 1
-            rows = self._within(cell, rings)
+            rows = self._within(searched, cell[searched], rings)
         return self.points.nearest_of(rows, alphas, residuals, count)
 
-    def _within(self, cell: Index, rings: int) -> Index:
-        """Rows in the cells at most `rings` from `cell` (R, 3) along each axis."""
+    def _within(self, regions: Index, cell: Index, rings: int) -> Index:
+        """Rows of `regions` (r,) in the cells at most `rings` from `cell` (r, 3) along each axis."""
         step = np.arange(-rings, rings + 1)
         dx, dy = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
-        region = np.repeat(np.arange(len(cell)), len(dx))
+        region = np.repeat(regions, len(dx))
         columns = np.empty((len(region), LEADING), dtype=np.int64)
         columns[:, 0] = (cell[:, :1] + dx).ravel()
         columns[:, 1] = (cell[:, 1:2] + dy).ravel()

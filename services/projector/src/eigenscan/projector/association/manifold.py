@@ -105,5 +105,6 @@ class Association(Protocol):
         """At most about `count` matches of all regions.
 
         `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What a space does
-        not hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces.
+        not hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces. A region with
+        +inf is not searched.
         """

@@ -99,10 +99,12 @@ def rows_of(boxes: list[Boxes]) -> Boxes:
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def boxes_around(lowest: Singles, highest: Singles, bounds: Index, first: Singles) -> Index:
+def boxes_around(
+    lowest: Singles, highest: Singles, bounds: Index, searched: NDArray[np.bool_], first: Singles
+) -> Index:
     """Numbers of the boxes (3, n) that hold the scan (R, 3); region r has those from `bounds[r]` on."""
-    inside = np.empty(lowest.shape[1], dtype=np.bool_)
-    for r in range(len(bounds) - 1):
+    inside = np.zeros(lowest.shape[1], dtype=np.bool_)
+    for r in np.flatnonzero(searched):
         a, b = bounds[r], bounds[r + 1]
         x, y, z = first[r, 0], first[r, 1], first[r, 2]
         low, high, held = lowest[:, a:b], highest[:, a:b], inside[a:b]

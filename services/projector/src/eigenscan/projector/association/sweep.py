@@ -48,7 +48,8 @@ class SweepTable:
         """The about `count` nearest of all poses; see Association."""
         query = (alphas / self.unit).astype(np.float32)
         extra = (residuals / self.unit**2).astype(np.float32)
-        rows, square = _nearest(self.table, self.bounds, query, extra, count, self.scratch)
+        searched = np.flatnonzero(np.isfinite(residuals))
+        rows, square = _nearest(self.table, self.bounds, searched, query, extra, count, self.scratch)
         order = np.argsort(square)[:count]
         return Matches.on_grid(rows[order], (square[order] * self.unit**2).astype(np.float32))
 
@@ -56,17 +57,21 @@ class SweepTable:
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _nearest(
     table: NDArray[np.int8],
-    bounds: NDArray[np.int64],
+    bounds: Index,
+    searched: Index,
     query: NDArray[np.float32],
     extra: NDArray[np.float32],
     count: int,
     square: NDArray[np.float32],
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    components, total = table.shape
-    for r in range(len(bounds) - 1):
+    components, total = len(table), 0
+    for r in searched:
+        # the distances of the searched regions lie side by side
+        skipped = bounds[r] - total
+        total += bounds[r + 1] - bounds[r]
         for start in range(bounds[r], bounds[r + 1], _BLOCK):
             stop = min(start + _BLOCK, bounds[r + 1])
-            part = square[start:stop]
+            part = square[start - skipped : stop - skipped]
             part[:] = extra[r]
             for m in range(components):
                 q = query[r, m]
@@ -76,17 +81,19 @@ def _nearest(
                     part[i] += d * d
     # a sample of the poses tells well enough how far the count-th is, unless they are few
     every = max(1, min(count // 128, 16))
-    threshold = _threshold(square, every, count)
+    threshold = _threshold(square[:total], every, count)
     near = 0
     for i in range(total):
         near += square[i] <= threshold
-    rows = np.empty(near, dtype=np.int64)
-    k = 0
-    for i in range(total):
-        if square[i] <= threshold:
-            rows[k] = i
-            k += 1
-    return rows, square[rows]
+    rows, squares = np.empty(near, dtype=np.int64), np.empty(near, dtype=np.float32)
+    k, i = 0, 0
+    for r in searched:
+        for pose in range(bounds[r], bounds[r + 1]):
+            if square[i] <= threshold:
+                rows[k], squares[k] = pose, square[i]
+                k += 1
+            i += 1
+    return rows, squares
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled

@@ -57,7 +57,9 @@ class Tetrahedra:
         query = alphas.astype(np.float32)
         first = leading(query)
         patches = self.patches
-        near = boxes_around(self.lowest, self.highest, patches.bounds * patches.headings, first)
+        near = boxes_around(
+            self.lowest, self.highest, patches.bounds * patches.headings, np.isfinite(residuals), first
+        )
         found = _enclosing(
             near, patches.bounds * patches.headings, patches.triangles, patches.headings,
             patches.points.coefficients, patches.positions, query, first, residuals,

@@ -59,7 +59,7 @@ class Triangles:
         first = leading(query)
         patches = self.patches
         bounds = patches.bounds * patches.headings
-        near = boxes_around(self.lowest, self.highest, bounds, first)
+        near = boxes_around(self.lowest, self.highest, bounds, np.isfinite(residuals), first)
         found = _below(
             near, bounds, patches.triangles, patches.headings, self.reach,
             patches.points.coefficients, patches.positions, query, first, residuals,
