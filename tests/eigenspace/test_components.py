@@ -86,6 +86,33 @@ def test_projection_reconstruction_and_error_are_the_papers():
     assert np.abs(space.error(scans) @ space.vectors.T).max() < 1e-3
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 999),
+    turn=st.integers(4, 70),
+    part=st.floats(0.05, 1.0),
+    share=st.floats(0.1, 1.0),
+    count=st.integers(1, 6),
+)
+def test_scan_is_reconstruction_and_error_at_right_angles_for_any_beam_count(seed, turn, part, share, count):
+    values = panoramas(count, turn, seed)
+    space = analyse(values, max(1, int(turn * part)), share=share)
+    every = all_windows(values, space.beams).reshape(-1, space.beams).astype(np.float64)
+    vectors = space.vectors.astype(np.float64)
+    direct = np.zeros_like(every)
+    for vector in vectors:
+        direct += np.outer((every - space.mean) @ vector, vector)
+    np.testing.assert_allclose(space.reconstruct(space.project(every)), direct + space.mean, atol=2e-3)
+    error = every - space.mean - direct
+    np.testing.assert_allclose(space.error(every), error, atol=2e-3)
+    np.testing.assert_allclose(space.energy(every), np.sqrt((error**2).sum(axis=1)), atol=5e-3)
+    # what the components leave out is what all errors hold on average (eq. 4, summed over the training set)
+    left_over = space.total_variance - space.eigenvalues.sum(dtype=np.float64)
+    assert (error**2).sum(axis=1).mean() == pytest.approx(
+        left_over, rel=1e-3, abs=1e-3 * space.total_variance
+    )
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 999), turn=st.integers(4, 70), part=st.floats(0.05, 1.0), count=st.integers(1, 70))
 def test_coefficients_and_norms_of_all_headings_are_those_of_each_window(seed, turn, part, count):
