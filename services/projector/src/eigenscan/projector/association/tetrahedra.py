@@ -79,32 +79,22 @@ def _boxes(region: Sheets, margin: float) -> Boxes:
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _weights(corners: Singles, rows: Index, x: Singles, weights: Array, least: float) -> bool:
     """Barycentric `weights` (4,) of x in the tetrahedron `rows` (4,); whether none is below `least`."""
-    d = np.empty((3, 3))
-    e = np.empty(3)
-    for m in range(3):
-        origin = np.float64(corners[rows[0], m])
-        e[m] = x[m] - origin
-        for k in range(3):
-            d[k, m] = corners[rows[k + 1], m] - origin
-    c0 = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1]
-    c1 = d[1, 2] * d[2, 0] - d[1, 0] * d[2, 2]
-    c2 = d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0]
-    volume = d[0, 0] * c0 + d[0, 1] * c1 + d[0, 2] * c2
+    o, p, q, s = corners[rows[0]], corners[rows[1]], corners[rows[2]], corners[rows[3]]
+    ex, ey, ez = np.float64(x[0] - o[0]), np.float64(x[1] - o[1]), np.float64(x[2] - o[2])
+    px, py, pz = np.float64(p[0] - o[0]), np.float64(p[1] - o[1]), np.float64(p[2] - o[2])
+    qx, qy, qz = np.float64(q[0] - o[0]), np.float64(q[1] - o[1]), np.float64(q[2] - o[2])
+    sx, sy, sz = np.float64(s[0] - o[0]), np.float64(s[1] - o[1]), np.float64(s[2] - o[2])
+    nx, ny, nz = qy * sz - qz * sy, qz * sx - qx * sz, qx * sy - qy * sx
+    volume = px * nx + py * ny + pz * nz
     if volume == 0.0:
         return False
-    weights[1] = (e[0] * c0 + e[1] * c1 + e[2] * c2) / volume
-    weights[2] = (
-        d[0, 0] * (e[1] * d[2, 2] - e[2] * d[2, 1])
-        + d[0, 1] * (e[2] * d[2, 0] - e[0] * d[2, 2])
-        + d[0, 2] * (e[0] * d[2, 1] - e[1] * d[2, 0])
-    ) / volume
-    weights[3] = (
-        d[0, 0] * (d[1, 1] * e[2] - d[1, 2] * e[1])
-        + d[0, 1] * (d[1, 2] * e[0] - d[1, 0] * e[2])
-        + d[0, 2] * (d[1, 0] * e[1] - d[1, 1] * e[0])
-    ) / volume
-    weights[0] = 1.0 - weights[1] - weights[2] - weights[3]
-    return bool(weights.min() >= least)
+    # each weight is the volume with x in the corner's place
+    first = (ex * nx + ey * ny + ez * nz) / volume
+    nx, ny, nz = py * ez - pz * ey, pz * ex - px * ez, px * ey - py * ex
+    second = (sx * nx + sy * ny + sz * nz) / volume
+    third = -(qx * nx + qy * ny + qz * nz) / volume
+    weights[0], weights[1], weights[2], weights[3] = 1.0 - first - second - third, first, second, third
+    return bool(min(first, second, third, weights[0]) >= least)
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
