@@ -1,0 +1,138 @@
+"""Another projector in the place of ours, written against the contract alone: the robot still knows."""
+
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from eigenscan.cli.conformance.generation import wing
+from eigenscan.cli.simulation.lidar import Lidar
+from eigenscan.cli.simulation.live import publish
+from eigenscan.cli.simulation.stage import Scenario, Stage
+from eigenscan.cli.simulation.world import office
+from eigenscan.geometry.gridmap import write_map
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import HEALTH, HYPOTHESES, POSE, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+
+from tests.system.house import ONE_THREAD, PATIENCE_S, House
+
+EXAMPLE = Path(__file__).parents[2] / "examples/exhaustive-projector/exhaustive_projector.py"
+RATE_HZ = 5.0
+WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
+LARGEST_GAP_NS = 200_000_000
+
+
+@pytest.fixture
+def stage(house: House) -> Stage:
+    """A robot in the house's site, and our services but for a projector."""
+    stage = Stage(
+        wing(office()).render(),
+        Scenario(seconds=16.0, seed=5, people=1, lidar=Lidar(beams=181, rate=RATE_HZ), site=house.site),
+    )
+    write_map(stage.grid, house.logs / "map.yaml")
+    house.start("mapbuilder", "--map", house.logs / "map.yaml", "--step", 1.0)
+    for service in ("tracker", "scan-ingest"):
+        house.start(service)
+    return stage
+
+
+@contextmanager
+def example(house: House, instance: str) -> Iterator[subprocess.Popen[bytes]]:
+    """The projector of examples/, ready."""
+    own = {"ZENOH": str(house.config), "SITE": house.site, "ROBOT": "robot", "INSTANCE": instance}
+    environment = os.environ | ONE_THREAD | {f"EIGENSCAN_{name}": value for name, value in own.items()}
+    with (house.logs / "example.log").open("ab") as log:
+        process = subprocess.Popen([sys.executable, EXAMPLE], stdout=log, stderr=log, env=environment)
+    try:
+        house.ear.wait_for(
+            lambda heard: any(is_ready(one, instance) for one in heard),
+            f"the example\n{house.log('example')}",
+        )
+        yield process
+    finally:
+        process.kill()
+        process.wait(PATIENCE_S)
+
+
+def is_ready(one: Envelope, instance: str) -> bool:
+    mine = one.channel is HEALTH and one.address["instance"] == instance
+    return mine and one.open(Health).status == Health.STATUS_OK
+
+
+def drive(house: House, stage: Stage) -> threading.Thread:
+    """The robot's messages at the pace of a clock, in the background."""
+    bus = Bus(open_session(house.config))
+
+    def run() -> None:
+        with bus:
+            publish(stage.messages(), bus.say)
+            time.sleep(1.0)  # what waits in the session leaves it
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread
+
+
+def claims(house: House) -> list[PoseEstimate]:
+    return [pose for pose in house.ear.of(POSE, PoseEstimate) if pose.state == STATE_LOCALIZED]
+
+
+def wrong(poses: list[PoseEstimate], stage: Stage) -> list[str]:
+    """Claimed poses that are not the true one, in words."""
+    found = []
+    for pose in poses:
+        x, y, theta = stage.pose_at(nanoseconds(pose.timestamp)).tolist()
+        away = math.hypot(pose.pose.x - x, pose.pose.y - y)
+        turned = abs(math.remainder(pose.pose.theta - theta, math.tau))
+        if away > WRONG_M or turned > WRONG_RAD:
+            found.append(
+                f"{away:.2f} m, {math.degrees(turned):.0f} deg off at {pose.timestamp.ToJsonString()}"
+            )
+    return found
+
+
+def test_with_another_projector_the_pipeline_localizes(house: House, stage: Stage) -> None:
+    with example(house, "another") as process:
+        drive(house, stage).join()
+        scans = len(house.ear.of(SCAN_RAW, SCAN_RAW.message))
+        assert scans == len(stage.scan_ticks)
+        house.ear.wait_for(lambda _: len(house.ear.of(POSE, PoseEstimate)) >= scans - 1, "poses")
+        assert process.poll() is None, house.log("example")
+    assert {e.address["projector"] for e in house.ear.heard if e.channel is HYPOTHESES} == {"another"}
+    assert not wrong(claims(house), stage)
+    assert len(claims(house)) >= 0.8 * scans
+
+
+def test_a_rolling_swap_loses_nothing_and_claims_nothing_wrong(house: House, stage: Stage) -> None:
+    house.start("projector")
+    house.until("projector", lambda health: health.status == Health.STATUS_OK, "has models")
+    driving = drive(house, stage)
+    house.ear.wait_for(lambda _: len(claims(house)) >= 5, "our projector's poses")
+    with example(house, "new"):
+        house.ear.wait_for(
+            lambda heard: any(e.channel is HYPOTHESES and e.address["projector"] == "new" for e in heard),
+            "the new one's hypotheses",
+        )
+        side_by_side = len(house.ear.of(POSE, PoseEstimate))
+        assert house.terminate("projector")[0] == 0
+        assert driving.is_alive(), "the drive ended before the swap"
+        driving.join()
+        last = int(stage.times[stage.scan_ticks[-2]])
+        house.ear.wait_for(lambda _: any(nanoseconds(p.timestamp) >= last for p in claims(house)), "poses")
+    poses = house.ear.of(POSE, PoseEstimate)
+    assert len(poses) > side_by_side + 5
+    stamps = sorted({nanoseconds(pose.timestamp) for pose in claims(house)})
+    gaps = [after - before for before, after in pairwise(stamps)]
+    assert max(gaps) <= LARGEST_GAP_NS
+    assert not wrong(claims(house), stage)
