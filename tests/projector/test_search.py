@@ -1,5 +1,7 @@
 """Sweep, verification, thinning, refinement and likelihood against plain loops."""
 
+from dataclasses import replace
+
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import GridMap
@@ -11,13 +13,14 @@ from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_pos
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.likelihood import support
 from eigenscan.projector.observation import ANALYSIS_TURN, observe
+from eigenscan.projector.projection import project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.projector.office import free_poses, office, scan_at, site
+from tests.projector.office import free_poses, office, ready, scan_at, site
 
 
 @settings(max_examples=50, deadline=None)
@@ -41,6 +44,27 @@ def test_the_sweep_finds_the_nearest_of_all_regions(seed: int, regions: int, cou
     assert len(rows) == len(nearest)
     assert np.allclose(square, nearest, rtol=1e-4)
     assert np.allclose(direct[rows], nearest, rtol=1e-4)
+
+
+def test_opening_the_nearest_blocks_loses_few_of_the_nearest_poses() -> None:
+    core = ready()
+    built = core._site
+    assert built is not None
+    view = built.view(observe(scan_at(free_poses(1, 0)[0])).sensor)
+    table = view.association
+    assert isinstance(table, SweepTable)
+    everything = replace(table, opened=1e6)
+    recall, nearest = [], []
+    for i, truth in enumerate(free_poses(30, 12)):
+        seen = observe(scan_at(truth, seed=i))
+        projected = project(view, seen, seen.used)
+        square = projected.error_energy**2 * 2 * len(seen.coarse)
+        some = table.nearest(projected.coefficients, square, 300).rows
+        every = everything.nearest(projected.coefficients, square, 300).rows
+        recall.append(np.isin(every, some).mean())
+        nearest.append(np.isin(every[:30], some).mean())
+    assert np.mean(recall) > 0.95
+    assert np.mean(nearest) > 0.97
 
 
 def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:

@@ -7,6 +7,7 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.observation import ANALYSIS_TURN
 from eigenscan.projector.site import SensorView
+from numba import njit
 from numpy.typing import NDArray
 
 
@@ -25,8 +26,26 @@ def coordinates(
     window = np.rint((poses[:, 2] + angle_min) * (ANALYSIS_TURN / TURN)).astype(np.int64)
     beams = np.arange(view.spaces.vectors.shape[-1])
     ranges = lattice.panoramas[position[:, None], (window[:, None] + beams) % ANALYSIS_TURN]
-    away = view.embedding(ranges) - view.spaces.mean[region].T[..., None]
-    found: NDArray[np.float32] = np.einsum(
-        "fnj,nmfj->nm", away, view.spaces.vectors[region], optimize=True
-    ).astype(np.float32)
+    found = np.empty((len(poses), view.spaces.vectors.shape[1]), dtype=np.float32)
+    _project(view.embedding(ranges), view.spaces.mean, view.spaces.vectors, region, found)
     return found
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _project(
+    channels: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    vectors: NDArray[np.float32],
+    region: NDArray[np.int64],
+    out: NDArray[np.float32],
+) -> None:
+    """Inner products of channels (F, n, J) with the vectors (M, F, J) of their regions (n,)."""
+    many, count, beams = channels.shape
+    for i in range(count):
+        r = region[i]
+        for m in range(out.shape[1]):
+            total = np.float32(0.0)
+            for f in range(many):
+                for j in range(beams):
+                    total += (channels[f, i, j] - mean[r, f]) * vectors[r, m, f, j]
+            out[i, m] = total

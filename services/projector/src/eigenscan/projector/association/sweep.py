@@ -1,7 +1,8 @@
-"""The poses nearest to a scan in eigenspace, over all regions at once, by comparing with every one.
+"""The poses nearest to a scan in eigenspace, over all regions at once, coarse to fine.
 
-The table is small (a lattice of half a metre and 6 degrees, a byte a coefficient) and lies component by
-component, so that comparing with all of it costs less than a tree that looks at a share of it.
+The poses of a region lie in blocks that are near together in its space, a byte a coefficient. First the
+blocks are compared by their centres, then the poses of the nearest blocks one by one. How many blocks are
+opened grows with the root of their number, so that both steps stay short on large sites.
 """
 
 from __future__ import annotations
@@ -13,101 +14,252 @@ from eigenscan.projector.association.manifold import Array, Index, Matches, Shee
 from numba import njit
 from numpy.typing import NDArray
 
+BLOCK = 32
+"""Poses that lie together: two vectors of single numbers."""
+OPENED = 1.5
+"""Blocks opened, in geometric means of all blocks and those that the poses looked for would fill."""
+ALWAYS = 64
+"""Blocks that are opened beyond those that the poses looked for would fill, where there are so many."""
 _STEPS = 127
-_BLOCK = 2048
-_BINS = 4096
+_LEVELS = 256
+_BINS = 1024
+_CHUNK = 1024
+_AT_ONCE = 8
+_O1, _O2, _O3, _O4, _O5, _O6, _O7 = (np.uint64(k * BLOCK) for k in range(1, _AT_ONCE))
+
+Bytes = NDArray[np.int8]
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Coefficients (M, n) int8 in units of `unit`, region after region: `bounds` (R + 1,)."""
+    """B blocks of poses, region after region: region r has those from `bounds[r]` to `bounds[r + 1]`.
 
-    table: NDArray[np.int8]
+    `blocks` (B, M, BLOCK): coefficients in units of `unit`, M filled up with zeros to a multiple of 8;
+    `centres` (M, B): their means; `rows` (B, BLOCK): the poses, -1 where a region's last block is not full.
+    `opened` as OPENED.
+    """
+
+    blocks: Bytes
+    centres: Bytes
+    rows: NDArray[np.int32]
     bounds: Index
     unit: float
-    scratch: NDArray[np.float32]
-    """Room (n,) for the distances: a large array made anew costs more than what is written to it."""
+    opened: float = OPENED
 
     @classmethod
     def of(cls, regions: list[Sheets]) -> SweepTable:
         """Table of all poses of the regions."""
         tables = [r.coefficients.reshape(r.rows, -1) for r in regions]
         unit = max(max(float(np.abs(table).max(initial=0.0)) for table in tables) / _STEPS, 1e-9)
-        bounds = np.cumsum([0, *(len(table) for table in tables)])
-        packed = np.empty((tables[0].shape[1], bounds[-1]), dtype=np.int8)
-        for start, table in zip(bounds[:-1], tables, strict=True):
-            packed[:, start : start + len(table)] = np.rint(table.T / np.float32(unit))
-        return cls(packed, bounds, unit, np.empty(bounds[-1], dtype=np.float32))
+        bounds = np.cumsum([0, *(-(-len(table) // BLOCK) for table in tables)])
+        count, components = int(bounds[-1]), -(-tables[0].shape[1] // _AT_ONCE) * _AT_ONCE
+        blocks = np.empty((count, components, BLOCK), dtype=np.int8)
+        rows = np.full((count, BLOCK), -1, dtype=np.int32)
+        start = 0
+        for table, first in zip(tables, bounds[:-1], strict=True):
+            packed = np.zeros((len(table), components), dtype=np.int8)
+            packed[:, : table.shape[1]] = np.rint(table * np.float32(1.0 / unit))
+            _fill(packed, _in_blocks(packed), start, first, blocks, rows)
+            start += len(table)
+        centres = np.ascontiguousarray(np.rint(blocks.mean(axis=2)).T.astype(np.int8))
+        return cls(blocks, centres, rows, bounds, unit)
 
     @property
     def nbytes(self) -> int:
         """Memory of the index, bytes."""
-        return self.table.nbytes + self.scratch.nbytes
+        return self.blocks.nbytes + self.centres.nbytes + self.rows.nbytes
 
     def nearest(self, alphas: Array, residuals: Array, count: int) -> Matches:
-        """The about `count` nearest of all poses; see Association."""
-        query = (alphas / self.unit).astype(np.float32)
-        extra = (residuals / self.unit**2).astype(np.float32)
+        """The `count` nearest poses of the blocks opened; see Association."""
+        query = np.zeros((len(alphas), len(self.centres)), dtype=np.float32)
+        query[:, : alphas.shape[1]] = alphas / self.unit
         searched = np.flatnonzero(np.isfinite(residuals))
-        rows, square = _nearest(self.table, self.bounds, searched, query, extra, count, self.scratch)
-        order = np.argsort(square)[:count]
-        return Matches.on_grid(rows[order], (square[order] * self.unit**2).astype(np.float32))
+        beside = (residuals / self.unit**2).astype(np.float32)
+        filled, blocks = -(-count // BLOCK), int(np.diff(self.bounds)[searched].sum())
+        if not blocks:
+            return Matches.on_grid(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.float32))
+        opened = max(round(self.opened * np.sqrt(blocks * filled)), filled + ALWAYS)
+        rows, squares = _nearest(
+            self.blocks, self.centres, self.rows, self.bounds, searched, query, beside, opened, count
+        )
+        order = np.argsort(squares)[:count]
+        return Matches.on_grid(rows[order], (squares[order] * self.unit**2).astype(np.float32))
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _in_blocks(table: Bytes) -> Index:
+    """Order of the poses (n, M), halved across the widest coefficient until BLOCK are left."""
+    order, other = np.arange(len(table)), np.empty(len(table), dtype=np.int64)
+    starts, stops = [0], [len(table)]
+    counts = np.empty(_LEVELS, dtype=np.int64)
+    while starts:
+        start, stop = starts.pop(), stops.pop()
+        if stop - start <= BLOCK:
+            continue
+        m = _widest(table, order[start:stop])
+        left = -(-((stop - start) // 2) // BLOCK) * BLOCK
+        counts[:] = 0
+        for i in range(start, stop):
+            counts[int(table[order[i], m]) + _LEVELS // 2] += 1
+        level, ties = 0, left
+        while ties > counts[level]:
+            ties -= counts[level]
+            level += 1
+        below, above = start, start + left
+        for i in range(start, stop):
+            key = int(table[order[i], m]) + _LEVELS // 2
+            if key < level or (key == level and ties > 0):
+                ties -= key == level
+                other[below] = order[i]
+                below += 1
+            else:
+                other[above] = order[i]
+                above += 1
+        order[start:stop] = other[start:stop]
+        starts += [start, start + left]
+        stops += [start + left, stop]
+    return order
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _widest(table: Bytes, members: Index) -> int:
+    low, high = table[members[0]].copy(), table[members[0]].copy()
+    for i in members:
+        for m in range(table.shape[1]):
+            low[m], high[m] = min(low[m], table[i, m]), max(high[m], table[i, m])
+    best, width = 0, -1
+    for m in range(table.shape[1]):
+        if int(high[m]) - int(low[m]) > width:
+            best, width = m, int(high[m]) - int(low[m])
+    return best
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _fill(table: Bytes, order: Index, start: int, first: int, blocks: Bytes, rows: NDArray[np.int32]) -> None:
+    for k in range(-(-len(order) // BLOCK)):
+        for i in range(BLOCK):
+            at = k * BLOCK + i
+            if at < len(order):
+                rows[first + k, i] = start + order[at]
+            # a block that is not full holds its last pose several times
+            blocks[first + k, :, i] = table[order[min(at, len(order) - 1)]]
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _nearest(
-    table: NDArray[np.int8],
+    blocks: Bytes,
+    centres: Bytes,
+    rows: NDArray[np.int32],
     bounds: Index,
     searched: Index,
-    query: NDArray[np.float32],
-    extra: NDArray[np.float32],
+    query: Singles,
+    beside: Singles,
+    opened: int,
     count: int,
-    square: NDArray[np.float32],
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    components, total = len(table), 0
-    for r in searched:
-        # the distances of the searched regions lie side by side
-        skipped = bounds[r] - total
-        total += bounds[r + 1] - bounds[r]
-        for start in range(bounds[r], bounds[r + 1], _BLOCK):
-            stop = min(start + _BLOCK, bounds[r + 1])
-            part = square[start - skipped : stop - skipped]
-            part[:] = extra[r]
-            for m in range(components):
-                q = query[r, m]
-                row = table[m, start:stop]
-                for i in range(len(part)):
-                    d = np.float32(row[i]) - q
-                    part[i] += d * d
-    # a sample of the poses tells well enough how far the count-th is, unless they are few
-    every = max(1, min(count // 128, 16))
-    threshold = _threshold(square[:total], every, count)
-    near = 0
-    for i in range(total):
-        near += square[i] <= threshold
-    rows, squares = np.empty(near, dtype=np.int64), np.empty(near, dtype=np.float32)
-    k, i = 0, 0
-    for r in searched:
-        for pose in range(bounds[r], bounds[r + 1]):
-            if square[i] <= threshold:
-                rows[k], squares[k] = pose, square[i]
-                k += 1
-            i += 1
-    return rows, squares
+) -> tuple[Index, Singles]:
+    near, away = _to_centres(centres, bounds, searched, query, beside)
+    chosen = near[away <= _limit_of_sample(away, opened)]
+    squares = np.empty((len(chosen), BLOCK), dtype=np.float32)
+    # no views within the loop: each is counted
+    flat, coefficients, part = blocks.reshape(-1), query.reshape(-1), np.empty(BLOCK, dtype=np.float32)
+    components, size, r = query.shape[1], blocks.shape[1] * BLOCK, 0
+    for k in range(len(chosen)):
+        b = chosen[k]
+        while b >= bounds[r + 1]:
+            r += 1
+        error = beside[r]
+        for i in range(BLOCK):
+            part[i] = error
+        for m in range(0, components, _AT_ONCE):
+            _add(flat, np.uint64(b * size + m * BLOCK), coefficients, r * components + m, part)
+        for i in range(BLOCK):
+            squares[k, i] = part[i]
+            count += rows[b, i] < 0
+    return _collect(rows, chosen, squares, _limit_of_sample(squares.reshape(-1), count))
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
-def _threshold(square: NDArray[np.float32], every: int, count: int) -> np.float32:
-    """Distance below which about `count` poses lie, by a histogram from the least distance to the mean."""
-    sample = square[::every].copy()
-    least, mean = sample.min(), sample.mean()
-    width = np.float32(max((mean - least) / _BINS, 1e-6))
-    histogram = np.zeros(_BINS + 1, dtype=np.int64)
+def _to_centres(
+    centres: Bytes, bounds: Index, searched: Index, query: Singles, beside: Singles
+) -> tuple[Index, Singles]:
+    """The blocks (b,) of the regions searched, and the squared distances (b,) of their centres."""
+    count = 0
+    for r in searched:
+        count += bounds[r + 1] - bounds[r]
+    which, away = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.float32)
+    done = 0
+    for r in searched:
+        for start in range(bounds[r], bounds[r + 1], _CHUNK):
+            size = min(_CHUNK, bounds[r + 1] - start)
+            which[done : done + size] = np.arange(start, start + size)
+            part = away[done : done + size]
+            part[:] = beside[r]
+            for m in range(len(centres)):
+                q, centre = query[r, m], centres[m, start:]
+                for i in range(size):
+                    d = np.float32(centre[i]) - q
+                    part[i] += d * d
+            done += size
+    return which, away
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _collect(
+    rows: NDArray[np.int32], chosen: Index, squares: Singles, limit: np.float32
+) -> tuple[Index, Singles]:
+    near, distance = np.empty(squares.size, np.int64), np.empty(squares.size, np.float32)
+    found = 0
+    for k in range(len(chosen)):
+        b = chosen[k]
+        for i in range(BLOCK):
+            # a branch would be guessed wrong too often
+            near[found], distance[found] = rows[b, i], squares[k, i]
+            found += (squares[k, i] <= limit) & (rows[b, i] >= 0)
+    return near[:found], distance[:found]
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _add(flat: Bytes, at: np.uint64, query: Singles, m: int, out: Singles) -> None:
+    """Adds the squared differences of _AT_ONCE coefficients, written out for the vector units."""
+    q0, q1, q2, q3 = query[m], query[m + 1], query[m + 2], query[m + 3]
+    q4, q5, q6, q7 = query[m + 4], query[m + 5], query[m + 6], query[m + 7]
+    for n in range(BLOCK):
+        # unsigned: an index that cannot be negative is not looked at twice
+        i = at + np.uint64(n)
+        d0, d1 = np.float32(flat[i]) - q0, np.float32(flat[i + _O1]) - q1
+        d2, d3 = np.float32(flat[i + _O2]) - q2, np.float32(flat[i + _O3]) - q3
+        d4, d5 = np.float32(flat[i + _O4]) - q4, np.float32(flat[i + _O5]) - q5
+        d6, d7 = np.float32(flat[i + _O6]) - q6, np.float32(flat[i + _O7]) - q7
+        out[n] += d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 + d4 * d4 + d5 * d5 + d6 * d6 + d7 * d7
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _limit_of_sample(values: Singles, count: int) -> np.float32:
+    """About the `count`-th least of `values`, exact where they are few: a sample tells well enough."""
+    every = max(1, min(count // 128, 16))
+    return _limit(values[::every].copy(), -(-count // every))
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _limit(values: Singles, count: int) -> np.float32:
+    """A value that at least `count` of `values` do not exceed, and few more."""
+    least = values.min()
+    greatest: np.float32 = values.max()
+    if count >= len(values):
+        return greatest
+    # what is looked for lies below the mean, or is nearly all
+    width = max((values.mean() - least) / np.float32(_BINS), np.float32(1e-6))
     scale = np.float32(1.0) / width
-    for i in range(len(sample)):
-        histogram[min(int((sample[i] - least) * scale), _BINS)] += every
-    limit, found = 0, histogram[0]
-    while found < count and limit < _BINS:
-        limit += 1
-        found += histogram[limit]
-    return least + (limit + 1) * width if limit < _BINS else np.float32(1e30)
+    counts = np.zeros(_BINS + 1, dtype=np.int64)
+    for value in values:
+        counts[int(min((value - least) * scale, np.float32(_BINS)))] += 1
+    level, found = 0, counts[0]
+    while found < count:
+        level += 1
+        found += counts[level]
+    if level == _BINS:
+        return greatest
+    # the edge is rounded
+    edge: np.float32 = least + (level + 1) * width * np.float32(1.00001)
+    return min(edge, greatest)
