@@ -67,13 +67,13 @@ class ProjectorCore:
     def _take(self, kind: str, put: Callable[[], WholeSet | None]) -> None:
         try:
             whole = put()
+            site = None if whole is None else Site(whole, self._settings)
         except (MapError, ModelError) as error:
             self._counts[f"refused_{kind}"] += 1
             self._refused = str(error)
             return
         self._counts[f"taken_{kind}"] += 1
-        if whole is not None:
-            site = Site(whole, self._settings)
+        if site is not None:
             for sensor in self._site.sensors if self._site else []:
                 site.view(sensor)
             self._site = site

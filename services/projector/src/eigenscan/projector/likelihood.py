@@ -49,15 +49,16 @@ def support(
     return out[0], out[1]
 
 
-def log_likelihood(supports: Array) -> Array:
+def log_likelihood(supports: Array, parts: int = 1) -> Array:
     """Values (n,) of ln p(scan | pose) / p(scan | unknown place) for supports (n,) of places, best first.
 
     A plain scan (a wall, a corner) finds support in many places, also of a foreign building: what an ordinary
-    place gets is no evidence.
+    place gets is no evidence. Of a site that is searched in `parts`, each holds its share of the places that
+    look similar, so that the values of all parts compare.
     """
     if not len(supports):
         return supports
-    ordinary = supports[min(ORDINARY_RANK, len(supports) - 1)]
+    ordinary = supports[min(max(round(ORDINARY_RANK / parts), 1), len(supports) - 1)]
     odds: Array = NATS * (supports - STRANGE - SIMILAR * ordinary)
     return odds
 

@@ -165,7 +165,7 @@ def _weigh(
     kept = np.argsort(-supported)[: settings.published]
     witness("published", poses[kept])
     witness("first", poses[kept[:1]])
-    likelihood = log_likelihood(supported[kept])
+    likelihood = log_likelihood(supported[kept], site.parts)
     chosen = best[kept]
     return Candidates(
         poses[kept],
@@ -174,5 +174,6 @@ def _weigh(
         explained[kept],
         region[chosen],
         projected,
-        float(likelihood.min(initial=0.0)),
+        # of what others search nothing is known
+        float(likelihood.min(initial=0.0)) if site.parts == 1 else 0.0,
     )

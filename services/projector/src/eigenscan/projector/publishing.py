@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+TOLD = 64
+"""Projections of a message at most: it must not grow with the site."""
+
 
 def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
     """The answer to a scan with too few beams."""
@@ -33,21 +36,22 @@ def hypotheses_message(
     """The list, most likely first."""
     base, covariances = to_base(found.poses, found.covariances, mount)
     energy = found.projected.error_energy
+    told = told_regions(found)
     message = Hypotheses(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
         status=Hypotheses.STATUS_OK,
         unlisted_log_likelihood=found.unlisted_log_likelihood,
-        searched_area_m2=site.free_area_m2,
+        searched_area_m2=site.searched_area_m2,
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         projections=[
             Projection(region=region, coefficients=coefficients, error_energy=error, searched=searched)
             for region, coefficients, error, searched in zip(
-                site.regions,
-                found.projected.coefficients.tolist(),
-                energy.tolist(),
-                found.projected.searched.tolist(),
+                [site.regions[r] for r in told],
+                found.projected.coefficients[told].tolist(),
+                energy[told].tolist(),
+                found.projected.searched[told].tolist(),
                 strict=True,
             )
         ],
@@ -77,6 +81,15 @@ def hypotheses_message(
         c = added.covariance
         c.xx, c.xy, c.xt, c.yy, c.yt, c.tt = xx, xy, xt, yy, yt, tt
     return message
+
+
+def told_regions(found: Candidates) -> NDArray[np.int64]:
+    """Regions whose projections are said: of large sites those of the candidates and the best explained."""
+    energy = found.projected.error_energy
+    if len(energy) <= TOLD:
+        return np.arange(len(energy))
+    best = np.argpartition(energy, TOLD)[:TOLD]
+    return np.union1d(best[np.argsort(energy[best])][: TOLD - len(found.poses)], found.region)
 
 
 def obstacles_message(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from eigenscan.projector.association import kinds
 from eigenscan.projector.embedding import Kind
 from eigenscan.runtime.settings import ServiceSettings
-from pydantic import Field
+from pydantic import Field, field_validator
 
 
 class ProjectorSettings(ServiceSettings):
@@ -21,4 +21,23 @@ class ProjectorSettings(ServiceSettings):
     candidates: int = Field(3000, ge=1, description="nearest poses in eigenspace that are verified")
     refined: int = Field(200, ge=2, description="candidates that are polished below the grid")
     published: int = Field(30, ge=1, le=30, description="hypotheses of a scan at most")
+    part: str = Field(
+        "1/1",
+        pattern=r"^[1-9]\d*/[1-9]\d*$",
+        description="K/N: search the Kth of N shares of the regions; other projectors search the others",
+    )
     least_beams: int = Field(12, ge=1, description="beams with a return that a scan needs, at 2 degrees")
+
+    @property
+    def share(self) -> tuple[int, int]:
+        """K and N of `part`."""
+        k, n = self.part.split("/")
+        return int(k), int(n)
+
+    @field_validator("part")
+    @classmethod
+    def _within(cls, value: str) -> str:
+        k, n = (int(number) for number in value.split("/"))
+        if k > n:
+            raise ValueError(f"there is no share {k} of {n}: K is 1 to N")
+        return value

@@ -16,6 +16,7 @@ from eigenscan.projector.embedding import Embedding
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
 from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.share import own_share, shared_area
 from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.verification import predicted
 from eigenscan.projector.wall_field import WallField
@@ -52,16 +53,21 @@ class SensorView:
 
 
 class Site:
-    """The set in use."""
+    """The set in use, as far as this projector searches it.
+
+    Raises ModelError where its share is empty.
+    """
 
     def __init__(self, whole: WholeSet, settings: ProjectorSettings) -> None:
         self.version, self.frame_id = whole.version, whole.frame_id
-        self.free_area_m2 = whole.free_area_m2
+        own = own_share(whole.regions, settings.share)
+        self.parts = settings.share[1]
+        self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
         field = DistanceField.of(whole.grid)
         self.walls, self.coarse_walls = WallField.of(field), WallField.of(field, COARSE_CELL)
         self.caster = RayCaster.of(whole.grid)
-        self.lattice = Lattice.of(whole.regions)
-        self.regions = tuple(region.region for region in whole.regions)
+        self.lattice = Lattice.of(own)
+        self.regions = tuple(region.region for region in own)
         self._settings = settings
         self._views: OrderedDict[tuple[int, float], SensorView] = OrderedDict()
         self._sensors: dict[tuple[int, float], Sensor] = {}
