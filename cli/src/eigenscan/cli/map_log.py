@@ -1,0 +1,105 @@
+"""`eigenscan map`: a whole log becomes a map."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from eigenscan.cli.frame import UsageError
+from eigenscan.schemas.channels import DEFAULT_ROBOT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from eigenscan.cli.evaluation.progress import Bars
+    from eigenscan.cli.scans import Scans
+    from eigenscan.mapbuilder.mapping.survey import Mapped
+
+
+def map_log(
+    log: Annotated[Path, typer.Argument(help="CARMEN log, ROS 1 bag, ROS 2 bag (folder or file) or MCAP")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="MAP.yaml to write; without it LOG's name, here")
+    ] = None,
+    resolution: Annotated[float, typer.Option(min=0.01, max=0.5, help="m per cell")] = 0.05,
+    no_odometry: Annotated[
+        bool, typer.Option("--no-odometry", help="by the scans alone, whatever the log has")
+    ] = False,
+    lidar: Annotated[
+        list[str] | None,
+        typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
+    ] = None,
+    odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
+    robot: Annotated[str, typer.Option(help="robot whose scans count, in a recording")] = DEFAULT_ROBOT,
+) -> None:
+    """Make a map of a log's scans, with its odometry or without any.
+
+    Writes MAP.yaml and MAP.pgm (as map_server reads them), MAP.tum (the base's way in the map:
+    t x y z qx qy qz qw, the log's own stamps) and MAP.png, a picture of both.
+    Needs gtsam: pip install 'eigenscan-cli[mapping]'.
+
+    \b
+    Examples:
+      eigenscan map drive.bag -o office.yaml
+      eigenscan build office.yaml -o model
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.evaluation.progress import Bars
+    from eigenscan.cli.importers import LogOptions
+    from eigenscan.cli.scans import read_scans
+    from eigenscan.geometry.gridmap import write_map
+    from eigenscan.mapbuilder.mapping.drawing import draw_way
+    from eigenscan.mapbuilder.mapping.pose_graph import check_installed
+    from eigenscan.mapbuilder.mapping.survey import MappingError, Survey, survey
+
+    target = out or Path((log.name.split(".")[0] or "map") + ".yaml")
+    if target.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
+    check_installed()
+    options = LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry)
+    began = time.perf_counter()
+    with Bars() as bars:
+        scans = read_scans(log, options, bars.start_share("reading"), with_odometry=not no_odometry)
+        try:
+            mapped = survey(scans.sweeps, Survey(resolution=resolution), _steps(bars))
+        except MappingError as error:
+            raise UsageError(f"{log}: {error}{scans.set_aside}") from error
+    write_map(mapped.grid, target)
+    target.with_suffix(".tum").write_text(scans.trajectory(mapped.numbers, mapped.poses), encoding="utf-8")
+    target.with_suffix(".png").write_bytes(draw_way(mapped))
+    _summarize(scans, mapped, target, time.perf_counter() - began)
+
+
+def _steps(bars: Bars) -> Callable[[str, float], None]:
+    """A bar for each step of the mapping, as it begins."""
+    running: dict[str, Callable[[float], None]] = {}
+
+    def moved(step: str, share: float) -> None:
+        if step not in running:
+            running[step] = bars.start_share(step)
+        running[step](share)
+
+    return moved
+
+
+def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float) -> None:
+    odometry = sum(sweep.odometry is not None for sweep in scans.sweeps)
+    rows = {
+        "scans": f"{len(mapped.numbers)} of {scans.heard} in the map, {odometry} with odometry",
+        "way": f"{mapped.way:.0f} m in {scans.seconds:.0f} s",
+        "keyframes": f"{mapped.keyframes}, {mapped.closures} edges close loops, {mapped.rejected} rejected",
+        "free area": f"{mapped.grid.free_area:.0f} m²",
+        "mapped in": f"{seconds:.0f} s",
+        "map": f"{target}, {target.with_suffix('.pgm').name}",
+        "trajectory": str(target.with_suffix(".tum")),
+        "picture": str(target.with_suffix(".png")),
+    }
+    for name, value in rows.items():
+        typer.echo(f"{name:<11} {value}")
+    if mapped.left_out or scans.set_aside:
+        typer.echo(f"left out: {mapped.left_out} scans with too few walls{scans.set_aside}", err=True)
+    if mapped.jumps:
+        typer.echo(f"odometry jumped {mapped.jumps} times: there the scans alone count", err=True)
+    for first, last in mapped.unjoined:
+        typer.echo(f"not joined to the rest: {scans.span(first, last)}: no overlap was found", err=True)

@@ -1,0 +1,1 @@
+"""A whole log of scans becomes one map: registration, closures, pose graph, carving."""

@@ -1,0 +1,72 @@
+"""Parts of a log that nothing led from one to the other, joined where enough of what they show is the same.
+
+A single hallway looks like another. So each of a part's submaps is compared with all of the rest, anywhere
+and at any heading; each match votes for the pose of the whole part that it implies, and only votes of
+several submaps that agree, and by far outvote all others, join it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.pose import compose, inverse
+from eigenscan.mapbuilder.mapping.closures import RIGID, Closer
+from eigenscan.mapbuilder.mapping.correlation import apart
+from eigenscan.mapbuilder.mapping.pose_graph import Edge
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ASKED = 12
+"""Submaps of a part that vote."""
+VOTERS = 2
+"""Submaps, with one between them, that must agree."""
+OUTVOTE = 2.0
+"""Times that the votes must exceed those for any other pose."""
+STRICT = 1.6
+"""Times the overlap of a loop closure that a match needs."""
+_ANYWHERE = np.array([np.inf, np.pi])
+_SAME = 1.0, float(np.deg2rad(15.0))
+
+
+def bridge(closer: Closer) -> None:
+    """Joins what can be joined to the largest part; the others stay apart."""
+    while True:
+        numbers, counts = np.unique(closer.part, return_counts=True)
+        main, *others = numbers[np.argsort(-counts, kind="stable")].tolist()
+        if not any(_joined(closer, other, main) for other in others):
+            return
+
+
+def _joined(closer: Closer, part: int, main: int) -> bool:
+    """Whether `part` could be joined to `main`, and now is."""
+    parts = np.array(closer.part)
+    own, rest = np.nonzero(parts == part)[0], np.nonzero(parts == main)[0]
+    asked = own[np.unique(np.linspace(0, len(own) - 1, min(len(own), ASKED)).astype(int))]
+    votes = [
+        (Edge(int(one), int(other), match.pose, RIGID), match.net)
+        for other in asked
+        for one in rest
+        if (match := closer.match(int(one), int(other), np.zeros(3), _ANYWHERE, STRICT)) is not None
+    ]
+    if not votes:
+        return False
+    frames = np.array([_frame(closer, edge) for edge, _ in votes])
+    nets = np.array([net for _, net in votes])
+    same = np.array([~apart(frames, frame, *_SAME) for frame in frames])
+    best = int(np.argmax(same @ nets))
+    chosen = same[best]
+    voters = [edge.second for (edge, _), mine in zip(votes, chosen, strict=True) if mine]
+    rivals = (same[~chosen] & ~chosen) @ nets
+    if max(voters) - min(voters) < VOTERS or (same @ nets)[best] < OUTVOTE * rivals.max(initial=0.0):
+        return False
+    moved = parts == part
+    closer.poses[moved] = compose(frames[best], closer.poses[moved])
+    closer.part = np.where(moved, main, parts).tolist()
+    closer.edges += [edge for (edge, _), mine in zip(votes, chosen, strict=True) if mine]
+    closer.solve()
+    return True
+
+
+def _frame(closer: Closer, vote: Edge) -> Array:
+    """Where a match puts the frame of its second submap's part, in the first one's."""
+    return compose(compose(closer.poses[vote.first], vote.pose), inverse(closer.poses[vote.second]))

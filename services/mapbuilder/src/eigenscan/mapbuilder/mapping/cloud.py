@@ -1,0 +1,68 @@
+"""Points on walls, with the direction of the wall through each: what is aligned and correlated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from eigenscan.geometry.circle import TURN, wrap
+from eigenscan.geometry.pose import transform
+from eigenscan.mapbuilder.registration import Outline
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points (K, 2), m, the directions (K,), rad, of their walls, and the wall's length there (K,), m.
+
+    A wall runs along its direction with the seen side on the left, as a scan passes it counter-clockwise
+    with the sensor inside. Length 0: the point is on no wall, and its direction means nothing.
+    """
+
+    points: Array
+    directions: Array
+    lengths: Array
+
+    @classmethod
+    def of(cls, outline: Outline, mount: ArrayLike) -> Cloud:
+        """Cloud of one scan in the base frame; `mount` (3,) is the sensor in it."""
+        turn = float(np.asarray(mount)[2])
+        return cls(transform(mount, outline.points), wrap(outline.directions + turn), outline.lengths)
+
+    @classmethod
+    def joined(cls, clouds: Sequence[Cloud]) -> Cloud:
+        """All points of several clouds of one frame."""
+        return cls(
+            np.concatenate([cloud.points for cloud in clouds]),
+            np.concatenate([cloud.directions for cloud in clouds]),
+            np.concatenate([cloud.lengths for cloud in clouds]),
+        )
+
+    def moved(self, pose: ArrayLike) -> Cloud:
+        """The cloud, given in the frame of `pose` (3,), in the frame that `pose` is given in."""
+        turn = float(np.asarray(pose)[2])
+        return Cloud(transform(pose, self.points), wrap(self.directions + turn), self.lengths)
+
+    def thinned(self, cell: float) -> Cloud:
+        """One point, the first, of each square of `cell` m and quarter of directions."""
+        place = np.floor(self.points / cell).astype(np.int64)
+        quarter = np.floor(np.mod(self.directions, TURN) * (4 / TURN)).astype(np.int64)
+        _, first = np.unique(np.column_stack([place, quarter]), axis=0, return_index=True)
+        first.sort()
+        return Cloud(self.points[first], self.directions[first], self.lengths[first])
+
+    @cached_property
+    def normals(self) -> Array:
+        """Unit normals (K, 2) of the walls; 0 where the point is on no wall."""
+        normal = np.column_stack([-np.sin(self.directions), np.cos(self.directions)])
+        return np.where(self.lengths[:, None] > 0, normal, 0.0)
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """The points, for nearest neighbours."""
+        return KDTree(self.points, balanced_tree=False, compact_nodes=False)

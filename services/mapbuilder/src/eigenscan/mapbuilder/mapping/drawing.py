@@ -1,0 +1,38 @@
+"""A picture of a map that was made from a log, with the way through it."""
+
+from __future__ import annotations
+
+import colorsys
+from io import BytesIO
+from itertools import pairwise
+
+from eigenscan.mapbuilder.backdrop import Backdrop
+from eigenscan.mapbuilder.mapping.survey import Mapped
+from PIL import ImageDraw
+
+_DOT = 5
+
+
+def draw_way(mapped: Mapped) -> bytes:
+    """PNG of the map and the robot's way, from blue at its start to red at its end."""
+    view = Backdrop(mapped.grid)
+    image = view.image()
+    pen = ImageDraw.Draw(image)
+    way = view.pixels(mapped.poses[:, :2])
+    for k, (here, there) in enumerate(pairwise(way)):
+        pen.line([here, there], fill=_colour(k / len(way)), width=2)
+    for (x, y), share in ((way[0], 0.0), (way[-1], 1.0)):
+        pen.ellipse((x - _DOT, y - _DOT, x + _DOT, y + _DOT), fill=_colour(share), outline=(0, 0, 0))
+    view.legend(
+        pen,
+        f"{mapped.grid.free_area:.0f} m2 free; the robot's way, {mapped.way:.0f} m, from blue to red;"
+        f"\n{mapped.keyframes} keyframes, {mapped.closures} edges that close loops",
+    )
+    file = BytesIO()
+    image.convert("RGB").save(file, format="PNG", optimize=True)
+    return file.getvalue()
+
+
+def _colour(share: float) -> tuple[int, int, int]:
+    red, green, blue = colorsys.hsv_to_rgb(2 / 3 * (1 - share), 0.9, 0.85)
+    return round(255 * red), round(255 * green), round(255 * blue)

@@ -1,0 +1,66 @@
+"""Keyframes aligned on what other visits of the same place saw: the edges that make a map sharp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from eigenscan.geometry.pose import between
+from eigenscan.mapbuilder.mapping.alignment import FINE, align
+from eigenscan.mapbuilder.mapping.chain import Keyframe
+from eigenscan.mapbuilder.mapping.cloud import Cloud
+from eigenscan.mapbuilder.mapping.pose_graph import Edge
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+Array = NDArray[np.float64]
+
+NEAR = 3.0
+"""m between two keyframes that are compared."""
+ANOTHER = 40
+"""Keyframes apart in order, from which on it is another visit."""
+VISITS = 3
+AROUND = 4
+"""Keyframes before and after the one that a visit is met at, which lend it their walls."""
+LEAST = 0.6
+"""Share of points on walls that a comparison needs."""
+
+
+def visit_edges(
+    keyframes: Sequence[Keyframe], poses: Array, progress: Callable[[float], None] = lambda _share: None
+) -> list[Edge]:
+    """Edges between keyframes (K) at `poses` (K, 3) that saw the same walls on different visits."""
+    places = poses[:, :2]
+    near: Any = KDTree(places).query_ball_point(places, NEAR, return_sorted=True)
+    local: dict[int, Cloud] = {}
+    edges = []
+    for k, others in enumerate(near):
+        for other in _met(np.array([n for n in others if n <= k - ANOTHER], dtype=np.int64), poses, k):
+            if other not in local:
+                local[other] = _around(keyframes, other)
+            start = between(poses[other], poses[k])
+            found = align(local[other], keyframes[k].cloud, start, reaches=FINE)
+            if found.share >= LEAST:
+                edges.append(Edge(other, k, found.pose, found.covariance))
+        progress((k + 1) / len(near))
+    return edges
+
+
+def _met(others: NDArray[np.int64], poses: Array, k: int) -> list[int]:
+    """Of each visit, a run in the order of keyframes, the one nearest to `k`; the nearest visits first."""
+    if not len(others):
+        return []
+    runs = np.split(others, np.nonzero(np.diff(others) > ANOTHER)[0] + 1)
+    away = [np.hypot(*(poses[run, :2] - poses[k, :2]).T) for run in runs]
+    nearest = sorted((float(a.min()), int(run[a.argmin()])) for run, a in zip(runs, away, strict=True))
+    return [number for _, number in nearest[:VISITS]]
+
+
+def _around(keyframes: Sequence[Keyframe], middle: int) -> Cloud:
+    """Walls around a keyframe, in its frame, as the chain has them."""
+    here = keyframes[middle]
+    frames = [
+        frame for frame in keyframes[max(middle - AROUND, 0) : middle + AROUND + 1] if frame.part == here.part
+    ]
+    return Cloud.joined([frame.cloud.moved(between(here.pose, frame.pose)) for frame in frames])

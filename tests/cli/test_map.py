@@ -1,0 +1,102 @@
+"""`eigenscan map` as a process: on a part of a real log, and on logs that no map can be made of."""
+
+import gzip
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eigenscan.cli.evaluation.reference import read_trajectory
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, read_map
+from eigenscan.geometry.pose import between
+
+DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+EIGENSCAN = Path(sys.executable).parent / "eigenscan"
+
+
+def run(*arguments):
+    return subprocess.run(
+        [EIGENSCAN, "map", *arguments], capture_output=True, text=True, timeout=200, check=False
+    )
+
+
+def robotlaser(ranges, second, x=0.0):
+    """One CARMEN line, beams of a degree from -90 degrees on."""
+    numbers = " ".join(f"{value:.3f}" for value in ranges)
+    pose = f"{x} 0 0"
+    return (
+        f"ROBOTLASER1 0 -1.570796327 3.124139447 0.017453293 49.0 0.01 0 {len(ranges)} {numbers} 0 "
+        f"{pose} {pose} 0 0 0 0 0 {second} robot 0"
+    )
+
+
+def write(path, lines):
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.dataset
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_part_of_a_real_log_becomes_a_map_and_a_trajectory(tmp_path, odometry):
+    with gzip.open(DATASETS / "fr079/log.clf.gz", "rt") as file:
+        lines = [line.rstrip() for line in file][:900]
+    out = tmp_path / "part.yaml"
+    flags = [] if odometry else ["--no-odometry"]
+    done = run(write(tmp_path / "part.clf", lines), "-o", out, *flags)
+    assert done.returncode == 0, done.stderr
+    assert "in the map" in done.stdout
+    assert (tmp_path / "part.png").read_bytes().startswith(b"\x89PNG")
+
+    found, truth = read_trajectory(out.with_suffix(".tum")), read_trajectory(DATASETS / "fr079/log.tum")
+    reference, known = truth.at(found.stamps)
+    assert len(found.stamps) > 880
+    # relative poses over 30 s, which need no alignment
+    pairs = np.arange(0, len(found.stamps) - 140, 5)
+    pairs = pairs[known[pairs] & known[pairs + 140]]
+    step = between(
+        between(reference[pairs], reference[pairs + 140]),
+        between(found.poses[pairs], found.poses[pairs + 140]),
+    )
+    assert np.hypot(step[:, 0], step[:, 1]).mean() < 0.15
+    assert np.rad2deg(np.abs(step[:, 2])).mean() < 1.5
+    grid = read_map(out)
+    assert grid.free_area > 50
+    assert (grid.cells == OCCUPIED).any()
+    assert (grid.at(found.poses[:, :2]) == FREE).mean() > 0.99
+
+
+def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path):
+    log = write(tmp_path / "blind.clf", [robotlaser(np.full(180, 81.0), k) for k in range(1, 20)])
+    done = run(log, "-o", tmp_path / "map.yaml")
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()[-1:]) == 1
+    assert "blind.clf" in done.stderr
+    assert "0 of 19 scans show walls" in done.stderr
+    assert not (tmp_path / "map.yaml").exists()
+
+
+def test_one_scan_is_no_map(tmp_path):
+    log = write(tmp_path / "one.clf", [robotlaser(np.linspace(2.0, 3.0, 180), 1)])
+    done = run(log, "-o", tmp_path / "map.yaml")
+    assert done.returncode == 2
+    assert "1 of 1 scans show walls" in done.stderr
+    assert "two or more" in done.stderr
+
+
+def test_scans_without_a_single_range_are_refused(tmp_path):
+    log = write(tmp_path / "nan.clf", [robotlaser(np.full(180, np.nan), k) for k in range(1, 5)])
+    done = run(log, "-o", tmp_path / "map.yaml")
+    assert done.returncode == 2
+    assert "nan.clf" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_log_that_is_not_there_and_a_name_that_is_no_yaml(tmp_path):
+    done = run(tmp_path / "none.bag")
+    assert done.returncode == 2
+    assert "none.bag" in done.stderr
+    log = write(tmp_path / "one.clf", [robotlaser(np.linspace(2.0, 3.0, 180), 1)])
+    done = run(log, "-o", tmp_path / "map.pgm")
+    assert done.returncode == 2
+    assert "name a .yaml file" in done.stderr

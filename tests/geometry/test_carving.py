@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+from eigenscan.geometry.carving import Carving
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+coordinates = st.floats(-3.0, 3.0)
+points = st.tuples(coordinates, coordinates)
+
+
+@settings(max_examples=60, deadline=None)
+@given(points, points)
+def test_a_ray_passes_the_cells_that_it_runs_through_and_hits_the_one_that_it_ends_in(start, end):
+    start, end = np.array(start), np.array(end)
+    carving = Carving.around([start, end], 0.25)
+    carving.add(start, end[None])
+    last = tuple(np.floor((end - carving.low) / 0.25).astype(int)[::-1])
+    assert carving.hits[last] == 1
+    assert carving.hits.sum() == 1
+    # the slow way: points along the ray, and the cells that they fall in
+    along = start + np.linspace(0, 1, 4001)[:, None] * (end - start)
+    cells = {tuple(cell) for cell in np.floor((along - carving.low) / 0.25).astype(int)[:, ::-1]}
+    passed = {tuple(cell) for cell in np.argwhere(carving.passes)}
+    missed = cells - passed - {last}
+    assert len(passed - cells) + len(missed) <= 2  # a corner may be cut on either side
+    assert carving.passes.max() <= 1
+
+
+def test_counts_decide_and_what_no_ray_reached_is_unknown():
+    carving = Carving.around([[0, 0], [2, 0], [2, 1]], 0.1)
+    view = np.array([0.05, 0.05])
+    for _ in range(3):
+        carving.add(view, [[1.55, 0.05]])
+    for _ in range(20):
+        carving.add(view, [[1.95, 0.05]])
+    carving.add(view, [[1.95, 0.95]])
+    grid = carving.to_map()
+    assert grid.at([1.95, 0.05]) == OCCUPIED
+    assert grid.at([1.55, 0.05]) == FREE  # 3 hits of 23: someone walked by
+    assert grid.at([1.95, 0.95]) == UNKNOWN  # hit only once
+    assert grid.at([1.0, 0.05]) == FREE
+    assert grid.at([0.05, 0.95]) == UNKNOWN
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.1])
+def test_the_grid_is_aligned_with_the_frame(resolution):
+    carving = Carving.around([[-0.31, 0.72], [1.0, 1.0]], resolution)
+    np.testing.assert_allclose(carving.low / resolution, np.round(carving.low / resolution), atol=1e-9)
+    carving.add([-0.31, 0.72], [[1.0, 1.0]])  # both ends are on it
