@@ -20,6 +20,7 @@ COMMANDS = {
         "check a folder of recordings against the services",
     ),
     "conform": ("eigenscan.cli.conform:conform", "judge any program in a service's place by the contract"),
+    "repair": ("eigenscan.cli.repair:repair", "save what can be read of a recording that was cut or damaged"),
     "view": ("eigenscan.cli.view:view", "look at a recording in Rerun's web viewer"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
 }

@@ -30,7 +30,7 @@ class Selection:
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="recording, MCAP")],
+    file: Annotated[Path, typer.Argument(help="recording, MCAP; or a folder of them, joined")],
     speed: Annotated[float, typer.Option(min=0.01, help="times faster than it was recorded")] = 1.0,
     begin: Annotated[float, typer.Option("--from", min=0.0, help="s from the recording's start")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="s from the recording's start")] = None,

@@ -12,7 +12,9 @@ HOST = "127.0.0.1"
 
 
 def view(
-    recording: Annotated[Path, typer.Argument(help="MCAP that a recorder wrote", metavar="FILE.mcap")],
+    recording: Annotated[
+        Path, typer.Argument(help="MCAP that a recorder wrote, or a folder of them", metavar="FILE.mcap")
+    ],
     rrd: Annotated[
         Path | None, typer.Option(help="Rerun file to write; without it one that is gone afterwards")
     ] = None,

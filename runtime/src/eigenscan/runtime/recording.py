@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -25,8 +26,10 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 PROFILE = "eigenscan"
+REPAIRED = ".repaired.mcap"
+"""How the name of a repaired copy ends."""
 CHUNK_BYTES = 256 * 1024
-_DAMAGE = (
+DAMAGE = (
     McapError,
     ContractError,
     ZstdError,
@@ -102,6 +105,11 @@ class RecordingWriter:
             data=payload,
         )
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far, without the chunk in progress."""
+        return self._file.tell()
+
     def flush(self) -> None:
         """Ends the chunk in progress and hands it to the operating system: a kill loses nothing before.
 
@@ -144,14 +152,46 @@ class RecordingWriter:
         return self._channels[key]
 
 
-def read(path: Path) -> Iterator[Record]:
-    """Messages of our channels; what is not ours is skipped.
+def parts(path: Path) -> list[Path]:
+    """The files of a recording: itself, or those of a folder that a recorder filled.
 
-    In order of log time, by the index. Where the writer was killed and there is no index: in order of the
+    Of a file and its repaired copy only the copy counts. Raises RecordingError for a folder without any.
+    """
+    if not path.is_dir():
+        return [path]
+    files = {file.name: file for file in sorted(path.glob("*.mcap")) if not file.match("*.reference.mcap")}
+    for name in list(files):
+        if name.endswith(REPAIRED):
+            files.pop(f"{name.removesuffix(REPAIRED)}.mcap", None)
+    if not files:
+        raise RecordingError(f"{path}: is a folder that holds no .mcap")
+    return list(files.values())
+
+
+def read(path: Path) -> Iterator[Record]:
+    """Messages of our channels, of one file or of all in a folder; what is not ours is skipped.
+
+    In order of log time, by the index. What a rotated file repeats at its start is left out.
+    Where the writer was killed and there is no index: in order of the
     file, up to its last whole chunk (see `is_complete`).
     Raises RecordingError where the file is missing, no MCAP, or damaged, or holds another schema or contract
     version on one of our keys.
     """
+    if not path.is_dir():
+        yield from _read_file(path)
+        return
+    latched: dict[str, bytes] = {}
+    files = [_read_file(part) for part in parts(path)]
+    for record in heapq.merge(*files, key=lambda record: record.log_time):
+        if record.envelope.channel.qos.latched:
+            key, payload = record.envelope.key, encode(record.envelope.message)
+            if latched.get(key) == payload:
+                continue
+            latched[key] = payload
+        yield record
+
+
+def _read_file(path: Path) -> Iterator[Record]:
     try:
         with path.open("rb") as file:
             for schema, channel, message in _messages(file, indexed=_is_indexed(file)):
@@ -167,7 +207,7 @@ def read(path: Path) -> Iterator[Record]:
                 )
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
 
 
@@ -187,6 +227,11 @@ def message_count(path: Path) -> int | None:
 
     Raises RecordingError where the file is missing, no MCAP, or damaged.
     """
+    counts = [_message_count(part) for part in parts(path)]
+    return None if None in counts else sum(count or 0 for count in counts)
+
+
+def _message_count(path: Path) -> int | None:
     try:
         with path.open("rb") as file:
             if not _is_indexed(file):
@@ -195,7 +240,7 @@ def message_count(path: Path) -> int | None:
             return summary.statistics.message_count if summary and summary.statistics else 0
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
 
 
@@ -215,18 +260,19 @@ def _messages(file: IO[bytes], *, indexed: bool) -> Iterator[tuple[Schema | None
     if indexed:
         yield from make_reader(file, validate_crcs=True).iter_messages()
         return
-    whole = cast(IO[bytes], _WholeReads(file))
+    whole = cast(IO[bytes], WholeReads(file))
     with suppress(EndOfFile):
         yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
 
 
-class _WholeReads:
+class WholeReads:
     """A file whose reads give all that was asked for; `mcap` takes a cut chunk for a whole one."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
 
     def read(self, size: int) -> bytes:
+        """`size` bytes. Raises EndOfFile where there are fewer."""
         data = self._file.read(size)
         if len(data) < size:
             raise EndOfFile
@@ -234,13 +280,14 @@ class _WholeReads:
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata records by name. Raises RecordingError."""
+    """Metadata records by name; of a folder, of its first file. Raises RecordingError."""
+    path = parts(path)[0]
     try:
         with path.open("rb") as file:
             return {entry.name: dict(entry.metadata) for entry in make_reader(file).iter_metadata()}
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
 
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
-from itertools import count
 from pathlib import Path
+from time import perf_counter
 
+from eigenscan.recorder.files import Files, Limits
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from google.protobuf.timestamp_pb2 import Timestamp
 
-SUFFIX = ".mcap"
 RETRY_S = 10.0
 """After a failed write a new file is tried this often."""
+
+SLOW_S = 0.1
+"""A write that takes longer is back-pressure of the disk."""
 
 LATEST = 2**63 - 1
 """Last instant that tools can show, ns since the epoch."""
@@ -24,9 +26,10 @@ class McapSink:
     """Writes to a new file in `target` (a folder), or to `target` itself where it ends in .mcap.
 
     A file that exists is left alone: the next free of `name-2.mcap`, `name-3.mcap` is taken. What is
-    older than `flush_s` is in the hands of the operating system. Where the disk fails, messages are
-    counted as lost, and every RETRY_S a new file is tried; it starts with the newest latched messages,
-    so that each file explains itself.
+    older than `flush_s` is in the hands of the operating system. A file that reaches its limits is closed,
+    and the next one begun; where all take too much the oldest go. Where the disk fails, messages are counted
+    as lost, and every RETRY_S a new file is tried. Each file starts with the newest latched messages, so that
+    it explains itself.
     """
 
     def __init__(
@@ -36,9 +39,11 @@ class McapSink:
         clock: Callable[[], int],
         flush_s: float,
         metadata: Mapping[str, Mapping[str, str]],
+        limits: Limits | None = None,
     ) -> None:
         """Opens the file. `clock` gives ns since the epoch. Raises OSError where that is impossible."""
-        self._target, self._site, self._clock, self._metadata = target, site, clock, metadata
+        self._clock, self._metadata, self._limits = clock, metadata, limits or Limits()
+        self._files = Files(target, site)
         self._flush_ns = int(flush_s * 1e9)
         self._latched: dict[str, Envelope] = {}
         self._counts: Counter[str] = Counter()
@@ -60,14 +65,14 @@ class McapSink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """`mcap_written`, `mcap_lost` and `mcap_files`."""
+        """`mcap_written`, `_lost`, `_files`, `_deleted`; of writes `mcap_slow` and `mcap_slowest_ms`."""
         return self._counts
 
     def write(self, heard: Envelope) -> None:
         """Adds a message: log time is now, publish time the message's own stamp."""
-        now = self._clock()
+        now, before = self._clock(), perf_counter()
         try:
-            writer = self._writer or self._reopen(now)
+            writer = self._rotated(now) if self._writer else self._reopen(now)
             if writer is None:
                 self._counts["mcap_lost"] += 1
             else:
@@ -79,6 +84,7 @@ class McapSink:
             self._fail(error, now)
         if heard.channel.qos.latched:
             self._latched[heard.key] = heard
+        self._note_pace(perf_counter() - before)
 
     def close(self) -> None:
         """Writes the index."""
@@ -94,40 +100,46 @@ class McapSink:
             self._flushed_at = now
             writer.flush()
 
+    def _note_pace(self, took_s: float) -> None:
+        self._counts["mcap_slow"] += took_s > SLOW_S
+        self._counts["mcap_slowest_ms"] = max(self._counts["mcap_slowest_ms"], int(took_s * 1e3))
+
     def _fail(self, error: OSError, now: int) -> None:
-        self._problem = f"mcap: {self.path or self._target}: {error.strerror}: free space or change mcap"
+        self._problem = (
+            f"mcap: {self.path or self._files.target}: {error.strerror}: free space or change mcap"
+        )
         self._retry_at = now + int(RETRY_S * 1e9)
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
 
     def _open(self) -> RecordingWriter:
-        path = _unused(self._target, self._site, self._clock())
+        self._opened_at = self._clock()
+        path = self._files.unused(self._opened_at)
         self._counts["mcap_files"] += 1
-        return RecordingWriter(path, self._metadata)
+        writer = RecordingWriter(path, self._metadata)
+        if self._limits.total_bytes is not None:
+            self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes, kept=path)
+        return writer
+
+    def _rotated(self, now: int) -> RecordingWriter | None:
+        """The file in use, or the next one where that has reached its limits."""
+        if self._writer and self._limits.is_full(self._writer.size, now - self._opened_at):
+            self._writer.close()
+            return self._begin(now)
+        return self._writer
 
     def _reopen(self, now: int) -> RecordingWriter | None:
         """The next file, begun with what is latched; None while it is too early to try."""
-        if now < self._retry_at:
-            return None
+        return None if now < self._retry_at else self._begin(now)
+
+    def _begin(self, now: int) -> RecordingWriter:
         writer = self._writer = self._open()
         for held in self._latched.values():
             writer.write(held, now, _published(held) or now)
         writer.flush()
         self._problem = ""
         return writer
-
-
-def _unused(target: Path, site: str, now: int) -> Path:
-    if target.suffix == SUFFIX:
-        first = target
-    else:
-        started = datetime.fromtimestamp(now / 1e9, tz=UTC)
-        first = target / f"{site}-{started:%Y%m%d-%H%M%S}{SUFFIX}"
-    if not first.exists():
-        return first
-    others = (first.with_name(f"{first.stem}-{number}{SUFFIX}") for number in count(2))
-    return next(path for path in others if not path.exists())
 
 
 def _published(heard: Envelope) -> int:

@@ -20,7 +20,9 @@ def make_core(settings: RecorderSettings) -> RecorderCore:
     sinks: list[Sink] = []
     if settings.mcap is not None:
         metadata = {SERVICE: {"settings": settings.model_dump_json()}}
-        sinks.append(McapSink(settings.mcap, settings.site, time.time_ns, settings.flush_s, metadata))
+        sinks.append(
+            McapSink(settings.mcap, settings.site, time.time_ns, settings.flush_s, metadata, settings.limits)
+        )
     if settings.rrd is not None or settings.viewer_port is not None:
         from eigenscan.recorder.rerun_sink import RerunSink
 

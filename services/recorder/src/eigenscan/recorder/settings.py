@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from eigenscan.recorder.files import Limits
 from eigenscan.runtime.settings import ServiceSettings
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
+
+FILES_OF_A_BUDGET = 8
+"""Files that a budget holds where the size of one is not given."""
 
 
 class RecorderSettings(ServiceSettings):
@@ -18,6 +22,13 @@ class RecorderSettings(ServiceSettings):
     )
     flush_s: float = Field(
         0.5, gt=0, le=60, description="s of traffic at most that a kill may cost the MCAP file"
+    )
+    rotate_mb: float | None = Field(
+        None, gt=0, description="MB after which the next MCAP file begins; an eighth of budget_mb without it"
+    )
+    rotate_minutes: float = Field(60.0, gt=0, description="minutes after which the next MCAP file begins")
+    budget_mb: float | None = Field(
+        None, gt=0, description="MB that all MCAP files of this recorder may take: the oldest are deleted"
     )
     rrd: Path | None = Field(None, description="Rerun file to write the picture to; overwritten")
     viewer_port: int | None = Field(
@@ -45,6 +56,27 @@ class RecorderSettings(ServiceSettings):
         description="pictures per second and robot at most; plots and MCAP take everything",
     )
     plot_window_s: float = Field(120.0, gt=0, description="s of the past that the live time plots show")
+
+    @property
+    def limits(self) -> Limits:
+        """Those of the MCAP files."""
+        share = self.budget_mb / FILES_OF_A_BUDGET if self.budget_mb else None
+        file_mb = self.rotate_mb or share
+        return Limits(
+            file_bytes=int(file_mb * 1e6) if file_mb else None,
+            file_ns=int(self.rotate_minutes * 60e9),
+            # the file in use comes on top of what is kept
+            total_bytes=int((self.budget_mb - (file_mb or 0.0)) * 1e6) if self.budget_mb else None,
+        )
+
+    @model_validator(mode="after")
+    def _fits(self) -> RecorderSettings:
+        if self.budget_mb and self.rotate_mb and 2 * self.rotate_mb > self.budget_mb:
+            raise ValueError(
+                f"rotate_mb = {self.rotate_mb:g} is more than half of budget_mb = {self.budget_mb:g}: "
+                "a budget must hold two files"
+            )
+        return self
 
     @field_validator("viewer_memory")
     @classmethod

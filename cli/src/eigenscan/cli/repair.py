@@ -1,0 +1,42 @@
+"""`eigenscan repair`: a recording that was cut, made whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def repair(
+    file: Annotated[Path, typer.Argument(help="recording, MCAP")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="MCAP to write; NAME.repaired.mcap beside it without")
+    ] = None,
+) -> None:
+    """Save all that can be read of a recording whose recorder was killed, or whose disk was full or failed.
+
+    The file itself is left as it is. Whole recordings need no repair, and get none.
+    Exit code 0: repaired, or whole already; 2: nothing can be saved.
+
+    \b
+    Examples:
+      eigenscan repair night.mcap
+      eigenscan repair night.mcap -o saved.mcap
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.runtime.recording import REPAIRED
+    from eigenscan.runtime.repair import is_sound
+    from eigenscan.runtime.repair import repair as save
+
+    if is_sound(file):
+        typer.echo(f"{file}: is whole, nothing to repair")
+        return
+    target = out or file.with_name(f"{file.stem}{REPAIRED}")
+    found = save(file, target)
+    lost = [
+        f"{found.lost_chunks} damaged chunks are lost" if found.lost_chunks else "",
+        f"{found.lost_messages} messages of channels that they told of" if found.lost_messages else "",
+        "it breaks off" if found.cut else "",
+    ]
+    words = ", ".join(part for part in lost if part) or "its index was missing"
+    typer.echo(f"{target}: {found.messages} messages on {len(found.channels)} keys ({words})")

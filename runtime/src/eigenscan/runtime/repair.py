@@ -1,0 +1,141 @@
+"""A recording that was cut or damaged, made whole: every chunk that can still be read, with an index."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, cast
+
+from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
+from mcap.exceptions import EndOfFile
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+
+@dataclass
+class Salvage:
+    """What was saved of a file of `size` bytes."""
+
+    size: int
+    messages: int = 0
+    lost_chunks: int = 0
+    """That do not inflate, or whose sum is wrong."""
+    lost_messages: int = 0
+    """Of channels that only a lost chunk told of."""
+    cut: bool = False
+    """The file ends before its end mark, or cannot be read on from some place."""
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+
+
+def repair(damaged: Path, target: Path) -> Salvage:
+    """Writes what is readable of `damaged` to `target`, which must not exist; foreign channels as well.
+
+    Raises RecordingError where `damaged` is no MCAP or holds no message, or `target` exists.
+    """
+    if target.exists():
+        raise RecordingError(f"{target}: is there already: give another file with -o")
+    fresh = target.with_suffix(".part")
+    try:
+        found = Salvage(damaged.stat().st_size)
+        for record in _records(damaged, found):  # an index at the end may name channels of a lost chunk
+            if isinstance(record, Schema):
+                found.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                found.channels[record.id] = record
+        found.lost_chunks, found.cut = 0, False
+        with fresh.open("wb") as file:
+            _rewrite(damaged, file, found)
+        if not found.messages:
+            raise RecordingError(f"{damaged}: holds no whole chunk: nothing can be saved")
+        if message_count(fresh) != found.messages:
+            raise RecordingError(f"{fresh}: does not hold what was written: is the disk full?")
+        fresh.rename(target)
+    except OSError as error:
+        raise RecordingError(f"{error.filename}: {error.strerror}") from error
+    finally:
+        fresh.unlink(missing_ok=True)
+    return found
+
+
+def is_sound(path: Path) -> bool:
+    """Whether all of a file can be read and it ends as it should. Raises RecordingError for no MCAP."""
+    try:
+        found = Salvage(path.stat().st_size)
+        for _ in _records(path, found):
+            pass
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    return not (found.cut or found.lost_chunks)
+
+
+def _records(path: Path, found: Salvage) -> Iterator[McapRecord]:
+    """All records that can be read, those of chunks one by one; counts the rest in `found`."""
+    with path.open("rb") as file:
+        whole = cast(IO[bytes], WholeReads(file))
+        records = StreamReader(whole, emit_chunks=True, record_size_limit=found.size).records
+        first = True
+        while True:
+            try:
+                record = next(records, None)
+            except (EndOfFile, *DAMAGE) as error:
+                if first:
+                    raise RecordingError(f"{path}: is no readable recording: {error}") from error
+                found.cut = True
+                return
+            if record is None:
+                return
+            first = False
+            if isinstance(record, Chunk):
+                yield from _of_chunk(record, found)
+            else:
+                yield record
+
+
+def _of_chunk(chunk: Chunk, found: Salvage) -> list[McapRecord]:
+    try:
+        return breakup_chunk(chunk, validate_crc=True)
+    except (EndOfFile, *DAMAGE):
+        found.lost_chunks += 1
+        return []
+
+
+def _rewrite(damaged: Path, file: IO[bytes], found: Salvage) -> None:
+    writer = Writer(file, compression=CompressionType.ZSTD)
+    ids: dict[int, int] = {}
+    started = False
+    for record in _records(damaged, found):
+        if not started:
+            profile = record.profile if isinstance(record, Header) else PROFILE
+            writer.start(profile=profile, library="eigenscan repair")
+            started = True
+        if isinstance(record, Metadata):
+            writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            writer.add_attachment(
+                record.create_time, record.log_time, record.name, record.media_type, record.data
+            )
+        elif isinstance(record, Message):
+            if record.channel_id not in ids and not _register(writer, ids, record.channel_id, found):
+                found.lost_messages += 1
+                continue
+            writer.add_message(
+                ids[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
+            )
+            found.messages += 1
+    writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _register(writer: Writer, ids: dict[int, int], channel_id: int, found: Salvage) -> bool:
+    """Tells the writer of a channel; False where nothing is left of it."""
+    channel = found.channels.get(channel_id)
+    if channel is None or (channel.schema_id and channel.schema_id not in found.schemas):
+        return False
+    schema = found.schemas.get(channel.schema_id)
+    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+    ids[channel_id] = writer.register_channel(
+        channel.topic, channel.message_encoding, schema_id, dict(channel.metadata)
+    )
+    return True

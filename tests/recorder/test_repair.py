@@ -1,0 +1,169 @@
+"""`eigenscan repair`: what a killed recorder left, cut and damaged files, and files that are none."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from eigenscan.runtime.recording import RecordingError, RecordingWriter, is_complete, read, read_metadata
+from eigenscan.runtime.repair import is_sound, repair
+from eigenscan.schemas.channels import POSE
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+S = 1_000_000_000
+COUNT = 300
+KILLS = 4
+
+
+def eigenscan(*arguments: object) -> subprocess.CompletedProcess[str]:
+    program = Path(sys.executable).parent / "eigenscan"
+    return subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+def stamps(path: Path) -> list[int]:
+    return [record.publish_time for record in read(path) if record.envelope.channel is POSE]
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """COUNT poses, ten in a chunk."""
+    path = tmp_path / "whole.mcap"
+    with RecordingWriter(path, {"recorder": {"settings": "{}"}}) as writer:
+        for number in range(1, COUNT + 1):
+            message = PoseEstimate(timestamp=stamp(number))
+            writer.write(Envelope(POSE, {"site": "s", "robot": "r"}, message), number, number)
+            if number % 10 == 0:
+                writer.flush()
+    return path
+
+
+@pytest.mark.parametrize("seed", range(KILLS))
+def test_a_recorder_killed_at_any_moment_leaves_all_but_a_second(
+    start_recorder: Callable[..., Any], tmp_path: Path, seed: int
+) -> None:
+    recorder = start_recorder("--mcap", str(tmp_path / "k.mcap"))
+    address = {"site": recorder.site, "robot": "r1"}
+    said: list[int] = []
+    until = time.monotonic() + random.Random(seed).uniform(1.2, 3.0)
+    while time.monotonic() < until:
+        said.append(time.time_ns())
+        recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(said[-1]))))
+        time.sleep(0.004)
+    recorder.process.send_signal(signal.SIGKILL)
+    killed = time.time_ns()
+    recorder.process.wait()
+    damaged = tmp_path / "k.mcap"
+    assert not is_complete(damaged)
+    before = damaged.read_bytes()
+    done = eigenscan("repair", damaged)
+    assert done.returncode == 0, done.stderr
+    assert damaged.read_bytes() == before
+    repaired = tmp_path / "k.repaired.mcap"
+    assert is_complete(repaired)
+    assert is_sound(repaired)
+    kept = stamps(repaired)
+    assert kept == said[: len(kept)]
+    assert len(kept) >= sum(moment < killed - S for moment in said)
+    assert stamps(tmp_path) == kept  # of both files in the folder, the repaired one counts
+    assert read_metadata(repaired)["recorder"]
+
+
+def test_a_file_cut_anywhere_gives_whole_messages_of_its_start(whole: Path, tmp_path: Path) -> None:
+    content = whole.read_bytes()
+    most = 0
+    for number, size in enumerate(range(0, len(content), 97)):
+        cut, target = tmp_path / f"{number}.mcap", tmp_path / f"{number}-saved.mcap"
+        cut.write_bytes(content[:size])
+        try:
+            found = repair(cut, target)
+        except RecordingError:
+            assert not target.exists()
+            assert not most  # once there is a whole chunk, it is saved from all longer files
+            continue
+        kept = stamps(target)
+        assert kept == list(range(1, len(kept) + 1))
+        assert found.messages == len(kept) >= most
+        assert found.cut
+        most = len(kept)
+    assert most == COUNT
+
+
+def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None:
+    chunks = chunks_of(whole)
+    content = bytearray(whole.read_bytes())
+    place = content.index(chunks[7].data)
+    content[place + len(chunks[7].data) // 2] ^= 0xFF
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    with pytest.raises(RecordingError):
+        list(read(damaged))
+    done = eigenscan("repair", damaged, "-o", tmp_path / "saved.mcap")
+    assert done.returncode == 0, done.stderr
+    assert "1 damaged chunks are lost" in done.stdout
+    assert stamps(tmp_path / "saved.mcap") == [n for n in range(1, COUNT + 1) if not 70 < n <= 80]
+
+
+def chunks_of(path: Path) -> list[Chunk]:
+    with path.open("rb") as file:
+        return [one for one in StreamReader(file, emit_chunks=True).records if isinstance(one, Chunk)]
+
+
+def test_foreign_channels_and_attachments_are_saved_as_well(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_attachment(1, 2, "map.yaml", "text/yaml", b"resolution: 0.05")
+        channel = writer.register_channel("/camera", "json", 0)
+        writer.add_message(channel, 5, b"{}", 4, 3)
+        writer.finish()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:-40])
+    repair(cut, tmp_path / "saved.mcap")
+    with (tmp_path / "saved.mcap").open("rb") as file:
+        reader = make_reader(file)
+        ((_, channel, message),) = reader.iter_messages()
+        (attachment,) = reader.iter_attachments()
+    assert (channel.topic, message.data, message.log_time, message.publish_time, message.sequence) == (
+        *("/camera", b"{}", 5),
+        *(4, 3),
+    )
+    assert (attachment.name, attachment.data) == ("map.yaml", b"resolution: 0.05")
+
+
+def test_whole_files_get_none_and_nothing_is_overwritten(whole: Path, tmp_path: Path) -> None:
+    done = eigenscan("repair", whole)
+    assert done.returncode == 0
+    assert "nothing to repair" in done.stdout
+    assert list(tmp_path.iterdir()) == [whole]
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-30])
+    shutil.copy(whole, tmp_path / "there.mcap")
+    done = eigenscan("repair", cut, "-o", tmp_path / "there.mcap")
+    assert done.returncode == 2
+    assert "is there already" in done.stderr
+    assert (tmp_path / "there.mcap").read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"scan 1 2 3\n" * 20, bytes(500)])
+def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    done = eigenscan("repair", path)
+    assert done.returncode == 2
+    assert "other.mcap" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [path]
