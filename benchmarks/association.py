@@ -39,7 +39,7 @@ from eigenscan.schemas.scan_pb2 import Scan
 from single_scan import CASES, DATASETS, occluded, samples
 
 SIMULATED = "office (simulated)"
-CHOSEN = ("intel", "fr079", "guardian 3")
+CHOSEN = ("intel", "fr079", "guardian 3", "guardian 2 rear")
 VARIANTS: dict[str, dict[str, Any]] = {
     "sweep": {"association": "sweep"},
     "sweep, 300 nearest": {"association": "sweep", "candidates": 300},

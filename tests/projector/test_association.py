@@ -123,30 +123,42 @@ def test_connectivity_keeps_the_nearest_of_each_surface_and_no_other(
     sheets = [_sheets(rng) for _ in range(regions)]
     alphas, residuals = _query(rng, sheets)
     near = SweepTable.of(sheets).nearest(alphas, residuals, count)
-    found = Surfaces.of(sheets).nearest(alphas, residuals, count)
-    inside = dict(zip(near.rows.tolist(), near.squares.tolist(), strict=True))
-    # pieces by spreading from pose to neighbouring pose
-    places, before = {}, 0
+    surfaces = Surfaces.of(sheets)
+    found = surfaces.nearest(alphas, residuals, count)
+    order = {row: i for i, row in enumerate(near.rows.tolist())}
+    rows = {}
+    before = 0
     for r, s in enumerate(sheets):
-        for p, cell in enumerate(s.cells.tolist()):
-            for h in range(7):
-                places[before + p * 7 + h] = (r, h, *cell)
+        for p, (x, y) in enumerate(s.cells.tolist()):
+            rows |= {(r, h, x, y): before + p * 7 + h for h in range(7)}
         before += s.rows
-    piece: dict[int, int] = {}
-    for start in inside:
-        spreading = [start] if start not in piece else []
-        while spreading:
-            row = spreading.pop()
-            piece[row] = start
-            r, h, x, y = places[row]
-            beside = {(r, h, x + 1, y), (r, h, x - 1, y), (r, h, x, y + 1), (r, h, x, y - 1)}
-            spreading += [o for o in inside if o not in piece and places[o] in beside]
-    least: dict[int, float] = {}
-    for row, start in piece.items():
-        least[start] = min(least.get(start, np.inf), inside[row])
-    assert sorted(piece[row] for row in found.rows) == sorted(least)
-    assert np.allclose(found.squares, [least[piece[row]] for row in found.rows])
-    assert np.all(np.diff(found.squares) >= 0)
+    kept = []
+    for (r, h, x, y), row in rows.items():
+        beside = [rows.get((r, h, x + dx, y + dy), -1) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+        if row in order and all(order[row] < order.get(other, count + 1) for other in beside):
+            kept.append(row)
+    assert found.rows.tolist() == sorted(kept, key=lambda row: order[row])
+    assert found.squares.tolist() == [near.squares[order[row]] for row in found.rows]
+    # nothing is left over from the scan before
+    again = surfaces.nearest(alphas, residuals, count)
+    assert again.rows.tolist() == found.rows.tolist()
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_connectivity_keeps_exactly_one_pose_of_a_flat_sheet(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = np.argwhere(np.ones((5, 4)))
+    # axes at right angles: of all poses but one a neighbour is nearer to the scan; whole numbers up to the
+    # largest, so that packing into bytes loses nothing
+    x, y, turn = rng.integers(1, 9, 3)
+    flat = np.full((len(cells), 7, 4), 127.0, dtype=np.float32)
+    flat[..., 0], flat[..., 1] = (cells * [x, y]).T[..., None]
+    flat[..., 2] = np.arange(7) * turn
+    sheets = Sheets(flat, cells * 0.5, cells)
+    alpha = rng.normal(20, 20, 4)
+    found = Surfaces.of([sheets]).nearest(alpha[None], np.zeros(1), sheets.rows)
+    assert sorted(found.rows % 7) == list(range(7))
 
 
 @settings(max_examples=40, deadline=None)

@@ -14,7 +14,10 @@ class ProjectorSettings(ServiceSettings):
     embedding: Kind = Field("ring", description="what of a range is analysed: ring, or range as in the paper")
     range_cap: float = Field(15.0, gt=0, description="m, plain ranges count as this at most")
     components: int = Field(16, ge=1, le=64, description="coefficients kept of each subspace")
-    association: kinds.Kind = Field("sweep", description="how near poses are found in eigenspace")
+    association: kinds.Kind = Field(
+        "sweep",
+        description="how near poses are found: sweep, cells, tree, connectivity, triangles or tetrahedra",
+    )
     margin: float = Field(
         0.5, ge=0, le=1, description="of its size that a scan may lie outside of a triangle or tetrahedron"
     )

@@ -22,6 +22,8 @@ class Surfaces:
     poses: SweepTable
     neighbours: NDArray[np.int32]
     headings: int
+    scratch: NDArray[np.int32]
+    """Room (n,) for the poses' places in the list, -1 between scans."""
 
     @classmethod
     def of(cls, regions: list[Sheets]) -> Surfaces:
@@ -34,48 +36,43 @@ class Surfaces:
                 own[other, axis + 2] = one + before
             neighbours.append(own)
             before += len(own)
-        return cls(SweepTable.of(regions), np.concatenate(neighbours), regions[0].coefficients.shape[1])
+        headings = regions[0].coefficients.shape[1]
+        free = np.full(before * headings, -1, dtype=np.int32)
+        return cls(SweepTable.of(regions), np.concatenate(neighbours), headings, free)
 
     @property
     def nbytes(self) -> int:
         """Memory of the index, bytes."""
-        return self.poses.nbytes + self.neighbours.nbytes
+        return self.poses.nbytes + self.neighbours.nbytes + self.scratch.nbytes
 
     def nearest(self, alphas: Array, residuals: Array, count: int) -> Matches:
-        """The nearest pose of each connected piece of a sheet inside the volume; see Association.
+        """Of the `count` nearest poses those without a nearer neighbour on their sheet; see Association.
 
-        The volume is the ball around the scan that holds the `count` nearest poses. A sheet that leaves it
-        and comes back, at another place of the region, passes through it twice.
+        A sheet that bends away and comes back, at another place of the region, passes the scan twice.
         """
         near = self.poses.nearest(alphas, residuals, count)
-        rank = np.full(len(self.neighbours) * self.headings, -1, dtype=np.int32)
-        rank[near.rows] = np.arange(len(near.rows), dtype=np.int32)
-        return near.take(_nearest_of_pieces(near.rows, rank, self.neighbours, self.headings))
+        return near.take(_nearest_of_surfaces(near.rows, self.neighbours, self.headings, self.scratch))
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _nearest_of_pieces(
-    rows: Index, rank: NDArray[np.int32], neighbours: NDArray[np.int32], headings: int
+def _nearest_of_surfaces(
+    rows: Index, neighbours: NDArray[np.int32], headings: int, place: NDArray[np.int32]
 ) -> Index:
-    """Indices into `rows` (k,), nearest first: the first of each connected piece. `rank` (n,) is used up."""
+    """Indices into `rows` (k,), nearest first, of those before all their neighbours in the list."""
     first = np.empty(len(rows), dtype=np.int64)
-    stack = np.empty(len(rows), dtype=np.int64)
+    for i in range(len(rows)):
+        place[rows[i]] = i
     found = 0
     for i in range(len(rows)):
-        if rank[rows[i]] < 0:
-            continue
-        first[found] = i
-        found += 1
-        stack[0], waiting = rows[i], 1
-        rank[rows[i]] = -1
-        while waiting:
-            waiting -= 1
-            position, heading = stack[waiting] // headings, stack[waiting] % headings
-            for n in range(4):
-                beside = neighbours[position, n]
-                row = beside * headings + heading
-                if beside >= 0 and rank[row] >= 0:
-                    rank[row] = -1
-                    stack[waiting] = row
-                    waiting += 1
+        position, heading = rows[i] // headings, rows[i] % headings
+        lowest = True
+        for n in range(4):
+            beside = neighbours[position, n]
+            if beside >= 0 and 0 <= place[beside * headings + heading] < i:
+                lowest = False
+        if lowest:
+            first[found] = i
+            found += 1
+    for i in range(len(rows)):
+        place[rows[i]] = -1
     return first[:found]
