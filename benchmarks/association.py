@@ -1,7 +1,7 @@
 """The associations side by side: which poses each proposes for a scan, and what comes of them.
 
     .venv/bin/python benchmarks/association.py [--datasets FOLDER] [--only intel] [--scans 100]
-        [--embedding ring] [--components 16] [--json OUT]
+        [--embedding ring] [--components 16] [--occlude 0.3] [--json OUT]
     .venv/bin/python benchmarks/association.py --pruning [--datasets FOLDER] [--json OUT]
     .venv/bin/python benchmarks/association.py --picture docs/images/figure_6_7.png
 
@@ -16,6 +16,7 @@ looked for beside it. Set OMP_NUM_THREADS=1.
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,7 @@ class Asked:
     truth: np.ndarray
 
 
-def simulated(count: int, area: float = 470.0) -> tuple[SiteModel, list[Asked]]:
+def simulated(count: int, area: float = 470.0, occlude: float = 0.0) -> tuple[SiteModel, list[Asked]]:
     """An office, and scans of half a turn at half a degree, 2 cm of noise."""
     built = build_site(office(area), Plan(spacing=0.5))
     rng = np.random.default_rng(0)
@@ -82,16 +83,21 @@ def simulated(count: int, area: float = 470.0) -> tuple[SiteModel, list[Asked]]:
         )
         for row in ranges
     ]  # fmt: skip
-    return built, [Asked(observe(scan), pose) for scan, pose in zip(scans, poses, strict=True)]
+    return built, asked(scans, poses, occlude)
+
+
+def asked(scans: list[Scan], truths: Sequence[np.ndarray], occlude: float) -> list[Asked]:
+    """With a share of the beams occluded."""
+    seen = [observe(occluded(scan, occlude, i) if occlude else scan) for i, scan in enumerate(scans)]
+    return [Asked(one, truth) for one, truth in zip(seen, truths, strict=True)]
 
 
 def recorded(datasets: Path, name: str, count: int, occlude: float = 0.0) -> tuple[SiteModel, list[Asked]]:
     case = next(case for case in CASES if case.name == name)
     built = build_site(read_map(datasets / case.folder / "map.yaml"), Plan(spacing=0.5))
     chosen = samples(datasets, case, count)
-    scans = [occluded(s.scan, occlude, i) if occlude else s.scan for i, s in enumerate(chosen)]
     truths = [compose(s.truth, from_message(s.scan.mount)) for s in chosen]
-    return built, [Asked(observe(scan), truth) for scan, truth in zip(scans, truths, strict=True)]
+    return built, asked([s.scan for s in chosen], truths, occlude)
 
 
 def whole(built: SiteModel) -> WholeSet:
@@ -120,12 +126,12 @@ def apart(poses: np.ndarray) -> np.ndarray:
     return poses[best_of_neighbourhoods(poses, order, WITHIN_M, WITHIN_RAD, max(len(poses), 1))]
 
 
-def judge(built: SiteModel, asked: list[Asked], settings: ProjectorSettings) -> dict[str, Any]:
+def judge(built: SiteModel, scans: list[Asked], settings: ProjectorSettings) -> dict[str, Any]:
     site = Site(whole(built), settings)
-    view = site.view(asked[0].seen.sensor)
-    find_candidates(site, view, asked[0].seen, settings)
+    view = site.view(scans[0].seen.sensor)
+    find_candidates(site, view, scans[0].seen, settings)
     recall, false, ahead, top1, listed, alone, scan = [], [], [], [], [], [], []
-    for one in asked:
+    for one in scans:
         poses, spent = candidates(site, view, one.seen, settings.candidates)
         alone.append(spent)
         recall.append(bool(hits(poses, one.truth).any()))
@@ -138,7 +144,7 @@ def judge(built: SiteModel, asked: list[Asked], settings: ProjectorSettings) -> 
         top1.append(bool(final[:1].any()))
         listed.append(bool(final.any()))
     return {
-        "n": len(asked), "recall": np.mean(recall), "false": np.mean(false), "ahead": np.median(ahead),
+        "n": len(scans), "recall": np.mean(recall), "false": np.mean(false), "ahead": np.median(ahead),
         "top1": np.mean(top1), "in_list": np.mean(listed),
         "association_ms": np.median(alone), "scan_ms": np.median(scan),
         "index_mb": view.association.nbytes / 1e6,
@@ -146,21 +152,21 @@ def judge(built: SiteModel, asked: list[Asked], settings: ProjectorSettings) -> 
     }  # fmt: skip
 
 
-def pruning(built: SiteModel, asked: list[Asked]) -> dict[str, float]:
+def pruning(built: SiteModel, scans: list[Asked]) -> dict[str, float]:
     """Share of the poses that are not searched, and of the scans that lose all right ones by it."""
     site = Site(whole(built), ProjectorSettings())
-    view = site.view(asked[0].seen.sensor)
+    view = site.view(scans[0].seen.sensor)
     rows = np.arange(view.bounds[-1])
     position, window = view.row_position.astype(np.int64), view.row_window.astype(np.int64)
     region = np.searchsorted(view.bounds, rows, side="right") - 1
     skipped, lost = [], []
-    for one in asked:
+    for one in scans:
         searched = project(view, one.seen, one.seen.used).searched[region]
         at = lattice_poses(site.lattice.positions, position, window, ANALYSIS_TURN, one.seen.sensor.angle_min)
         skipped.append(1.0 - searched.mean())
         hit = hits(at, one.truth)
         lost.append(bool(hit.any() and not searched[hit].any()))
-    return {"n": len(asked), "pruned": float(np.mean(skipped)), "lost": float(np.mean(lost))}
+    return {"n": len(scans), "pruned": float(np.mean(skipped)), "lost": float(np.mean(lost))}
 
 
 def main() -> None:
@@ -172,6 +178,7 @@ def main() -> None:
     parser.add_argument(
         "--components", type=int, default=ProjectorSettings.model_fields["components"].default
     )
+    parser.add_argument("--occlude", type=float, default=0.0, help="share of the beams, in random runs")
     parser.add_argument("--pruning", action="store_true", help="what region pruning skips and loses")
     parser.add_argument("--picture", type=Path, help="draw figures 6 and 7 of the paper to this file")
     parser.add_argument("--json", type=Path)
@@ -205,15 +212,17 @@ def show_associations(options: argparse.Namespace) -> list[dict[str, Any]]:
     for name in (*CHOSEN, SIMULATED):
         if options.only not in name:
             continue
-        built, asked = (
-            simulated(options.scans) if name == SIMULATED else recorded(options.datasets, name, options.scans)
+        built, scans = (
+            simulated(options.scans, occlude=options.occlude)
+            if name == SIMULATED
+            else recorded(options.datasets, name, options.scans, options.occlude)
         )
         for embedding in options.embedding or ("ring", "range"):
             for variant, chosen in VARIANTS.items():
                 settings = ProjectorSettings.model_validate(
                     {"embedding": embedding, "components": options.components, **chosen}
                 )
-                row = judge(built, asked, settings)
+                row = judge(built, scans, settings)
                 rows.append({"case": name, "embedding": embedding, "variant": variant, **row})
                 cells = [form.format(row[key] * scale) for _, key, form, scale in COLUMNS]
                 print(" | ".join([name, embedding, variant, *cells]), flush=True)
