@@ -47,7 +47,8 @@ def play(
     Each answer follows what it answers.
     Raises UsageError where the cores lack what they need.
     """
-    heard, said = heard_by(services), said_by(services)
+    said = said_by(services)
+    heard = heard_by(instances, said)
     _check(survey, services)
     loop = Loopback(instances)
     yield from _replayed(survey.begin, loop.start())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,8 +56,7 @@ def said_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:
     return tuple(channel for service in services for channel in service.says)
 
 
-def heard_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:
-    """Channels that must come from the recording: what none of these services says itself."""
-    said = said_by(services)
-    channels = (channel for service in services for channel in service.hears if channel not in said)
+def heard_by(cores: Sequence[Core], said: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Channels that must come from the recording: what the cores hear, by their settings, but do not say."""
+    channels = (channel for core in cores for channel in core.hears if channel not in said)
     return tuple(dict.fromkeys(channels))

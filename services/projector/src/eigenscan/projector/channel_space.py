@@ -52,21 +52,25 @@ class ChannelSpaces:
         )
 
     def project(
-        self, channels: NDArray[np.float32], seen: NDArray[np.bool_]
+        self,
+        channels: NDArray[np.float32],
+        seen: NDArray[np.bool_],
+        among: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coefficients (R, M) of a scan (F, J), and its error's mean square (R,) over the beams `seen` (J,).
 
         Beams that are not seen take no part: least squares on the others, held by the coefficients' own
-        variances where these do not fix them.
+        variances where these do not fix them. A region that is not `among` (R,) gets 0 and +inf.
         """
-        regions, components = self.prior.shape
-        alpha, square = np.empty((regions, components)), np.empty(regions)
-        _project(self.mean, self.vectors, self.prior, channels, seen, alpha, square)
+        alpha, square = np.zeros(self.prior.shape), np.full(len(self.prior), np.inf)
+        which = np.arange(len(self.prior)) if among is None else np.flatnonzero(among)
+        _project(which, self.mean, self.vectors, self.prior, channels, seen, alpha, square)
         return alpha, square
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _project(
+    which: NDArray[np.int64],
     mean: NDArray[np.float32],
     vectors: NDArray[np.float32],
     prior: NDArray[np.float64],
@@ -75,13 +79,13 @@ def _project(
     alpha: NDArray[np.float64],
     square: NDArray[np.float64],
 ) -> None:
-    regions, components, many, beams = vectors.shape
+    _, components, many, beams = vectors.shape
     lacking = np.flatnonzero(~seen)
     scan = np.empty(many * beams, dtype=np.float32)
     hidden = np.empty((components, many * len(lacking)), dtype=np.float32)
     gram, normal = np.empty((components, components)), np.empty((components, components))
     target = np.empty(components)
-    for r in range(regions):
+    for r in which:
         for f in range(many):
             for j in range(beams):
                 scan[f * beams + j] = (channels[f, j] - mean[r, f]) if seen[j] else np.float32(0.0)

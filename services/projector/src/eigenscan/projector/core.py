@@ -9,17 +9,19 @@ import numpy as np
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.pose import from_message
+from eigenscan.projector.focus import WHOLE, Focus, Scope
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import Shelf, WholeSet
 from eigenscan.projector.site import Site
-from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, SCAN, Channel
-from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, POSE, SCAN, Channel
+from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
 
@@ -31,6 +33,9 @@ class ProjectorCore:
 
     def __init__(self, settings: ProjectorSettings) -> None:
         self._settings = settings
+        self._focus = Focus()
+        if settings.focus:
+            self.hears = (*ProjectorCore.hears, POSE)
         self._shelf = Shelf()
         self._site: Site | None = None
         self._counts: Counter[str] = Counter()
@@ -48,7 +53,9 @@ class ProjectorCore:
         """Takes a map, a model or a set; answers a scan with hypotheses and obstacles."""
         if heard.channel == SCAN:
             return self._scan(heard)
-        if heard.channel == MAP:
+        if heard.channel == POSE:
+            self._focus.hear(heard.address["robot"], heard.open(PoseEstimate))
+        elif heard.channel == MAP:
             self._take("map", lambda: self._shelf.put_map(heard.open(Grid)))
         elif heard.channel == MODEL:
             self._take("model", lambda: self._shelf.put_model(heard.open(RegionModel)))
@@ -76,7 +83,7 @@ class ProjectorCore:
         if site is not None:
             for sensor in self._site.sensors if self._site else []:
                 site.view(sensor)
-            self._site = site
+            self._site, self._focus = site, Focus()
             self._refused = ""
 
     def _scan(self, heard: Envelope) -> list[Envelope]:
@@ -103,10 +110,26 @@ class ProjectorCore:
         self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site
     ) -> list[Envelope]:
         view = site.view(seen.sensor)
-        candidates = find_candidates(site, view, seen, self._settings)
+        scope = self._scope(address, scan, site)
+        candidates = find_candidates(site, view, seen, self._settings, scope=scope)
+        if scope.regions is None and self._settings.focus:
+            at = nanoseconds(scan.timestamp)
+            self._focus.searched_whole(address["robot"], address["lidar"], at, candidates.ordinary)
         said = [
-            Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates)),
+            Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates, scope)),
         ]
         if len(candidates.poses):
             said.append(Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates)))
         return said
+
+    def _scope(self, address: dict[str, str], scan: Scan, site: Site) -> Scope:
+        """What is searched: all, but where the tracker is sure and all was searched lately."""
+        if not self._settings.focus:
+            return WHOLE
+        robot, lidar = address["robot"], address["lidar"]
+        reach = self._focus.reach(robot, lidar, nanoseconds(scan.timestamp), site.frame_id)
+        near = reach.regions(site.boxes) if reach else np.zeros(0, dtype=bool)
+        if not near.any():
+            return WHOLE
+        self._counts["scan_focused"] += 1
+        return Scope(near, self._focus.ordinary(robot, lidar))

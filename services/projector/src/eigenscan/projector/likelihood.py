@@ -49,16 +49,23 @@ def support(
     return out[0], out[1]
 
 
-def log_likelihood(supports: Array, parts: int = 1) -> Array:
+def ordinary_support(supports: Array, parts: int = 1) -> float:
+    """What an ordinary place gets, by the supports (n,) of places, best first.
+
+    Of a site that is searched in `parts`, each holds its share of the places that look similar, so that what
+    all parts say compares.
+    """
+    if not len(supports):
+        return -np.inf
+    return float(supports[min(max(round(ORDINARY_RANK / parts), 1), len(supports) - 1)])
+
+
+def log_likelihood(supports: Array, ordinary: float) -> Array:
     """Values (n,) of ln p(scan | pose) / p(scan | unknown place) for supports (n,) of places, best first.
 
     A plain scan (a wall, a corner) finds support in many places, also of a foreign building: what an ordinary
-    place gets is no evidence. Of a site that is searched in `parts`, each holds its share of the places that
-    look similar, so that the values of all parts compare.
+    place gets is no evidence.
     """
-    if not len(supports):
-        return supports
-    ordinary = supports[min(max(round(ORDINARY_RANK / parts), 1), len(supports) - 1)]
     odds: Array = NATS * (supports - STRANGE - SIMILAR * ordinary)
     return odds
 

@@ -10,8 +10,9 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
+from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
-from eigenscan.projector.likelihood import THROUGH_MARGIN, log_likelihood, support
+from eigenscan.projector.likelihood import THROUGH_MARGIN, log_likelihood, ordinary_support, support
 from eigenscan.projector.observation import ANALYSIS_TURN, Observation
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings
@@ -54,7 +55,10 @@ class Projected:
 
 @dataclass(frozen=True)
 class Candidates:
-    """n poses of the sensor, most likely first. `region` (n,) proposed each."""
+    """n poses of the sensor, most likely first. `region` (n,) proposed each.
+
+    `ordinary` is the support of a place that merely looks similar.
+    """
 
     poses: Array
     covariances: Array
@@ -63,6 +67,7 @@ class Candidates:
     region: Index
     projected: Projected
     unlisted_log_likelihood: float
+    ordinary: float
 
 
 def find_candidates(
@@ -71,9 +76,10 @@ def find_candidates(
     seen: Observation,
     settings: ProjectorSettings,
     witness: Witness = lambda *_: None,
+    scope: Scope = WHOLE,
 ) -> Candidates:
-    """Candidate poses of the sensor in the map frame."""
-    projected, matches = _associate(view, seen, settings.candidates)
+    """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
+    projected, matches = _associate(view, seen, settings.candidates, scope)
     seeds, region = _verified(site, view, seen, matches, settings.refined, witness)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
@@ -81,28 +87,28 @@ def find_candidates(
     witness("slid", slid.poses)
     best = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), SAME_M, SAME_RAD, POLISHED)
     witness("kept to polish", slid.poses[best])
-    return _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness)
+    return _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness, scope)
 
 
-def _associate(view: SensorView, seen: Observation, count: int) -> tuple[Projected, Matches]:
+def _associate(view: SensorView, seen: Observation, count: int, scope: Scope) -> tuple[Projected, Matches]:
     """The scan in every region's space, and the poses nearest to it there.
 
     Where narrow things stand free in the scan, also as many of the nearest to the scan without them.
     """
     returned = np.isfinite(seen.coarse)
     behind = returned & ~foreground(seen.coarse, TURN / ANALYSIS_TURN)
-    projected = project(view, seen, returned)
+    projected = project(view, seen, returned, scope)
     whole = _nearest(view, projected, len(behind), count)
     cut_off = np.count_nonzero(returned) - np.count_nonzero(behind)
     if cut_off < FOREGROUND_SHARE * len(behind) or np.count_nonzero(behind) < len(behind) // 4:
         return projected, whole
-    return projected, whole.joined(_nearest(view, project(view, seen, behind), len(behind), count))
+    return projected, whole.joined(_nearest(view, project(view, seen, behind, scope), len(behind), count))
 
 
-def project(view: SensorView, seen: Observation, used: NDArray[np.bool_]) -> Projected:
-    """The scan in every region's space; only the beams `used` (J,) take part."""
+def project(view: SensorView, seen: Observation, used: NDArray[np.bool_], scope: Scope = WHOLE) -> Projected:
+    """The scan in the space of every region in `scope`; only the beams `used` (J,) take part."""
     channels = view.embedding(np.where(used, seen.coarse, np.float32(0)))
-    coefficients, square = view.spaces.project(channels, used)
+    coefficients, square = view.spaces.project(channels, used, scope.regions)
     return Projected(coefficients, np.sqrt(square), explaining(square, view.usual_error))
 
 
@@ -151,6 +157,7 @@ def _weigh(
     projected: Projected,
     settings: ProjectorSettings,
     witness: Witness,
+    scope: Scope,
 ) -> Candidates:
     polished = fit(site.walls, slid, seen.points, POLISH)
     witness("polished", polished.poses)
@@ -165,7 +172,8 @@ def _weigh(
     kept = np.argsort(-supported)[: settings.published]
     witness("published", poses[kept])
     witness("first", poses[kept[:1]])
-    likelihood = log_likelihood(supported[kept], site.parts)
+    ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
+    likelihood = log_likelihood(supported[kept], ordinary)
     chosen = best[kept]
     return Candidates(
         poses[kept],
@@ -174,6 +182,7 @@ def _weigh(
         explained[kept],
         region[chosen],
         projected,
-        # of what others search nothing is known
-        float(likelihood.min(initial=0.0)) if site.parts == 1 else 0.0,
+        # of what was not searched nothing is known
+        float(likelihood.min(initial=0.0)) if site.parts == 1 and scope.regions is None else 0.0,
+        ordinary,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse, to_message
 from eigenscan.projector.coordinates import coordinates
+from eigenscan.projector.focus import Scope
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.obstacles import find_obstacles
 from eigenscan.projector.projection import Candidates
@@ -31,9 +32,9 @@ def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
 
 
 def hypotheses_message(
-    scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
+    scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates, scope: Scope
 ) -> Hypotheses:
-    """The list, most likely first."""
+    """The list of what was found in `scope`, most likely first."""
     base, covariances = to_base(found.poses, found.covariances, mount)
     energy = found.projected.error_energy
     told = told_regions(found)
@@ -42,7 +43,7 @@ def hypotheses_message(
         frame_id=site.frame_id,
         status=Hypotheses.STATUS_OK,
         unlisted_log_likelihood=found.unlisted_log_likelihood,
-        searched_area_m2=site.searched_area_m2,
+        searched_area_m2=site.area(scope.regions),
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         projections=[
@@ -86,8 +87,9 @@ def hypotheses_message(
 def told_regions(found: Candidates) -> NDArray[np.int64]:
     """Regions whose projections are said: of large sites those of the candidates and the best explained."""
     energy = found.projected.error_energy
-    if len(energy) <= TOLD:
-        return np.arange(len(energy))
+    projected = np.flatnonzero(np.isfinite(energy))
+    if len(projected) <= TOLD:
+        return projected
     best = np.argpartition(energy, TOLD)[:TOLD]
     return np.union1d(best[np.argsort(energy[best])][: TOLD - len(found.poses)], found.region)
 

@@ -29,6 +29,10 @@ class ProjectorSettings(ServiceSettings):
         pattern=r"^[1-9]\d*/[1-9]\d*$",
         description="K/N: search the Kth of N shares of the regions; other projectors search the others",
     )
+    focus: bool = Field(
+        False,
+        description="search only around the pose of a tracker that is sure, and the whole site once a second",
+    )
     least_beams: int = Field(12, ge=1, description="beams with a return that a scan needs, at 2 degrees")
 
     @property

@@ -55,6 +55,7 @@ class SensorView:
 class Site:
     """The set in use, as far as this projector searches it.
 
+    `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
     """
 
@@ -67,10 +68,19 @@ class Site:
         self.walls, self.coarse_walls = WallField.of(field), WallField.of(field, COARSE_CELL)
         self.caster = RayCaster.of(whole.grid)
         self.lattice = Lattice.of(own)
+        corners = [self.lattice.positions[positions] for positions in self.lattice.regions]
+        self.boxes = np.array([[*points.min(axis=0), *points.max(axis=0)] for points in corners])
         self.regions = tuple(region.region for region in own)
         self._settings = settings
         self._views: OrderedDict[tuple[int, float], SensorView] = OrderedDict()
         self._sensors: dict[tuple[int, float], Sensor] = {}
+
+    def area(self, regions: NDArray[np.bool_] | None) -> float:
+        """Free area of some of the regions (R,), m2, or of all."""
+        if regions is None:
+            return self.searched_area_m2
+        sizes = np.array([len(positions) for positions in self.lattice.regions])
+        return float(self.searched_area_m2 * sizes[regions].sum() / sizes.sum())
 
     @property
     def sensors(self) -> list[Sensor]:
