@@ -9,8 +9,8 @@ recall: a candidate is right (0.5 m, 10 degrees). false: candidates that are not
 how many of these are nearer than the right one (median). top1, listed: after verification and refinement.
 ms: CPU of the association alone, and of a scan. `--pruning`: the share of the poses that are not searched
 because the error vector is too large in their region, and of the scans whose right pose is among them.
-`--picture` draws figures 6 and 7 of the paper. The datasets are not part of the project; by default they are
-looked for beside it. Set OMP_NUM_THREADS=1.
+`--picture` draws figures 6 and 7 of the paper, at equal recall. The datasets are not part of the project; by
+default they are looked for beside it. Set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -186,9 +186,9 @@ def main() -> None:
     if options.picture:
         from association_picture import draw_6_7
 
-        print(json.dumps(draw_6_7(options.picture), indent=1))
-        return
-    rows = show_pruning(options) if options.pruning else show_associations(options)
+        rows = draw_6_7(options.picture)
+    else:
+        rows = show_pruning(options) if options.pruning else show_associations(options)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1, default=float))
 

@@ -1,54 +1,85 @@
 """Figures 6 and 7 of the paper: hypotheses of one scan from nearest poses, and from volumes that enclose it.
 
 In the paper's own space (three components of plain ranges) and at equal recall: as many nearest poses are
-listed as it takes to hold the right one as often as the volumes do. The scan is the one whose two numbers of
-false hypotheses are nearest to the medians.
+listed as it takes to hold the right one as often as the volumes do. The scan drawn is the one whose two
+numbers of false hypotheses are nearest to the medians.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from association import Asked, apart, candidates, hits, simulated, whole
+from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import OCCUPIED, GridMap
+from eigenscan.projector.association.kinds import Kind
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 
-SCANS, AREA = 150, 200.0
+SCANS, AREAS, MARGINS = 200, (200.0, 470.0), (0.0, 0.25, 0.5)
 WRONG, RIGHT, TRUTH = "#c0392b", "#1e8449", "#1f4e9c"
 
 
-def draw_6_7(path: Path) -> dict[str, Any]:
-    """Draws both figures side by side; what they show, over all scans."""
-    built, asked = simulated(SCANS, AREA)
-    nearest, volumes = (
-        [candidates(site, site.view(one.seen.sensor), one.seen, 10**6)[0] for one in asked]
-        for site in (
-            Site(
-                whole(built),
-                ProjectorSettings.model_validate(
-                    {"association": kind, "embedding": "range", "components": 3}
-                ),
-            )
-            for kind in ("sweep", "tetrahedra")
+@dataclass(frozen=True)
+class Compared:
+    """The hypotheses of each scan: nearest poses, and volumes that hold the right one as often."""
+
+    nearest: list[np.ndarray]
+    volumes: list[np.ndarray]
+    recall: float
+
+    def false(self, asked: list[Asked]) -> tuple[np.ndarray, np.ndarray]:
+        """False hypotheses of each scan, by both."""
+        near, held = (
+            np.array([_false(poses, one) for poses, one in zip(lists, asked, strict=True)])
+            for lists in (self.nearest, self.volumes)
         )
-    )
+        return near, held
+
+
+def draw_6_7(path: Path) -> list[dict[str, Any]]:
+    """Draws both figures side by side; what they show for other margins and areas too."""
+    rows = []
+    print("office m2 | margin | recall | poses listed | false: nearest poses | false: volumes")
+    for area in AREAS:
+        built, asked = simulated(SCANS, area)
+        near = _lists(built, asked, "sweep", 0.0)
+        for margin in MARGINS:
+            both = _at_equal_recall(near, _lists(built, asked, "tetrahedra", margin), asked)
+            counts = both.false(asked)
+            rows.append({
+                "area_m2": area, "margin": margin, "recall": both.recall, "listed": len(both.nearest[0]),
+                "false_nearest": float(counts[0].mean()), "false_volumes": float(counts[1].mean()),
+            })  # fmt: skip
+            print(" | ".join(f"{value:.4g}" for value in rows[-1].values()), flush=True)
+            if area == AREAS[0] and margin == MARGINS[-1]:
+                _draw_ordinary(path, built.grid, asked, both, counts)
+    return rows
+
+
+def _lists(built: SiteModel, asked: list[Asked], kind: Kind, margin: float) -> list[np.ndarray]:
+    chosen = {"association": kind, "margin": margin, "embedding": "range", "components": 3}
+    site = Site(whole(built), ProjectorSettings.model_validate(chosen))
+    return [candidates(site, site.view(one.seen.sensor), one.seen, 10**6)[0] for one in asked]
+
+
+def _at_equal_recall(near: list[np.ndarray], volumes: list[np.ndarray], asked: list[Asked]) -> Compared:
     recall = float(np.mean([hits(p, one.truth).any() for p, one in zip(volumes, asked, strict=True)]))
-    needed = [int(np.argmax(hits(p, one.truth))) + 1 for p, one in zip(nearest, asked, strict=True)]
-    listed = int(np.quantile(needed, recall, method="higher"))
-    lists = {"nearest": [p[:listed] for p in nearest], "volumes": volumes}
-    false = {
-        name: np.array([_false(p, one) for p, one in zip(poses, asked, strict=True)])
-        for name, poses in lists.items()
-    }
-    both = np.all([[hits(p, one.truth).any() for p, one in zip(poses, asked, strict=True)]
-                   for poses in lists.values()], axis=0)  # fmt: skip
-    ordinary = sum(np.abs(np.log((count + 1) / (np.median(count) + 1))) for count in false.values())
-    chosen = int(np.argmin(np.where(both, ordinary, np.inf)))
-    _draw(path, built.grid, asked[chosen], {name: poses[chosen] for name, poses in lists.items()})
-    return {"recall": recall, "nearest_listed": listed} | {
-        f"false_{name}": float(count.mean()) for name, count in false.items()
-    }
+    needed = [int(np.argmax(hits(p, one.truth))) + 1 for p, one in zip(near, asked, strict=True)]
+    count = int(np.quantile(needed, recall, method="higher"))
+    return Compared([poses[:count] for poses in near], volumes, recall)
+
+
+def _draw_ordinary(
+    path: Path, grid: GridMap, asked: list[Asked], both: Compared, counts: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """The scan, found by both, whose numbers of false hypotheses are nearest to the medians."""
+    off = sum(np.abs(np.log((count + 1) / (np.median(count) + 1))) for count in counts)
+    for lists in (both.nearest, both.volumes):
+        off[[not hits(p, one.truth).any() for p, one in zip(lists, asked, strict=True)]] = np.inf
+    i = int(np.argmin(off))
+    _draw(path, grid, asked[i], {"nearest": both.nearest[i], "volumes": both.volumes[i]})
 
 
 def _false(poses: np.ndarray, one: Asked) -> int:
