@@ -73,6 +73,10 @@ def test_a_set_is_taken_whole_in_any_order(seed: int) -> None:
         (360, 1, 12),
         (360, 2, 30),
         (200, 1.7, 20),
+        (180, 2, 10),
+        (240, 0.5, 4),
+        (270, 0.25, 100),
+        (360, 0.5, 4),
     ],
 )
 def test_every_lidar_finds_its_place(

@@ -92,12 +92,12 @@ class House:
     logs: Path
     running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
-    def start(self, service: str, *flags: object) -> None:
-        """Starts a service and waits until it says how it is."""
+    def start(self, service: str, *flags: object, alias: str = "") -> None:
+        """Starts a service and waits until it says how it is; `alias` names it among several of its kind."""
         before = self._words(service)
         clean = {name: value for name, value in os.environ.items() if not name.startswith("EIGENSCAN_")}
         with (self.logs / f"{service}.log").open("ab") as log:
-            self.running[service] = subprocess.Popen(
+            self.running[alias or service] = subprocess.Popen(
                 [PROGRAMS / f"eigenscan-{service}", "--site", self.site, "--zenoh", self.config]
                 + [str(flag) for flag in flags],
                 stdout=log,
