@@ -18,7 +18,7 @@ from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import Scan
 
-_CAP_M, _BEAMS = 10.0, 180
+_CAP_M, _BEAMS, _SPACING_M = 10.0, 180, 0.25
 
 
 def warm_up(settings: ProjectorSettings) -> int:
@@ -47,11 +47,14 @@ def _room() -> GridMap:
 
 
 def _model(grid: GridMap) -> RegionModel:
-    index = np.array([(x, y) for x in range(3, 8) for y in range(2, 6)], dtype=np.int32)
-    panoramas = RayCaster.of(grid).panoramas(index * 0.5, _BEAMS, _CAP_M)
+    # finer than what is searched, so that the positions between are looked at too
+    index = np.array([(x, y) for x in range(6, 15) for y in range(4, 11)], dtype=np.int32)
+    panoramas = RayCaster.of(grid).panoramas(index * _SPACING_M, _BEAMS, _CAP_M)
     sensor = Sensor.facing(np.pi, 2 * np.pi / _BEAMS, _CAP_M)
     space = analyse(RangeTransform(_CAP_M)(panoramas), sensor.beams)
-    return RegionModel("room", "map", 0.5, np.zeros(2), index, quantize(panoramas), sensor, _CAP_M, space)
+    return RegionModel(
+        "room", "map", _SPACING_M, np.zeros(2), index, quantize(panoramas), sensor, _CAP_M, space
+    )
 
 
 def _scan(grid: GridMap, time: int) -> Scan:
