@@ -1,4 +1,6 @@
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Literal
 
@@ -187,3 +189,15 @@ def test_help_tells_every_field_and_default(capsys: pytest.CaptureFixture[str]) 
         assert f"--{name.replace('_', '-')}" in told
     assert "m, at most 50 % of a room (default: 0.5)" in told
     assert "100 % made up" in told
+
+
+@pytest.mark.parametrize(
+    ("flag", "code", "out", "err"), [("--help", 0, "example: ", ""), ("--nonsense", 2, "", "unrecognized")]
+)
+def test_a_service_answers_its_flags_without_a_trace(flag: str, code: int, out: str, err: str) -> None:
+    program = [sys.executable, Path(__file__).parent / "tiny_service.py", flag]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert out in done.stdout
+    assert err in done.stderr
+    assert "Traceback" not in done.stderr

@@ -61,6 +61,7 @@ def main(
     """
     wake = Wake()
     with wake.on_signals():
+        settings = None
         try:
             settings = load(kind, service)
             node = Node(service, settings, lambda: make_core(settings), mode, wake, whole_site=whole_site)
@@ -69,6 +70,8 @@ def main(
             print(f"eigenscan-{service}: {error}", file=sys.stderr)
             code = EXIT_SETTINGS
         except BaseException:
+            if settings is None:  # --help, or flags that are none: all is said
+                raise
             traceback.print_exc()
             code = EXIT_CORE
     sys.stdout.flush()
