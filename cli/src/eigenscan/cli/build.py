@@ -13,9 +13,12 @@ import typer
 from eigenscan.cli.frame import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from eigenscan.eigenspace.folder import SiteModel
     from eigenscan.geometry.gridmap import GridMap
-    from eigenscan.mapbuilder.site import Plan
+    from eigenscan.mapbuilder.geojson import GivenRegion
+    from eigenscan.mapbuilder.site import Layout, Plan
 
 
 def build(
@@ -29,21 +32,29 @@ def build(
     range_cap: Annotated[float, typer.Option(min=1.0, max=130.0, help="m that PCA clips ranges to")] = 20.0,
     fov: Annotated[float, typer.Option(min=1.0, max=360.0, help="degrees that the sensor sees")] = 180.0,
     share: Annotated[float, typer.Option(min=0.01, max=1.0, help="of the variance to hold")] = 0.9,
+    regions: Annotated[
+        Path | None, typer.Option(help="GeoJSON of the regions, such as an edited MODEL/regions.geojson")
+    ] = None,
     frame_id: Annotated[str, typer.Option(help="name of the map frame")] = "map",
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=0, help="threads; 0: one a core")] = 0,
 ) -> None:
     """Build the models of a map: regions, panoramas, eigenspaces, and a picture of them.
 
+    Regions are found, or taken from GeoJSON: polygons in the map frame, m, property "name".
+
     \b
     Examples:
       eigenscan build MAP.yaml -o MODEL
       eigenscan build MAP.yaml -o MODEL --spacing 0.25
+      eigenscan build MAP.yaml -o MODEL --regions ROOMS.geojson
       eigenscan run --map MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not frame_id:
         raise UsageError("--frame-id: give the map frame a name, such as map")
     from eigenscan.eigenspace.folder import PICTURE, check_place, write_models
     from eigenscan.geometry.gridmap import read_map
+    from eigenscan.mapbuilder.drawn import outlines
+    from eigenscan.mapbuilder.geojson import read_regions, to_geojson
     from eigenscan.mapbuilder.picture import draw_regions
     from eigenscan.mapbuilder.regions import Division
     from eigenscan.mapbuilder.site import Plan
@@ -61,14 +72,32 @@ def build(
         threads=jobs or len(os.sched_getaffinity(0)),
     )
     check_place(out)
+    drawn = read_regions(regions) if regions else ()
     began = time.perf_counter()
-    site = _build(read_map(map_file), plan, map_file)
+    grid = read_map(map_file)
+    layout = _lay_out(grid, plan, drawn, map_file, regions)
+    site = _build(grid, plan, layout, map_file)
     took = time.perf_counter() - began
-    write_models(site, out, draw_regions(site))
+    write_models(site, out, draw_regions(site), to_geojson(outlines(layout.regions, layout.names), frame_id))
     _summarize(site, out, out / PICTURE, took)
 
 
-def _build(grid: GridMap, plan: Plan, map_file: Path) -> SiteModel:
+def _lay_out(
+    grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion], map_file: Path, regions: Path | None
+) -> Layout:
+    from eigenscan.eigenspace.model import ModelError
+    from eigenscan.mapbuilder.geojson import RegionsError
+    from eigenscan.mapbuilder.site import lay_out
+
+    try:
+        return lay_out(grid, plan, drawn)
+    except RegionsError as error:
+        raise UsageError(f"{regions}: {error}") from error
+    except ModelError as error:
+        raise UsageError(f"{map_file}: {error}") from error
+
+
+def _build(grid: GridMap, plan: Plan, layout: Layout, map_file: Path) -> SiteModel:
     """The models, with a progress bar on a terminal."""
     from eigenscan.eigenspace.model import ModelError
     from eigenscan.mapbuilder.site import build_site
@@ -79,7 +108,10 @@ def _build(grid: GridMap, plan: Plan, map_file: Path) -> SiteModel:
         bar = progress.add_task("reading", total=1.0)
         try:
             return build_site(
-                grid, plan, lambda what, share: progress.update(bar, description=what, completed=share)
+                grid,
+                plan,
+                lambda what, share: progress.update(bar, description=what, completed=share),
+                layout,
             )
         except ModelError as error:
             raise UsageError(f"{map_file}: {error}") from error

@@ -4,6 +4,7 @@
     map.yaml, map.pgm    the map, as map_server reads it
     regions/NAME.npz     one region; numpy.load opens it
     regions.png          what the regions are, for people
+    regions.geojson      the same as polygons in the map frame, to be edited and built from
 
 A folder appears whole or not at all: it is written beside its place and then renamed.
 """
@@ -26,6 +27,7 @@ from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
 from eigenscan.schemas import model_pb2
 
 MANIFEST, MAP, REGIONS, PICTURE = "manifest.json", "map.yaml", "regions", "regions.png"
+OUTLINES = "regions.geojson"
 LAYOUT = 1
 _PLAIN = ("region", "frame_id", "spacing", "origin", "index", "ranges", "range_cap", "range_unit", "outline")
 
@@ -43,8 +45,10 @@ class SiteModel:
         return model_set(self.regions, self.grid.version, self.frame_id, self.grid.free_area)
 
 
-def write_models(site: SiteModel, folder: Path, picture: bytes | None = None) -> None:
-    """Writes `folder`, in place of a model folder that is there; `picture` is a PNG.
+def write_models(
+    site: SiteModel, folder: Path, picture: bytes | None = None, outlines: str | None = None
+) -> None:
+    """Writes `folder`, in place of a model folder that is there; `picture` is a PNG, `outlines` GeoJSON.
 
     Raises ModelError where something else than a model folder is there or it cannot be written.
     """
@@ -53,7 +57,7 @@ def write_models(site: SiteModel, folder: Path, picture: bytes | None = None) ->
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
-            _fill(site, fresh, picture)
+            _fill(site, fresh, picture, outlines)
             _take_place(fresh, folder)
         finally:
             shutil.rmtree(fresh, ignore_errors=True)
@@ -68,7 +72,7 @@ def check_place(folder: Path) -> None:
         raise ModelError(f"{folder}: is there and holds no models: name a new folder")
 
 
-def _fill(site: SiteModel, folder: Path, picture: bytes | None) -> None:
+def _fill(site: SiteModel, folder: Path, picture: bytes | None, outlines: str | None) -> None:
     folder.chmod(0o755)
     write_map(site.grid, folder / MAP)
     (folder / REGIONS).mkdir()
@@ -76,6 +80,8 @@ def _fill(site: SiteModel, folder: Path, picture: bytes | None) -> None:
         np.savez_compressed(folder / REGIONS / f"{model.region}.npz", allow_pickle=False, **_arrays(model))
     if picture is not None:
         (folder / PICTURE).write_bytes(picture)
+    if outlines is not None:
+        (folder / OUTLINES).write_text(outlines, encoding="utf-8")
     text = json.dumps(_manifest(site), indent=1)
     (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
 

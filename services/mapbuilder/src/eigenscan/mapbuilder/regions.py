@@ -83,10 +83,15 @@ def divide(grid: GridMap, division: Division) -> Regions:
     core = _halve(core, division.largest / cell_area)
     core = _join(core, division.smallest / cell_area)
     core = _in_order(core)
-    steps = round(division.margin / (block * grid.resolution))
+    return Regions(grid, block, core, reached(core, core > 0, division.margin / (block * grid.resolution)))
+
+
+def reached(
+    core: NDArray[np.int32], space: NDArray[np.bool_], margin: float
+) -> tuple[tuple[NDArray[np.bool_], int, int], ...]:
+    """What each region of `core` holds with the overlap, in `space`, as in Regions; `margin` in cells."""
     boxes = find_objects(core)
-    reach = tuple(_grown(core, number, box, steps) for number, box in enumerate(boxes, 1))
-    return Regions(grid, block, core, reach)
+    return tuple(_grown(core, space, number, box, round(margin)) for number, box in enumerate(boxes, 1))
 
 
 def _without_clutter(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_]:
@@ -182,12 +187,12 @@ def _in_order(core: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _grown(
-    core: NDArray[np.int32], number: int, box: tuple[slice, ...], steps: int
+    core: NDArray[np.int32], space: NDArray[np.bool_], number: int, box: tuple[slice, ...], steps: int
 ) -> tuple[NDArray[np.bool_], int, int]:
     """The piece with all free space within `steps` cells of way of it, cropped, and the crop's corner."""
     top, left = max(box[0].start - steps, 0), max(box[1].start - steps, 0)
-    crop = core[top : box[0].stop + steps, left : box[1].stop + steps]
-    mask: NDArray[np.bool_] = np.asarray(crop == number)
+    crop = slice(top, box[0].stop + steps), slice(left, box[1].stop + steps)
+    mask: NDArray[np.bool_] = np.asarray(core[crop] == number)
     if steps:
-        mask = np.asarray(binary_dilation(mask, _EIGHT, iterations=steps, mask=crop > 0))
+        mask = np.asarray(binary_dilation(mask, _EIGHT, iterations=steps, mask=space[crop]))
     return mask, top, left

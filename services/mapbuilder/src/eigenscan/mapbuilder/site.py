@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -15,6 +15,8 @@ from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.drawn import divide_as_drawn
+from eigenscan.mapbuilder.geojson import GivenRegion, RegionsError
 from eigenscan.mapbuilder.positions import Positions, free_positions
 from eigenscan.mapbuilder.regions import Division, Regions, divide
 from numpy.typing import NDArray
@@ -52,19 +54,51 @@ class Plan:
         return round(TURN / self.step)
 
 
-def build_site(grid: GridMap, plan: Plan, progress: Progress = lambda _step, _share: None) -> SiteModel:
-    """Models of all regions of the map. Raises ModelError where no position is free."""
-    progress("regions", 0.0)
+@dataclass(frozen=True)
+class Layout:
+    """Where models are to be built; `names`: of the regions that hold positions, by number from 0."""
+
+    positions: Positions
+    regions: Regions
+    names: dict[int, str]
+
+
+def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Layout:
+    """Positions and regions of a map; the regions as they are found, or as `drawn`.
+
+    Raises ModelError where no position is free, RegionsError where a drawn region holds none.
+    """
     positions = free_positions(grid, plan.spacing, plan.clearance)
     if not len(positions.index):
         raise ModelError(
             f"no free position {plan.clearance} m from the walls on a grid of {plan.spacing} m: "
             "check the map's thresholds and resolution, or ask for a finer spacing"
         )
-    regions = divide(grid, plan.division)
-    inhabited = [(n, inside) for n, inside in enumerate(regions.members(positions.points)) if len(inside)]
+    regions = divide_as_drawn(grid, drawn, plan.division) if drawn else divide(grid, plan.division)
+    inhabited = [n for n, inside in enumerate(regions.members(positions.points)) if len(inside)]
+    empty = next((n for n in range(len(drawn)) if n not in inhabited), None)
+    if empty is not None:
+        raise RegionsError(
+            f"region {drawn[empty].name!r} holds no position {plan.clearance} m from the walls: "
+            "draw it larger, or ask for a finer spacing"
+        )
     digits = max(2, len(str(len(inhabited))))
-    members = [_Member(f"r{k:0{digits}}", n, inside) for k, (n, inside) in enumerate(inhabited, 1)]
+    found = {n: f"r{k:0{digits}}" for k, n in enumerate(inhabited, 1)}
+    return Layout(positions, regions, {n: region.name for n, region in enumerate(drawn)} or found)
+
+
+def build_site(
+    grid: GridMap,
+    plan: Plan,
+    progress: Progress = lambda _step, _share: None,
+    layout: Layout | None = None,
+) -> SiteModel:
+    """Models of all regions of the map, where `layout` says. Raises ModelError where no position is free."""
+    progress("regions", 0.0)
+    layout = layout or lay_out(grid, plan)
+    positions, regions = layout.positions, layout.regions
+    inside = regions.members(positions.points)
+    members = [_Member(name, n, inside[n]) for n, name in layout.names.items()]
     caster, models = RayCaster.of(grid), list[RegionModel]()
     with ThreadPoolExecutor(max(plan.threads, 1)) as pool:
         for batch in _batches(members, positions.points):

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NS = 1e9
+_INERTIA_S = 0.5
+"""Over which speed is averaged: stamps of a log may be uneven."""
 _STRAINED = 7.8
 """Squared Mahalanobis distance of a scan from where it is expected that one in twenty exceeds (chi2, 3)."""
 
@@ -139,7 +141,7 @@ class Chainer:
         """On the keyframes just before, from where the scan is expected.
 
         Where the scan and the expectation do not go together, also from other starts. Then what is likeliest
-        counts; an expectation that is wrong costs no more than one that is just unlikely.
+        counts. Odometry may be wrong, so against it costs no more than what is just unlikely; inertia is not.
         """
         assert self._local is not None
         assert self._last is not None
@@ -156,16 +158,17 @@ class Chainer:
         others = [align(self._local, cloud, start, free) for start in starts]
         # against odometry only what is convincing by itself
         others = [one for one in others if not leads or one.share >= self._step.good]
-        local = self._local
+        local, most = self._local, _STRAINED if leads else np.inf
 
         def cost(one: Alignment) -> float:
-            return energy(local, cloud, one.pose) + min(_strain(expected, prior, one.pose), _STRAINED)
+            return energy(local, cloud, one.pose) + min(_strain(expected, prior, one.pose), most)
 
         return min([found, *others], key=cost)
 
     def _place(self, number: int, sweep: Sweep, cloud: Cloud, found: Alignment) -> None:
         assert self._last is not None
-        self._velocity = between(self._last[1], found.pose) / self._seconds
+        speed = between(self._last[1], found.pose) / self._seconds
+        self._velocity += self._seconds / (self._seconds + _INERTIA_S) * (speed - self._velocity)
         self._last = (sweep, found.pose)
         newest = self._recent[-1]
         moved = between(newest.pose, found.pose)
