@@ -89,6 +89,8 @@ def samples(datasets: Path, case: Case, count: int) -> list[Sample]:
 
 def occluded(scan: Scan, share: float, seed: int) -> Scan:
     """Random runs of beams cut short by something near, until `share` of them is."""
+    if not share:
+        return scan
     rng = np.random.default_rng(seed)
     ranges = np.array(scan.ranges)
     hidden = np.zeros(len(ranges), dtype=bool)
@@ -127,7 +129,7 @@ def judge(core: ProjectorCore, chosen: list[Sample], share: float) -> dict[str, 
     first_scan_s = time.perf_counter() - started
     first, listed, length, cpu, nees, off, confidence = [], [], [], [], [], [], []
     for number, sample in enumerate(chosen):
-        message, spent = ask(core, occluded(sample.scan, share, number) if share else sample.scan)
+        message, spent = ask(core, occluded(sample.scan, share, number))
         cpu.append(spent)
         poses = np.array([from_message(h.pose) for h in message.hypotheses]).reshape(-1, 3)
         away, turn = errors(poses, np.broadcast_to(sample.truth, poses.shape))
@@ -180,19 +182,26 @@ def foreign_confidence(core: ProjectorCore, strangers: list[Sample]) -> dict[str
     }
 
 
+def is_right(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Which poses (n, 3) are within 0.5 m and 10 degrees of the truth (3,)."""
+    return right(*errors(poses, np.broadcast_to(truth, poses.shape)))
+
+
+def whole_set(built: SiteModel) -> WholeSet:
+    return WholeSet("", built.frame_id, built.grid, tuple(built.regions), built.grid.free_area)
+
+
 def recall_by_stage(built: SiteModel, chosen: list[Sample], share: float) -> dict[str, Any]:
     """Share of the scans of which a stage still has a pose that is right."""
-    whole = WholeSet("", built.frame_id, built.grid, tuple(built.regions), built.grid.free_area)
     settings = ProjectorSettings()
-    site = Site(whole, settings)
+    site = Site(whole_set(built), settings)
     found: dict[str, list[bool]] = {}
     for number, sample in enumerate(chosen):
-        scan = occluded(sample.scan, share, number) if share else sample.scan
+        scan = occluded(sample.scan, share, number)
         seen, truth = observe(scan), compose(sample.truth, from_message(scan.mount))
 
         def witness(stage: str, poses: np.ndarray, truth: np.ndarray = truth) -> None:
-            hit = right(*errors(poses, np.broadcast_to(truth, poses.shape)))
-            found.setdefault(stage, []).append(bool(hit.any()))
+            found.setdefault(stage, []).append(bool(is_right(poses, truth).any()))
 
         find_candidates(site, site.view(seen.sensor), seen, settings, witness)
     return {stage: np.mean(hits) for stage, hits in found.items()}

@@ -248,3 +248,13 @@ def test_each_ray_may_end_at_its_own_range():
     limits = np.random.default_rng(4).uniform(0.2, 5.0, 40)
     far, near = raycast.cast(grid, poses, bearings, 50.0), raycast.cast(grid, poses, bearings, limits)
     assert np.array_equal(near, np.where(far <= limits.astype(np.float32), far, np.float32(np.inf)))
+
+
+def test_off_the_map_and_deep_in_the_unknown_it_is_dark() -> None:
+    cells = np.full((30, 30), UNKNOWN, dtype=np.uint8)
+    cells[10:20, 10:20] = FREE
+    cells[10, 10:20] = OCCUPIED
+    caster = RayCaster.of(GridMap(cells, 0.1, np.zeros(3)))
+    points = [[1.5, 1.5], [1.5, 1.05], [1.5, 2.05], [1.5, 2.5], [-1.0, 1.5]]
+    # free, in a wall, in a speck's depth of the unknown, deep in it, off the map
+    assert caster.in_dark(points).tolist() == [False, False, False, True, True]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.pose import compose, inverse
@@ -12,10 +13,10 @@ from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.likelihood import support
-from eigenscan.projector.observation import ANALYSIS_TURN, observe
+from eigenscan.projector.observation import ANALYSIS_TURN, by_reach, observe
 from eigenscan.projector.projection import project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
-from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, predicted, verify
+from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, foreseen, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -83,7 +84,8 @@ def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:
         wall = np.minimum(lattice.panoramas[p, (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN], RANGE_CAP)
         beyond = np.minimum(seen.coarse, RANGE_CAP) - wall
         off = np.where(beyond > 0, np.minimum(beyond, LONG), np.minimum(-beyond, SHORT))
-        return float(off[used].mean())
+        reach = np.sqrt(np.minimum(seen.coarse[used], RANGE_CAP))
+        return float((off[used] * reach).sum() / reach.sum())
 
     for i in range(50):
         turned = min(
@@ -183,3 +185,27 @@ def test_support_counts_walls_and_beams_through_them() -> None:
     # something in front of every other beam takes its support; a wall that is not there speaks against
     assert 0.4 < shorter < 0.75
     assert longer < shorter - 0.2
+
+
+def test_many_beams_on_one_near_thing_say_little_more_than_one() -> None:
+    weight = by_reach(np.array([0.5, 8.0]))
+    assert np.isclose(weight.mean(), 1.0)
+    # half-way between beams, which count alike, and lengths of wall, of which the far beam sees 16 times more
+    assert np.isclose(weight[1] / weight[0], 4.0)
+
+
+def test_the_nearest_panorama_foresees_what_a_pose_sees() -> None:
+    lattice = Lattice.of(site(0.25).regions)
+    truth = free_poses(20, 12)
+    sensor = observe(scan_at(truth[0])).sensor
+    beams = np.arange(0, 90, 7)
+    windows = predicted(lattice, 91, 0.0)
+    apart = np.linalg.norm(lattice.positions[None] - truth[:, None, :2], axis=2)
+    nearest = apart.argmin(axis=1)
+    # from a neighbour of the nearest position the nearest one is found
+    around = lattice.neighbours[nearest]
+    home = np.where(around[:, 1] < 0, nearest, around[:, 1])
+    ranges = foreseen(windows, lattice, home, truth, beams, sensor.angle_min, 0.0)
+    heading = np.rint((truth[:, 2] + sensor.angle_min) / (TURN / ANALYSIS_TURN)).astype(int)
+    expected = lattice.panoramas[nearest[:, None], (heading[:, None] + beams) % ANALYSIS_TURN]
+    assert np.array_equal(ranges, np.where(expected < RANGE_CAP, expected, np.inf))

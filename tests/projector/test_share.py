@@ -68,7 +68,7 @@ def test_a_message_does_not_grow_with_the_site() -> None:
     projected = Projected(rng.normal(size=(count, 4)), rng.uniform(0, 1, count), np.ones(count, bool))
     none = np.empty(30)
     told = told_regions(
-        Candidates(np.empty((30, 3)), np.empty((30, 3, 3)), none, none, region, projected, 0.0, 0.0)
+        Candidates(np.empty((30, 3)), np.empty((30, 3, 3)), none, none, none, region, projected, 0.0, 0.0)
     )
     assert len(told) <= TOLD
     assert np.isin(region, told).all()

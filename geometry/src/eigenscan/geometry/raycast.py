@@ -58,6 +58,11 @@ class RayCaster:
         """Map-frame points (..., 2), m, as continuous (column, row) of `leap`."""
         return self.grid.to_grid(points) + 1.0
 
+    def in_dark(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN: a ray from there says nothing."""
+        dark: NDArray[np.bool_] = _stop_at(self.leap, self.to_cells(points)) == DARK
+        return dark
+
     def cast(self, poses: ArrayLike, bearings: ArrayLike, range_max: ArrayLike) -> NDArray[np.float32]:
         """Ranges (P, B), m, from poses (P, 3) along theta + bearings (B,); +inf where no wall is in sight.
 

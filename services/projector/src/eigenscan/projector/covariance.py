@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-POINT_SIGMA = 0.1
+POINT_SIGMA = 0.05
 """m, error of a beam's end point about the map's wall."""
 INDEPENDENCE = 0.25
 """Independent points per point: neighbours err alike."""
 PRIOR = np.diag([0.25, 0.25, np.deg2rad(5.0)]) ** 2
 """Where the walls do not hold a pose (along a hallway), the grid that it started from does."""
-FLOOR = np.diag([0.05, 0.05, np.deg2rad(0.7)]) ** 2
+FLOOR = np.diag([0.03, 0.03, np.deg2rad(1.0)]) ** 2
 """No pose is surer than this: the map's own error."""
 
 

@@ -21,14 +21,16 @@ SEARCH_SPACING = 0.5
 class Lattice:
     """P positions (P, 2) m, map frame; panoramas (P, N) m on the analysis grid, +inf: no wall in sight.
 
-    `neighbours` (P, 9): index of the position one step of the model's grid away, -1 where there is none;
-    itself at 4. `regions` holds for each region the indices of its positions, `searched` those (S,) of them
-    that are searched, `cells` (S, 2) their place on the search grid; `finer` tells whether there are others.
+    `neighbours` (P, 9): index of the position one step of the model's grid, `spacing` m, away, -1 where there
+    is none; itself at 4. `regions` holds for each region the indices of its positions, `searched` those (S,)
+    of them that are searched, `cells` (S, 2) their place on the search grid; `finer` tells whether there are
+    others.
     """
 
     positions: NDArray[np.float64]
     panoramas: NDArray[np.float32]
     neighbours: NDArray[np.int32]
+    spacing: float
     finer: bool
     regions: tuple[NDArray[np.int64], ...]
     searched: tuple[NDArray[np.int64], ...]
@@ -60,6 +62,7 @@ class Lattice:
             positions[first],
             panoramas[first],
             _neighbours(index[first]),
+            models[0].spacing,
             stride > 1,
             regions,
             searched,

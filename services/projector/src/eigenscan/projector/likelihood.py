@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse
+from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
@@ -21,13 +22,13 @@ THROUGH_MARGIN = 0.3
 """m behind the predicted wall before a beam counts as having gone through it."""
 THROUGH_WEIGHT = 0.8
 """What a beam through a wall says against a pose, in beams on a wall."""
-ORDINARY_RANK = 10
-"""The support of so manieth best place tells what a place gets that merely looks similar."""
-NATS, STRANGE, SIMILAR = 33.0, 0.13, 0.54
+ORDINARY_RANK = 3
+"""The support of so manieth place after the best tells what a place gets that merely looks similar."""
+NATS, STRANGE, SIMILAR = 41.9, -0.06, 0.74
 """ln odds per support; the support that counts for nothing: STRANGE, and SIMILAR times an ordinary place's.
 
-By maximum likelihood of being right, with ln(area 2 pi / volume of a pose) = 13 for the prior, on scans of
-two buildings in their own maps and in foreign ones; held against three others (benchmarks/single_scan.py).
+By maximum likelihood of what is right, on scans of two buildings in their own maps and in foreign ones; held
+against the others (benchmarks/likelihood.py).
 """
 
 
@@ -37,15 +38,17 @@ def support(
     bearings: Array,
     seen: NDArray[np.float32],
     predicted: NDArray[np.float32],
+    margin: float = THROUGH_MARGIN,
 ) -> tuple[Array, Array]:
     """Mean support (n,) of a scan for sensor poses (n, 3), at most 1, and the share (n,) of explained beams.
 
     `seen` (B,) are finite ranges along `bearings` (B,), `predicted` (n, B) the map's, +inf where no wall is
-    in sight. A beam is explained that ends within THROUGH_MARGIN of the predicted wall.
+    in sight. A beam is explained that ends within `margin`, m, of the predicted wall. Beams count `by_reach`.
     """
     local = np.ascontiguousarray(compose(inverse(field.origin), poses))
     out = np.empty((2, len(local)))
-    _support(field.cells, field.cell, local, bearings, seen, predicted, out)
+    share = by_reach(seen) / max(len(seen), 1)
+    _support(field.cells, field.cell, local, bearings, seen, share, predicted, margin, out)
     return out[0], out[1]
 
 
@@ -77,7 +80,9 @@ def _support(
     poses: Array,
     bearings: Array,
     seen: NDArray[np.float32],
+    share: Array,
     predicted: NDArray[np.float32],
+    margin: float,
     out: Array,
 ) -> None:
     height, width = cells.shape[:2]
@@ -93,12 +98,13 @@ def _support(
             column, row = int(u), int(v)
             centre, gx, gy = unpack(cells[row, column])
             d = centre + (gx * (u - column - 0.5) + gy * (v - row - 0.5)) * cell
-            total += WALL_SCALE**2 / (WALL_SCALE**2 + d * d)
+            for_it = WALL_SCALE**2 / (WALL_SCALE**2 + d * d)
             # +inf minus a range stays out of both comparisons under fast math
             wall = min(predicted[i, j], np.float32(1e9))
-            if seen[j] > wall + THROUGH_MARGIN:
-                total -= THROUGH_WEIGHT
-            elif seen[j] > wall - THROUGH_MARGIN:
+            if seen[j] > wall + margin:
+                for_it -= THROUGH_WEIGHT
+            elif seen[j] > wall - margin:
                 explained += 1
-        out[0, i] = total / max(beams, 1)
+            total += share[j] * for_it
+        out[0, i] = total
         out[1, i] = explained / max(beams, 1)

@@ -34,12 +34,27 @@ class Observation:
         """Beams (J,) of the analysis grid that came back."""
         return np.isfinite(self.coarse)
 
+    def weighed(self, most: int) -> NDArray[np.int64]:
+        """At most `most` of the used beams, evenly spread."""
+        used = np.flatnonzero(self.used)
+        return used[:: max(1, -(-len(used) // most))]
+
     @property
     def points(self) -> NDArray[np.float64]:
         """End points (n, 2) of the beams that came back, m, sensor frame."""
         r = self.coarse[self.used].astype(np.float64)
         angle = self.bearings[self.used]
         return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
+
+
+def by_reach(ranges: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (n,) of beams with ranges (n,), m, 1 in the mean: the root of the range.
+
+    Half-way between beams that count alike and stretches of wall that count by their length, for many beams
+    on one near thing (a person) say little more than one.
+    """
+    root: NDArray[np.float64] = np.sqrt(ranges, dtype=np.float64)
+    return root / max(float(root.mean()), 1e-9)
 
 
 def coarse_sensor(sensor: Sensor) -> Sensor:

@@ -17,7 +17,7 @@ from eigenscan.projector.observation import ANALYSIS_TURN, Observation
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
-from eigenscan.projector.verification import verify
+from eigenscan.projector.verification import foreseen, verify
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -29,8 +29,12 @@ PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
 """Of the candidates this near to each other only the best is refined."""
 SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
 """Refined poses this near to each other are one."""
-POLISHED, WEIGHED = 60, 36
-"""Slid poses that are polished, and polished poses that are weighed."""
+POLISHED = 48
+"""Slid poses that are polished and weighed."""
+FORESEEN_MARGIN = 0.5
+"""m: what a panorama shows half a grid cell off is no nearer to what a pose sees."""
+UNKNOWN_GROUND = 0.1
+"""Support that a pose loses off the known part of the map."""
 FOREGROUND_SHARE = 0.1
 """Of the beams on free-standing things, from which on the scan is also searched without them."""
 CLIMBING = 300
@@ -62,6 +66,7 @@ class Candidates:
 
     poses: Array
     covariances: Array
+    supports: Array
     log_likelihoods: Array
     explained: Array
     region: Index
@@ -80,12 +85,12 @@ def find_candidates(
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
     projected, matches = _associate(view, seen, settings.candidates, scope)
-    seeds, region = _verified(site, view, seen, matches, settings.refined, witness)
+    seeds, home, region = _verified(site, view, seen, matches, settings.refined, witness)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
     slid = fit(site.coarse_walls, seeds, sliding, SLIDE)
     witness("slid", slid.poses)
-    best = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), SAME_M, SAME_RAD, POLISHED)
+    best = _promising(site, view, seen, slid.poses, home)
     witness("kept to polish", slid.poses[best])
     return _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness, scope)
 
@@ -130,8 +135,10 @@ def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> 
 
 def _verified(
     site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, witness: Witness
-) -> tuple[Array, Index]:
-    """Poses to refine (k, 3) and their regions (k,): the best verified, one a neighbourhood."""
+) -> tuple[Array, Index, Index]:
+    """Poses to refine (k, 3), positions beside them (k,) and their regions (k,): the best verified, one a
+    neighbourhood.
+    """
     once = matches.by_row()
     rows, offset = once.rows, once.offsets
     home = view.row_position[rows].astype(np.int64)
@@ -146,7 +153,25 @@ def _verified(
     witness("associated", poses)
     best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
     witness("verified", poses[best])
-    return poses[best], np.searchsorted(view.bounds, rows[best], side="right") - 1
+    region = np.searchsorted(view.bounds, rows[best], side="right") - 1
+    return poses[best], position[best], region
+
+
+def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Index:
+    """Which slid poses to polish: the best supported, by ranges that the panoramas foresee."""
+    used, sensor = seen.weighed(WEIGHED_BEAMS), seen.sensor
+    ranges = foreseen(view.windows, site.lattice, home, slid, used, sensor.angle_min, sensor.range_max)
+    z, bearing = seen.coarse[used], seen.bearings[used]
+    supported, _ = support(site.walls, slid, bearing, z, ranges, FORESEEN_MARGIN)
+    order = np.argsort(-_grounded(site, slid, supported))
+    return best_of_neighbourhoods(slid, order, SAME_M, SAME_RAD, POLISHED)
+
+
+def _grounded(site: Site, poses: Array, supported: Array) -> Array:
+    """Support (n,) of poses, less where they stand on what the map does not know: nothing there speaks
+    against a pose.
+    """
+    return supported - UNKNOWN_GROUND * site.caster.in_dark(poses[:, :2])
 
 
 def _weigh(
@@ -161,26 +186,26 @@ def _weigh(
 ) -> Candidates:
     polished = fit(site.walls, slid, seen.points, POLISH)
     witness("polished", polished.poses)
-    best = best_of_neighbourhoods(polished.poses, np.argsort(polished.cost), SAME_M, SAME_RAD, WEIGHED)
-    poses = polished.poses[best]
-    witness("kept to weigh", poses)
-    used = np.flatnonzero(seen.used)
-    used = used[:: max(1, -(-len(used) // WEIGHED_BEAMS))]
+    used = seen.weighed(WEIGHED_BEAMS)
     z, bearing = seen.coarse[used], seen.bearings[used]
-    predicted = site.caster.cast(poses, bearing, z + THROUGH_MARGIN)
-    supported, explained = support(site.walls, poses, bearing, z, predicted)
-    kept = np.argsort(-supported)[: settings.published]
-    witness("published", poses[kept])
-    witness("first", poses[kept[:1]])
-    ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
-    likelihood = log_likelihood(supported[kept], ordinary)
-    chosen = best[kept]
+    predicted = site.caster.cast(polished.poses, bearing, z + THROUGH_MARGIN)
+    supported, explained = support(site.walls, polished.poses, bearing, z, predicted)
+    supported = _grounded(site, polished.poses, supported)
+    kept = best_of_neighbourhoods(
+        polished.poses, np.argsort(-supported), SAME_M, SAME_RAD, settings.published
+    )
+    poses, supports = polished.poses[kept], supported[kept]
+    ordinary = max(ordinary_support(supports, site.parts), scope.ordinary)
+    likelihood = log_likelihood(supports, ordinary)
+    witness("published", poses)
+    witness("first", poses[:1])
     return Candidates(
-        poses[kept],
-        pose_covariances(polished.information[chosen]),
+        poses,
+        pose_covariances(polished.information[kept]),
+        supports,
         likelihood,
         explained[kept],
-        region[chosen],
+        region[kept],
         projected,
         # of what was not searched nothing is known
         float(likelihood.min(initial=0.0)) if site.parts == 1 and scope.regions is None else 0.0,

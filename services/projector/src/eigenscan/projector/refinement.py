@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
@@ -54,12 +55,15 @@ class Fit:
 
 
 def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fit:
-    """Fit of points (B, 2), m, sensor frame, to the walls, from sensor poses (n, 3) in the map frame."""
+    """Fit of points (B, 2), m, sensor frame, to the walls, from sensor poses (n, 3) in the map frame.
+
+    Points count `by_reach`.
+    """
     # a whole number of vectors, for the rest of a loop is slow
     room = -(-len(points) // _LANES) * _LANES
     x, y, weight = np.zeros(room, np.float32), np.zeros(room, np.float32), np.zeros(room, np.float32)
     x[: len(points)], y[: len(points)] = points.T / field.cell
-    weight[: len(points)] = 1.0
+    weight[: len(points)] = by_reach(np.hypot(*points.T))
     found = Fit(np.empty(poses.shape), np.empty(len(poses)), np.empty((len(poses), 3, 3)))
     _fit(
         (field.cells.reshape(-1), *field.cells.shape, field.cell, *field.origin.tolist()),

@@ -7,7 +7,9 @@ neighbouring positions of the model's own grid.
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.observation import by_reach
 from numba import njit
 from numpy.typing import NDArray
 
@@ -22,9 +24,13 @@ EMPTY_WEIGHT = 0.5
 
 def predicted(lattice: Lattice, beams: int, range_max: float) -> NDArray[np.float32]:
     """Panoramas (P, N + beams) clipped, with their first beams once more behind their last."""
-    cap = min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP
+    cap = _cap(range_max)
     clipped = np.minimum(lattice.panoramas, np.float32(cap))
     return np.concatenate([clipped, clipped[:, :beams]], axis=1)
+
+
+def _cap(range_max: float) -> float:
+    return min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP
 
 
 def verify(
@@ -38,13 +44,15 @@ def verify(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
     """The best neighbours of candidates: position (n,), heading (n,) and cost (n,), m, in the same order.
 
+    Beams count `by_reach`.
     `windows` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in position.
     """
-    cap = min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP
+    cap = _cap(range_max)
     empty_counts = 0.0 < range_max <= RANGE_CAP
     weight = np.isfinite(coarse).astype(np.float32)
     weight[np.isinf(coarse)] = EMPTY_WEIGHT if empty_counts else 0.0
     scan = np.minimum(np.nan_to_num(coarse, nan=0.0, posinf=cap), cap).astype(np.float32)
+    weight[np.isfinite(coarse)] = by_reach(scan[np.isfinite(coarse)])
     best_position, best_heading = position.copy(), heading.copy()
     cost = np.empty(len(position), dtype=np.float32)
     _turn(windows, best_position, best_heading, scan, weight, cost)
@@ -52,6 +60,30 @@ def verify(
         better = np.argsort(cost)[:climbing]
         _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, cost)
     return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
+
+
+def foreseen(
+    windows: NDArray[np.float32],
+    lattice: Lattice,
+    home: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    beams: NDArray[np.int64],
+    angle_min: float,
+    range_max: float,
+) -> NDArray[np.float32]:
+    """Ranges (n, B) that the panorama nearest to poses (n, 3) near positions `home` (n,) shows along `beams`.
+
+    Half a grid cell off: what costs nothing, for what needs no more. +inf where `windows` is clipped.
+    """
+    apart = poses[:, :2] - lattice.positions[home]
+    column, row = np.clip(np.rint(apart / lattice.spacing).astype(np.int64), -1, 1).T
+    there = lattice.neighbours[home, 3 * (column + 1) + row + 1]
+    position = np.where(there < 0, home, there)
+    turn = lattice.panoramas.shape[1]
+    window = np.rint((poses[:, 2] + angle_min) * (turn / TURN)).astype(np.int64) % turn
+    ranges: NDArray[np.float32] = windows[position[:, None], window[:, None] + beams]
+    ranges[ranges >= np.float32(_cap(range_max))] = np.inf
+    return ranges
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
