@@ -61,7 +61,8 @@ def coarse_sensor(sensor: Sensor) -> Sensor:
     """The sensor at the analysis step, over the same field of view."""
     step = 2.0 * np.pi / ANALYSIS_TURN
     span = sensor.angle_increment * (sensor.beams - 1)
-    beams = min(int(np.floor(span / step + 0.5)) + 1, ANALYSIS_TURN)
+    # half a beam more is one more, whatever rounding made of it
+    beams = min(int(np.floor(span / step + 0.5 + 1e-9)) + 1, ANALYSIS_TURN)
     return Sensor(sensor.angle_min, step, beams, sensor.range_max)
 
 
