@@ -11,6 +11,7 @@ COMMANDS = {
     "demo": ("eigenscan.cli.demo:demo", "watch a simulated robot find itself, twice"),
     "run": ("eigenscan.cli.run:run", "start all services for your own map and robot"),
     "build": ("eigenscan.cli.build:build", "build the models of a map, into a folder"),
+    "models": ("eigenscan.cli.models:models", "list the versions of a model folder, go back to one"),
     "map": ("eigenscan.cli.map_log:map_log", "make a map of a log, with odometry or without"),
     "import": ("eigenscan.cli.import_log:import_log", "turn a CARMEN log or a ROS bag into a recording"),
     "evaluate": ("eigenscan.cli.evaluate:evaluate", "judge the pipeline on a log with a reference"),

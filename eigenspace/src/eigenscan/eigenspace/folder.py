@@ -6,7 +6,8 @@
     regions.png          what the regions are, for people
     regions.geojson      the same as polygons in the map frame, to be edited and built from
 
-A folder appears whole or not at all: it is written beside its place and then renamed.
+A folder appears whole or not at all: it is written beside its place and then swapped in; what it replaces is
+kept (see `versions`).
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ import numpy as np
 from eigenscan.eigenspace.components import Eigenspace
 from eigenscan.eigenspace.model import ModelError, RegionModel, model_set, set_version
 from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.eigenspace.versions import MANIFEST, replace
 from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
 from eigenscan.schemas import model_pb2
 
-MANIFEST, MAP, REGIONS, PICTURE = "manifest.json", "map.yaml", "regions", "regions.png"
+MAP, REGIONS, PICTURE = "map.yaml", "regions", "regions.png"
 OUTLINES = "regions.geojson"
 LAYOUT = 1
 _PLAIN = ("region", "frame_id", "spacing", "origin", "index", "ranges", "range_cap", "range_unit", "outline")
@@ -87,13 +89,10 @@ def _fill(site: SiteModel, folder: Path, picture: bytes | None, outlines: str | 
 
 
 def _take_place(fresh: Path, folder: Path) -> None:
-    if not folder.exists():
+    if (folder / MANIFEST).is_file():
+        replace(folder, fresh)
+    else:
         fresh.rename(folder)
-        return
-    old = fresh.with_suffix(".old")
-    folder.rename(old)
-    fresh.rename(folder)
-    shutil.rmtree(old)
 
 
 def _manifest(site: SiteModel) -> dict[str, Any]:

@@ -1,0 +1,66 @@
+"""`eigenscan models`: the versions of a model folder, and back to an older one."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from eigenscan.eigenspace.versions import Version
+
+
+class Action(StrEnum):
+    """What is to be done."""
+
+    LIST = "list"
+    ROLLBACK = "rollback"
+
+
+def models(
+    action: Annotated[Action, typer.Argument(help="list the versions, or go back to one")],
+    folder: Annotated[Path, typer.Argument(metavar="MODEL", help="folder that eigenscan build wrote")],
+    version: Annotated[
+        str | None,
+        typer.Argument(
+            help="the version, or how it begins; without it the newest older one", metavar="VERSION"
+        ),
+    ] = None,
+) -> None:
+    """List the versions of a model folder, or put an older one in use again.
+
+    A build into a folder that holds models keeps what it replaces, the last five versions, in
+    MODEL.versions. A rollback checks the old version and swaps it in, in one step; what was in use is kept.
+
+    \b
+    Examples:
+      eigenscan models list MODEL
+      eigenscan models rollback MODEL
+      eigenscan models rollback MODEL 7ce7719a
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.frame import UsageError
+    from eigenscan.eigenspace.folder import read_models
+    from eigenscan.eigenspace.versions import choose, replace, versions
+
+    if action is Action.LIST:
+        if version is not None:
+            raise UsageError(f"list takes no version, {version!r} was given: eigenscan models list {folder}")
+        for number, found in enumerate(versions(folder)):
+            _tell(found, in_use=number == 0)
+        return
+    chosen = choose(versions(folder), version, folder)
+    read_models(chosen.folder)  # a damaged one must not come into use
+    replace(folder, chosen.folder)
+    _tell(versions(folder)[0], in_use=True)
+    typer.echo("a mapbuilder that runs publishes it after a restart", err=True)
+
+
+def _tell(version: Version, in_use: bool) -> None:
+    built = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(version.built))
+    typer.echo(
+        f"{'*' if in_use else ' '} {version.version[:12]}  {built}  {version.regions:4} regions  "
+        f"{version.free_area_m2:7.0f} m²  {version.wire_bytes / 1e6:6.1f} MB"
+    )

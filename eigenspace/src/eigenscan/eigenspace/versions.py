@@ -1,0 +1,124 @@
+"""The versions of a model folder: MODEL is the one in use, MODEL.versions/ holds those that it replaced.
+
+Each is a whole model folder of its own. One takes another's place in a single step of the file system, so
+whoever opens MODEL finds one or the other, never half of one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eigenscan.eigenspace.model import ModelError
+
+MANIFEST = "manifest.json"
+KEPT = 5
+"""Versions that are kept beside the one in use; the oldest goes first."""
+_AT_CWD, _EXCHANGE = -100, 2
+
+
+@dataclass(frozen=True)
+class Version:
+    """A version on disk; `built`: s since the epoch."""
+
+    version: str
+    folder: Path
+    built: float
+    regions: int
+    free_area_m2: float
+    wire_bytes: int
+
+
+def kept_in(folder: Path) -> Path:
+    """Where the versions that `folder` replaced are."""
+    return folder.with_name(folder.name + ".versions")
+
+
+def versions(folder: Path) -> list[Version]:
+    """The version in use, first, then those kept, the newest built first.
+
+    Raises ModelError where `folder` holds no models. What is no model folder among the kept is skipped.
+    """
+    current = _describe(folder)
+    if current is None:
+        raise ModelError(f"{folder}: holds no models: build them with eigenscan build")
+    found = [_describe(path) for path in kept_in(folder).glob("*") if path.is_dir()]
+    others = {v.version: v for v in found if v is not None and v.version != current.version}
+    return [current, *sorted(others.values(), key=lambda v: (-v.built, v.version))]
+
+
+def choose(found: Sequence[Version], version: str | None, folder: Path) -> Version:
+    """The kept version whose hash begins with `version`; without one the newest built before the one in use.
+
+    `found`: as `versions` gives it. Raises ModelError where there is none, or more than one.
+    """
+    current, *kept = found
+    if version is None:
+        older = [v for v in kept if v.built < current.built]
+        if not older:
+            raise ModelError(f"{folder}: no older version is kept beside {current.version[:12]}")
+        return older[0]
+    matches = [v for v in kept if version and v.version.startswith(version)]
+    if len(matches) != 1:
+        what = "names more than one" if matches else "is none"
+        there = ", ".join(v.version[:12] for v in kept) or "no other"
+        raise ModelError(f"{folder}: version {version!r} {what} of those kept: there is {there}")
+    return matches[0]
+
+
+def replace(folder: Path, fresh: Path) -> None:
+    """Puts the model folder `fresh` in the place of `folder`, whose version is kept.
+
+    Both must be on one file system, beside each other.
+    """
+    exchange(fresh, folder)
+    old, current = _describe(fresh), _describe(folder)
+    store = kept_in(folder)
+    if old is None or current is None or old.version == current.version:
+        shutil.rmtree(fresh)
+    else:
+        store.mkdir(exist_ok=True)
+        target = store / old.version[:12]
+        if target != fresh:
+            shutil.rmtree(target, ignore_errors=True)
+            fresh.rename(target)
+    _, *kept = versions(folder)
+    live = {v.folder for v in kept[:KEPT]}
+    for path in store.glob("*"):
+        if path not in live and _describe(path) is not None:
+            shutil.rmtree(path)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Swaps two folders of one file system, in a single step where the system can (Linux, renameat2)."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "renameat2"):
+        names = os.fsencode(one), os.fsencode(other)
+        if libc.renameat2(_AT_CWD, names[0], _AT_CWD, names[1], _EXCHANGE) == 0:
+            return
+    aside = one.with_name(one.name + ".aside")
+    other.rename(aside)
+    one.rename(other)
+    aside.rename(one)
+
+
+def _describe(folder: Path) -> Version | None:
+    """What a folder's manifest says of it; None where it is no model folder."""
+    manifest = folder / MANIFEST
+    try:
+        said = json.loads(manifest.read_text(encoding="utf-8"))
+        return Version(
+            str(said["version"]),
+            folder,
+            manifest.stat().st_mtime,
+            len(said["regions"]),
+            float(said["free_area_m2"]),
+            sum(int(entry["wire_bytes"]) for entry in said["regions"]),
+        )
+    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError):
+        return None
