@@ -6,11 +6,11 @@
     .venv/bin/python benchmarks/association.py --picture docs/images/figure_6_7.png
 
 recall: a candidate is right (0.5 m, 10 degrees). false: candidates that are not, one a neighbourhood. ahead:
-how many of these are nearer than the right one (median). top1, listed: after verification and refinement.
-ms: CPU of the association alone, and of a scan. `--pruning`: the share of the poses that are not searched
-because the error vector is too large in their region, and of the scans whose right pose is among them.
-`--picture` draws figures 6 and 7 of the paper, at equal recall. The datasets are not part of the project; by
-default they are looked for beside it. Set OMP_NUM_THREADS=1.
+how many of these are nearer than the right one (median; - where most lists lack it). top1, listed: after
+verification and refinement. ms: CPU of the association alone, and of a scan. `--pruning`: the share of the
+poses that are not searched because the error vector is too large in their region, and of the scans whose
+right pose is among them. `--picture` draws figures 6 and 7 of the paper, at equal recall. The datasets are
+not part of the project; by default they are looked for beside it. Set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -143,8 +143,10 @@ def judge(built: SiteModel, scans: list[Asked], settings: ProjectorSettings) -> 
         scan.append((time.process_time() - before) * 1e3)
         top1.append(bool(final[:1].any()))
         listed.append(bool(final.any()))
+    middle = float(np.median(ahead))
     return {
-        "n": len(scans), "recall": np.mean(recall), "false": np.mean(false), "ahead": np.median(ahead),
+        "n": len(scans), "recall": np.mean(recall), "false": np.mean(false),
+        "ahead": middle if np.isfinite(middle) else None,
         "top1": np.mean(top1), "in_list": np.mean(listed),
         "association_ms": np.median(alone), "scan_ms": np.median(scan),
         "index_mb": view.association.nbytes / 1e6,
@@ -224,7 +226,10 @@ def show_associations(options: argparse.Namespace) -> list[dict[str, Any]]:
                 )
                 row = judge(built, scans, settings)
                 rows.append({"case": name, "embedding": embedding, "variant": variant, **row})
-                cells = [form.format(row[key] * scale) for _, key, form, scale in COLUMNS]
+                cells = [
+                    "-" if row[key] is None else form.format(row[key] * scale)
+                    for _, key, form, scale in COLUMNS
+                ]
                 print(" | ".join([name, embedding, variant, *cells]), flush=True)
     return rows
 

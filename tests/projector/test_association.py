@@ -140,8 +140,9 @@ def test_connectivity_keeps_the_nearest_of_each_surface_and_no_other(
     assert found.rows.tolist() == sorted(kept, key=lambda row: order[row])
     assert found.squares.tolist() == [near.squares[order[row]] for row in found.rows]
     # nothing is left over from the scan before
-    again = surfaces.nearest(alphas, residuals, count)
-    assert again.rows.tolist() == found.rows.tolist()
+    other = _query(rng, sheets)
+    fresh = Surfaces.of(sheets).nearest(*other, count)
+    assert surfaces.nearest(*other, count).rows.tolist() == fresh.rows.tolist()
 
 
 @settings(max_examples=40, deadline=None)
