@@ -1,0 +1,38 @@
+"""Whether two scans can be neighbours at all.
+
+Also wrong hypotheses go on from scan to scan as odometry says: the building goes on looking as it does. Where
+none of a list goes on in the next one, the sensor was covered or uncovered, or the robot was carried away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.pose import compose
+from eigenscan.tracker.covariance import residual
+from eigenscan.tracker.odometry import Motion
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+COMPARED = 10
+"""Hypotheses of the earlier list, likeliest first."""
+ENOUGH = 5
+"""Fewer say nothing."""
+NEAR_M, NEAR_RAD = 0.3, 0.1
+"""Farther from where it was predicted a hypothesis does not go on an earlier one."""
+ODOMETRY_SHARE = 0.5
+"""Of the way and the turn between two scans, what odometry may err by here."""
+FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
+"""Beyond this way, turn, or time without odometry, two scans are not compared."""
+
+
+def is_broken(before: Array, after: Array, moved: Motion) -> bool:
+    """Whether no pose of a list (n, 3) goes on in the next one (k, 3); both likeliest first."""
+    if len(before) < ENOUGH or len(after) < ENOUGH:
+        return False
+    if moved.way > FARTHEST_M or moved.turn > FARTHEST_RAD or abs(moved.unknown) > LONGEST_S:
+        return False
+    expected = compose(before[:COMPARED], np.asarray(moved.delta))
+    off = np.abs(residual(after[None], expected[:, None]))
+    near = np.hypot(off[..., 0], off[..., 1]) <= NEAR_M + ODOMETRY_SHARE * moved.way
+    return not bool((near & (off[..., 2] <= NEAR_RAD + ODOMETRY_SHARE * moved.turn)).any())
