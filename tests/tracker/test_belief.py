@@ -75,7 +75,7 @@ def test_standing_in_a_symmetric_place_stays_ambiguous(make_core, speaker, poses
     for scan in range(600):
         time = 10.0 + scan * 0.1
         core.handle(speaker.odometry(time, np.zeros(3)))
-        said = core.handle(speaker.hypotheses(time, symmetric(4), 30.0 + 0.5 * rng.normal(size=4)))
+        said = core.handle(speaker.hypotheses(time, symmetric(4), 18.0 + 0.5 * rng.normal(size=4)))
         assert poses_of(said)[0].state == STATE_AMBIGUOUS
         assert len([t for t in tracks_of(said)[0].tracks if t.probability > 0.05]) == 4
 
@@ -183,3 +183,100 @@ def test_order_of_arrival_between_channels_does_not_matter(make_core, speaker, p
         delay = np.repeat(rng.uniform(0.0, 0.19, 2), 30)
         shuffled = [both[i] for i in np.argsort(stamps + delay, kind="stable")]
         assert run(make_core(), shuffled, poses_of) == expected
+
+
+def others(rng: np.random.Generator, count: int = 12) -> list[np.ndarray]:
+    return [*rng.uniform([0, 0, -3], [40, 40, 3], (count, 3))]
+
+
+def test_carried_away_is_noticed_at_once_and_found_again(make_core, speaker, poses_of) -> None:
+    """Nothing of a list goes on in the next one, though odometry stands still."""
+    core, rng = make_core(), np.random.default_rng(6)
+    speaker.clutter = 0
+    time, messages = 10.0, []
+    for place in (np.array([2.0, 3.0, 0.4]), np.array([17.0, 8.0, -2.0])):
+        aliases = others(rng)
+        for _ in range(30):
+            time += 0.1
+            core.handle(speaker.odometry(time, np.zeros(3)))
+            said = core.handle(speaker.hypotheses(time, [place, *aliases], [17.0] + [8.0] * 12))
+            messages += [(message, place) for message in poses_of(said)]
+    assert not [m for m, place in messages if m.state == STATE_LOCALIZED and not is_right(m, place)]
+    assert all(m.state == STATE_LOCALIZED for m, _ in [*messages[5:30], *messages[35:]])
+
+
+def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(make_core, speaker, poses_of) -> None:
+    core, rng = make_core(), np.random.default_rng(7)
+    speaker.clutter = 0
+    place, aliases = np.array([2.0, 3.0, 0.4]), others(rng)
+    time, states = 10.0, []
+    for scan in range(60):
+        time += 0.1
+        covered = 30 <= scan < 40
+        poses = others(rng, 13) if covered else [place, *aliases]
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        said = core.handle(speaker.hypotheses(time, poses, ([7.0] if covered else [17.0]) + [6.0] * 12))
+        states += [(m.state, is_right(m, place)) for m in poses_of(said)]
+    assert all(state == (STATE_LOCALIZED, True) for state in states[5:30])
+    assert all(state == (STATE_LOCALIZED, True) for state in states[42:])
+    assert not any(state == STATE_LOCALIZED and not right for state, right in states)
+
+
+def test_a_robot_that_stands_for_an_hour_stays_sure(make_core, speaker, poses_of) -> None:
+    core = make_core()
+    for scan in range(3600):
+        time = 10.0 + scan
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        said = poses_of(core.handle(speaker.hypotheses(time, [[2.0, 3.0, 0.4]], [17.0])))
+        assert [m.state for m in said] == [STATE_LOCALIZED]
+
+
+def test_a_stretch_that_the_map_hardly_shows_is_driven_through(make_core, speaker, poses_of) -> None:
+    """Two metres on odometry, while a wrong place fits a little: the claim stays with the track."""
+    core, rng = make_core(), np.random.default_rng(8)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    wrong = np.array([15.0, 12.0, 1.0])
+    for scan in range(100):
+        time = 10.0 + 0.1 * scan
+        truth, odometry, wrong = (compose(pose, STEP) for pose in (truth, odometry, wrong))
+        core.handle(speaker.odometry(time, odometry))
+        seen = truth + rng.normal(size=3) * [0.03, 0.03, 0.01]
+        poses, logs = ([wrong], [10.0]) if 40 <= scan < 80 else ([seen, wrong], [17.0, 10.0])
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, logs)))[0]
+        if scan > 5:
+            assert message.state == STATE_LOCALIZED
+            assert is_right(message, truth)
+
+
+def test_wheels_that_slip_do_not_lose_the_robot(make_core, speaker, poses_of) -> None:
+    """Odometry says forward while the robot goes back: what the scans show nearby takes over."""
+    core, rng = make_core(), np.random.default_rng(9)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    wrong_for = 0
+    for scan in range(80):
+        time = 10.0 + 0.1 * scan
+        slipping = 30 <= scan < 50
+        truth = compose(truth, -STEP if slipping else STEP)
+        odometry = compose(odometry, STEP)
+        core.handle(speaker.odometry(time, odometry))
+        seen = truth + rng.normal(size=3) * [0.03, 0.03, 0.01]
+        message = poses_of(core.handle(speaker.hypotheses(time, [seen, *others(rng, 3)], [16.0, 7, 7, 7])))[0]
+        wrong_for += message.state == STATE_LOCALIZED and not is_right(message, truth)
+    assert wrong_for == 0
+    assert message.state == STATE_LOCALIZED
+
+
+def test_off_the_map_the_claim_ends(make_core, speaker, poses_of) -> None:
+    core, rng = make_core(), np.random.default_rng(10)
+    heard = drive(core, speaker, poses_of, scans=30)
+    assert heard[-1][0].state == STATE_LOCALIZED
+    states, odometry = [], np.zeros(3)
+    for scan in range(400):
+        time = 103.0 + 0.1 * (scan + 1)
+        odometry = compose(odometry, STEP)
+        core.handle(speaker.odometry(time, odometry))
+        said = core.handle(speaker.hypotheses(time, others(rng, 5), 5.0 + rng.normal(size=5)))
+        states += [m.state for m in poses_of(said)]
+    # twenty metres
+    assert states[-1] == STATE_LOST
+    assert STATE_LOCALIZED not in states[300:]

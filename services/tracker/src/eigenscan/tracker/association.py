@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.circle import difference
 from eigenscan.tracker.covariance import determinant, mahalanobis_squared, residual
 from numpy.typing import NDArray
 
@@ -28,10 +27,10 @@ class Pairs:
 def associate(x: Array, C: Array, y: Array, R: Array, gate: float) -> Pairs:
     """Pairs of tracks (n, 3), (n, 3, 3) and hypotheses (k, 3), (k, 3, 3) with distance^2 <= `gate`."""
     near = np.ones((len(x), len(y)), dtype=bool)
-    for axis in range(3):
-        delta = difference(y[None, :, 2], x[:, None, 2]) if axis == 2 else y[None, :, axis] - x[:, None, axis]
+    for axis in (0, 1):
+        delta = y[None, :, axis] - x[:, None, axis]
         # one axis alone is never farther than all three together
-        near &= delta**2 <= gate * (C[:, axis, axis][:, None] + R[:, axis, axis][None, :])
+        near &= delta * delta <= gate * (C[:, axis, axis][:, None] + R[:, axis, axis][None, :])
     i, k = np.nonzero(near)
     total = C[i] + R[k]
     distance2 = mahalanobis_squared(residual(y[k], x[i]), total)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State
-from eigenscan.tracker.belief import Belief, Tracks
+from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
 from scipy.special import chndtr, ndtr
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
-from eigenscan.tracker.belief import Belief, Share, Tracks
+from eigenscan.tracker.belief import Belief, Share
 from eigenscan.tracker.confidence import Verdict, judge, next_state
+from eigenscan.tracker.continuity import is_broken
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
@@ -17,6 +18,7 @@ from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.timeline import Timeline
+from eigenscan.tracker.tracks import Tracks
 from eigenscan.tracker.unification import prune, unify
 from eigenscan.tracker.velocity_gate import VelocityGate
 from numpy.typing import NDArray
@@ -54,6 +56,8 @@ class _Source:
     shows: tuple[str, str]
     """Lidar and map frame: sources of the same speak of the same, and share its evidence."""
     scans: int = 0
+    poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Its last list, likeliest first."""
 
 
 class RobotTracker:
@@ -134,16 +138,22 @@ class RobotTracker:
         source = self._sources.setdefault(seen.source, _Source(seen.stamp, (seen.lidar, seen.frame)))
         source.scans += 1
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
+        before, source.poses = source.poses, seen.poses
         if source.scans == 1:
             return Share(1.0 / peers, 0.0, 1.0 / peers)
         moved = self._motion(source.last, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
-        novelty = max(1.0 / source.scans, float(-np.expm1(-seconds / self._settings.memory)))
+        broken = is_broken(before, seen.poses, moved)
+        if broken:
+            self._counts["continuity_broken"] += 1
+            source.scans = 1
         progress = moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
         progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
-        progress = min(1.0, progress)
-        return Share(novelty / peers, progress / peers, progress / peers)
+        # a new place counts anew, more scans from the same one are averaged
+        fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
+        novelty = max(1.0 / source.scans, fresh)
+        return Share(novelty / peers, progress / peers, min(1.0, progress) / peers, broken)
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from eigenscan.tracker.association import associate
-from eigenscan.tracker.belief import Belief, Share, Tracks, join
+from eigenscan.tracker.belief import Belief, Share
 from eigenscan.tracker.covariance import determinant, fuse, mahalanobis_squared, residual
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.tracks import Tracks, begin, join
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -85,19 +86,15 @@ class Sequences(Belief):
 
     def _started(self, frame: int, seen: Observation, k: Index) -> Tracks:
         """New sequences of least probability; where there are none yet, as probable as their scans."""
-        none = np.zeros(len(k), dtype=np.intp)
         fit = seen.log_likelihoods[k]
         least = np.log(NEW_PROBABILITY) if len(self.tracks) else 0.0
-        return Tracks(
+        return begin(
             seen.poses[k],
             seen.covariances[k],
             least + fit - fit.max(initial=-np.inf),
             np.zeros((len(k), len(self.sources))),
-            none + frame,
-            none,
-            none,
-            none + seen.stamp,
-            none + 1,
+            frame,
+            seen.stamp,
         )
 
 

@@ -38,10 +38,10 @@ class TrackerSettings(ServiceSettings):
     )
     late: float = Field(0.5, ge=0, description="s, hypotheses later than this are set aside")
     independence_m: float = Field(
-        0.3, gt=0, description="m of way after which a scan counts as new evidence of its own"
+        0.5, gt=0, description="m of way after which a scan counts as new evidence of its own"
     )
     independence_rad: float = Field(
-        0.35, gt=0, description="rad of turn after which a scan counts as new evidence of its own"
+        0.5, gt=0, description="rad of turn after which a scan counts as new evidence of its own"
     )
     memory: float = Field(
         0.5, gt=0, description="s over which the evidence of scans from one place is averaged"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.tracker.association import Pairs, associate
-from eigenscan.tracker.belief import Belief, Tracks
+from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import moments
+from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
 
 Index = NDArray[np.intp]
@@ -60,7 +61,11 @@ def _merge(tracks: Tracks, groups: list[Index]) -> Tracks:
         _keep_name(result, row, tracks, group)
         weight = np.exp(tracks.log_weight[group] - tracks.log_weight[group].max())
         result.x[row], result.C[row] = moments(tracks.x[group], tracks.C[group], weight)
-        result.evidence[row] = weight @ tracks.evidence[group] / weight.sum()
+        # evidence speaks of a track that is shown
+        shown = weight * (1.0 - tracks.hidden[group])
+        if shown.sum() > 0.0:
+            result.evidence[row] = shown @ tracks.evidence[group] / shown.sum()
+        result.hidden[row] = weight @ tracks.hidden[group] / weight.sum()
         result.log_weight[row] = np.logaddexp.reduce(tracks.log_weight[group])
     return result
 

@@ -1,0 +1,126 @@
+"""What a scan says of a track that was there before it.
+
+A track is a prediction, and a place that is wrong but looks like the right one goes on looking like it. So a
+hypothesis that lies where a track was predicted is no news as such: it is evidence by how much oftener a
+right track gets one of its likelihood than a wrong track does. A right track in turn may be hidden: where the
+map shows little of the room, the projector misses it for metres, and then for each scan alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.tracker.association import Pairs
+from eigenscan.tracker.covariance import determinant, mahalanobis_squared, residual
+from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.tracks import Tracks
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SLOPE, EVEN, MOST_AHEAD = 0.35, 9.5, 5.0
+"""ln of that ratio is SLOPE (L - EVEN), and as many nats as the list's best is ahead of the next place.
+
+Rounded from what three buildings have in common: benchmarks/evidence.py.
+"""
+NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
+"""Hypotheses this near to each other are of one place."""
+SHOWN_YET_MISSED = -6.0
+"""The same for a track without a hypothesis, were it shown: next to impossible."""
+HIDES, SHOWS = 0.05, 0.2
+"""Of shown tracks that hide, and of hidden ones that show, over the way that makes a scan new evidence.
+
+Hidden ones show less often than on the mean: most of the way that is hidden lies in a few long stretches.
+"""
+PLACE = 7e-3
+"""m^2 rad: the room in pose space that one hypothesis speaks for."""
+
+
+def ahead(seen: Observation) -> Array:
+    """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
+    L = seen.log_likelihoods
+    if not len(L):
+        return np.zeros(0)
+    best = int(np.argmax(L))
+    off = np.abs(residual(seen.poses, seen.poses[best]))
+    there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (off[:, 2] <= NEAR_RAD)
+    next_place = L[~there].max(initial=seen.unlisted)
+    result: Array = np.where(there, L - next_place, 0.0).clip(0.0, MOST_AHEAD)
+    return result
+
+
+@dataclass(frozen=True)
+class Merit:
+    """What the hypotheses (k,) of a list are worth, in nats.
+
+    `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing foretold.
+    `foretold`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was exactly
+    there.
+    """
+
+    alone: Array
+    foretold: Array
+
+    @classmethod
+    def of(cls, seen: Observation) -> Merit:
+        """Both follow from likelihoods and from how far the best is ahead of other places."""
+        lead = ahead(seen)
+        return cls(seen.log_likelihoods + lead, SLOPE * (seen.log_likelihoods - EVEN) + lead)
+
+    def of_pairs(self, pairs: Pairs) -> Array:
+        """What each pair (p,) of a track and a hypothesis in its gate is worth.
+
+        For a vague track the hypothesis' own likelihood, spread over all the track's room, says less.
+        """
+        k = pairs.hypothesis
+        foretold = self.foretold[k] - 0.5 * pairs.distance2
+        result: Array = np.minimum(foretold, self.alone[k] + pairs.log_overlap)
+        return result
+
+
+def hide_and_show(hidden: Array, progress: float) -> Array:
+    """Hidden shares (n,) after a robot moved on by `progress`, 1: a scan is new evidence."""
+    hides, shows = -np.expm1(-HIDES * progress), -np.expm1(-SHOWS * progress)
+    result: Array = hidden * (1.0 - shows) + (1.0 - hidden) * hides
+    return result
+
+
+SLIPS = 0.02
+"""Of the tracks, how many odometry has misled by more than its noise since they were last confirmed."""
+SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, 0.1, 1.0
+"""Sigma of what it is then off by: this much, and this share of the way and of the turn."""
+TAIL = 3.0
+"""Degrees of freedom of the predicted pose: odometry errs heavily, now and then (Student's t)."""
+LEAST_MASS = float(np.log(1e-4))
+
+
+def present_evidence(tracks: Tracks) -> Array:
+    """What the present place says for each track (n,), >= 0.
+
+    If the robot was carried away or slipped just now, the track is shown where it was predicted by chance:
+    then this evidence does not count.
+    """
+    result: Array = tracks.evidence.clip(min=0.0).sum(axis=1)
+    return result
+
+
+def slipped_density(tracks: Tracks, y: Array, R: Array) -> Array:
+    """Ln of the mass density at poses (k, 3), (k, 3, 3) that tracks hold for their wheels having slipped."""
+    log_mass = tracks.log_weight - present_evidence(tracks)
+    heavy = log_mass > LEAST_MASS
+    if not heavy.any() or not len(y):
+        return np.full(len(y), -np.inf)
+    sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[heavy][:, [0, 0, 1]]
+    spread = tracks.C[heavy] + np.eye(3) * (sigma**2)[:, None, :]
+    total = spread[:, None] + R[None]
+    distance2 = mahalanobis_squared(residual(y[None], tracks.x[heavy][:, None]), total)
+    log_normal = -0.5 * (distance2 + 3.0 * np.log(2.0 * np.pi) + np.log(determinant(total)))
+    result: Array = np.logaddexp.reduce(np.log(SLIPS) + log_mass[heavy][:, None] + log_normal, axis=0)
+    return result
+
+
+def surprise(distance2: Array) -> Array:
+    """Factor (p,) >= 1 on predicted covariances by the innovation's squared distance (p,): Student's t."""
+    return np.maximum(1.0, (TAIL + distance2) / (TAIL + 3.0))

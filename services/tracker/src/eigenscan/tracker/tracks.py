@@ -1,0 +1,86 @@
+"""Gaussian tracks in arrays (paper, section 7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """n Gaussian tracks: poses x (n, 3), covariances C (n, 3, 3), masses as logarithms (n,).
+
+    `hidden` (n,): share of a track's mass in which the projector does not show its pose. `evidence`
+    (n, sources): what each source's scans from the present place said for a track that is shown.
+    `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
+    """
+
+    x: Array
+    C: Array
+    log_weight: Array
+    hidden: Array
+    evidence: Array
+    unchecked: Array
+    frame: Index
+    id: Index
+    parent: Index
+    born: Index
+    observations: Index
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def pick(self, index: Index | NDArray[np.bool_]) -> Tracks:
+        """The tracks at `index`."""
+        return Tracks(**{name: getattr(self, name)[index] for name in self.__dataclass_fields__})
+
+
+def join(parts: list[Tracks]) -> Tracks:
+    """All tracks of several sets, in order."""
+    return Tracks(
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in Tracks.__dataclass_fields__
+        }
+    )
+
+
+def no_tracks(sources: int) -> Tracks:
+    """An empty set."""
+    none = np.zeros(0, dtype=np.intp)
+    return Tracks(
+        np.zeros((0, 3)),
+        np.zeros((0, 3, 3)),
+        np.zeros(0),
+        np.zeros(0),
+        np.zeros((0, sources)),
+        np.zeros((0, 2)),
+        none,
+        none,
+        none,
+        none,
+        none,
+    )
+
+
+def begin(x: Array, C: Array, log_weight: Array, evidence: Array, frame: int, stamp: int) -> Tracks:
+    """New tracks (n,), yet without a number, each from one hypothesis; `evidence` (n, sources)."""
+    none = np.zeros(len(x), dtype=np.intp)
+    return Tracks(
+        x,
+        C,
+        log_weight,
+        np.zeros(len(x)),
+        evidence,
+        np.zeros((len(x), 2)),
+        none + frame,
+        none,
+        none,
+        none + stamp,
+        none + 1,
+    )
