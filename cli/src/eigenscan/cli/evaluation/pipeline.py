@@ -53,6 +53,7 @@ class Answer:
     """What one scan alone gave: base poses (n, 3), most likely first, and the process time, ms."""
 
     poses: NDArray[np.float64]
+    log_likelihoods: NDArray[np.float64]
     cpu_ms: float
 
 
@@ -109,13 +110,17 @@ class Pipeline:
         before = time.process_time_ns()
         said = [*loop.hear(scan), *loop.finish()]
         cpu_ms = (time.process_time_ns() - before) / 1e6
-        poses = [
-            from_message(hypothesis.pose)
+        listed = [
+            hypothesis
             for envelope in said
             if envelope.channel == HYPOTHESES
             for hypothesis in envelope.open(Hypotheses).hypotheses
         ]
-        return Answer(np.asarray(poses, dtype=np.float64).reshape(-1, 3), cpu_ms)
+        return Answer(
+            np.asarray([from_message(h.pose) for h in listed], dtype=np.float64).reshape(-1, 3),
+            np.asarray([h.log_likelihood for h in listed], dtype=np.float64),
+            cpu_ms,
+        )
 
 
 def _poses(envelopes: Iterable[Envelope], spent: int) -> list[tuple[float, PoseEstimate]]:

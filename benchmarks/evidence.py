@@ -1,0 +1,184 @@
+"""What a hypothesis is worth to a track that foretold it: right tracks beside wrong ones, on real logs.
+
+    .venv/bin/python benchmarks/evidence.py [--datasets FOLDER] [--only intel] [--json OUT]
+
+A track is begun at each hypothesis of a scan that is worth it, and followed by the true motion to the scan
+half a metre or half a radian on. There it has a hypothesis of some log-likelihood L, by some nats ahead of
+the next place, or none. The table is ln p(that | the track was right) / p(that | it was wrong); the
+tracker's own figures (services/tracker, evidence.py) stand beside it. The datasets are not part of the
+project; by default they are looked for beside it.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.cli.evaluation.log import read_log
+from eigenscan.cli.evaluation.metrics import errors, right
+from eigenscan.cli.evaluation.models import build
+from eigenscan.cli.evaluation.pipeline import Pipeline
+from eigenscan.cli.evaluation.reference import read_trajectory
+from eigenscan.cli.evaluation.windows import plan_windows, read_windows
+from eigenscan.cli.importers import LogOptions
+from eigenscan.geometry.circle import difference
+from eigenscan.geometry.pose import between, compose
+from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.tracker.evidence import EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE
+
+DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
+CASES = {
+    "intel": ("intel", "log.clf.gz", "log.tum"),
+    "fr079": ("fr079", "log.clf.gz", "log.tum"),
+    "guardian 3": ("guardian", "guardian_3.bag", "guardian_3.tum"),
+    "guardian 2": ("guardian", "guardian_controller_2.bag", "guardian_controller_2.tum"),
+}
+WORTH = 8.0
+"""Log-likelihood from which on a hypothesis begins a track here."""
+STEP_M, STEP_RAD = 0.5, 0.5
+LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
+AHEAD = np.array([-np.inf, 0.0, 1.0, 3.0, 5.0, np.inf])
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The list of one scan, poses (k, 3) and log-likelihoods (k,), and the true pose (3,)."""
+
+    poses: np.ndarray
+    likelihoods: np.ndarray
+    truth: np.ndarray
+
+    def near(self, pose: np.ndarray) -> np.ndarray:
+        """Which hypotheses are within 0.5 m and 10 degrees of a pose, (k,)."""
+        return right(*errors(self.poses, np.broadcast_to(pose, self.poses.shape)))
+
+
+def answers(datasets: Path, case: str) -> Iterator[list[Answer]]:
+    """The lists of each window of a log that have a true pose."""
+    folder, log_name, truth_name = CASES[case]
+    place = datasets / folder
+    log = read_log(place / log_name, LogOptions(), lambda _: None)
+    reference = read_trajectory(place / truth_name).restamped(log.logged)
+    listed = place / "windows.csv"
+    windows = read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference)
+    pipeline = Pipeline(build(place / "map.yaml", 0.5, lambda _: None).models)
+    for window in windows:
+        raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
+        stamps = [nanoseconds(envelope.open(RawScan).timestamp) for envelope in raw]
+        truths, known = reference.at(stamps)
+        said = [(pipeline.answer(e), t) for e, t, there in zip(raw, truths, known, strict=True) if there]
+        yield [Answer(a.poses, a.log_likelihoods, truth) for a, truth in said]
+
+
+def independent_way(scans: list[Answer]) -> np.ndarray:
+    """How far the robot has come until each scan (n,), in steps that make a scan new evidence."""
+    poses = np.array([scan.truth for scan in scans])
+    moved = np.hypot(*np.diff(poses[:, :2], axis=0).T) / STEP_M
+    turned = np.abs(difference(poses[1:, 2], poses[:-1, 2])) / STEP_RAD
+    return np.append(0.0, np.cumsum(moved + turned))
+
+
+@dataclass
+class Counts:
+    """How often tracks had a hypothesis of a likelihood and lead, (L, A), and how often none."""
+
+    listed: np.ndarray
+    missed: int = 0
+
+    @property
+    def total(self) -> float:
+        return float(self.listed.sum() + self.missed)
+
+
+def follow(scans: list[Answer], right_tracks: Counts, wrong_tracks: Counts) -> None:
+    """Counts what became of the tracks that each third scan begins."""
+    way = independent_way(scans)
+    for first in range(0, len(scans), 3):
+        later = int(np.searchsorted(way, way[first] + 1.0))
+        if later >= len(scans) or not len(scans[later].poses) or not len(scans[first].poses):
+            continue
+        begun, seen = scans[first], scans[later]
+        motion, is_right = between(begun.truth, seen.truth), begun.near(begun.truth)
+        for k in np.flatnonzero(begun.likelihoods >= WORTH):
+            counts = right_tracks if is_right[k] else wrong_tracks
+            there = seen.near(compose(begun.poses[k], motion))
+            if not there.any():
+                counts.missed += 1
+                continue
+            best = seen.likelihoods[there].max()
+            lead = best - seen.likelihoods[~there].max(initial=0.0)
+            row = np.searchsorted(LIKELIHOODS, best, side="right") - 1
+            counts.listed[row, np.searchsorted(AHEAD, lead, side="right") - 1] += 1
+
+
+def hiding(windows: list[list[Answer]]) -> dict[str, float]:
+    """How often, a step, the true pose leaves the list, and comes back to it."""
+    left = came = shown = hidden = 0.0
+    for scans in windows:
+        listed = np.array([bool((scan.near(scan.truth) & (scan.likelihoods > 3.0)).any()) for scan in scans])
+        steps = np.diff(independent_way(scans))
+        left += float(np.count_nonzero(listed[:-1] & ~listed[1:]))
+        came += float(np.count_nonzero(~listed[:-1] & listed[1:]))
+        shown += float(steps[listed[:-1]].sum())
+        hidden += float(steps[~listed[:-1]].sum())
+    return {
+        "hides": left / max(shown, 1e-9),
+        "shows": came / max(hidden, 1e-9),
+        "hidden": hidden / (shown + hidden),
+    }
+
+
+def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
+    shape = (len(LIKELIHOODS) - 1, len(AHEAD) - 1)
+    true, false = Counts(np.zeros(shape)), Counts(np.zeros(shape))
+    for scans in windows:
+        follow(scans, true, false)
+    half = 0.5  # of a track, so that an empty cell is not infinite
+    ratio = np.log((true.listed + half) / true.total) - np.log((false.listed + half) / false.total)
+    ratio[true.listed + false.listed < 10] = np.nan
+    return {
+        "case": case,
+        "right_tracks": true.total,
+        "wrong_tracks": false.total,
+        "ratio": ratio.tolist(),
+        "missed": float(
+            np.log((true.missed + half) / true.total) - np.log((false.missed + half) / false.total)
+        ),
+    } | hiding(windows)
+
+
+def show(row: dict[str, Any]) -> None:
+    print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks, {row['wrong_tracks']:.0f} wrong ones")
+    print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
+    print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))
+    for low, ratios in zip(LIKELIHOODS[:-1], row["ratio"], strict=True):
+        print(
+            f"{low:>9g}..          "
+            + "".join("         -" if np.isnan(r) else f"{r:>+10.1f}" for r in ratios)
+        )
+    print(f"   missed {row['missed']:+.1f}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--datasets", type=Path, default=DATASETS)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    print(f"the tracker: {SLOPE} (L - {EVEN}) + how far ahead, 0 to {MOST_AHEAD:g}")
+    rows = []
+    for case in CASES:
+        if options.only in case:
+            rows.append(judge(case, list(answers(options.datasets, case))))
+            show(rows[-1])
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
