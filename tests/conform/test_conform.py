@@ -126,4 +126,5 @@ def test_what_cannot_be_judged(arguments: tuple[str, ...], code: int, words: str
     )
     assert done.returncode == code, done.stdout + done.stderr
     assert words in done.stderr
+    assert "\nok " not in f"\n{done.stdout}"
     assert len(done.stderr.splitlines()) == 1

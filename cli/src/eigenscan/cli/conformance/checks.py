@@ -24,7 +24,12 @@ HEALTH_GAP_S = 2.5
 
 def judge(seen: Observed, latency_s: float) -> list[Check]:
     """All checks. `latency_s` is what 95 % of the answers may take."""
-    return [check for part in _PARTS for check in part(seen)] + [_latency(seen, latency_s), _stops(seen)]
+    checks = [one for part in _PARTS for one in part(seen)] + [_latency(seen, latency_s), _stops(seen)]
+    if seen.heard:
+        return checks
+    return [
+        skipped(one.name, one.clause, "it says nothing") if one.result == PASSED else one for one in checks
+    ]
 
 
 def _presence(seen: Observed) -> Iterator[Check]:
@@ -62,6 +67,9 @@ def _presence(seen: Observed) -> Iterator[Check]:
 def _answers(seen: Observed) -> Iterator[Check]:
     profile, clause = seen.profile, "Time, frames, numbers"
     if profile.asks is None:
+        return
+    if not seen.asked:
+        yield Check("answers", clause, FAILED, "it was gone before it was asked anything")
         return
     said = Counter(
         (one.channel, one.stamp, one.address.get("lidar", ""))

@@ -44,6 +44,7 @@ class Ear:
 
     def __init__(self, session: zenoh.Session, site: str) -> None:
         self._news = threading.Condition()
+        self._own = str(session.zid())
         self._heard: list[Heard] = []
         self._tokens: dict[str, tuple[float, float | None]] = {}
         self._declared = [
@@ -106,6 +107,8 @@ class Ear:
 
     def _on_token(self, token: Any) -> None:
         key, now = str(token.key_expr), time.monotonic()
+        if key.endswith(self._own):  # that of the models which this session says
+            return
         with self._news:
             if token.kind == zenoh.SampleKind.PUT:
                 self._tokens[key] = (now, None)

@@ -110,7 +110,7 @@ class Trial:
         self._await_start(candidate)
         if seen.profile.asks is None:
             self._join_late()
-        else:
+        elif candidate.lives:
             self._play(before, candidate, "the first part of the drive")
             if candidate.lives:
                 self._say_nonsense(candidate)
