@@ -54,7 +54,7 @@ class Lists:
         nats, strange, similar = numbers
         last = np.count_nonzero(np.isfinite(self.supports), axis=1) - 1
         rank = np.clip(last, 0, likelihood.ORDINARY_RANK)[:, None]
-        ordinary = np.take_along_axis(self.supports, rank, axis=1)
+        ordinary = np.maximum(np.take_along_axis(self.supports, rank, axis=1), 0.0)
         odds = nats * (self.supports - strange - similar * ordinary) + self.mass
         odds = np.column_stack([odds, np.full(len(odds), np.log(ELSEWHERE))])
         odds[np.isnan(odds)] = -np.inf
@@ -81,7 +81,7 @@ def ask(site: Site, scans: list[tuple[Any, np.ndarray | None]]) -> Lists:
         n = len(found.poses)
         volume = 1.5 * np.log(2 * np.pi) + 0.5 * np.linalg.slogdet(found.covariances)[1]
         lists.supports[i, :n] = found.supports
-        lists.mass[i, :n] = volume - np.log(site.free_area_m2 * 2 * np.pi)
+        lists.mass[i, :n] = volume - np.log(site.area(None) * 2 * np.pi)
         if truth is not None:
             lists.right[i, :n] = is_right(found.poses, compose(truth, from_message(scan.mount)))
     return lists

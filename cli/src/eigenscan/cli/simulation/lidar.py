@@ -49,6 +49,24 @@ class Lidar:
         return ranges
 
 
+SAME_WALL = 0.05
+"""m: two maps that differ by no more along a beam show it the same wall."""
+
+
+def unexpected(
+    lidar: Lidar, world: RayCaster, known: RayCaster, base: Array, people: Array
+) -> NDArray[np.bool_]:
+    """Which beams (B,) from the base pose (3,) end on what the map `known` lacks of the `world`: people
+    (n, 2), furniture.
+    """
+    sensor = compose(base, lidar.mount)
+    wall = world.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
+    shown = known.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
+    body = to_discs(sensor, lidar.bearings, people, RADIUS)
+    on_it: NDArray[np.bool_] = (body < wall) | (np.isfinite(wall) & (shown > wall + SAME_WALL))
+    return on_it
+
+
 def to_discs(sensor: Array, bearings: Array, centres: Array, radius: float) -> Array:
     """Distance (B,) along each beam to the first disc, +inf where there is none.
 

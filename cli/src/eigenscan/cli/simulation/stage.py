@@ -101,6 +101,10 @@ class Stage:
         pose: Array = self.poses[min(max(tick, 0), len(self.poses) - 1)]
         return pose
 
+    def people_at(self, time: int) -> Array:
+        """Centres of the people (n, 2), m, map frame, at the stamp `time`, ns."""
+        return positions(self._walkers, (time - self.epoch) * 1e-9, self.pose_at(time)[:2])
+
     @property
     def kidnap_time(self) -> int | None:
         """Stamp of the first pose after the kidnap, ns."""
@@ -158,7 +162,7 @@ class Stage:
 
     def _say_scan(self, tick: int, time: int, random: np.random.Generator) -> Envelope:
         lidar, pose = self.scenario.lidar, self.poses[tick]
-        people = positions(self._walkers, (time - self.epoch) * 1e-9, pose[:2])
+        people = self.people_at(time)
         message = RawScan(
             timestamp=stamp(time),
             frame_id=self.scenario.lidar_name,

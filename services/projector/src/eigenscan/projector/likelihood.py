@@ -59,8 +59,9 @@ def ordinary_support(supports: Array, parts: int = 1) -> float:
     all parts say compares.
     """
     if not len(supports):
-        return -np.inf
-    return float(supports[min(max(round(ORDINARY_RANK / parts), 1), len(supports) - 1)])
+        return 0.0
+    # where all places are spoken against, that one is less so is no evidence
+    return max(float(supports[min(max(round(ORDINARY_RANK / parts), 1), len(supports) - 1)]), 0.0)
 
 
 def log_likelihood(supports: Array, ordinary: float) -> Array:

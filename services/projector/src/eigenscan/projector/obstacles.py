@@ -5,11 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.gridmap import FREE, GridMap
 from eigenscan.geometry.pose import transform
+from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
 
-THRESHOLD = 0.3
-"""m, a range shorter than predicted by more than this is an obstacle."""
+THRESHOLD = 0.2
+"""m, a beam that ends by more than this before its wall, and off every wall, is on an obstacle: the size from
+which obstacles matter. Off every wall: beside a corner or along a wall a small error of the pose is a large
+one of the range.
+"""
 EXPLAINED, OBSTACLE, MISSING = 1, 0, 255
 USUAL_ERROR = 0.5
 """m, root mean square of an error vector at which the confidence has fallen to exp(-1/2)."""
@@ -33,20 +38,27 @@ def find_obstacles(
     bearings: NDArray[np.float64],
     ranges: NDArray[np.float32],
     predicted: NDArray[np.float32],
+    walls: WallField,
+    grid: GridMap,
 ) -> ObstacleMask:
-    """Obstacles of a scan (B,) at a sensor pose (3,) with predicted ranges (B,), +inf: no wall in sight."""
+    """Obstacles of a scan (B,) at a sensor pose (3,) with predicted ranges (B,), +inf: no wall in sight.
+
+    Where no wall is in sight an end point on free ground is on an obstacle; off the known map it is nothing.
+    """
     seen = np.isfinite(ranges)
+    r = np.where(seen, ranges, 0.0).astype(np.float64)
+    points = np.column_stack([r * np.cos(bearings), r * np.sin(bearings)])
+    ends = transform(pose, points)
     with np.errstate(invalid="ignore"):
         error = np.where(seen, ranges - predicted, np.nan).astype(np.float32)
         error[np.isinf(error)] = np.nan
-        shorter = np.where(np.isinf(predicted), False, predicted - ranges > THRESHOLD)
-    obstacle = seen & shorter
+        shorter = predicted - ranges > THRESHOLD
+    inside = np.isfinite(predicted) | (grid.at(ends) == FREE)
+    obstacle = seen & shorter & inside & (walls.at(ends) > THRESHOLD)
     mask = np.where(seen, np.where(obstacle, OBSTACLE, EXPLAINED), MISSING).astype(np.uint8)
     known = error[np.isfinite(error)]
     bounded = np.clip(known, -_LARGEST_ERROR, _LARGEST_ERROR)
     energy = float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
     robust = float(np.sqrt(np.mean(bounded**2))) if len(known) else np.inf
-    r, angle = ranges[obstacle].astype(np.float64), bearings[obstacle]
-    points = np.column_stack([r * np.cos(angle), r * np.sin(angle)])
     confidence = float(np.exp(-0.5 * (robust / USUAL_ERROR) ** 2))
-    return ObstacleMask(mask, error, energy, confidence, points, transform(pose, points))
+    return ObstacleMask(mask, error, energy, confidence, points[obstacle], ends[obstacle])

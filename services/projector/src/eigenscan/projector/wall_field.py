@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
+from eigenscan.geometry.pose import inverse, transform
 from numba import njit
 from numpy.typing import NDArray
 
@@ -46,6 +47,25 @@ class WallField:
             slope[[0, -1]] = 0.0
             slope[:, [0, -1]] = 0.0
         return cls(_pack(distance, by_column, by_row), cell, np.asarray(field.origin, dtype=np.float64))
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Distance (n,) of map-frame points (n, 2) from the nearest wall, m, at most about REACH."""
+        local = transform(inverse(self.origin), points) / self.cell + 1.0
+        found: NDArray[np.float32] = _distances(self.cells, self.cell, local)
+        return found
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _distances(cells: NDArray[np.uint32], cell: float, points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Distances (n,) at continuous (column, row) (n, 2) of the field with its border."""
+    height, width = cells.shape
+    out = np.empty(len(points), dtype=np.float32)
+    for i in range(len(points)):
+        u, v = min(max(points[i, 0], 0.0), width - 0.5), min(max(points[i, 1], 0.0), height - 0.5)
+        column, row = int(u), int(v)
+        centre, gx, gy = unpack(cells[row, column])
+        out[i] = abs(centre + (gx * (u - column - 0.5) + gy * (v - row - 0.5)) * cell)
+    return out
 
 
 def _pack(
