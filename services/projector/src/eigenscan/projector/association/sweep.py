@@ -175,7 +175,10 @@ def _nearest(
             _add(flat, np.uint64(b * size + m * BLOCK), coefficients, r * components + m, part)
         for i in range(BLOCK):
             squares[k, i] = part[i]
-            count += rows[b, i] < 0
+        if b + 1 == bounds[r + 1]:
+            # what fills up a region's last block is no pose
+            for i in range(BLOCK):
+                count += rows[b, i] < 0
     return _collect(rows, chosen, squares, _limit_of_sample(squares.reshape(-1), count))
 
 
@@ -211,7 +214,11 @@ def _collect(
     near, distance = np.empty(squares.size, np.int64), np.empty(squares.size, np.float32)
     found = 0
     for k in range(len(chosen)):
-        b = chosen[k]
+        b, least = chosen[k], squares[k, 0]
+        for i in range(BLOCK):
+            least = min(least, squares[k, i])
+        if least > limit:
+            continue
         for i in range(BLOCK):
             # a branch would be guessed wrong too often
             near[found], distance[found] = rows[b, i], squares[k, i]
