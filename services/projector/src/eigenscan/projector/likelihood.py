@@ -86,26 +86,29 @@ def _support(
     margin: float,
     out: Array,
 ) -> None:
-    height, width = cells.shape[:2]
-    beams = len(seen)
-    px, py = seen * np.cos(bearings), seen * np.sin(bearings)
+    # single precision and no branches, so that it fits vector units
+    one, half, zero, unit = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(cell)
+    flat, columns = cells.reshape(-1), np.int32(cells.shape[1])
+    right, top = np.float32(cells.shape[1]) - half, np.float32(cells.shape[0]) - half
+    s2, through, slack = np.float32(WALL_SCALE**2), np.float32(THROUGH_WEIGHT), np.float32(margin)
+    px, py = (seen * np.cos(bearings) / cell).astype(np.float32), np.empty(len(seen), dtype=np.float32)
+    py[:] = seen * np.sin(bearings) / cell
+    weight = share.astype(np.float32)
     for i in range(len(poses)):
-        cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        total, explained = 0.0, 0
-        for j in range(beams):
-            u = (poses[i, 0] + cos * px[j] - sin * py[j]) / cell + 1.0
-            v = (poses[i, 1] + sin * px[j] + cos * py[j]) / cell + 1.0
-            u, v = min(max(u, 0.0), width - 0.5), min(max(v, 0.0), height - 0.5)
-            column, row = int(u), int(v)
-            centre, gx, gy = unpack(cells[row, column])
-            d = centre + (gx * (u - column - 0.5) + gy * (v - row - 0.5)) * cell
-            for_it = WALL_SCALE**2 / (WALL_SCALE**2 + d * d)
+        cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
+        # one cell of border lies around the grid
+        x, y = np.float32(poses[i, 0] / cell + 1.0), np.float32(poses[i, 1] / cell + 1.0)
+        walls, total, explained = predicted[i], zero, zero
+        for j in range(len(px)):
+            u = min(max(x + cos * px[j] - sin * py[j], zero), right)
+            v = min(max(y + sin * px[j] + cos * py[j], zero), top)
+            column, row = np.int32(u), np.int32(v)
+            centre, gx, gy = unpack(flat[np.uint32(np.int32(row * columns) + column)])
+            d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit
             # +inf minus a range stays out of both comparisons under fast math
-            wall = min(predicted[i, j], np.float32(1e9))
-            if seen[j] > wall + margin:
-                for_it -= THROUGH_WEIGHT
-            elif seen[j] > wall - margin:
-                explained += 1
-            total += share[j] * for_it
+            beyond = seen[j] - min(walls[j], np.float32(1e9))
+            behind = one if beyond > slack else zero
+            total += weight[j] * (s2 / (s2 + d * d) - through * behind)
+            explained += (one if beyond > -slack else zero) - behind
         out[0, i] = total
-        out[1, i] = explained / max(beams, 1)
+        out[1, i] = explained / max(len(px), 1)

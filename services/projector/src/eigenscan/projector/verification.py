@@ -81,9 +81,26 @@ def foreseen(
     position = np.where(there < 0, home, there)
     turn = lattice.panoramas.shape[1]
     window = np.rint((poses[:, 2] + angle_min) * (turn / TURN)).astype(np.int64) % turn
-    ranges: NDArray[np.float32] = windows[position[:, None], window[:, None] + beams]
-    ranges[ranges >= np.float32(_cap(range_max))] = np.inf
+    ranges = np.empty((len(poses), len(beams)), dtype=np.float32)
+    beams = np.ascontiguousarray(beams)
+    _look_up(windows, position, window, beams, np.float32(_cap(range_max)), ranges)
     return ranges
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _look_up(
+    windows: NDArray[np.float32],
+    position: NDArray[np.int64],
+    window: NDArray[np.int64],
+    beams: NDArray[np.int64],
+    cap: np.float32,
+    out: NDArray[np.float32],
+) -> None:
+    for i in range(len(position)):
+        panorama, first = windows[position[i]], window[i]
+        for j in range(len(beams)):
+            wall = panorama[first + beams[j]]
+            out[i, j] = wall if wall < cap else np.float32(np.inf)
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
