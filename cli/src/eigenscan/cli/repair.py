@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -28,11 +31,12 @@ def repair(
     from eigenscan.runtime.repair import is_sound
     from eigenscan.runtime.repair import repair as save
 
-    if is_sound(file):
+    target = out or file.with_name(f"{file.stem}{REPAIRED}")
+    with _progress(file) as passed:
+        found = None if is_sound(file, passed("looking")) else save(file, target, passed("saving"))
+    if found is None:
         typer.echo(f"{file}: is whole, nothing to repair")
         return
-    target = out or file.with_name(f"{file.stem}{REPAIRED}")
-    found = save(file, target)
     lost = [
         f"{found.lost_chunks} damaged chunks are lost" if found.lost_chunks else "",
         f"{found.lost_messages} messages of channels that they told of" if found.lost_messages else "",
@@ -40,3 +44,19 @@ def repair(
     ]
     words = ", ".join(part for part in lost if part) or "its index was missing"
     typer.echo(f"{target}: {found.messages} messages on {len(found.channels)} keys ({words})")
+
+
+@contextmanager
+def _progress(file: Path) -> Iterator[Callable[[str], Callable[[int], None]]]:
+    """Gives a bar over the file's bytes for each thing that is done with it, on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    size = file.stat().st_size if file.exists() else 0
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
+
+        def passed(what: str) -> Callable[[int], None]:
+            bar = bars.add_task(what, total=size)
+            return lambda done: bars.update(bar, completed=done)
+
+        yield passed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, cast
@@ -30,8 +30,14 @@ class Salvage:
     channels: dict[int, Channel] = field(default_factory=dict)
 
 
-def repair(damaged: Path, target: Path) -> Salvage:
+Moved = Callable[[int], object]
+"""Hears how many bytes of a file have been read, in each pass over it."""
+
+
+def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> Salvage:
     """Writes what is readable of `damaged` to `target`, which must not exist; foreign channels as well.
+
+    It passes over the file twice: for the channels, which an index at the end may know better, and for all.
 
     Raises RecordingError where `damaged` is no MCAP or holds no message, or `target` exists.
     """
@@ -40,14 +46,14 @@ def repair(damaged: Path, target: Path) -> Salvage:
     fresh = target.with_suffix(".part")
     try:
         found = Salvage(damaged.stat().st_size)
-        for record in _records(damaged, found):  # an index at the end may name channels of a lost chunk
+        for record in _records(damaged, found, moved):
             if isinstance(record, Schema):
                 found.schemas[record.id] = record
             elif isinstance(record, Channel):
                 found.channels[record.id] = record
         found.lost_chunks, found.cut = 0, False
         with fresh.open("wb") as file:
-            _rewrite(damaged, file, found)
+            _rewrite(damaged, file, found, moved)
         if not found.messages:
             raise RecordingError(f"{damaged}: holds no whole chunk: nothing can be saved")
         if message_count(fresh) != found.messages:
@@ -60,18 +66,18 @@ def repair(damaged: Path, target: Path) -> Salvage:
     return found
 
 
-def is_sound(path: Path) -> bool:
+def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
     """Whether all of a file can be read and it ends as it should. Raises RecordingError for no MCAP."""
     try:
         found = Salvage(path.stat().st_size)
-        for _ in _records(path, found):
+        for _ in _records(path, found, moved):
             pass
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     return not (found.cut or found.lost_chunks)
 
 
-def _records(path: Path, found: Salvage) -> Iterator[McapRecord]:
+def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
     """All records that can be read, those of chunks one by one; counts the rest in `found`."""
     with path.open("rb") as file:
         whole = cast(IO[bytes], WholeReads(file))
@@ -88,6 +94,7 @@ def _records(path: Path, found: Salvage) -> Iterator[McapRecord]:
             if record is None:
                 return
             first = False
+            moved(file.tell())
             if isinstance(record, Chunk):
                 yield from _of_chunk(record, found)
             else:
@@ -102,11 +109,11 @@ def _of_chunk(chunk: Chunk, found: Salvage) -> list[McapRecord]:
         return []
 
 
-def _rewrite(damaged: Path, file: IO[bytes], found: Salvage) -> None:
+def _rewrite(damaged: Path, file: IO[bytes], found: Salvage, moved: Moved) -> None:
     writer = Writer(file, compression=CompressionType.ZSTD)
     ids: dict[int, int] = {}
     started = False
-    for record in _records(damaged, found):
+    for record in _records(damaged, found, moved):
         if not started:
             profile = record.profile if isinstance(record, Header) else PROFILE
             writer.start(profile=profile, library="eigenscan repair")
