@@ -107,6 +107,38 @@ def test_odometry_that_jumps_is_not_followed(grid, way):
     assert errors(mapped, way)[0].max() < 0.3
 
 
+def test_a_robot_that_was_carried_does_not_spoil_the_map(grid, way):
+    # from a hallway into a room that it never drives into; odometry does not notice and goes on
+    elsewhere = np.array([[26.0 + 0.05 * k, 26.0, 0.05 * k] for k in range(40)])
+    before, after = scans(grid, way[:150], drift=(0.0, 0.0)), scans(grid, elsewhere, drift=(0.0, 0.0))
+    shift = compose(before[-1].odometry, between(after[0].odometry, np.zeros(3)))
+    after = [
+        replace(s, stamp=s.stamp + before[-1].stamp + 200_000_000, odometry=compose(shift, s.odometry))
+        for s in after
+    ]
+    mapped = survey([*before, *after])
+    assert mapped.numbers.tolist() == list(range(150))
+    assert errors(mapped, way)[0].max() < 0.3
+    ((first, last),) = mapped.unjoined
+    assert mapped.left_out + last - first + 1 == 40
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_two_lidars_back_to_back_make_one_map(grid, way, odometry):
+    drift = (0.0, 0.0) if odometry else None
+    true = way[:160]
+    front = scans(grid, true, seed=1, drift=drift, mount=(0.2, 0.0, 0.0))
+    rear = scans(grid, true, seed=2, drift=drift, mount=(-0.2, 0.0, np.pi))
+    rear = [
+        replace(s, stamp=s.stamp + 10_000_000, odometry=f.odometry) for s, f in zip(rear, front, strict=True)
+    ]
+    mapped = survey([s for pair in zip(front, rear, strict=True) for s in pair])
+    assert len(mapped.numbers) == 2 * len(true)
+    assert errors(mapped, np.repeat(true, 2, axis=0))[0].max() < 0.4
+    # what only the rear lidar faces is on the map: the wall behind the start
+    assert (mapped.grid.at([[-0.5, 0.0], [-0.8, 0.3]]) == FREE).all()
+
+
 def test_scans_of_nothing_are_left_out(grid, way):
     sweeps = scans(grid, way[:60], drift=(0.0, 0.0))
     empty = Outline.of(np.full(len(BEARINGS), np.nan), BEARINGS)

@@ -1,7 +1,7 @@
 """Scans one after another: each is aligned on those just before it, with odometry or without.
 
-A scan becomes a keyframe where the robot has moved on. What cannot be aligned, and has no odometry to lean
-on, begins a new part, which only a closure can join to the others.
+A scan becomes a keyframe where the robot has moved on. What cannot be aligned begins a new part, at once or,
+with odometry to lean on, after a while; only a bridge can join it to the others.
 """
 
 from __future__ import annotations
@@ -54,6 +54,10 @@ class Step:
     """Share of points on walls below which the scan is also looked for around where it was expected."""
     enough: float = 0.35
     """Share below which it is not aligned at all."""
+    blind: int = 10
+    """Scans in a row that may go unaligned on odometry alone; after that, the robot may have been carried."""
+    beside_s: float = 0.2
+    """s within which a scan of another lidar leans on the one before it."""
     fastest: float = 5.0
     """m/s; odometry that claims more has jumped."""
     fastest_turn: float = 8.0
@@ -82,7 +86,7 @@ class Chain:
     places: list[tuple[int, int, Array]] = field(default_factory=list)
     """For each scan that is placed: its number, its keyframe's, and its pose seen from there."""
     left_out: int = 0
-    """Scans with too few points."""
+    """Scans with too few points, or that odometry alone placed before a part ended."""
     jumps: int = 0
     """Steps of odometry that no robot can make."""
 
@@ -98,6 +102,8 @@ class Chainer:
         self._last: tuple[Sweep, Array] | None = None
         self._velocity = np.zeros(3)
         self._seconds = 0.1
+        self._blind: list[tuple[int, int, Array]] = []
+        self._aligned: Sweep | None = None
 
     def add(self, number: int, sweep: Sweep) -> None:
         """Places one scan, or leaves it out where it has too few points to say anything."""
@@ -110,19 +116,38 @@ class Chainer:
             return
         expected, prior, leads = self._expect(sweep, *self._last)
         found = self._align(cloud, expected, prior, leads)
-        if found.share < self._step.enough:
-            if not leads:
-                self._begin(number, sweep, cloud)
-                return
-            found = Alignment(expected, prior + FLOOR, found.share)
-        self._place(number, sweep, cloud, found)
+        if found.share >= (self._step.good if self._blind else self._step.enough):
+            self.chain.places += self._blind
+            self._blind = []
+            self._place(number, sweep, cloud, found)
+            self._aligned = sweep
+        elif self._beside(sweep):
+            # it looks elsewhere than the lidar before it, and shows what that one will see
+            self._place(number, sweep, cloud, Alignment(expected, prior + FLOOR, found.share))
+        elif leads and len(self._blind) < self._step.blind:
+            # a blocked lidar: odometry alone, until the walls are seen again
+            newest = len(self.chain.keyframes) - 1
+            self._blind.append((number, newest, between(self._recent[-1].pose, expected)))
+            self._last = (sweep, expected)
+        else:
+            self._begin(number, sweep, cloud)
+
+    def _beside(self, sweep: Sweep) -> bool:
+        """Whether another lidar of the robot was aligned just before."""
+        last = self._aligned
+        if last is None or np.array_equal(last.mount, sweep.mount):
+            return False
+        return abs(sweep.stamp - last.stamp) <= self._step.beside_s * NS
 
     def _begin(self, number: int, sweep: Sweep, cloud: Cloud) -> None:
         """The first scan of a part, at the part's origin."""
         part = self.chain.keyframes[-1].part + 1 if self.chain.keyframes else 0
+        self.chain.left_out += len(self._blind)
+        self._blind = []
         self._recent.clear()
         self._velocity[:] = 0.0
         self._keep(Keyframe(number, part, np.zeros(3), cloud, None))
+        self._aligned = sweep
         self._last = (sweep, np.zeros(3))
 
     def _expect(self, sweep: Sweep, last: Sweep, pose: Array) -> tuple[Array, Array, bool]:

@@ -202,12 +202,14 @@ def _carved(
     sweeps: Sequence[Sweep], numbers: NDArray[np.int64], poses: Array, resolution: float, progress: Progress
 ) -> GridMap:
     rays: list[tuple[Array, Array]] = []
-    last: Array | None = None
+    carved: dict[bytes, Array] = {}  # where each lidar was carved last
     for number, pose in zip(numbers, poses, strict=True):
+        sweep = sweeps[number]
+        last = carved.get(sweep.mount.tobytes())
         moved = None if last is None else between(last, pose)
         if moved is not None and np.hypot(*moved[:2]) < _CARVED_M and abs(moved[2]) < _CARVED_RAD:
             continue
-        last, sweep = pose, sweeps[number]
+        carved[sweep.mount.tobytes()] = pose
         sensor = compose(pose, sweep.mount)
         rays.append((sensor[:2], transform(sensor, sweep.outline.points)))
     carving = Carving.around(np.vstack([np.vstack([view, ends]) for view, ends in rays]), resolution)
