@@ -62,21 +62,32 @@ def best_pose(
     `ranges` (B,) m, NaN missing, inf for nothing in sight; `directions` (B,) rad in the sensor's frame;
     `mount` (3,): the sensor in the base frame.
     """
+    poses = best_poses(shown, ranges, directions, mount)
+    return poses[0] if len(poses) else None
+
+
+def best_poses(
+    shown: Gallery,
+    ranges: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    mount: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Base poses (P, 3), nearest first: each position at its best heading. Arguments as of `best_pose`."""
     limit = round(TRUNCATION_M / UNIT_M)
     used = np.flatnonzero(~np.isnan(ranges))
     if not len(used):
-        return None
+        return np.empty((0, 3))
     # so few that their sum fits 16 bits: every k-th of a very dense sensor
     used = used[:: -(-len(used) * limit // LARGEST)]
     step = TURN / shown.beams
     exact = directions[used] / step
     bins = np.round(exact).astype(np.int64)
     observed = np.round(np.minimum(ranges[used], shown.cap_m) / UNIT_M).astype(np.int16)
-    row, heading = _nearest(shown.ranges, np.mod(bins, shown.beams), observed, np.int16(limit))
+    cost, heading = _nearest(shown.ranges, np.mod(bins, shown.beams), observed, np.int16(limit))
+    order = np.argsort(cost, kind="stable")
     # the beams' own rounding to the grid turns the heading by their mean remainder
-    theta = heading * step - float(np.mean(exact - bins)) * step
-    sensor = np.array([*shown.positions[row], theta])
-    return compose(sensor, inverse(mount))
+    theta = (heading[order] - float(np.mean(exact - bins))) * step
+    return compose(np.column_stack([shown.positions[order], theta]), inverse(mount))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -85,10 +96,11 @@ def _nearest(
     bins: NDArray[np.int64],
     observed: NDArray[np.int16],
     limit: np.int16,
-) -> tuple[int, int]:
-    """Row and heading with the least sum of truncated differences; the first of equals."""
+) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+    """Of each row the least sum of truncated differences and its heading; the first of equals."""
     headings = panoramas.shape[1] // 2
-    best, best_row, best_heading = np.int64(1) << 40, 0, 0
+    best = np.empty(panoramas.shape[0], dtype=np.uint16)
+    best_heading = np.empty(panoramas.shape[0], dtype=np.int64)
     cost = np.empty(headings, dtype=np.uint16)
     for row in range(panoramas.shape[0]):
         cost[:] = 0
@@ -99,7 +111,6 @@ def _nearest(
                 gap = np.int16(predicted[heading] - seen)
                 gap = max(gap, np.int16(-gap))
                 cost[heading] = np.uint16(cost[heading] + np.uint16(min(gap, limit)))
-        heading = int(np.argmin(cost))
-        if cost[heading] < best:
-            best, best_row, best_heading = np.int64(cost[heading]), row, heading
-    return best_row, best_heading
+        best_heading[row] = np.argmin(cost)
+        best[row] = cost[best_heading[row]]
+    return best, best_heading
