@@ -19,7 +19,7 @@ def compose(a: ArrayLike, b: ArrayLike) -> Array:
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = a[..., 0] + cos * b[..., 0] - sin * b[..., 1]
     y = a[..., 1] + sin * b[..., 0] + cos * b[..., 1]
-    return np.stack([x, y, wrap(a[..., 2] + b[..., 2])], axis=-1)
+    return _side_by_side(x, y, wrap(a[..., 2] + b[..., 2]))
 
 
 def inverse(a: ArrayLike) -> Array:
@@ -28,7 +28,15 @@ def inverse(a: ArrayLike) -> Array:
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = -cos * a[..., 0] - sin * a[..., 1]
     y = sin * a[..., 0] - cos * a[..., 1]
-    return np.stack([x, y, wrap(-a[..., 2])], axis=-1)
+    return _side_by_side(x, y, wrap(-a[..., 2]))
+
+
+def _side_by_side(*parts: Array) -> Array:
+    """Arrays of one shape along a new last axis: np.stack in a third of its time."""
+    out = np.empty((*np.shape(parts[0]), len(parts)))
+    for i, part in enumerate(parts):
+        out[..., i] = part
+    return out
 
 
 def between(a: ArrayLike, b: ArrayLike) -> Array:
@@ -43,7 +51,7 @@ def transform(pose: ArrayLike, points: ArrayLike) -> Array:
     # element by element: a matrix product may round a point differently among other points
     ahead = np.cos(theta) * array[..., 0] - np.sin(theta) * array[..., 1]
     aside = np.sin(theta) * array[..., 0] + np.cos(theta) * array[..., 1]
-    return np.stack([ahead + x, aside + y], axis=-1)
+    return _side_by_side(ahead + x, aside + y)
 
 
 def from_message(message: Pose2) -> Array:
