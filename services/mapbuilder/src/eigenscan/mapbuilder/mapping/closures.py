@@ -56,8 +56,6 @@ class Match:
 
     pose: Array
     net: float
-    overlap: float
-    score: float
 
 
 @dataclass
@@ -147,7 +145,7 @@ class Closer:
             return None
         if elsewhere.max(initial=0.0) > self.rules.ambiguous * nets[best]:
             return None
-        return Match(pose, float(nets[best]), fit.overlap, fit.score)
+        return Match(pose, float(nets[best]))
 
     def again(self) -> None:
         """Looks once more for closures, now that all submaps lie where they should be."""
