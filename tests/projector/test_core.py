@@ -1,11 +1,15 @@
 """What the projector says, and what it makes of messages that are late, foreign or broken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from eigenscan.eigenspace.model import model_set
+from eigenscan.geometry.gridmap import to_message
 from eigenscan.geometry.pose import compose
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas.channels import HYPOTHESES, MODEL, MODEL_SET, OBSTACLES, SCAN
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
@@ -244,6 +248,53 @@ def test_a_broken_model_is_refused_by_name_and_the_last_good_one_stays(change: s
     assert condition.counters["refused_model"] == 1
     after = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
     assert after.SerializeToString() == before.SerializeToString()
+
+
+def test_regions_on_different_grids_are_refused_by_name_and_the_last_good_set_stays() -> None:
+    core = ready()
+    truth = free_poses(1, 82)[0]
+    before = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
+    coarse, fine = site(of="tower"), site(0.25)
+    mixed = [replace(coarse.regions[0], region="coarse"), replace(fine.regions[0], region="fine")]
+    announced = model_set(mixed, coarse.grid.version, "map", 100.0)
+    for envelope in (
+        Envelope(MAP, {"site": "s"}, to_message(coarse.grid, "map")),
+        *(Envelope(MODEL, {"site": "s", "region": m.region}, m.to_message()) for m in mixed),
+        Envelope(MODEL_SET, {"site": "s"}, announced),
+    ):
+        core.handle(envelope)
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert "'fine'" in condition.detail
+    after = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
+    assert after.SerializeToString() == before.SerializeToString()
+    # and the next good one is taken
+    for envelope in envelopes(site(of="tower")):
+        core.handle(envelope)
+    assert core.condition().status == Health.STATUS_OK
+    assert hear(core, scan_at(truth))[0].model_version == site(of="tower").to_message().version
+
+
+@pytest.mark.parametrize("change", ["bytes", "resolution", "pose"])
+def test_a_broken_map_is_refused_and_the_last_good_set_stays(change: str) -> None:
+    core = ready()
+    truth = free_poses(1, 83)[0]
+    before = hear(core, scan_at(truth))[0]
+    for envelope in envelopes(site(of="tower")):
+        message = envelope.message
+        if envelope.channel == MAP:
+            message = to_message(tower(), "map")
+            if change == "bytes":
+                message.data = message.data[:-5]
+            elif change == "resolution":
+                message.cell_size.x = 0.0
+            else:
+                message.pose.orientation.z = float("nan")
+        core.handle(Envelope(envelope.channel, envelope.address, message))
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert condition.counters["refused_map"] == 1
+    assert hear(core, scan_at(truth))[0].SerializeToString() == before.SerializeToString()
 
 
 def test_a_set_that_is_not_what_its_version_says_is_refused() -> None:

@@ -182,4 +182,7 @@ def from_message(message: Grid) -> GridMap:
     if not 0 < resolution < 10 or resolution != message.cell_size.y:
         raise MapError(f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares")
     cells = np.frombuffer(message.data, dtype=np.uint8).reshape(-1, width)
-    return GridMap(cells, resolution, from_pose3(message.pose))
+    origin = from_pose3(message.pose)
+    if not np.isfinite(origin).all():
+        raise MapError(f"grid whose origin is {origin.tolist()}: expected metres and a rotation")
+    return GridMap(cells, resolution, origin)

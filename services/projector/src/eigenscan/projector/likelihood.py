@@ -22,13 +22,13 @@ THROUGH_MARGIN = 0.3
 """m behind the predicted wall before a beam counts as having gone through it."""
 THROUGH_WEIGHT = 0.8
 """What a beam through a wall says against a pose, in beams on a wall."""
-ORDINARY_RANK = 3
+ORDINARY_RANK = 10
 """The support of so manieth place after the best tells what a place gets that merely looks similar."""
-NATS, STRANGE, SIMILAR = 41.9, -0.06, 0.74
+NATS, STRANGE, SIMILAR = 33.0, 0.08, 0.54
 """ln odds per support; the support that counts for nothing: STRANGE, and SIMILAR times an ordinary place's.
 
-By maximum likelihood of what is right, on scans of two buildings in their own maps and in foreign ones; held
-against the others (benchmarks/likelihood.py).
+More careful than the maximum likelihood of what is right in single scans (benchmarks/likelihood.py): scans
+that follow each other err alike.
 """
 
 

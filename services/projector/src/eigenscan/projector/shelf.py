@@ -81,11 +81,23 @@ class Shelf:
         regions = tuple(model for model in found if model is not None)
         if grid is None or len(regions) < len(found):
             return None
+        _fit_together(regions)
         self._given = announced.version
         # only what the next set may share is kept
         self._models = {model.version: model for model in regions}
         self._grids = {announced.map_version: grid}
         return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2)
+
+
+def _fit_together(regions: tuple[RegionModel, ...]) -> None:
+    """Raises ModelError where regions of one set lie on different grids."""
+    first = regions[0]
+    for model in regions[1:]:
+        if model.spacing != first.spacing:
+            raise ModelError(
+                f"region {model.region!r}: positions {model.spacing} m apart, those of {first.region!r} "
+                f"{first.spacing} m: build the whole site again"
+            )
 
 
 __all__ = ["MapError", "ModelError", "Shelf", "WholeSet"]
