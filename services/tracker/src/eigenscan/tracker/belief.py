@@ -14,9 +14,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.tracker.association import Pairs, associate, crowding
-from eigenscan.tracker.covariance import determinant, fuse
+from eigenscan.tracker.covariance import determinant, fuse, log_volume
 from eigenscan.tracker.evidence import (
-    PLACE,
     SHOWN_YET_MISSED,
     Merit,
     hide_and_show,
@@ -182,10 +181,11 @@ class Belief:
         merit = Merit.of(seen)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         part = self.elsewhere[frame]
-        density = part.log_weight + np.log(PLACE) - np.log(part.area * 2.0 * np.pi)
+        places = log_volume(seen.covariances)
+        alone = merit.alone + places + part.log_weight - np.log(part.area * 2.0 * np.pi)
         grown = _branches(old, seen, pairs, merit.of_pairs(pairs), source, share)
-        grown = _at_least(grown, len(old), pairs, density + merit.alone)
-        born = _births(grown, seen, pairs, merit, density)
+        grown = _at_least(grown, len(old), pairs, alone)
+        born = _births(grown, seen, pairs, alone, merit.alone + places)
         evidence = np.zeros((len(born.index), len(self.sources)))
         evidence[:, source] = merit.foretold[born.index]
         new = begin(
@@ -229,16 +229,16 @@ class _Births:
     log_weight: Array
 
 
-def _births(tracks: Tracks, seen: Observation, pairs: Pairs, merit: Merit, density: float) -> _Births:
-    """Tracks for hypotheses outside of all gates: the robot was carried there, or its wheels slipped.
+def _births(tracks: Tracks, seen: Observation, pairs: Pairs, alone: Array, worth: Array) -> _Births:
+    """Tracks for hypotheses (k,) outside of all gates: the robot was carried there, or its wheels slipped.
 
-    `density`: ln of the mass that no track holds of one place.
+    `alone` (k,): ln of the mass that no track holds, there; `worth` (k,): ln of mass per density of mass.
     """
     free = np.ones(len(seen.poses), dtype=bool)
     free[pairs.hypothesis] = False
     k = np.flatnonzero(free)
     x, C = seen.poses[k], seen.covariances[k]
-    log_weight = np.logaddexp(density, np.log(PLACE) + slipped_density(tracks, x, C)) + merit.alone[k]
+    log_weight = np.logaddexp(alone[k], worth[k] + slipped_density(tracks, x, C))
     # those that could not live through this scan are not begun
     heaviest = max(tracks.log_weight.max(initial=-np.inf), log_weight.max(initial=-np.inf))
     alive = log_weight > heaviest + LEAST_BORN

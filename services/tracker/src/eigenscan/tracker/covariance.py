@@ -34,6 +34,12 @@ def determinant(m: Array) -> Array:
     return result
 
 
+def log_volume(C: Array) -> Array:
+    """Logarithm of the integral of exp(-d^2/2), d the Mahalanobis distance under covariances (k, 3, 3)."""
+    result: Array = 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(determinant(C))
+    return result
+
+
 def invert(m: Array) -> Array:
     """Inverse of symmetric (..., 3, 3) by its adjugate: several times faster than LAPACK in bulk."""
     a, b, c = m[..., 0, 0], m[..., 0, 1], m[..., 0, 2]
