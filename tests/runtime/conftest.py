@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 
@@ -39,7 +40,12 @@ def free_port() -> int:
 def net(tmp_path: Path) -> Net:
     hub, leaf = tmp_path / "hub.json5", tmp_path / "leaf.json5"
     port = free_port()
-    alone = {"mode": "peer", "scouting": {"multicast": {"enabled": False}}}
+    alone = {
+        "mode": "peer",
+        "scouting": {"multicast": {"enabled": False}},
+        # a busy machine must not lose what the test counts
+        "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
+    }
     hub.write_text(json.dumps(alone | {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
     leaf.write_text(
         json.dumps(
