@@ -280,3 +280,24 @@ def test_off_the_map_the_claim_ends(make_core, speaker, poses_of) -> None:
     # twenty metres
     assert states[-1] == STATE_LOST
     assert STATE_LOCALIZED not in states[300:]
+
+
+def test_two_projectors_share_a_site(make_core, speaker, poses_of, tracks_of) -> None:
+    """One searches the half where the robot is, the other what merely looks alike: both lists are of use."""
+    core, rng = make_core(), np.random.default_rng(11)
+    speaker.clutter = 0
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    alias = np.array([25.0, 12.0, 1.0])
+    for scan in range(60):
+        time = 10.0 + 0.1 * scan
+        truth, odometry, alias = (compose(pose, STEP) for pose in (truth, odometry, alias))
+        core.handle(speaker.odometry(time, odometry))
+        said = [
+            *core.handle(speaker.hypotheses(time, [truth, *others(rng, 3)], [14.0, 7, 6, 5], projector="0")),
+            *core.handle(speaker.hypotheses(time, [alias, *others(rng, 3)], [10.0, 7, 6, 5], projector="1")),
+        ]
+        # that the second list lacks the robot's place is no news of it
+        last = poses_of(said)[-1]
+        assert last.state == STATE_LOCALIZED
+        assert is_right(last, truth)
+        assert last.confidence > 0.9

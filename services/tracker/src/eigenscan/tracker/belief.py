@@ -55,13 +55,15 @@ class Share:
     `novelty` 0..1: its share in what its source said of the present place. `progress`: how far the robot
     moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
     covariance's information is independent of earlier scans. `broken`: nothing of the source's last list
-    goes on in this one.
+    goes on in this one. `in_part`: other projectors answer for the same lidar, so that this one may have
+    searched a part of the site.
     """
 
     novelty: float
     progress: float
     precision: float
     broken: bool = False
+    in_part: bool = False
 
 
 @dataclass
@@ -96,7 +98,8 @@ class Belief:
         """Index of a map frame; a new one takes its share of the mass that no track holds."""
         if frame in self.frames:
             index = self.frames.index(frame)
-            self.elsewhere[index].area = area
+            # a list may be of a part of the site
+            self.elsewhere[index].area = max(area, self.elsewhere[index].area)
             return index
         known = sum(part.area for part in self.elsewhere)
         share = area / (known + area)
@@ -255,7 +258,9 @@ def _branches(
     """
     alone = np.arange(len(old))
     origin = np.concatenate([alone, pairs.track])
-    fit = np.concatenate([np.full(len(old), SHOWN_YET_MISSED), worth])
+    # who searches a part of the site says nothing of tracks elsewhere
+    silent = (old.evidence[:, source] == 0.0) & share.in_part
+    fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
     total = np.full(len(old), -np.inf)
     np.logaddexp.at(total, origin, fit)
     hidden = hide_and_show(old.hidden, share.progress)

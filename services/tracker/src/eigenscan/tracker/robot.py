@@ -140,7 +140,7 @@ class RobotTracker:
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
         before, source.poses = source.poses, seen.poses
         if source.scans == 1:
-            return Share(1.0 / peers, 0.0, 1.0 / peers)
+            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1)
         moved = self._motion(source.last, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
@@ -153,7 +153,7 @@ class RobotTracker:
         # a new place counts anew, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         novelty = max(1.0 / source.scans, fresh)
-        return Share(novelty / peers, progress / peers, min(1.0, progress) / peers, broken)
+        return Share(novelty / peers, progress / peers, min(1.0, progress) / peers, broken, peers > 1)
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
