@@ -36,7 +36,7 @@ Index = NDArray[np.intp]
 
 OFF_MAP_SHARE = 0.02
 """Of the robots that no track holds, how many are where no map shows the place."""
-RETURN_RATE = 0.01
+RETURN_RATE = 0.001
 """1/s, how soon a robot off the map comes back to it."""
 LEAVES = 0.0025
 """Of the tracks that leave the map over the way that makes a scan new evidence."""
@@ -54,7 +54,8 @@ class Share:
 
     `novelty` 0..1: its share in what its source said of the present place. `progress`: how far the robot
     moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
-    covariance's information is independent of earlier scans. `broken`: nothing of the source's last list
+    covariance's information is independent of earlier scans. `carried`: probability that the robot was
+    carried away since the source's last scan. `broken`: nothing of the source's last list
     goes on in this one. `in_part`: other projectors answer for the same lidar, so that this one may have
     searched a part of the site.
     """
@@ -62,6 +63,7 @@ class Share:
     novelty: float
     progress: float
     precision: float
+    carried: float = 0.0
     broken: bool = False
     in_part: bool = False
 
@@ -123,13 +125,11 @@ class Belief:
         return self.sources.index(source)
 
     def predict(self, moved: Motion) -> None:
-        """Moves the tracks, and a little of their mass to "none of these"."""
+        """Moves the tracks; a jump of odometry takes mass from them."""
         if len(self.tracks):
             x, C = predict(self.tracks.x, self.tracks.C, moved, self.settings)
             unchecked = self.tracks.unchecked + np.array([moved.way, moved.turn])
             self.tracks = replace(self.tracks, x=x, C=C, unchecked=unchecked)
-        lost = -np.expm1(-min(self.settings.kidnap_rate * abs(moved.seconds), MOST_DECAY))
-        self._release(float(lost) * np.exp(-present_evidence(self.tracks)))
         if moved.breaks > 0:
             self._release(np.full(len(self.tracks), 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)))
         self._return(float(-np.expm1(-min(RETURN_RATE * abs(moved.seconds), MOST_DECAY))))
@@ -176,6 +176,7 @@ class Belief:
         seen = seen.likelier_than_unlisted()
         frame = self.frame_index(seen.frame, seen.area)
         source = self.source_index(seen.source)
+        self._release(share.carried * np.exp(-present_evidence(self.tracks)))
         if share.broken:
             self._break_off(source)
         self._leave(float(-np.expm1(-LEAVES * share.progress)))

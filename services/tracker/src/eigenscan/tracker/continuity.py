@@ -26,13 +26,20 @@ FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
 """Beyond this way, turn, or time without odometry, two scans are not compared."""
 
 
-def is_broken(before: Array, after: Array, moved: Motion) -> bool:
-    """Whether no pose of a list (n, 3) goes on in the next one (k, 3); both likeliest first."""
+UNNOTICED = 0.03
+"""Of robots carried elsewhere, those that find one of a list's hypotheses again by chance."""
+
+
+def goes_on(before: Array, after: Array, moved: Motion) -> bool | None:
+    """Whether any pose of a list (n, 3) goes on in the next one (k, 3), both likeliest first.
+
+    None where they cannot be compared: too few of them, or too much between them.
+    """
     if len(before) < ENOUGH or len(after) < ENOUGH:
-        return False
+        return None
     if moved.way > FARTHEST_M or moved.turn > FARTHEST_RAD or abs(moved.unknown) > LONGEST_S:
-        return False
+        return None
     expected = compose(before[:COMPARED], np.asarray(moved.delta))
     off = np.abs(residual(after[None], expected[:, None]))
     near = np.hypot(off[..., 0], off[..., 1]) <= NEAR_M + ODOMETRY_SHARE * moved.way
-    return not bool((near & (off[..., 2] <= NEAR_RAD + ODOMETRY_SHARE * moved.turn)).any())
+    return bool((near & (off[..., 2] <= NEAR_RAD + ODOMETRY_SHARE * moved.turn)).any())

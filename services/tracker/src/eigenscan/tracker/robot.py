@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
-from eigenscan.tracker.belief import Belief, Share
+from eigenscan.tracker.belief import MOST_DECAY, Belief, Share
 from eigenscan.tracker.confidence import Verdict, judge, next_state
-from eigenscan.tracker.continuity import is_broken
+from eigenscan.tracker.continuity import UNNOTICED, goes_on
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
@@ -144,7 +144,8 @@ class RobotTracker:
         moved = self._motion(source.last, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
-        broken = is_broken(before, seen.poses, moved)
+        continued = goes_on(before, seen.poses, moved)
+        broken = continued is False
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
@@ -153,7 +154,12 @@ class RobotTracker:
         # a new place counts anew, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         novelty = max(1.0 / source.scans, fresh)
-        return Share(novelty / peers, progress / peers, min(1.0, progress) / peers, broken, peers > 1)
+        # who was carried away would hardly see his hypotheses go on
+        rate = self._settings.kidnap_rate * (UNNOTICED if continued else 1.0) / len(self._sources)
+        carried = float(-np.expm1(-min(rate * seconds, MOST_DECAY)))
+        return Share(
+            novelty / peers, progress / peers, min(1.0, progress) / peers, carried, broken, peers > 1
+        )
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
