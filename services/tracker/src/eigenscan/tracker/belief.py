@@ -13,26 +13,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from eigenscan.tracker.association import Pairs, associate, crowding
-from eigenscan.tracker.covariance import determinant, fuse, log_volume
-from eigenscan.tracker.evidence import (
-    SHOWN_YET_MISSED,
-    Merit,
-    hide_and_show,
-    present_evidence,
-    slipped_density,
-    surprise,
-)
+from eigenscan.tracker.association import associate
+from eigenscan.tracker.branching import at_least, births, branch
+from eigenscan.tracker.covariance import log_volume
+from eigenscan.tracker.evidence import Merit, present_evidence
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 OFF_MAP_SHARE = 0.02
 """Of the robots that no track holds, how many are where no map shows the place."""
@@ -40,32 +34,10 @@ RETURN_RATE = 0.001
 """1/s, how soon a robot off the map comes back to it."""
 LEAVES = 0.0025
 """Of the tracks that leave the map over the way that makes a scan new evidence."""
-LEAST_BORN = float(np.log(1e-9))
-"""Mass of a new track over the heaviest's, below which it is not begun."""
 MOST_DECAY = 5.0
 """However long the silence, a little of the mass stays where it was."""
 BREAK_SHARE = 0.5
 """Mass that leaves the tracks where odometry or the scans jump: a reset, a cover, or carried away."""
-
-
-@dataclass(frozen=True)
-class Share:
-    """How far one scan counts.
-
-    `novelty` 0..1: its share in what its source said of the present place. `progress`: how far the robot
-    moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
-    covariance's information is independent of earlier scans. `carried`: probability that the robot was
-    carried away since the source's last scan. `broken`: nothing of the source's last list
-    goes on in this one. `in_part`: other projectors answer for the same lidar, so that this one may have
-    searched a part of the site.
-    """
-
-    novelty: float
-    progress: float
-    precision: float
-    carried: float = 0.0
-    broken: bool = False
-    in_part: bool = False
 
 
 @dataclass
@@ -187,19 +159,12 @@ class Belief:
         part = self.elsewhere[frame]
         places = log_volume(seen.covariances)
         alone = merit.alone + places + part.log_weight - np.log(part.area * 2.0 * np.pi)
-        grown = _branches(old, seen, pairs, merit.of_pairs(pairs), source, share)
-        grown = _at_least(grown, len(old), pairs, alone)
-        born = _births(grown, seen, pairs, alone, merit.alone + places)
-        evidence = np.zeros((len(born.index), len(self.sources)))
-        evidence[:, source] = merit.foretold[born.index]
-        new = begin(
-            seen.poses[born.index],
-            seen.covariances[born.index],
-            born.log_weight,
-            evidence,
-            frame,
-            seen.stamp,
-        )
+        grown = branch(old, seen, pairs, merit.of_pairs(pairs), source, share)
+        grown = at_least(grown, len(old), pairs, alone)
+        k, log_weight = births(grown, seen, pairs, alone, merit.alone + places)
+        evidence = np.zeros((len(k), len(self.sources)))
+        evidence[:, source] = merit.foretold[k]
+        new = begin(seen.poses[k], seen.covariances[k], log_weight, evidence, frame, seen.stamp)
         self.tracks = join([self.tracks.pick(~mine), grown, new])
         self.normalise()
 
@@ -223,124 +188,6 @@ class Belief:
         self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight - total)
         for part in self.elsewhere:
             part.log_weight -= float(total)
-
-
-@dataclass(frozen=True)
-class _Births:
-    """Hypotheses (n,) that begin tracks, and the tracks' masses as logarithms."""
-
-    index: Index
-    log_weight: Array
-
-
-def _births(tracks: Tracks, seen: Observation, pairs: Pairs, alone: Array, worth: Array) -> _Births:
-    """Tracks for hypotheses (k,) outside of all gates: the robot was carried there, or its wheels slipped.
-
-    `alone` (k,): ln of the mass that no track holds, there; `worth` (k,): ln of mass per density of mass.
-    """
-    free = np.ones(len(seen.poses), dtype=bool)
-    free[pairs.hypothesis] = False
-    k = np.flatnonzero(free)
-    x, C = seen.poses[k], seen.covariances[k]
-    log_weight = np.logaddexp(alone[k], worth[k] + slipped_density(tracks, x, C))
-    # those that could not live through this scan are not begun
-    heaviest = max(tracks.log_weight.max(initial=-np.inf), log_weight.max(initial=-np.inf))
-    alive = log_weight > heaviest + LEAST_BORN
-    k, log_weight = k[alive], log_weight[alive]
-    return _Births(k, log_weight - np.log(crowding(x[alive], C[alive])))
-
-
-def _branches(
-    old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: int, share: Share
-) -> Tracks:
-    """Each track once as predicted, and once for each hypothesis in its gate (fork), `worth` (p,) nats.
-
-    A hidden track has no hypothesis; one that is shown has one of its gate, or hardly ever none.
-    """
-    alone = np.arange(len(old))
-    origin = np.concatenate([alone, pairs.track])
-    # who searches a part of the site says nothing of tracks elsewhere
-    silent = (old.evidence[:, source] == 0.0) & share.in_part
-    fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
-    total = np.full(len(old), -np.inf)
-    np.logaddexp.at(total, origin, fit)
-    hidden = hide_and_show(old.hidden, share.progress)
-    banked = old.evidence.copy()
-    banked[:, source] *= np.exp(-share.progress)
-    gained = share.novelty * (total - banked[:, source])
-    banked[:, source] += gained
-    with np.errstate(divide="ignore"):
-        shown = old.log_weight + np.log1p(-hidden) + gained
-        unseen = old.log_weight + np.log(hidden)
-    # which of several hypotheses is the track's: scans from one place repeat each other's preference
-    preference = np.full(len(old), -np.inf)
-    np.logaddexp.at(preference, origin, share.novelty * fit)
-    log_weight = shown[origin] + share.novelty * fit - preference[origin]
-    share_hidden = np.zeros(len(origin))
-    both = np.logaddexp(log_weight[: len(old)], unseen)
-    share_hidden[: len(old)] = np.exp(unseen - both)
-    log_weight[: len(old)] = both
-    branches = old.pick(origin)
-    unchecked = branches.unchecked.copy()
-    unchecked[len(old) :] = 0.0
-    x, C = branches.x.copy(), branches.C.copy()
-    joined = slice(len(old), None)
-    R = seen.covariances[pairs.hypothesis]
-    C[joined] *= surprise(pairs.distance2)[:, None, None]
-    precision = independent_share(C[joined], R, share.precision)
-    x[joined], C[joined] = fuse(
-        x[joined], C[joined], seen.poses[pairs.hypothesis], R / precision[:, None, None]
-    )
-    observations = branches.observations.copy()
-    observations[joined] += 1
-    id_, parent = _forks(branches, log_weight, origin)
-    return replace(
-        branches,
-        x=x,
-        C=C,
-        log_weight=log_weight,
-        hidden=share_hidden,
-        evidence=banked[origin],
-        unchecked=unchecked,
-        observations=observations,
-        id=id_,
-        parent=parent,
-    )
-
-
-def _at_least(grown: Tracks, tracks: int, pairs: Pairs, log_mass: Array) -> Tracks:
-    """Branches `grown` after the first `tracks`, each with at least the mass (k,) of its hypothesis alone.
-
-    A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it.
-    """
-    log_weight = grown.log_weight.copy()
-    joined = log_weight[tracks:]
-    best = np.full(len(log_mass), -np.inf)
-    np.maximum.at(best, pairs.hypothesis, joined)
-    first = joined == best[pairs.hypothesis]
-    joined[first] = np.maximum(joined[first], log_mass[pairs.hypothesis[first]])
-    return replace(grown, log_weight=log_weight)
-
-
-def _forks(branches: Tracks, log_weight: Array, origin: Index) -> tuple[Index, Index]:
-    """Ids and parents: the likeliest branch stays the track, the others fork from it, yet unnamed (0)."""
-    order = np.lexsort((-log_weight, origin))
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = origin[order][1:] != origin[order][:-1]
-    forked = np.ones(len(order), dtype=bool)
-    forked[order[first]] = False
-    return np.where(forked, 0, branches.id), np.where(forked, branches.id, branches.parent)
-
-
-def independent_share(C: Array, R: Array, progress: float) -> Array:
-    """Share (p,) of a hypothesis' information that a track does not have yet; for (p, 3, 3) each.
-
-    Scans from one place err alike: a track as sure as one scan learns only what motion makes new. One
-    that prediction has made vaguer than a scan takes all of it.
-    """
-    known = np.cbrt(determinant(R) / determinant(C))
-    return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
 
 
 def _pour(part: Elsewhere, mass: float) -> None:

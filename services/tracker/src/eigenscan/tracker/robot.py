@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
-from eigenscan.tracker.belief import MOST_DECAY, Belief, Share
+from eigenscan.tracker.belief import MOST_DECAY, Belief
 from eigenscan.tracker.confidence import Verdict, judge, next_state
 from eigenscan.tracker.continuity import UNNOTICED, goes_on
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -17,6 +17,7 @@ from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.share import Share
 from eigenscan.tracker.timeline import Timeline
 from eigenscan.tracker.tracks import Tracks
 from eigenscan.tracker.unification import prune, unify

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from eigenscan.tracker.association import associate
-from eigenscan.tracker.belief import Belief, Share
+from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import determinant, fuse, mahalanobis_squared, residual
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join
 from numpy.typing import NDArray
 

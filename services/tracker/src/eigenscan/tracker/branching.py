@@ -1,0 +1,128 @@
+"""What becomes of each track with a scan: it goes on alone, with a hypothesis of its gate, or one begins.
+
+Paper, section 7: association, fork when two poses fit one track, recursive estimation, new tracks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from eigenscan.tracker.association import Pairs, crowding
+from eigenscan.tracker.covariance import determinant, fuse
+from eigenscan.tracker.evidence import SHOWN_YET_MISSED, hide_and_show, slipped_density, surprise
+from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.share import Share
+from eigenscan.tracker.tracks import Tracks
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+LEAST_BORN = float(np.log(1e-9))
+"""Mass of a new track over the heaviest's, below which it is not begun."""
+
+
+def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: int, share: Share) -> Tracks:
+    """Each track once as predicted, then for each hypothesis in its gate, a pair `worth` (p,) nats.
+
+    A hidden track has no hypothesis; one that is shown has one of its gate, or hardly ever none.
+    """
+    count = len(old)
+    origin = np.concatenate([np.arange(count), pairs.track])
+    # who searches a part of the site says nothing of tracks elsewhere
+    silent = (old.evidence[:, source] == 0.0) & share.in_part
+    fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
+    total, preference = np.full(count, -np.inf), np.full(count, -np.inf)
+    np.logaddexp.at(total, origin, fit)
+    # which of several hypotheses is the track's: scans from one place repeat each other's preference
+    np.logaddexp.at(preference, origin, share.novelty * fit)
+    evidence = old.evidence.copy()
+    evidence[:, source] *= np.exp(-share.progress)
+    gained = share.novelty * (total - evidence[:, source])
+    evidence[:, source] += gained
+    hidden = hide_and_show(old.hidden, share.progress)
+    with np.errstate(divide="ignore"):
+        shown, unseen = old.log_weight + np.log1p(-hidden) + gained, old.log_weight + np.log(hidden)
+    log_weight = shown[origin] + share.novelty * fit - preference[origin]
+    log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
+    hidden_share = np.zeros(len(origin))
+    hidden_share[:count] = np.exp(unseen - log_weight[:count])
+    id_, parent = _forks(old.pick(origin), log_weight, origin)
+    weighed = replace(
+        old.pick(origin),
+        log_weight=log_weight,
+        hidden=hidden_share,
+        evidence=evidence[origin],
+        id=id_,
+        parent=parent,
+    )
+    return _fused(weighed, count, seen, pairs, share.precision)
+
+
+def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
+    """Branches after the first `alone`, brought together with their hypotheses."""
+    joined = slice(alone, None)
+    x, C = branches.x.copy(), branches.C.copy()
+    R = seen.covariances[pairs.hypothesis]
+    C[joined] *= surprise(pairs.distance2)[:, None, None]
+    share = independent_share(C[joined], R, precision)
+    x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R / share[:, None, None])
+    unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
+    unchecked[joined] = 0.0
+    observations[joined] += 1
+    return replace(branches, x=x, C=C, unchecked=unchecked, observations=observations)
+
+
+def at_least(grown: Tracks, alone: int, pairs: Pairs, log_mass: Array) -> Tracks:
+    """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
+
+    A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
+    hypothesis takes it.
+    """
+    log_weight = grown.log_weight.copy()
+    joined = log_weight[alone:]
+    best = np.full(len(log_mass), -np.inf)
+    np.maximum.at(best, pairs.hypothesis, joined)
+    first = joined == best[pairs.hypothesis]
+    joined[first] = np.maximum(joined[first], log_mass[pairs.hypothesis[first]])
+    return replace(grown, log_weight=log_weight)
+
+
+def births(
+    tracks: Tracks, seen: Observation, pairs: Pairs, alone: Array, worth: Array
+) -> tuple[Index, Array]:
+    """Hypotheses (n,) outside of all gates that begin tracks, and these tracks' masses as logarithms (n,).
+
+    The robot was carried there, or its wheels slipped. `alone` (k,): ln of the mass that no track holds,
+    there; `worth` (k,): ln of mass per density of mass.
+    """
+    free = np.ones(len(seen.poses), dtype=bool)
+    free[pairs.hypothesis] = False
+    k = np.flatnonzero(free)
+    x, C = seen.poses[k], seen.covariances[k]
+    log_weight = np.logaddexp(alone[k], worth[k] + slipped_density(tracks, x, C))
+    # those that could not live through this scan are not begun
+    heaviest = max(tracks.log_weight.max(initial=-np.inf), log_weight.max(initial=-np.inf))
+    alive = log_weight > heaviest + LEAST_BORN
+    return k[alive], log_weight[alive] - np.log(crowding(x[alive], C[alive]))
+
+
+def _forks(branches: Tracks, log_weight: Array, origin: Index) -> tuple[Index, Index]:
+    """Ids and parents: the likeliest branch stays the track, the others fork from it, yet unnamed (0)."""
+    order = np.lexsort((-log_weight, origin))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = origin[order][1:] != origin[order][:-1]
+    forked = np.ones(len(order), dtype=bool)
+    forked[order[first]] = False
+    return np.where(forked, 0, branches.id), np.where(forked, branches.id, branches.parent)
+
+
+def independent_share(C: Array, R: Array, progress: float) -> Array:
+    """Share (p,) of a hypothesis' information that a track does not have yet; for (p, 3, 3) each.
+
+    Scans from one place err alike: a track as sure as one scan learns only what motion makes new. One
+    that prediction has made vaguer than a scan takes all of it.
+    """
+    known = np.cbrt(determinant(R) / determinant(C))
+    return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
