@@ -98,11 +98,12 @@ def test_what_was_noticed_and_when_it_was_found() -> None:
     poses = np.zeros((30, 3))
     poses[:, 0] = truth
     poses[10:13, 0] = 1.0
-    claims = [True] * 13 + [False] * 5 + [True] * 12
+    claims = [True] * 13 + [False] * 2 + [True] + [False] * 2 + [True] * 12
     found = outcome(stream(stamps, poses, claims), joined, path)
     assert found.claimed_before
     assert found.noticed_s == pytest.approx(0.3)
     assert found.recovered_s == pytest.approx(0.8)
+    assert found.first_right_s == pytest.approx(0.5)
     assert found.false_after_s == pytest.approx(0.3)
 
 
@@ -114,3 +115,4 @@ def test_a_kidnap_that_nobody_noticed() -> None:
     poses[:, 0] = np.arange(30) * 0.1
     found = outcome(stream(stamps, poses, [True] * 30), joined, path)
     assert (found.claimed_before, found.noticed_s, found.recovered_s) == (True, None, None)
+    assert found.first_right_s is None

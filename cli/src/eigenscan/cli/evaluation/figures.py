@@ -151,6 +151,10 @@ def kidnap_figures(outcomes: Sequence[Outcome]) -> Figures:
     return {
         "noticed_s": summary(outcome.noticed_s for outcome in outcomes),
         "recovered_s": summary(outcome.recovered_s for outcome in outcomes),
+        "first_right_s": summary(outcome.first_right_s for outcome in outcomes),
+        "first_right_within_3_s": rate(
+            [o.first_right_s is not None and o.first_right_s <= 3.0 for o in outcomes]
+        ),
         "recovered_rate": rate([outcome.recovered_s is not None for outcome in outcomes]),
         "kidnaps": len(outcomes),
         "claimed_before": sum(outcome.claimed_before for outcome in outcomes),

@@ -95,12 +95,14 @@ def _moved(envelope: Envelope, by: int, step: NDArray[np.float64]) -> Envelope:
 class Outcome:
     """How one kidnap went; seconds from the jump, None where it did not come to it.
 
+    From `recovered_s` on every pose to the end is claimed and right, at `first_right_s` the first one is.
     `noticed_s` is only told where the old place was claimed, rightly, when the robot was taken away.
     """
 
     claimed_before: bool
     noticed_s: float | None
     recovered_s: float | None
+    first_right_s: float | None
     false_after_s: float
 
 
@@ -113,10 +115,12 @@ def outcome(stream: Stream, spliced: Splice, reference: Trajectory) -> Outcome:
     claimed = bool(len(early.stream) and early.right_claims[-1])
     noticed = np.flatnonzero(~after.false_claims)
     found = sustained(after.right_claims)
+    right = np.flatnonzero(after.right_claims)
     return Outcome(
         claimed_before=claimed,
         noticed_s=float(since[noticed[0]]) if claimed and len(noticed) else None,
         recovered_s=None if found is None else float(since[found]),
+        first_right_s=float(since[right[0]]) if len(right) else None,
         false_after_s=_time_false(after, since),
     )
 

@@ -40,6 +40,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
             ("kidnaps recovered", f"{_percent(kidnap['recovered_rate'])} of {kidnap['kidnaps']}"),
             ("noticed, s", _pair(kidnap["noticed_s"], "p95")),
             ("recovered, s", _pair(kidnap["recovered_s"], "p95")),
+            ("first right, s", _pair(kidnap["first_right_s"], "p95")),
         ]
     if f["single_scan"]:
         single = f["single_scan"]
