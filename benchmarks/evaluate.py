@@ -1,6 +1,7 @@
 """Global localization on every log with a map: one table, one JSON.
 
     .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--kidnap] [--json OUT]
+    .venv/bin/python benchmarks/evaluate.py --from OUT --picture docs/images/reliability.png
 
 The datasets are not part of the project; by default they are looked for beside it.
 """
@@ -13,6 +14,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from reliability_picture import draw_reliability
 
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
@@ -49,6 +52,9 @@ COLUMNS = (
     ("cm", "error.position_m.median", "{:.1f}", 100),
     ("deg", "error.heading_deg.median", "{:.2f}", 1),
     ("calib. %", "calibration_error", "{:.1f}", 100),
+    ("nees", "normalised_error_squared.consistency.mean", "{:.2f}", 1),
+    ("from", "normalised_error_squared.consistency.low", "{:.2f}", 1),
+    ("to", "normalised_error_squared.consistency.high", "{:.2f}", 1),
     ("ms", "cpu_ms_per_scan.median", "{:.1f}", 1),
     ("p99", "cpu_ms_per_scan.p99", "{:.1f}", 1),
     ("top1 %", "single_scan.top1", "{:.0f}", 100),
@@ -64,14 +70,21 @@ COLUMNS = (
 
 def main() -> None:
     options = _options()
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = json.loads(options.earlier.read_text()) if options.earlier else _run(options)
+    print(_table(found))
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if options.picture:
+        draw_reliability(options.picture, found)
+
+
+def _run(options: argparse.Namespace) -> dict[str, Any]:
+    found = {}
     for case in CASES:
         folder = options.datasets / case.folder
         if case.folder in (options.only or [case.folder]) and (folder / "map.yaml").exists():
             found[case.name] = _evaluate(case, folder, options)
-    print(_table(found))
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return found
 
 
 def _options() -> argparse.Namespace:
@@ -83,7 +96,10 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
     parser.add_argument("--limit", type=int, help="at most so many windows and single scans")
+    parser.add_argument("--skip", action="append", default=[], help="part to leave out; may be given again")
     parser.add_argument("--json", type=Path, help="write all figures here")
+    parser.add_argument("--picture", type=Path, help="draw the reliability diagram here")
+    parser.add_argument("--from", dest="earlier", type=Path, help="JSON of an earlier run, instead of a run")
     return parser.parse_args()
 
 
@@ -97,6 +113,7 @@ def _evaluate(case: Case, folder: Path, options: argparse.Namespace) -> dict[str
             command += ["--windows", folder / "windows.csv", "--single-scans", folder / "single_scans.csv"]
         command += ["--kidnap"] if options.kidnap else []
         command += ["--limit", str(options.limit)] if options.limit else []
+        command += [word for part in options.skip for word in ("--skip", part)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         figures: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
         return figures

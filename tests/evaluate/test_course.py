@@ -26,6 +26,7 @@ SCHEMA: dict[str, Any] = {
     "to_localize": {"scans": SPREAD, "metres": SPREAD, "seconds": SPREAD, "cpu_s": SPREAD},
     "error": {"position_m": SPREAD, "heading_deg": SPREAD},
     "calibration_error": float,
+    "normalised_error_squared": {"consistency": {"n": int, "mean": float, "low": float, "high": float}},
     "kidnap": {"noticed_s": SPREAD, "recovered_s": SPREAD, "recovered_rate": float},
     "single_scan": {
         "n": int,
@@ -139,6 +140,8 @@ def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
     assert figures["kidnap"]["kidnaps"] >= 1
     assert 0 < figures["cpu_ms_per_scan"]["median"] < figures["cpu_ms_per_scan"]["p99"]
     assert "success" in out.stdout
+    tested = figures["normalised_error_squared"]["consistency"]
+    assert f"of {tested['n']} scans 0.5 m apart" in out.stdout
     assert "kidnaps recovered" in out.stdout
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from eigenscan.cli.evaluation.consistency import consistency
 from eigenscan.cli.evaluation.kidnap import Outcome
 from eigenscan.cli.evaluation.metrics import (
     Judged,
@@ -22,6 +23,7 @@ from eigenscan.cli.evaluation.metrics import (
 from eigenscan.cli.evaluation.reference import NS
 from eigenscan.cli.evaluation.windows import Window
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOST
+from eigenscan.tracker.settings import TrackerSettings
 from numpy.typing import NDArray
 
 Figures = dict[str, Any]
@@ -123,6 +125,8 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
     nees = np.concatenate(
         [np.empty(0), *(normalised_errors(j.offsets[s], j.stream.covariances[s]) for j, s in settled)]
     )
+    way = np.concatenate([np.empty(0), *(j.metres[after] for j, after in settled)])
+    consistent = consistency(nees, way, TrackerSettings().independence_m)
     given = [(j, j.stream.tracked) for j in judged]
     diagram = calibration(
         np.concatenate([np.empty(0), *(j.stream.confidence[tracked] for j, tracked in given)]),
@@ -140,7 +144,8 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
         },
         "first_right_claim_scans": summary(row["first_right_claim_scans"] for row in rows),
         "error": {"position_m": summary(position), "heading_deg": summary(np.degrees(heading))},
-        "normalised_error_squared": summary(nees) | {"mean": float(np.nanmean(nees)) if len(nees) else None},
+        "normalised_error_squared": summary(nees)
+        | {"mean": float(np.nanmean(nees)) if len(nees) else None, "consistency": vars(consistent)},
         "calibration_error": calibration_error(diagram),
         "calibration": [vars(entry) for entry in diagram],
     }

@@ -33,6 +33,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         ("position error, m", _pair(error["position_m"], "p95")),
         ("heading error, deg", _pair(error["heading_deg"], "p95")),
         ("calibration error", _percent(f["calibration_error"])),
+        ("normalised error squared", _consistency(f["normalised_error_squared"]["consistency"])),
     ]
     if f["kidnap"]:
         kidnap = f["kidnap"]
@@ -67,6 +68,13 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
             f"{_number(model['memory_mb'])} MB in memory",
         ),
     ]
+
+
+def _consistency(found: Figures) -> str:
+    return (
+        f"mean {_number(found['mean'])} of {found['n']} scans {found['apart_m']:g} m apart; "
+        f"consistent within {_number(found['low'])} to {_number(found['high'])}"
+    )
 
 
 def _windows(rows: list[Figures]) -> Table:

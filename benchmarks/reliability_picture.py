@@ -1,0 +1,74 @@
+"""Reliability diagram of all logs: how often a pose was right, over how sure the tracker said to be."""
+
+import math
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+from eigenscan.cli.evaluation.metrics import BINS, Bin, calibration_error
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Okabe and Ito's, told apart by the colour-blind too."""
+LARGEST = 700.0
+"""Area of the largest mark, points squared; areas go by the root of counts: most poses are in one bin."""
+
+
+def pooled(diagrams: list[list[Bin]]) -> list[Bin]:
+    """One diagram of all poses of several."""
+    merged = []
+    for index in range(BINS):
+        inside = [b for bins in diagrams for b in bins if min(int(b.confidence * BINS), BINS - 1) == index]
+        count = sum(b.count for b in inside)
+        if count:
+            said = sum(b.count * b.confidence for b in inside) / count
+            right = sum(b.count * b.right for b in inside) / count
+            merged.append(Bin(count, said, right))
+    return merged
+
+
+def draw_reliability(path: Path, found: dict[str, Any]) -> None:
+    """Draws the calibration bins of the figures of `eigenscan evaluate`, by name of the log."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    diagrams = {name: [Bin(**entry) for entry in figures["calibration"]] for name, figures in found.items()}
+    every = pooled(list(diagrams.values()))
+    most = max((entry.count for bins in diagrams.values() for entry in bins), default=1)
+    figure, axis = plt.subplots(figsize=(8.4, 7.2))
+    axis.fill_between([0, 1], [0, 1], 0, color="#c0392b", alpha=0.07, lw=0)
+    axis.plot([0, 1], [0, 1], color="#777777", ls="--", lw=1.5, zorder=1)
+    axis.plot([b.confidence for b in every], [b.right for b in every], color="black", lw=3.5, zorder=2)
+    handles = [plt.Line2D([], [], color="black", lw=3.5, label="all logs pooled")]
+    for (name, bins), colour in zip(diagrams.items(), cycle(COLOURS), strict=False):
+        sizes = [LARGEST * math.sqrt(b.count / most) for b in bins]
+        said, right = [b.confidence for b in bins], [b.right for b in bins]
+        axis.scatter(said, right, sizes, color=colour, alpha=0.75, edgecolor="white", lw=0.8, zorder=3)
+        mark = {"ls": "", "marker": "o", "markersize": 11}
+        handles.append(plt.Line2D([], [], color=colour, label=f"{name}, {_error(bins)}", **mark))
+    for x, y, words in ((0.04, 0.93, "right more often than said"), (0.96, 0.05, "too sure of itself")):
+        axis.text(x, y, words, fontsize=15, color="#777777", ha="left" if x < y else "right")
+    axis.set_title(f"When it says 90 %, is it right in 90 %?\n{_poses(every)}", fontsize=16)
+    axis.set_xlabel("confidence said", fontsize=15)
+    axis.set_ylabel("share right, within 0.5 m and 10°", fontsize=15)
+    axis.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_formatter(matplotlib.ticker.PercentFormatter(1.0))
+    axis.tick_params(labelsize=13)
+    axis.legend(handles=handles, title="calibration error\n(larger mark: more poses)", fontsize=12,
+                title_fontsize=12, loc="upper left", alignment="left", bbox_to_anchor=(1.01, 1.0),
+                frameon=False)  # fmt: skip
+    figure.savefig(path, dpi=90, bbox_inches="tight")
+    plt.close(figure)
+
+
+def _poses(bins: list[Bin]) -> str:
+    total = sum(b.count for b in bins)
+    sure = sum(b.count for b in bins if b.confidence >= 0.9)
+    return f"{total:,} poses, {sure / max(total, 1):.0%} of them said with 90 % or more"
+
+
+def _error(bins: list[Bin]) -> str:
+    error = calibration_error(bins)
+    return "no poses" if error is None else f"{100 * error:.1f} %"

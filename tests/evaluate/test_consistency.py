@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+from eigenscan.cli.evaluation.consistency import apart, bounds, consistency
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+
+@pytest.mark.parametrize("n", [1, 7, 80, 900])
+def test_bounds_leave_a_fortieth_on_either_side(n: int) -> None:
+    low, high = bounds(n)
+    # the density of the mean of n: a gamma of shape 3 n / 2 and scale 2 / n
+    density = stats.gamma(1.5 * n, scale=2 / n).pdf
+    assert integrate.quad(density, 0, low)[0] == pytest.approx(0.025, abs=1e-6)
+    assert integrate.quad(density, low, high)[0] == pytest.approx(0.95, abs=1e-6)
+
+
+@given(
+    st.lists(st.floats(0, 20), max_size=40),
+    st.sampled_from([0.5, 1.0, 3.0]),
+)
+def test_the_chosen_are_apart_and_no_other_fits_behind_them(way: list[float], least: float) -> None:
+    chosen = apart(np.asarray(way), least).tolist()
+    kept: list[float] = []
+    for at in sorted(way):
+        if not kept or at >= kept[-1] + least:
+            kept.append(at)
+    assert [way[row] for row in chosen] == kept
+
+
+def test_covariances_that_are_true_pass_in_95_of_100_runs_and_others_fail() -> None:
+    rng = np.random.default_rng(3)
+    way = np.arange(60) * 0.5
+    runs = rng.chisquare(3, (4000, 60))
+    inside = [found.low <= found.mean <= found.high for found in (consistency(r, way, 0.5) for r in runs)]
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.012)
+    boastful, timid = consistency(2 * runs[0], way, 0.5), consistency(0.5 * runs[0], way, 0.5)
+    assert boastful.mean > boastful.high
+    assert timid.mean < timid.low
+
+
+def test_scans_of_one_place_and_of_overlapping_windows_count_once() -> None:
+    values, way = np.array([2.0, 4.0, 3.0]), np.array([0.0, 1.0, 2.0])
+    alone = consistency(values, way, 0.5)
+    # each scan ten times over, as a standing robot gives it, and the whole stretch by a second window
+    repeated = consistency(np.tile(np.repeat(values, 10), 2), np.tile(np.repeat(way, 10), 2), 0.5)
+    assert repeated == alone
+    assert alone.n == 3
+    assert alone.mean == pytest.approx(3.0)
+
+
+def test_singular_covariances_do_not_count_and_nothing_has_no_bounds() -> None:
+    found = consistency(np.array([np.nan, 5.0]), np.array([0.0, 0.1]), 0.5)
+    assert (found.n, found.mean) == (1, 5.0)
+    assert consistency(np.empty(0), np.empty(0), 0.5).low is None
