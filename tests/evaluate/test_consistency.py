@@ -1,6 +1,9 @@
 import numpy as np
 import pytest
 from eigenscan.cli.evaluation.consistency import apart, bounds, consistency
+from eigenscan.cli.evaluation.figures import windows_figures
+from eigenscan.cli.evaluation.metrics import Judged, Stream, judge
+from eigenscan.cli.evaluation.reference import NS, Trajectory
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import integrate, stats
@@ -53,3 +56,34 @@ def test_singular_covariances_do_not_count_and_nothing_has_no_bounds() -> None:
     found = consistency(np.array([np.nan, 5.0]), np.array([0.0, 0.1]), 0.5)
     assert (found.n, found.mean) == (1, 5.0)
     assert consistency(np.empty(0), np.empty(0), 0.5).low is None
+
+
+def followed(truth: Trajectory, first: int, n: int) -> Judged:
+    """A window from row `first` on that is right and claimed throughout, 0.2 m beside the truth."""
+    rows = slice(first, first + n)
+    offset, ones = np.array([0.0, 0.2, 0.0]), np.ones(n)
+    covariances = np.tile(np.diag([0.01, 0.01, 0.01]), (n, 1, 1))
+    claimed, count = ones.astype(np.bool_), np.arange(n)
+    said = Stream(
+        truth.stamps[rows],
+        truth.poses[rows] + offset,
+        count,
+        claimed,
+        claimed,
+        ones,
+        covariances,
+        ones,
+        count,
+    )
+    return judge(said, truth)
+
+
+def test_windows_of_one_log_are_tested_along_one_way() -> None:
+    poses = np.stack([0.1 * np.arange(101), np.zeros(101), np.zeros(101)], axis=1)
+    truth = Trajectory(np.arange(101) * (NS // 10), poses)
+    overlapping = [followed(truth, 0, 61), followed(truth, 20, 61), followed(truth, 40, 61)]
+    figures = windows_figures(overlapping, [])
+    found = figures["normalised_error_squared"]["consistency"]
+    # 10 m of way hold at most 21 scans 0.5 m apart; three windows hold 39
+    assert 17 <= found["n"] <= 21
+    assert found["mean"] == pytest.approx(0.2**2 / 0.01)
