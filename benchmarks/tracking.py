@@ -114,11 +114,26 @@ def draw(path: Path) -> None:
     for axis, (number, tracks) in zip(axes, shown.items(), strict=True):
         axis.plot([0, ROOM_M, ROOM_M, 0, 0], [0, 0, ROOM_M, ROOM_M, 0], color="black")
         for track in tracks.tracks:
-            if track.probability > 0.005:
-                x, y = [p.x for p in track.history], [p.y for p in track.history]
-                axis.plot(x, y, ".-", linewidth=0.5 + 3 * track.probability)
-                axis.annotate(f"{track.probability:.2f}", (x[-1], y[-1]))
-        axis.set(title=f"{number} observations", aspect="equal")
+            if track.probability <= 0.005:
+                continue
+            x, y = [p.x for p in track.history], [p.y for p in track.history]
+            right, up = x[0] > ROOM_M / 2, y[0] > ROOM_M / 2
+            colour = "tab:blue" if right == up and not up else "tab:grey"
+            axis.plot(x, y, ".-", color=colour, linewidth=0.5 + 3 * track.probability)
+            axis.plot(x[-1], y[-1], "o", color=colour)
+            # beside the start: at the centre of the room all of them meet
+            axis.annotate(
+                f"{track.probability:.0%}",
+                (x[0], y[0]),
+                (0, 8 if up else -16),
+                textcoords="offset points",
+                ha="center",
+                color=colour,
+            )
+        axis.set(title=f"after {number} observations", aspect="equal", xlabel="m")
+    figure.suptitle(
+        "Four symmetric hypotheses in a square room; the robot drives from low left (blue)", y=1.02
+    )
     figure.savefig(path, dpi=120, bbox_inches="tight")
     plt.close(figure)
 
