@@ -1,6 +1,7 @@
 """Global localization on every log with a map: one table, one JSON.
 
-    .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--kidnap] [--json OUT]
+    .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--simulated] [--kidnap]
+        [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --from OUT --picture docs/images/reliability.png
 
 The datasets are not part of the project; by default they are looked for beside it.
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from reliability_picture import draw_reliability
+from simulated_worlds import worlds, write
 
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
@@ -84,6 +86,16 @@ def _run(options: argparse.Namespace) -> dict[str, Any]:
         folder = options.datasets / case.folder
         if case.folder in (options.only or [case.folder]) and (folder / "map.yaml").exists():
             found[case.name] = _evaluate(case, folder, options)
+    return found | (_run_simulated(options) if options.simulated else {})
+
+
+def _run_simulated(options: argparse.Namespace) -> dict[str, Any]:
+    found = {}
+    for world in worlds():
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch) / "world"
+            write(world, folder)
+            found[world.name] = _evaluate(Case(world.name, "", "log.mcap", "log.tum"), folder, options)
     return found
 
 
@@ -93,6 +105,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS, help="folder that holds the datasets")
     parser.add_argument("--only", action="append", help="folder of one dataset; may be given again")
+    parser.add_argument("--simulated", action="store_true", help="also made-up buildings")
     parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
     parser.add_argument("--limit", type=int, help="at most so many windows and single scans")
