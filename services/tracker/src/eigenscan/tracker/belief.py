@@ -104,7 +104,7 @@ class Belief:
             self.tracks = replace(self.tracks, x=x, C=C, unchecked=unchecked)
         if moved.breaks > 0:
             self._release(np.full(len(self.tracks), 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)))
-        self._return(float(-np.expm1(-min(RETURN_RATE * abs(moved.seconds), MOST_DECAY))))
+        self._return(happened(RETURN_RATE * abs(moved.seconds)))
 
     def _release(self, share: Array) -> None:
         """Moves `share` (n,) of the tracks' mass to "none"."""
@@ -151,7 +151,7 @@ class Belief:
         self._release(share.carried * np.exp(-present_evidence(self.tracks)))
         if share.broken:
             self._break_off(source)
-        self._leave(float(-np.expm1(-LEAVES * share.progress)))
+        self._leave(happened(LEAVES * share.progress))
         mine = self.tracks.frame == frame
         old = self.tracks.pick(mine)
         merit = Merit.of(seen)
@@ -188,6 +188,11 @@ class Belief:
         self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight - total)
         for part in self.elsewhere:
             part.log_weight -= float(total)
+
+
+def happened(expected: float) -> float:
+    """Probability that what is expected so often has happened at least once; never quite sure."""
+    return float(-np.expm1(-min(expected, MOST_DECAY)))
 
 
 def _pour(part: Elsewhere, mass: float) -> None:

@@ -8,15 +8,13 @@ import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import residual
+from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
 from scipy.special import chndtr, ndtr
 
 Array = NDArray[np.float64]
-
-NEAR_M = 0.5
-NEAR_RAD = float(np.radians(10.0))
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,6 @@ ODOMETRY_SHARE = 0.5
 """Of the way and the turn between two scans, what odometry may err by here."""
 FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
 """Beyond this way, turn, or time without odometry, two scans are not compared."""
-
-
 UNNOTICED = 0.03
 """Of robots carried elsewhere, those that find one of a list's hypotheses again by chance."""
 

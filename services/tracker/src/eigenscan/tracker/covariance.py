@@ -35,7 +35,7 @@ def determinant(m: Array) -> Array:
 
 
 def log_volume(C: Array) -> Array:
-    """Logarithm of the integral of exp(-d^2/2), d the Mahalanobis distance under covariances (k, 3, 3)."""
+    """Logarithm of the integral of exp(-d^2/2), d the Mahalanobis distance under covariances (..., 3, 3)."""
     result: Array = 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(determinant(C))
     return result
 
@@ -69,6 +69,11 @@ def mahalanobis_squared(delta: Array, covariance: Array) -> Array:
     """Squared Mahalanobis length of (..., 3) under (..., 3, 3)."""
     result: Array = np.einsum("...i,...ij,...j->...", delta, invert(covariance), delta)
     return result
+
+
+def log_density(delta: Array, covariance: Array) -> Array:
+    """Logarithm of the Gaussian density of (..., 3) under (..., 3, 3)."""
+    return -0.5 * mahalanobis_squared(delta, covariance) - log_volume(covariance)
 
 
 def fuse(x: Array, C: Array, y: Array, R: Array) -> tuple[Array, Array]:

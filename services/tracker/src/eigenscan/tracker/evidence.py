@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.tracker.association import Pairs
-from eigenscan.tracker.covariance import determinant, mahalanobis_squared, residual
+from eigenscan.tracker.covariance import log_density, residual
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ SLOPE, EVEN, MOST_AHEAD = 0.35, 10.0, 5.0
 Rounded from what three buildings have in common: benchmarks/evidence.py.
 """
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
-"""Hypotheses this near to each other are of one place."""
+"""Poses this near to each other are of one place."""
 SHOWN_YET_MISSED = -6.0
 """The same for a track without a hypothesis, were it shown: next to impossible."""
 HIDES, SHOWS = 0.05, 0.2
@@ -92,6 +92,7 @@ SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, 0.1, 1.0
 TAIL = 3.0
 """Degrees of freedom of the predicted pose: odometry errs heavily, now and then (Student's t)."""
 LEAST_MASS = float(np.log(1e-4))
+"""Of tracks, below which their slipping is not looked at."""
 
 
 def present_evidence(tracks: Tracks) -> Array:
@@ -113,9 +114,8 @@ def slipped_density(tracks: Tracks, y: Array, R: Array) -> Array:
     sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[heavy][:, [0, 0, 1]]
     spread = tracks.C[heavy] + np.eye(3) * (sigma**2)[:, None, :]
     total = spread[:, None] + R[None]
-    distance2 = mahalanobis_squared(residual(y[None], tracks.x[heavy][:, None]), total)
-    log_normal = -0.5 * (distance2 + 3.0 * np.log(2.0 * np.pi) + np.log(determinant(total)))
-    result: Array = np.logaddexp.reduce(np.log(SLIPS) + log_mass[heavy][:, None] + log_normal, axis=0)
+    density = log_density(residual(y[None], tracks.x[heavy][:, None]), total)
+    result: Array = np.logaddexp.reduce(np.log(SLIPS) + log_mass[heavy][:, None] + density, axis=0)
     return result
 
 

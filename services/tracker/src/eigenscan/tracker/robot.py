@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
-from eigenscan.tracker.belief import MOST_DECAY, Belief
+from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.confidence import Verdict, judge, next_state
 from eigenscan.tracker.continuity import UNNOTICED, goes_on
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -157,10 +157,9 @@ class RobotTracker:
         novelty = max(1.0 / source.scans, fresh)
         # who was carried away would hardly see his hypotheses go on
         rate = self._settings.kidnap_rate * (UNNOTICED if continued else 1.0) / len(self._sources)
-        carried = float(-np.expm1(-min(rate * seconds, MOST_DECAY)))
-        return Share(
-            novelty / peers, progress / peers, min(1.0, progress) / peers, carried, broken, peers > 1
-        )
+        carried = happened(rate * seconds)
+        precision = min(1.0, progress)
+        return Share(novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1)
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""

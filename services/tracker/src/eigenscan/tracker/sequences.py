@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.belief import Belief
-from eigenscan.tracker.covariance import determinant, fuse, mahalanobis_squared, residual
+from eigenscan.tracker.covariance import fuse, log_density, residual
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
@@ -79,7 +79,7 @@ class Sequences(Belief):
         distance = np.hypot(*(seen.poses[k] - old.x[i])[:, :2].T)
         allowed = distance <= self.settings.v_max * self.seconds + 3.0 * sigma
         i, k = i[allowed], k[allowed]
-        density = _log_density(old.x[i], old.C[i], seen.poses[k], seen.covariances[k])
+        density = log_density(residual(seen.poses[k], old.x[i]), unknown[allowed])
         order = np.argsort(density, kind="stable")
         best = np.full(len(seen.poses), -1, dtype=np.intp)
         best[k[order]] = i[order]  # the last, most probable one stands
@@ -109,7 +109,7 @@ def _continued(old: Tracks, seen: Observation, best: Index) -> Tracks:
     fork[1:] = i[1:] == i[:-1]
     tracks = old.pick(i)
     y, R = seen.poses[k], seen.covariances[k]
-    fit = seen.log_likelihoods[k] + _log_density(tracks.x, tracks.C, y, R)
+    fit = seen.log_likelihoods[k] + log_density(residual(y, tracks.x), tracks.C + R)
     x, C = fuse(tracks.x, tracks.C, y, R)
     return replace(
         tracks,
@@ -120,12 +120,3 @@ def _continued(old: Tracks, seen: Observation, best: Index) -> Tracks:
         parent=np.where(fork, tracks.id, tracks.parent),
         observations=tracks.observations + 1,
     )
-
-
-def _log_density(x: Array, C: Array, y: Array, R: Array) -> Array:
-    """Logarithm of p(Y|X) (paper, section 7), (p,), under the uncertainty of both."""
-    total = C + R
-    result: Array = -0.5 * (
-        mahalanobis_squared(residual(y, x), total) + 3.0 * np.log(2.0 * np.pi) + np.log(determinant(total))
-    )
-    return result
