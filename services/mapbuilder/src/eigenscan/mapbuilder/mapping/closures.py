@@ -98,14 +98,18 @@ class Closer:
         rules, found = self.rules, False
         window = (min(1.0 + rules.drift * self._since, 10.0), min(0.2 + rules.turn_drift * self._since, 1.2))
         for other in self._candidates(number, window[0]):
-            expected = between(self.poses[other], self.poses[number])
-            match = self.match(other, number, expected, np.asarray(window))
-            if match is not None:
-                self.edges.append(Edge(other, number, match.pose, RIGID))
-                found = True
+            found = self._join(other, number, np.asarray(window)) or found
         if found:
             self.solve()
             self._since = 0.0
+
+    def _join(self, other: int, number: int, window: Array) -> bool:
+        """Adds the edge between two submaps if they match within `window` of where they are believed."""
+        expected = between(self.poses[other], self.poses[number])
+        match = self.match(other, number, expected, window)
+        if match is not None:
+            self.edges.append(Edge(other, number, match.pose, RIGID))
+        return match is not None
 
     def solve(self) -> None:
         """Optimises the poses of all submaps."""
@@ -154,11 +158,7 @@ class Closer:
         for number in range(len(self.submaps)):
             for other in self._candidates(number, _AGAIN[0]):
                 if (other, number) not in known:
-                    expected = between(self.poses[other], self.poses[number])
-                    match = self.match(other, number, expected, np.asarray(_AGAIN))
-                    if match is not None:
-                        self.edges.append(Edge(other, number, match.pose, RIGID))
-                        found = True
+                    found = self._join(other, number, np.asarray(_AGAIN)) or found
         if found:
             self.solve()
 
