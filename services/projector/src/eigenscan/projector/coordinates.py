@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.circle import TURN
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.observation import ANALYSIS_TURN
+from eigenscan.projector.observation import ANALYSIS_TURN, windows_at
 from eigenscan.projector.site import SensorView
 from numba import njit
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ def coordinates(
     A panorama that is there costs a fifth of casting the rays of the pose itself.
     """
     position = np.asarray(lattice.tree.query(poses[:, :2])[1])
-    window = np.rint((poses[:, 2] + angle_min) * (ANALYSIS_TURN / TURN)).astype(np.int64)
+    window = windows_at(poses[:, 2], angle_min)
     beams = np.arange(view.spaces.vectors.shape[-1])
     ranges = lattice.panoramas[position[:, None], (window[:, None] + beams) % ANALYSIS_TURN]
     found = np.empty((len(poses), view.spaces.vectors.shape[1]), dtype=np.float32)

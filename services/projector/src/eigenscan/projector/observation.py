@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
 
@@ -64,6 +65,11 @@ def coarse_sensor(sensor: Sensor) -> Sensor:
     # half a beam more is one more, whatever rounding made of it
     beams = min(int(np.floor(span / step + 0.5 + 1e-9)) + 1, ANALYSIS_TURN)
     return Sensor(sensor.angle_min, step, beams, sensor.range_max)
+
+
+def windows_at(headings: NDArray[np.float64], angle_min: float) -> NDArray[np.int64]:
+    """Windows (n,) of a panorama, 0 to ANALYSIS_TURN, nearest to what a sensor sees at headings (n,), rad."""
+    return np.rint((headings + angle_min) * (ANALYSIS_TURN / TURN)).astype(np.int64) % ANALYSIS_TURN
 
 
 def observe(scan: Scan) -> Observation:

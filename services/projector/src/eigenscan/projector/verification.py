@@ -7,9 +7,8 @@ neighbouring positions of the model's own grid.
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.circle import TURN
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.observation import by_reach
+from eigenscan.projector.observation import by_reach, windows_at
 from numba import njit
 from numpy.typing import NDArray
 
@@ -79,8 +78,7 @@ def foreseen(
     column, row = np.clip(np.rint(apart / lattice.spacing).astype(np.int64), -1, 1).T
     there = lattice.neighbours[home, 3 * (column + 1) + row + 1]
     position = np.where(there < 0, home, there)
-    turn = lattice.panoramas.shape[1]
-    window = np.rint((poses[:, 2] + angle_min) * (turn / TURN)).astype(np.int64) % turn
+    window = windows_at(poses[:, 2], angle_min)
     ranges = np.empty((len(poses), len(beams)), dtype=np.float32)
     beams = np.ascontiguousarray(beams)
     _look_up(windows, position, window, beams, np.float32(_cap(range_max)), ranges)
