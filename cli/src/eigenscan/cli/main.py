@@ -43,7 +43,7 @@ def _print_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        typer.echo(version("eigenscan-cli"))
+        typer.echo(version("eigenscan"))
         raise typer.Exit
 
 

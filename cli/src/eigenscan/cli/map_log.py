@@ -38,7 +38,7 @@ def map_log(
 
     Writes MAP.yaml and MAP.pgm (as map_server reads them), MAP.tum (the base's way in the map:
     t x y z qx qy qz qw, the log's own stamps) and MAP.png, a picture of both.
-    Needs gtsam: pip install 'eigenscan-cli[mapping]'.
+    Needs gtsam: pip install 'eigenscan[mapping]'.
 
     \b
     Examples:
