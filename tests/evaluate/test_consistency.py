@@ -72,6 +72,7 @@ def followed(truth: Trajectory, first: int, n: int) -> Judged:
         claimed,
         ones,
         covariances,
+        np.where(count % 2, np.nan, 2.5),
         ones,
         count,
     )
@@ -87,3 +88,7 @@ def test_windows_of_one_log_are_tested_along_one_way() -> None:
     # 10 m of way hold at most 21 scans 0.5 m apart; three windows hold 39
     assert 17 <= found["n"] <= 21
     assert found["mean"] == pytest.approx(0.2**2 / 0.01)
+    # every other scan gave the track no hypothesis
+    innovations = figures["normalised_innovation_squared"]
+    assert innovations["mean"] == pytest.approx(2.5)
+    assert 17 <= innovations["consistency"]["n"] <= 21

@@ -44,6 +44,7 @@ def stream(stamps: np.ndarray, poses: np.ndarray, localized: list[bool]) -> Stre
         tracked=np.ones(n, dtype=np.bool_),
         confidence=np.ones(n),
         covariances=np.zeros((n, 3, 3)),
+        nis=np.full(n, np.nan),
         cpu_s=np.zeros(n),
         scans=np.arange(n),
     )

@@ -34,6 +34,7 @@ def stream(truth: Trajectory, offsets: np.ndarray, localized: list[bool]) -> Str
         tracked=np.ones(n, dtype=np.bool_),
         confidence=np.full(n, 0.5),
         covariances=np.tile(np.eye(3), (n, 1, 1)),
+        nis=np.full(n, np.nan),
         cpu_s=np.arange(n) * 0.001,
         scans=np.arange(n),
     )

@@ -51,7 +51,7 @@ class PoseEstimate(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., child_frame_id: _Optional[str] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., state: _Optional[_Union[State, str]] = ..., confidence: _Optional[float] = ..., none_probability: _Optional[float] = ..., map_to_odom: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., has_odometry: _Optional[bool] = ..., model_version: _Optional[str] = ..., track_id: _Optional[int] = ...) -> None: ...
 
 class Track(_message.Message):
-    __slots__ = ("id", "parent_id", "pose", "covariance", "probability", "observations", "age", "history")
+    __slots__ = ("id", "parent_id", "pose", "covariance", "probability", "observations", "age", "history", "nis")
     ID_FIELD_NUMBER: _ClassVar[int]
     PARENT_ID_FIELD_NUMBER: _ClassVar[int]
     POSE_FIELD_NUMBER: _ClassVar[int]
@@ -60,6 +60,7 @@ class Track(_message.Message):
     OBSERVATIONS_FIELD_NUMBER: _ClassVar[int]
     AGE_FIELD_NUMBER: _ClassVar[int]
     HISTORY_FIELD_NUMBER: _ClassVar[int]
+    NIS_FIELD_NUMBER: _ClassVar[int]
     id: int
     parent_id: int
     pose: _geometry_pb2.Pose2
@@ -68,7 +69,8 @@ class Track(_message.Message):
     observations: int
     age: float
     history: _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Pose2]
-    def __init__(self, id: _Optional[int] = ..., parent_id: _Optional[int] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., probability: _Optional[float] = ..., observations: _Optional[int] = ..., age: _Optional[float] = ..., history: _Optional[_Iterable[_Union[_geometry_pb2.Pose2, _Mapping]]] = ...) -> None: ...
+    nis: float
+    def __init__(self, id: _Optional[int] = ..., parent_id: _Optional[int] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., probability: _Optional[float] = ..., observations: _Optional[int] = ..., age: _Optional[float] = ..., history: _Optional[_Iterable[_Union[_geometry_pb2.Pose2, _Mapping]]] = ..., nis: _Optional[float] = ...) -> None: ...
 
 class Tracks(_message.Message):
     __slots__ = ("timestamp", "frame_id", "tracks", "none_probability")

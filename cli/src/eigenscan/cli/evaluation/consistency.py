@@ -1,7 +1,8 @@
-"""Whether errors are as large as the covariances say: the test of the normalised error squared.
+"""Whether covariances are as large as they should be: tests of the normalised error and innovation squared.
 
-Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4. It takes
-the reference for exact, and judges only where the robot was found: wrong poses are the calibration's matter.
+Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4. That of
+the error takes the reference for exact, that of the innovation needs none. Both judge only where the robot
+was found: wrong poses are the calibration's matter.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ PROBABILITY = 0.95
 
 @dataclass(frozen=True)
 class Consistency:
-    """Mean of `n` errors that are apart, and the interval that holds it in 95 of 100 consistent runs.
+    """Mean of `n` squares that are apart, and the interval that holds it in 95 of 100 consistent runs.
 
     Above `high` the covariances are too small (sure of itself), below `low` too large.
     """
@@ -34,7 +35,7 @@ class Consistency:
 
 
 def consistency(normalised: Floats, metres: Floats, apart_m: float) -> Consistency:
-    """Of normalised errors squared (n,) at ways (n,) in metres along the log; NaN: no sound covariance.
+    """Of normalised squares (n,) at ways (n,) in metres along the log; NaN: none there.
 
     Only those `apart_m` of way apart count. Windows that overlap are one way: a stretch that several of
     them tell of is no more evidence than one.

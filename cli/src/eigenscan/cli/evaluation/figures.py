@@ -126,7 +126,7 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
         [np.empty(0), *(normalised_errors(j.offsets[s], j.stream.covariances[s]) for j, s in settled)]
     )
     way = np.concatenate([np.empty(0), *(j.metres[after] for j, after in settled)])
-    consistent = consistency(nees, way, TrackerSettings().independence_m)
+    nis = np.concatenate([np.empty(0), *(j.stream.nis[after] for j, after in settled)])
     given = [(j, j.stream.tracked) for j in judged]
     diagram = calibration(
         np.concatenate([np.empty(0), *(j.stream.confidence[tracked] for j, tracked in given)]),
@@ -144,10 +144,19 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
         },
         "first_right_claim_scans": summary(row["first_right_claim_scans"] for row in rows),
         "error": {"position_m": summary(position), "heading_deg": summary(np.degrees(heading))},
-        "normalised_error_squared": summary(nees)
-        | {"mean": float(np.nanmean(nees)) if len(nees) else None, "consistency": vars(consistent)},
+        "normalised_error_squared": _normalised(nees, way),
+        "normalised_innovation_squared": _normalised(nis, way),
         "calibration_error": calibration_error(diagram),
         "calibration": [vars(entry) for entry in diagram],
+    }
+
+
+def _normalised(squares: NDArray[np.float64], way: NDArray[np.float64]) -> Figures:
+    """Of normalised squares (n,) at ways (n,), m: how large they are, and whether they should be."""
+    sound = squares[np.isfinite(squares)]
+    return summary(sound) | {
+        "mean": float(sound.mean()) if len(sound) else None,
+        "consistency": vars(consistency(squares, way, TrackerSettings().independence_m)),
     }
 
 

@@ -29,9 +29,10 @@ class Stream:
     """The poses of one run, a row for each, in the order in which they were said.
 
     `stamps` ns; `poses` (n, 3) in the map frame; `states` as in the contract; `localized`: the state was
-    LOCALIZED; `tracked`: a pose was given at all; `confidence` 0..1; `covariances` (n, 3, 3); `cpu_s`:
-    process time of the whole pipeline from the start until the pose was said; `scans`: how many the log has
-    before the pose's own.
+    LOCALIZED; `tracked`: a pose was given at all; `confidence` 0..1; `covariances` (n, 3, 3); `nis`: the
+    track's normalised innovation squared, NaN where the scan gave it no hypothesis; `cpu_s`: process time of
+    the whole pipeline from the start until the pose was said; `scans`: how many the log has before the
+    pose's own.
     """
 
     stamps: NDArray[np.int64]
@@ -41,6 +42,7 @@ class Stream:
     tracked: Bools
     confidence: Floats
     covariances: Floats
+    nis: Floats
     cpu_s: Floats
     scans: NDArray[np.int64]
 

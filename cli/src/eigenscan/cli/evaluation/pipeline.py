@@ -15,10 +15,10 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
-from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN_RAW, find
+from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN_RAW, TRACKS, find
 from eigenscan.schemas.envelope import Core, Envelope, nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode, encode
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
@@ -89,7 +89,7 @@ class Pipeline:
     def run(self, heard: Iterable[Envelope]) -> Run:
         """Hears raw scans and odometry in the order given, from a cold start."""
         loop = self.cold()
-        said, cpu_ms, scans = list[tuple[float, PoseEstimate]](), list[float](), list[int]()
+        said, cpu_ms, scans = list[_Said](), list[float](), list[int]()
         spent = at_last_scan = 0
         loop.start()
         for envelope in heard:
@@ -123,12 +123,30 @@ class Pipeline:
         )
 
 
-def _poses(envelopes: Iterable[Envelope], spent: int) -> list[tuple[float, PoseEstimate]]:
-    return [(spent / 1e9, e.open(PoseEstimate)) for e in envelopes if e.channel == POSE]
+@dataclass(frozen=True)
+class _Said:
+    """A pose, its track's normalised innovation squared, and the process time, s, until it was said."""
+
+    estimate: PoseEstimate
+    nis: float
+    cpu_s: float
 
 
-def _stream(said: list[tuple[float, PoseEstimate]], scans: NDArray[np.int64]) -> Stream:
-    estimates = [estimate for _, estimate in said]
+def _poses(envelopes: Sequence[Envelope], spent: int) -> list[_Said]:
+    poses = [e.open(PoseEstimate) for e in envelopes if e.channel == POSE]
+    tracks = [e.open(Tracks) for e in envelopes if e.channel == TRACKS]
+    return [
+        _Said(pose, _nis(pose.track_id, beside), spent / 1e9)
+        for pose, beside in zip(poses, tracks, strict=True)
+    ]
+
+
+def _nis(track: int, tracks: Tracks) -> float:
+    return next((t.nis for t in tracks.tracks if t.id == track and t.HasField("nis")), np.nan)
+
+
+def _stream(said: list[_Said], scans: NDArray[np.int64]) -> Stream:
+    estimates = [each.estimate for each in said]
     stamps = np.asarray([nanoseconds(e.timestamp) for e in estimates], dtype=np.int64)
     states = np.asarray([e.state for e in estimates], dtype=np.int64)
     return Stream(
@@ -141,6 +159,7 @@ def _stream(said: list[tuple[float, PoseEstimate]], scans: NDArray[np.int64]) ->
         covariances=np.asarray(
             [covariance_from_message(e.covariance) for e in estimates], dtype=np.float64
         ).reshape(-1, 3, 3),
-        cpu_s=np.asarray([spent for spent, _ in said], dtype=np.float64),
+        nis=np.asarray([each.nis for each in said], dtype=np.float64),
+        cpu_s=np.asarray([each.cpu_s for each in said], dtype=np.float64),
         scans=np.searchsorted(scans, stamps),
     )

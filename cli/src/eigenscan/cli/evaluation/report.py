@@ -34,6 +34,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         ("heading error, deg", _pair(error["heading_deg"], "p95")),
         ("calibration error", _percent(f["calibration_error"])),
         ("normalised error squared", _consistency(f["normalised_error_squared"]["consistency"])),
+        ("normalised innovation squared", _consistency(f["normalised_innovation_squared"]["consistency"])),
     ]
     if f["kidnap"]:
         kidnap = f["kidnap"]

@@ -96,6 +96,10 @@ class Belief:
             self.tracks = replace(self.tracks, evidence=widened)
         return self.sources.index(source)
 
+    def forget_innovations(self) -> None:
+        """A scan begins: none of the tracks has a hypothesis of it yet."""
+        self.tracks = replace(self.tracks, nis=np.full(len(self.tracks), np.nan))
+
     def predict(self, moved: Motion) -> None:
         """Moves the tracks; a jump of odometry takes mass from them."""
         if len(self.tracks):

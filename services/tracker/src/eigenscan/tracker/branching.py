@@ -63,15 +63,15 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
 def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
     """Branches after the first `alone`, brought together with their hypotheses."""
     joined = slice(alone, None)
-    x, C = branches.x.copy(), branches.C.copy()
+    x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
     R = seen.covariances[pairs.hypothesis]
     C[joined] *= surprise(pairs.distance2)[:, None, None]
     share = independent_share(C[joined], R, precision)
     x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R / share[:, None, None])
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
-    unchecked[joined] = 0.0
+    unchecked[joined], nis[joined] = 0.0, pairs.distance2
     observations[joined] += 1
-    return replace(branches, x=x, C=C, unchecked=unchecked, observations=observations)
+    return replace(branches, x=x, C=C, unchecked=unchecked, nis=nis, observations=observations)
 
 
 def at_least(grown: Tracks, alone: int, pairs: Pairs, log_mass: Array) -> Tracks:

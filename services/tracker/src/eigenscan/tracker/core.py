@@ -148,6 +148,7 @@ def _tracks_message(estimate: Estimate) -> Tracks:
                 observations=int(tracks.observations[row]),
                 age=(estimate.stamp - int(tracks.born[row])) * 1e-9,
                 history=[to_message(pose) for pose in estimate.histories.get(int(tracks.id[row]), ())],
+                nis=None if np.isnan(tracks.nis[row]) else float(tracks.nis[row]),
             )
             for row in np.argsort(-tracks.log_weight, kind="stable")
         ],

@@ -112,6 +112,7 @@ class RobotTracker:
         elif belief.stamp is not None:
             belief.predict(self._motion(belief.stamp, seen.stamp))
         belief.stamp = seen.stamp
+        belief.forget_innovations()
         if seen.usable:
             belief.observe(seen, self._share(seen))
             prune(belief)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.belief import Belief
-from eigenscan.tracker.covariance import fuse, log_density, residual
+from eigenscan.tracker.covariance import fuse, log_density, mahalanobis_squared, residual
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
@@ -109,7 +109,8 @@ def _continued(old: Tracks, seen: Observation, best: Index) -> Tracks:
     fork[1:] = i[1:] == i[:-1]
     tracks = old.pick(i)
     y, R = seen.poses[k], seen.covariances[k]
-    fit = seen.log_likelihoods[k] + log_density(residual(y, tracks.x), tracks.C + R)
+    innovation, expected = residual(y, tracks.x), tracks.C + R
+    fit = seen.log_likelihoods[k] + log_density(innovation, expected)
     x, C = fuse(tracks.x, tracks.C, y, R)
     return replace(
         tracks,
@@ -119,4 +120,5 @@ def _continued(old: Tracks, seen: Observation, best: Index) -> Tracks:
         id=np.where(fork, 0, tracks.id),
         parent=np.where(fork, tracks.id, tracks.parent),
         observations=tracks.observations + 1,
+        nis=mahalanobis_squared(innovation, expected),
     )

@@ -18,6 +18,7 @@ class Tracks:
     `hidden` (n,): share of a track's mass in which the projector does not show its pose. `evidence`
     (n, sources): what each source's scans from the present place said for a track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
+    `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
     """
 
     x: Array
@@ -26,6 +27,7 @@ class Tracks:
     hidden: Array
     evidence: Array
     unchecked: Array
+    nis: Array
     frame: Index
     id: Index
     parent: Index
@@ -60,6 +62,7 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros(0),
         np.zeros((0, sources)),
         np.zeros((0, 2)),
+        np.zeros(0),
         none,
         none,
         none,
@@ -78,6 +81,7 @@ def begin(x: Array, C: Array, log_weight: Array, evidence: Array, frame: int, st
         np.zeros(len(x)),
         evidence,
         np.zeros((len(x), 2)),
+        np.full(len(x), np.nan),
         none + frame,
         none,
         none,
