@@ -1,0 +1,1 @@
+"""ROS 2 on Zenoh in and out, without ROS."""
