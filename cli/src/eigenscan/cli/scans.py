@@ -96,12 +96,12 @@ def read_scans(
             f"({', '.join(sorted(reasons))}): check the topic with --lidar-topic"
         )
     stamps = np.array([nanoseconds(scan.timestamp) for scan in scans], dtype=np.int64)
-    known = _odometry(steps if with_odometry else (), stamps)
+    known = odometry_at(steps if with_odometry else (), stamps)
     sweeps = [_sweep(scan, place) for scan, place in zip(scans, known, strict=True)]
     return Scans(sweeps, heard, Counter(reasons), dict(opened.logged))
 
 
-def _odometry(
+def odometry_at(
     steps: Iterable[tuple[int, NDArray[np.float64]]], stamps: NDArray[np.int64]
 ) -> list[NDArray[np.float64] | None]:
     """For each stamp the odometry's pose (3,) there; None where it is not known or not finite."""

@@ -1,0 +1,80 @@
+"""One sweep of a lidar, as a caller has it and as the cores take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.pose import to_message
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.scan_pb2 import RawScan
+from numpy.typing import ArrayLike
+
+_SET_ASIDE = "set_aside_"
+
+
+class ScanError(ValueError):
+    """A scan that cannot be used; the message names what is wrong."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A sweep: beam j looks along `angle_min + j * angle_increment` in the sensor's frame.
+
+    `ranges` (B,) in m; +inf, or `range_max` and more: no return; NaN, 0, or below `range_min`: missing.
+    Angles in rad, counter-clockwise seen from above; an increment may be negative. `mount`: the sensor in
+    the robot's base frame, m, m, rad. `time` in s, only needed for tracking.
+    """
+
+    ranges: ArrayLike
+    angle_min: float
+    angle_increment: float
+    range_max: float
+    range_min: float = 0.0
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    time: float = 0.0
+
+    @classmethod
+    def of(cls, raw: RawScan) -> Scan:
+        """The same as the contract's message."""
+        mount = raw.mount.x, raw.mount.y, raw.mount.theta
+        turned = -1.0 if raw.upside_down else 1.0
+        return cls(
+            np.fromiter(raw.ranges, np.float32, len(raw.ranges)),
+            angle_min=turned * raw.angle_min,
+            angle_increment=turned * raw.angle_increment,
+            range_max=raw.range_max,
+            range_min=raw.range_min,
+            mount=mount,
+            time=nanoseconds(raw.timestamp) * 1e-9,
+        )
+
+    @property
+    def stamp(self) -> int:
+        """`time` in ns."""
+        return round(self.time * 1e9)
+
+    def canonical(self) -> Envelope:
+        """The scan as the contract has it. Raises ScanError where it cannot be used."""
+        ranges = np.asarray(self.ranges, dtype=np.float32)
+        if ranges.ndim != 1:
+            raise ScanError(f"ranges of shape {ranges.shape}: give one row, one range a beam")
+        raw = RawScan(
+            timestamp=stamp(self.stamp),
+            mount=to_message(self.mount),
+            angle_min=self.angle_min,
+            angle_increment=self.angle_increment,
+            range_min=self.range_min,
+            range_max=self.range_max,
+            ranges=ranges.tolist(),
+        )
+        ingest = ScanIngestCore(ScanIngestSettings())
+        address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": "lidar"}
+        for said in ingest.handle(Envelope(SCAN_RAW, address, raw)):
+            return said
+        (reason,) = (name for name in ingest.condition().counters if name.startswith(_SET_ASIDE))
+        words = reason.removeprefix(_SET_ASIDE).replace("_", " ")
+        raise ScanError(f"scan of {len(ranges)} beams cannot be used: {words}")
