@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from eigenscan.geometry.pose import from_pose3, inverse, to_pose3, transform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image, UnidentifiedImageError
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, 255
 FIELD = "occupancy"
@@ -75,6 +73,8 @@ def read_map(path: Path) -> GridMap:
     In a trinary image the savers' grey for unknown, 205, stays unknown whatever free_thresh says.
     Raises MapError naming the file, the field and the fix.
     """
+    import yaml  # here: a projector reads no files, and is to be back soon after a crash
+
     try:
         meta = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -118,6 +118,8 @@ def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) 
 
 
 def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
+    from PIL import Image, UnidentifiedImageError
+
     file = path.parent / meta["image"]
     try:
         with Image.open(file) as image:
@@ -153,6 +155,9 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
 
 def write_map(grid: GridMap, path: Path) -> None:
     """Writes `path` (yaml) and a pgm of the same name beside it."""
+    import yaml
+    from PIL import Image
+
     grey = np.full(grid.cells.shape, _SAVED_UNKNOWN, dtype=np.uint8)
     grey[grid.cells == FREE] = 254
     grey[grid.cells == OCCUPIED] = 0

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import GridMap, to_message
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.mapbuilder.site import build_site
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -33,6 +32,8 @@ class MapbuilderCore:
         address = {"site": self._settings.site}
         if isinstance(self._source, GridMap):
             yield Envelope(MAP, address, to_message(self._source, self._settings.frame_id))
+            from eigenscan.mapbuilder.site import build_site  # half of its start is for who builds only
+
             self._site = site = build_site(self._source, self._settings.plan)
         else:
             site = self._source

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from eigenscan.mapbuilder.regions import Division
-from eigenscan.mapbuilder.site import Plan
 from eigenscan.runtime.settings import ServiceSettings
 from pydantic import Field, model_validator
+
+if TYPE_CHECKING:
+    from eigenscan.mapbuilder.site import Plan
 
 
 class MapbuilderSettings(ServiceSettings):
@@ -38,6 +40,9 @@ class MapbuilderSettings(ServiceSettings):
     @property
     def plan(self) -> Plan:
         """The same in the units of the library."""
+        from eigenscan.mapbuilder.regions import Division
+        from eigenscan.mapbuilder.site import Plan
+
         return Plan(
             spacing=self.spacing,
             step=math.radians(self.step),

@@ -24,7 +24,7 @@ from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Belief:
     stamp: int | None = None
 
     def __post_init__(self) -> None:
-        self.gate = float(chi2.ppf(self.settings.gate_probability, 3))
+        self.gate = float(chdtri(3, 1.0 - self.settings.gate_probability))
 
     @property
     def none_probability(self) -> float:

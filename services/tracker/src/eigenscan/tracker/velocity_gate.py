@@ -1,7 +1,7 @@
 """The odometry Kalman filter and its validation gate (paper, section 7; Crowley and Reignier 1993).
 
-The filter tracks the base's velocity; a reading outside the gate is slip, one that no robot of this
-speed can make is a jump of the odom frame.
+The filter tracks the base's velocity, each of its three parts by itself; a reading outside the gate is
+slip, one that no robot of this speed can make is a jump of the odom frame.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from math import hypot
 
 import numpy as np
 from eigenscan.tracker.planar import Pose
-from filterpy.kalman import KalmanFilter
-from filterpy.stats import mahalanobis
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
@@ -26,7 +24,7 @@ JUMP_SLACK_M, JUMP_SLACK_RAD = 0.2, 0.3
 """What bad stamps may add to an increment before it counts as a jump."""
 OUTLIERS_IN_ROW = 3
 """So many readings outside the gate in a row are a new velocity, not slip."""
-GATE = float(chi2.ppf(1.0 - 1e-6, 3))
+GATE = float(chdtri(3, 1e-6))
 
 
 class Reading(Enum):
@@ -42,12 +40,13 @@ class VelocityGate:
 
     def __init__(self, v_max: float, turn_max: float) -> None:
         self._limit = (v_max, turn_max)
-        self._filter: KalmanFilter | None = None
+        self._velocity: Array | None = None
+        self._variance = np.zeros(3)
         self._outliers = 0
 
     def forget(self) -> None:
         """Starts anew, as after a jump."""
-        self._filter = None
+        self._velocity = None
         self._outliers = 0
 
     def judge(self, step: Pose, seconds: float) -> Reading:
@@ -58,28 +57,21 @@ class VelocityGate:
             self.forget()
             return Reading.JUMP
         velocity = np.array(step) / seconds
-        noise = np.diag((STEP_NOISE / seconds) ** 2)
-        if self._filter is None:
-            self._filter = _velocity_filter(velocity, noise)
+        noise = (STEP_NOISE / seconds) ** 2
+        if self._velocity is None:
+            self._velocity, self._variance = velocity, noise
             return Reading.TAKEN
-        self._filter.predict(Q=np.diag((ACCELERATION * seconds) ** 2))
-        return self._validate(self._filter, velocity, noise)
+        self._variance = self._variance + (ACCELERATION * seconds) ** 2
+        return self._validate(velocity - self._velocity, self._velocity, noise)
 
-    def _validate(self, velocity_filter: KalmanFilter, velocity: Array, noise: Array) -> Reading:
-        distance = mahalanobis(velocity, velocity_filter.x, velocity_filter.P + noise)
-        if distance**2 <= GATE:
+    def _validate(self, innovation: Array, velocity: Array, noise: Array) -> Reading:
+        total = self._variance + noise
+        if float((innovation**2 / total).sum()) <= GATE:
             self._outliers = 0
-            velocity_filter.update(velocity, R=noise)
+            self._velocity = velocity + self._variance / total * innovation
+            self._variance = self._variance * noise / total
             return Reading.TAKEN
         self._outliers += 1
         if self._outliers >= OUTLIERS_IN_ROW:
             self.forget()
         return Reading.SLIP
-
-
-def _velocity_filter(velocity: Array, noise: Array) -> KalmanFilter:
-    made = KalmanFilter(dim_x=3, dim_z=3)
-    made.x = velocity.copy()
-    made.P = noise.copy()
-    made.F = made.H = np.eye(3)
-    return made
