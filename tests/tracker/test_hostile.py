@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -66,6 +66,17 @@ def odometry(draw) -> Envelope:
     return Envelope(ODOMETRY, ADDRESS, message)
 
 
+@st.composite
+def relocation(draw) -> Envelope:
+    message = Relocation(
+        timestamp=stamp(draw(times) * 1_000_000), frame_id=draw(st.sampled_from(["", "floor0"]))
+    )
+    if draw(st.booleans()):
+        message.pose.CopyFrom(Pose2(x=draw(wild), y=draw(wild), theta=draw(wild)))
+        message.covariance.CopyFrom(Covariance3(xx=draw(wild), yy=draw(wild), tt=draw(wild), xy=draw(wild)))
+    return Envelope(RELOCATION, ADDRESS, message)
+
+
 def check(said: list[Envelope]) -> None:
     for each in said:
         if each.channel is TRACKS:
@@ -88,7 +99,7 @@ def check(said: list[Envelope]) -> None:
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.lists(st.one_of(hypotheses(), odometry()), max_size=25))
+@given(st.lists(st.one_of(hypotheses(), odometry(), relocation()), max_size=25))
 def test_hostile_sequences(sequence: list[Envelope]) -> None:
     core = TrackerCore(TrackerSettings())
     for envelope in sequence:

@@ -16,7 +16,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
-from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -189,6 +189,13 @@ TRUTH = Channel(
     Qos(Priority.DATA_LOW, rate_hz=40.0),
     "the true pose where it is known (simulation); no service hears it but the recorder",
 )
+RELOCATION = Channel(
+    "relocation",
+    "{site}/robot/{robot}/relocation",
+    Relocation,
+    Qos(Priority.INTERACTIVE_HIGH, block=True, express=True),
+    "where the robot is, or that it may be anywhere, from somebody who knows, for the tracker",
+)
 MAP = Channel("map", "{site}/map", Grid, _SITE_DATA, "the occupancy grid that the models were made from")
 MODEL = Channel(
     "model",
@@ -222,6 +229,7 @@ CHANNELS: tuple[Channel, ...] = (
     TRACKS,
     TRANSFORM,
     TRUTH,
+    RELOCATION,
     MAP,
     MODEL,
     MODEL_SET,

@@ -83,3 +83,15 @@ class Tracks(_message.Message):
     tracks: _containers.RepeatedCompositeFieldContainer[Track]
     none_probability: float
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., tracks: _Optional[_Iterable[_Union[Track, _Mapping]]] = ..., none_probability: _Optional[float] = ...) -> None: ...
+
+class Relocation(_message.Message):
+    __slots__ = ("timestamp", "frame_id", "pose", "covariance")
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    timestamp: _timestamp_pb2.Timestamp
+    frame_id: str
+    pose: _geometry_pb2.Pose2
+    covariance: _geometry_pb2.Covariance3
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ...) -> None: ...

@@ -12,12 +12,13 @@ from eigenscan.geometry.pose import (
     to_message,
     yaw,
 )
-from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS, TRANSFORM, Channel
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
-from eigenscan.schemas.tracking_pb2 import PoseEstimate, Track, Tracks
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Track, Tracks
 from eigenscan.tracker.observation import observe
+from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -31,7 +32,7 @@ DEFAULT_ODOM_FRAME = "odom"
 class TrackerCore:
     """Hypotheses become one honest pose (paper, section 7); one state per robot."""
 
-    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY)
+    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, RELOCATION)
     says: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -51,6 +52,9 @@ class TrackerCore:
         robot = self._robot(address)
         if heard.channel is ODOMETRY:
             return list(self._hear_odometry(robot, address, heard.open(Odometry)))
+        if heard.channel is RELOCATION:
+            self._relocate(robot, heard.open(Relocation))
+            return ()
         seen = observe(heard.open(Hypotheses), heard.address, self._settings, self._counts)
         self._counts["hypotheses_heard"] += 1
         return list(self._say(address, robot.hear(seen)))
@@ -73,6 +77,13 @@ class TrackerCore:
         if key not in self._robots:
             self._robots[key] = RobotTracker(self._settings, self._counts)
         return self._robots[key]
+
+    def _relocate(self, robot: RobotTracker, message: Relocation) -> None:
+        try:
+            robot.relocate(hint_of(message))
+            self._counts["relocated"] += 1
+        except ValueError:
+            self._counts["relocation_not_a_pose"] += 1
 
     def _hear_odometry(
         self, robot: RobotTracker, address: Mapping[str, str], message: Odometry

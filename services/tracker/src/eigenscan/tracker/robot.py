@@ -15,6 +15,7 @@ from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -78,6 +79,14 @@ class RobotTracker:
         self._histories: dict[int, deque[Array]] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
+        self._hint: Hint | None = None
+
+    def relocate(self, hint: Hint | None) -> None:
+        """Forgets where the robot was; begins anew, from the next scan on, at the hint if there is one."""
+        next_id = self.belief.next_id
+        self._reset()
+        self.belief.next_id = next_id
+        self._hint = hint
 
     def hear_odometry(self, stamp: int, pose: Pose) -> list[Estimate]:
         """Takes odometry, base in the odom frame; gives the estimates that waited for it."""
@@ -114,6 +123,7 @@ class RobotTracker:
         belief.stamp = seen.stamp
         belief.forget_innovations()
         if seen.usable:
+            self._heed_hint(seen)
             belief.observe(seen, self._share(seen))
             prune(belief)
             unify(belief)
@@ -122,6 +132,15 @@ class RobotTracker:
             self._counts["scan_unusable"] += 1
         self._remember()
         return self._conclude(seen)
+
+    def _heed_hint(self, seen: Observation) -> None:
+        """Takes the hint that waits, if there is one, once a scan of its map frame has come."""
+        hint = self._hint
+        if hint is None or hint.frame not in ("", seen.frame):
+            return
+        self._hint = None
+        same_time = abs(seen.stamp - hint.stamp) <= SAME_TIME_NS
+        heed(self.belief, hint, seen, self._motion(hint.stamp if same_time else seen.stamp, seen.stamp))
 
     def _motion(self, start: int, end: int) -> Motion:
         a, b = self._trail.at(start), self._trail.at(end)
