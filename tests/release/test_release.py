@@ -1,0 +1,71 @@
+"""What would be published: built, installed in a clean environment, and used."""
+
+import shutil
+import subprocess
+import tarfile
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [str(root / "tools/release"), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Path:
+    """The project's versions, to be changed."""
+    for file in (
+        *("pyproject.toml", "CHANGELOG.md", "tools/release"),
+        *(path.relative_to(ROOT) for path in ROOT.glob("*/pyproject.toml")),
+        *(path.relative_to(ROOT) for path in ROOT.glob("services/*/pyproject.toml")),
+    ):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / file, tmp_path / file)
+    (tmp_path / ".venv").symlink_to(ROOT / ".venv")
+    return tmp_path
+
+
+def test_everything_is_built_installed_and_used(tmp_path: Path) -> None:
+    result = _release(ROOT, "build", "--out", tmp_path)
+    assert result.returncode == 0, result.stderr
+    with tarfile.open(next(tmp_path.glob("eigenscan-0*.tar.gz"))) as sdist:
+        names = sdist.getnames()
+    assert any(name.endswith("eigenscan/localize/py.typed") for name in names)
+    assert not any("__pycache__" in name for name in names)
+
+
+def test_one_command_sets_the_version_everywhere(workspace: Path) -> None:
+    assert _release(workspace, "set", "1.2.3").returncode == 0
+    result = _release(workspace, "check")
+    assert result.returncode == 1
+    assert "CHANGELOG.md" in result.stderr
+    (workspace / "CHANGELOG.md").write_text("# Changes\n\n## 1.2.3\n")
+    assert _release(workspace, "check").returncode == 0
+    cli = tomllib.loads((workspace / "cli/pyproject.toml").read_text())["project"]
+    assert cli["version"] == "1.2.3"
+    siblings = [need for need in cli["dependencies"] if need.startswith("eigenscan-")]
+    assert len(siblings) > 5
+    assert all(need.endswith("==1.2.3") for need in siblings)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [('version = "', 'version = "9'), ("eigenscan-geometry==", "eigenscan-geometry>=")]
+)
+def test_a_part_that_differs_is_named_with_the_fix(workspace: Path, old: str, new: str) -> None:
+    file = workspace / "eigenspace/pyproject.toml"
+    file.write_text(file.read_text().replace(old, new, 1))
+    result = _release(workspace, "check")
+    assert result.returncode == 1
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "eigenspace/pyproject.toml" in result.stderr
+    assert "tools/release set" in result.stderr
+
+
+def test_a_version_that_is_none_changes_nothing(workspace: Path) -> None:
+    assert "such as" in _release(workspace, "set", "next").stderr
+    assert _release(workspace, "check").returncode == 0
