@@ -107,8 +107,8 @@ def measure(folder: Path, rounds: int) -> dict[str, dict[str, float]]:
     with bus, Supervisor(folder / "logs") as supervisor:
         site = Site(supervisor, flags, Inbox(), alive)
         bus.listen([SCAN, HYPOTHESES, POSE, MODEL_SET], {"site": SITE}, site.inbox)
-        for name in flags:
-            supervisor.start(name, SERVICES[name], flags[name])
+        for name, given in flags.items():
+            supervisor.start(name, SERVICES[name], given)
         driving.start()
         site.until_localized()
         results = {}
