@@ -10,6 +10,8 @@ the rounds). What a start costs is mostly Python's imports, on one core: a busy 
 import argparse
 import json
 import statistics
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -89,6 +91,10 @@ def is_claim(payload: bytes) -> bool:
 def measure(folder: Path, rounds: int) -> dict[str, dict[str, float]]:
     stage = Stage(office().render(), Scenario(seconds=3600.0, seed=3, site=SITE, robot=ROBOT))
     write_map(stage.grid, folder / "map.yaml")
+    subprocess.run(
+        [Path(sys.executable).with_name("eigenscan"), "build", folder / "map.yaml", "-o", folder / "model"],
+        check=True,
+    )
     session, config = open_hub(folder)
     alive: set[str] = set()
 
@@ -101,7 +107,7 @@ def measure(folder: Path, rounds: int) -> dict[str, dict[str, float]]:
     bus, stop = Bus(session), threading.Event()
     shared = ["--site", SITE, "--robot", ROBOT, "--zenoh", str(config)]
     flags = {name: list(shared) for name in ANSWERS}
-    flags["mapbuilder"] += ["--map", str(folder / "map.yaml")]
+    flags["mapbuilder"] += ["--model", str(folder / "model")]
     stage.epoch = time.time_ns()
     driving = threading.Thread(target=publish, args=(stage.messages(), bus.say, 1.0, stop))
     with bus, Supervisor(folder / "logs") as supervisor:

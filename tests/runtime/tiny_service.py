@@ -61,7 +61,7 @@ class TinyCore:
 def print_waiting(what: str, seconds: float) -> None:
     """Sleeps where seconds are given, and says so first."""
     if seconds:
-        print(f"{what} takes long", file=sys.stderr, flush=True)
+        sys.stderr.write(f"{what} takes long\n")
         time.sleep(seconds)
 
 

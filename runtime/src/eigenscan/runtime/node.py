@@ -15,9 +15,12 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TypeVar
 
+import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.health import Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
@@ -166,8 +169,9 @@ class Node:
 
     def _run_core(self) -> None:
         try:
+            opening = _open_meanwhile(self.settings.zenoh, self._mode)
             core = self._make_core()
-            bus = self._connect(core)
+            bus = self._connect(core, opening.result())
             self._say(bus, core.start())
             self._log.info("ready", site=self.settings.site, robot=self.settings.robot)
             self._loop(bus, core)
@@ -175,12 +179,12 @@ class Node:
             self._fault = error
         self._wake.set()
 
-    def _connect(self, core: Core) -> Bus:
+    def _connect(self, core: Core, session: zenoh.Session) -> Bus:
         settings = self.settings
         address = {"site": settings.site}
         if settings.robot != "*":
             address["robot"] = settings.robot
-        bus = self._bus = Bus(open_session(settings.zenoh, self._mode))
+        bus = self._bus = Bus(session)
         bus.offer(core.says, address)
         if self._whole_site and settings.robot == "*":
             bus.listen_all(core.hears, f"{settings.site}/**", self._inbox)
@@ -260,6 +264,20 @@ class Node:
         if now - self._warned_at.get(reason, -math.inf) >= 1.0:
             self._warned_at[reason] = now
             self._log.warning(reason, **context)
+
+
+def _open_meanwhile(path: Path | None, mode: str) -> Future[zenoh.Session]:
+    """A session that opens on a thread of its own: neighbours are looked for during half a second."""
+    opening: Future[zenoh.Session] = Future()
+
+    def run() -> None:
+        try:
+            opening.set_result(open_session(path, mode))
+        except BaseException as error:
+            opening.set_exception(error)
+
+    threading.Thread(target=run, name="session", daemon=True).start()
+    return opening
 
 
 def _package_version(service: str) -> str:

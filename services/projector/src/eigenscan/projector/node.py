@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from eigenscan.projector.core import ProjectorCore
+from typing import TYPE_CHECKING
+
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.warm_up import warm_up
 from eigenscan.runtime import node
+
+if TYPE_CHECKING:
+    from eigenscan.projector.core import ProjectorCore
 
 
 def main() -> None:
@@ -14,5 +17,10 @@ def main() -> None:
 
 
 def _make_core(settings: ProjectorSettings) -> ProjectorCore:
+    from eigenscan.projector.core import (
+        ProjectorCore,
+    )  # numba takes its time, and neighbours are found meanwhile
+    from eigenscan.projector.warm_up import warm_up
+
     warm_up(settings)
     return ProjectorCore(settings)

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from eigenscan.runtime.node import main as run
-from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+
+if TYPE_CHECKING:
+    from eigenscan.tracker.core import TrackerCore
 
 
 def main() -> None:
     """Entry point of `eigenscan-tracker`."""
-    run("tracker", TrackerSettings, TrackerCore)
+    run("tracker", TrackerSettings, _make_core)
+
+
+def _make_core(settings: TrackerSettings) -> TrackerCore:
+    from eigenscan.tracker.core import TrackerCore  # it takes its time, and neighbours are found meanwhile
+
+    return TrackerCore(settings)
