@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
 from eigenscan.cli.frame import UsageError
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def build(
     ] = None,
     frame_id: Annotated[str, typer.Option(help="name of the map frame")] = "map",
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=0, help="threads; 0: one a core")] = 0,
+    json_file: JsonFile = None,
 ) -> None:
     """Build the models of a map: regions, panoramas, eigenspaces, and a picture of them.
 
@@ -72,6 +74,7 @@ def build(
         threads=jobs or len(os.sched_getaffinity(0)),
     )
     check_place(out)
+    prepare(json_file)
     drawn = read_regions(regions) if regions else ()
     began = time.perf_counter()
     grid = read_map(map_file)
@@ -79,7 +82,7 @@ def build(
     site = _build(grid, plan, layout, map_file)
     took = time.perf_counter() - began
     write_models(site, out, draw_regions(site), to_geojson(outlines(layout.regions, layout.names), frame_id))
-    _summarize(site, out, out / PICTURE, took)
+    _summarize(site, out, out / PICTURE, took, json_file)
 
 
 def _lay_out(
@@ -117,18 +120,29 @@ def _build(grid: GridMap, plan: Plan, layout: Layout, map_file: Path) -> SiteMod
             raise UsageError(f"{map_file}: {error}") from error
 
 
-def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float) -> None:
+def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float, json_file: Path | None) -> None:
     import numpy as np
 
     message = site.to_message()
     shared = np.concatenate([model.index for model in site.regions])
     spacing = site.regions[0].spacing
     components = [len(model.space.eigenvalues) for model in site.regions]
+    figures = {
+        "regions": len(site.regions),
+        "free_area_m2": message.free_area_m2,
+        "positions": len(np.unique(shared, axis=0)),
+        "spacing_m": spacing,
+        "components": components,
+        "wire_bytes": sum(entry.size for entry in message.entries),
+        "build_s": seconds,
+        "version": message.version,
+        "model": str(folder),
+        "picture": str(picture),
+    }
     rows = {
         "regions": str(len(site.regions)),
         "free area": f"{message.free_area_m2:.0f} m²",
-        "positions": f"{len(np.unique(shared, axis=0))}, {spacing:g} m apart "
-        f"({len(shared)} with the regions' overlap)",
+        "positions": f"{figures['positions']}, {spacing:g} m apart ({len(shared)} with the regions' overlap)",
         "panoramas": f"{site.regions[0].ranges.shape[1]} beams each",
         "components": f"{min(components)} to {max(components)} a region",
         "on the wire": f"{sum(entry.size for entry in message.entries) / 1e6:.1f} MB",
@@ -137,5 +151,5 @@ def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float) -> 
         "models": str(folder),
         "picture": str(picture),
     }
-    for name, value in rows.items():
-        typer.echo(f"{name:<13} {value}")
+    say(rows, json_file)
+    write_figures(figures, json_file)

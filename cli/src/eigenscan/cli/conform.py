@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import FailedError, UsageError
 
 
@@ -20,7 +21,7 @@ def conform(
     ] = 0.2,
     start: Annotated[float, typer.Option(min=1.0, help="s that the program may take to be ready")] = 60.0,
     speed: Annotated[float, typer.Option(min=0.1, help="times faster than the drive was")] = 1.0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the results here, JSON")] = None,
+    json_file: JsonFile = None,
     junit_file: Annotated[
         Path | None, typer.Option("--junit", help="write the results here, JUnit XML")
     ] = None,
@@ -42,10 +43,12 @@ def conform(
     from eigenscan.cli.conformance.check import FAILED
     from eigenscan.cli.conformance.checks import judge
     from eigenscan.cli.conformance.profiles import PROFILES
-    from eigenscan.cli.conformance.report import as_json, junit, report
+    from eigenscan.cli.conformance.report import figures, junit, report
     from eigenscan.cli.conformance.trial import Observed, Terms, Trial
     from eigenscan.cli.launch.network import open_hub
 
+    for file in (json_file, junit_file):
+        prepare(file)
     profile = PROFILES.get(service)
     if profile is None:
         raise UsageError(f"{service}: there are {', '.join(PROFILES)}")
@@ -63,12 +66,13 @@ def conform(
         with Candidate(command, told, Path(place) / "log.txt") as candidate:
             trial.run(candidate)
     checks = judge(seen, latency)
-    typer.echo(report(seen, checks))
-    for path, text in ((json_file, as_json(seen, checks, command)), (junit_file, junit(seen, checks))):
-        if path:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
+    if wants_words(json_file):
+        typer.echo(report(seen, checks))
+    write_figures(figures(seen, checks, command), json_file)
+    if junit_file:
+        junit_file.write_text(junit(seen, checks), encoding="utf-8")
     failed = [check.name for check in checks if check.result == FAILED]
     if failed:
         raise FailedError(f"{command[0]} does not conform to {service}: {', '.join(failed)}")
-    typer.echo(f"{command[0]} conforms to {service}")
+    if wants_words(json_file):
+        typer.echo(f"{command[0]} conforms to {service}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import EXIT_FAILED, UsageError
 
 
@@ -25,6 +26,7 @@ def demo(
     speed: Annotated[float, typer.Option(min=0.1, max=20.0, help="times faster than real time")] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="of route, noise and people")] = 1,
     people: Annotated[int, typer.Option(min=0, help="people who walk about")] = 3,
+    json_file: JsonFile = None,
 ) -> None:
     """Watch a robot that knows nothing find itself, be carried away, and find itself again.
 
@@ -53,5 +55,11 @@ def demo(
         site=f"demo-{time.time_ns():x}",
     )
     grid = read_map(map_file) if map_file else office().render()
-    if not Demonstration(grid, scenario, folder, speed, viewer=not headless).run():
+    prepare(json_file)
+    demonstration = Demonstration(
+        grid, scenario, folder, speed, viewer=not headless, to_stderr=not wants_words(json_file)
+    )
+    found = demonstration.run()
+    write_figures(demonstration.figures or {"found": False}, json_file)
+    if not found:
         raise typer.Exit(EXIT_FAILED)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
@@ -31,7 +32,7 @@ def evaluate(
     kidnap: Annotated[
         bool, typer.Option("--kidnap", help="also jump to another window in the middle of each")
     ] = False,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write all figures here")] = None,
+    json_file: JsonFile = None,
     poses: Annotated[
         Path | None, typer.Option(help="write every pose of every window here, CSV; exact to the last bit")
     ] = None,
@@ -68,8 +69,6 @@ def evaluate(
         raise UsageError(f"--skip {unknown[0]}: there are {', '.join(PARTS)}")
     # before numpy is imported: CPU is process time on one core
     os.environ.update(dict.fromkeys(THREADS, "1"))
-    import json
-
     from eigenscan.cli.evaluation.course import Task
     from eigenscan.cli.evaluation.course import evaluate as run
     from eigenscan.cli.evaluation.progress import Bars
@@ -93,11 +92,9 @@ def evaluate(
         options=LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry),
     )
     for file in (json_file, poses):
-        if file:  # an unwritable file is an error now, not after the work
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.touch()
+        prepare(file)
     with Bars() as bars:
         figures = run(task, bars)
-    if json_file:
-        json_file.write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    show(figures, f"{log} on {map_file}", Console(width=None if sys.stdout.isatty() else 110))
+    write_figures(figures, json_file)
+    if wants_words(json_file):
+        show(figures, f"{log} on {map_file}", Console(width=None if sys.stdout.isatty() else 110))

@@ -66,6 +66,13 @@ def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
                 ctx.fail(f"no command {args[0]!r}; there are {', '.join(commands)}")
             return super().resolve_command(ctx, args)
 
+        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+            # people who meet an error add --debug where they are, at the end
+            own = args[: args.index("--")] if "--" in args else args
+            if "--debug" in own:
+                args = ["--debug", *(each for each in own if each != "--debug"), *args[len(own) :]]
+            return super().parse_args(ctx, args)
+
         def invoke(self, ctx: Any) -> Any:
             try:
                 return super().invoke(ctx)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
@@ -32,6 +33,7 @@ def import_log(
     ] = None,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
+    json_file: JsonFile = None,
 ) -> None:
     """Turn a log into the pipeline's own MCAP: raw scans and odometry, in order of their stamps.
 
@@ -47,11 +49,14 @@ def import_log(
     target = out or Path(_stem(log) + ".mcap")
     if target.resolve() == log.resolve():
         raise UsageError(f"-o {target}: is the log itself: name another file")
+    prepare(json_file)
     mounts = dict(_mount(text) for text in mount or ())
     options = LogOptions(site, robot, tuple(lidar or ()), odometry, base_frame, mounts)
     opened = open_log(log, options)
     summary = _write(opened, target)
-    summary.show(Console(), opened, target)
+    if wants_words(json_file):
+        summary.show(Console(), opened, target)
+    write_figures(summary.figures(opened, target), json_file)
 
 
 def _mount(text: str) -> tuple[str, Mount]:

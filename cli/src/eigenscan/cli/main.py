@@ -31,7 +31,7 @@ app = typer.Typer(
     name="eigenscan",
     cls=lazy_group(COMMANDS),
     help="Tells a robot with a 2D lidar where it is, from nothing.",
-    epilog="Exit codes: 0 done, 1 ran and failed, 2 wrong usage or bad input. "
+    epilog="Exit codes: 0 done, 1 ran and failed, 2 wrong usage or bad input, 130 ended by Ctrl-C. "
     "Start with: eigenscan demo. More on one command: eigenscan demo --help",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

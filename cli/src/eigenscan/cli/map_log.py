@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
@@ -33,6 +34,7 @@ def map_log(
     ] = None,
     odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
     robot: Annotated[str, typer.Option(help="robot whose scans count, in a recording")] = DEFAULT_ROBOT,
+    json_file: JsonFile = None,
 ) -> None:
     """Make a map of a log's scans, with its odometry or without any.
 
@@ -57,6 +59,7 @@ def map_log(
     if target.suffix not in (".yaml", ".yml"):
         raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
     check_installed()
+    prepare(json_file)
     options = LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry)
     began = time.perf_counter()
     with Bars() as bars:
@@ -68,7 +71,7 @@ def map_log(
     write_map(mapped.grid, target)
     target.with_suffix(".tum").write_text(scans.trajectory(mapped.numbers, mapped.poses), encoding="utf-8")
     target.with_suffix(".png").write_bytes(draw_way(mapped))
-    _summarize(scans, mapped, target, time.perf_counter() - began)
+    _summarize(scans, mapped, target, time.perf_counter() - began, json_file)
 
 
 def _steps(bars: Bars) -> Callable[[str, float], None]:
@@ -83,7 +86,7 @@ def _steps(bars: Bars) -> Callable[[str, float], None]:
     return moved
 
 
-def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float) -> None:
+def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float, json_file: Path | None) -> None:
     odometry = sum(sweep.odometry is not None for sweep in scans.sweeps)
     rows = {
         "scans": f"{len(mapped.numbers)} of {scans.heard} in the map, {odometry} with odometry",
@@ -95,8 +98,25 @@ def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float) -> No
         "trajectory": str(target.with_suffix(".tum")),
         "picture": str(target.with_suffix(".png")),
     }
-    for name, value in rows.items():
-        typer.echo(f"{name:<11} {value}")
+    say(rows, json_file)
+    figures = {
+        "scans_heard": scans.heard,
+        "scans_in_map": len(mapped.numbers),
+        "scans_with_odometry": odometry,
+        "way_m": mapped.way,
+        "log_s": scans.seconds,
+        "keyframes": mapped.keyframes,
+        "loop_closures": mapped.closures,
+        "loop_closures_rejected": mapped.rejected,
+        "odometry_jumps": mapped.jumps,
+        "stretches_not_joined": len(mapped.unjoined),
+        "free_area_m2": mapped.grid.free_area,
+        "build_s": seconds,
+        "map": str(target),
+        "trajectory": str(target.with_suffix(".tum")),
+        "picture": str(target.with_suffix(".png")),
+    }
+    write_figures(figures, json_file)
     if mapped.left_out or scans.set_aside:
         typer.echo(f"left out: {mapped.left_out} scans with too few walls{scans.set_aside}", err=True)
     if mapped.jumps:

@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, wants_words, write_figures
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from eigenscan.eigenspace.versions import Version
 
 
@@ -29,6 +32,7 @@ def models(
             help="the version, or how it begins; without it the newest older one", metavar="VERSION"
         ),
     ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """List the versions of a model folder, or put an older one in use again.
 
@@ -48,19 +52,24 @@ def models(
     if action is Action.LIST:
         if version is not None:
             raise UsageError(f"list takes no version, {version!r} was given: eigenscan models list {folder}")
-        for number, found in enumerate(versions(folder)):
-            _tell(found, in_use=number == 0)
+        _tell(versions(folder), json_file)
         return
     chosen = choose(versions(folder), version, folder)
     read_models(chosen.folder)  # a damaged one must not come into use
     replace(folder, chosen.folder)
-    _tell(versions(folder)[0], in_use=True)
+    _tell(versions(folder)[:1], json_file)
     typer.echo("a mapbuilder that runs publishes it after a restart", err=True)
 
 
-def _tell(version: Version, in_use: bool) -> None:
-    built = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(version.built))
-    typer.echo(
-        f"{'*' if in_use else ' '} {version.version[:12]}  {built}  {version.regions:4} regions  "
-        f"{version.free_area_m2:7.0f} m²  {version.wire_bytes / 1e6:6.1f} MB"
-    )
+def _tell(found: Sequence[Version], json_file: Path | None) -> None:
+    """The versions, the one in use first."""
+    figures = []
+    for number, version in enumerate(found):
+        if wants_words(json_file):
+            built = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(version.built))
+            typer.echo(
+                f"{' ' if number else '*'} {version.version[:12]}  {built}  {version.regions:4} regions  "
+                f"{version.free_area_m2:7.0f} m²  {version.wire_bytes / 1e6:6.1f} MB"
+            )
+        figures.append({**vars(version), "folder": str(version.folder), "in_use": number == 0})
+    write_figures(figures, json_file)

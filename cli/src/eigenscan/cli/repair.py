@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 
 
 def repair(
@@ -16,6 +17,7 @@ def repair(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MCAP to write; NAME.repaired.mcap beside it without")
     ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Save all that can be read of a recording whose recorder was killed, or whose disk was full or failed.
 
@@ -32,10 +34,13 @@ def repair(
     from eigenscan.runtime.repair import repair as save
 
     target = out or file.with_name(f"{file.stem}{REPAIRED}")
+    prepare(json_file)
     with _progress(file) as passed:
         found = None if is_sound(file, passed("looking")) else save(file, target, passed("saving"))
     if found is None:
-        typer.echo(f"{file}: is whole, nothing to repair")
+        if wants_words(json_file):
+            typer.echo(f"{file}: is whole, nothing to repair")
+        write_figures({"whole": True, "recording": str(file)}, json_file)
         return
     lost = [
         f"{found.lost_chunks} damaged chunks are lost" if found.lost_chunks else "",
@@ -43,7 +48,18 @@ def repair(
         "it breaks off" if found.cut else "",
     ]
     words = ", ".join(part for part in lost if part) or "its index was missing"
-    typer.echo(f"{target}: {found.messages} messages on {len(found.channels)} keys ({words})")
+    if wants_words(json_file):
+        typer.echo(f"{target}: {found.messages} messages on {len(found.channels)} keys ({words})")
+    figures = {
+        "whole": False,
+        "recording": str(target),
+        "messages": found.messages,
+        "keys": len(found.channels),
+        "lost_chunks": found.lost_chunks,
+        "lost_messages": found.lost_messages,
+        "cut": found.cut,
+    }
+    write_figures(figures, json_file)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import FailedError, UsageError
 
 
@@ -23,6 +24,7 @@ def replay_test(
         bool, typer.Option("--tolerant", help="let small numerical differences pass, as on another machine")
     ] = False,
     least: Annotated[int, typer.Option(min=1, help="messages that a test must compare")] = 10,
+    json_file: JsonFile = None,
 ) -> None:
     """Replay every recording of a folder into the services of today; they must say what they said then.
 
@@ -45,10 +47,14 @@ def replay_test(
             raise UsageError(f"--service {name}: there are {', '.join(CHOICES)}")
     if update and PIPELINE in (service or ()) and len(service or ()) > 1:
         raise UsageError(f"--update --service {PIPELINE}: alone, for it says what the others say")
+    for file in (json_file, junit_file):
+        prepare(file)
     files = suite.recordings(folder)
     plan = suite.Plan(tuple(service or ()), tolerant, least)
 
     def say(case: suite.Case) -> None:
+        if not wants_words(json_file):
+            return
         typer.echo(f"{case.result:9}  {case.recording.name}  {case.choice}: {case.line}")
         if case.result == suite.DIFFERENT:
             typer.echo("".join(f"    {line}\n" for line in case.text.splitlines()), nl=False)
@@ -61,8 +67,8 @@ def replay_test(
     else:
         cases = suite.run_all(files, plan, say)
     if junit_file:
-        junit_file.parent.mkdir(parents=True, exist_ok=True)
         junit_file.write_text(suite.junit(cases), encoding="utf-8")
+    write_figures([{**vars(case), "recording": str(case.recording)} for case in cases], json_file)
     different = sum(case.result == suite.DIFFERENT for case in cases)
     bad = sum(case.result == suite.BAD for case in cases)
     counted = f"{folder}: {different} different and {bad} bad of {len(cases)} tests"
@@ -70,4 +76,5 @@ def replay_test(
         raise FailedError(counted)
     if bad:
         raise UsageError(counted)
-    typer.echo(f"{folder}: all {len(cases)} the same" if not update else f"{folder}: {len(cases)} references")
+    if wants_words(json_file):
+        typer.echo(f"{folder}: {len(cases)} references" if update else f"{folder}: all {len(cases)} the same")

@@ -1,8 +1,7 @@
-"""The checks in words, as JSON, and as JUnit XML."""
+"""The checks in words, for scripts, and as JUnit XML."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,15 +25,14 @@ def report(seen: Observed, checks: Sequence[Check]) -> str:
     return "\n".join(lines)
 
 
-def as_json(seen: Observed, checks: Sequence[Check], command: Sequence[str]) -> str:
-    """The same for programs."""
-    document = {
+def figures(seen: Observed, checks: Sequence[Check], command: Sequence[str]) -> dict[str, object]:
+    """The same for scripts."""
+    return {
         "service": seen.profile.name,
         "command": list(command),
         "conforms": not any(check.result == FAILED for check in checks),
         "checks": [vars(check) for check in checks],
     }
-    return json.dumps(document, indent=2) + "\n"
 
 
 def junit(seen: Observed, checks: Sequence[Check]) -> str:

@@ -29,13 +29,25 @@ LAST_WORDS_S = 5.0
 
 
 class Demonstration:
-    """One run of the demo; all its files go to `folder`. Raises MapError where the robot fits nowhere."""
+    """One run of the demo; all its files go to `folder`. Raises MapError where the robot fits nowhere.
 
-    def __init__(self, grid: GridMap, scenario: Scenario, folder: Path, speed: float, viewer: bool) -> None:
+    `figures`: what became of it before and after the kidnap, once it ran to the end.
+    """
+
+    def __init__(
+        self,
+        grid: GridMap,
+        scenario: Scenario,
+        folder: Path,
+        speed: float,
+        viewer: bool,
+        to_stderr: bool = False,
+    ) -> None:
         self._stage = Stage(grid, scenario)
         self._folder, self._speed, self._viewer = folder, speed, viewer
         self._wake = Wake()
-        self._line = StatusLine()
+        self._line = StatusLine(to_stderr)
+        self.figures: dict[str, object] = {}
         self._told: int | None = None
         self._carried = False
 
@@ -152,7 +164,9 @@ class Demonstration:
         after = judge(sightings, self._kidnap, self._stage.scenario.seconds)
         files = [path for path in sorted(self._folder.iterdir()) if not path.name.startswith("zenoh")]
         self._line.say(summarize(before, after, self._kidnap, files))
-        return before.found and after.found
+        found = before.found and after.found
+        self.figures = {"found": found, "before": before.figures, "after": after.figures}
+        return found
 
     def _stay(self, supervisor: Supervisor) -> None:
         self._line.say("the viewer stays until Ctrl-C")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from eigenscan.geometry.circle import difference
@@ -63,6 +64,13 @@ class Stretch:
     def found(self) -> bool:
         """The robot was localized, rightly and to the end."""
         return self.found_after is not None
+
+    @property
+    def figures(self) -> dict[str, float | int | None]:
+        """The same for scripts: None where there is no number."""
+        return {
+            name: value if value is None or isfinite(value) else None for name, value in vars(self).items()
+        }
 
 
 def judge(sightings: Sequence[Sighting], start: float, end: float) -> Stretch:

@@ -79,6 +79,19 @@ class Summary:
                 console.print(f"{what.replace('_', ' ')}: {count}{hint}", highlight=False)
         console.print(f"wrote {target} ({target.stat().st_size / 1e6:.1f} MB)", highlight=False)
 
+    def figures(self, log: Log, target: Path) -> dict[str, object]:
+        """The same for scripts: by lidar and by channel."""
+        return {
+            "log": str(log.path),
+            "format": log.format,
+            "messages": {
+                name: {"count": row.messages, "seconds": row.seconds, "beams": sorted(row.beams)}
+                for name, row in sorted(self._rows.items())
+            },
+            "set_aside": {what: count for what, count in sorted(log.counters.items()) if count},
+            "recording": str(target),
+        }
+
 
 def _about(scan: RawScan) -> str:
     step = math.degrees(scan.angle_increment)

@@ -17,8 +17,8 @@ QUIET_PERIOD_S = 5.0
 class StatusLine:
     """One line that is rewritten on a terminal; elsewhere a line now and then."""
 
-    def __init__(self) -> None:
-        self.console = Console(highlight=False)
+    def __init__(self, to_stderr: bool = False) -> None:
+        self.console = Console(highlight=False, stderr=to_stderr)
         self._status = self.console.status("")
         self._due = 0.0
 

@@ -1,0 +1,50 @@
+"""What a command found: words for people, and JSON for scripts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+STDOUT = Path("-")
+
+JsonFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help="write the figures here, JSON; -: to standard output, nothing else there",
+    ),
+]
+
+
+def wants_words(target: Path | None) -> bool:
+    """Whether standard output is for people."""
+    return target != STDOUT
+
+
+def prepare(target: Path | None) -> None:
+    """Makes sure that `target` can be written: an error now, not after the work."""
+    if target is not None and wants_words(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.touch()
+
+
+def write_figures(figures: Any, target: Path | None) -> None:
+    """Writes what JSON can hold; finite numbers only."""
+    if target is None:
+        return
+    text = json.dumps(figures, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    if wants_words(target):
+        target.write_text(text, encoding="utf-8")
+    else:
+        typer.echo(text, nl=False)
+
+
+def say(rows: dict[str, str], target: Path | None) -> None:
+    """Prints names and values, a line each, where standard output is for people."""
+    if wants_words(target):
+        for name, value in rows.items():
+            typer.echo(f"{name:<13} {value}")
