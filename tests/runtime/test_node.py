@@ -240,6 +240,14 @@ def test_a_second_instance_of_the_same_name_is_noticed(net: Any, start: Callable
     second = start(config=net.leaf)
     assert "--instance" in str(first.log("duplicate_instance")["hint"])
     assert "--instance" in str(second.log("duplicate_instance")["hint"])
+    for service in (first, second):
+        status = service.log("status")
+        while "--instance" not in str(status["detail"]):
+            status = service.log("status")
+        assert status["status"] == "STATUS_DEGRADED"
+    second.process.kill()
+    while first.log("status")["status"] == "STATUS_DEGRADED":
+        pass
 
 
 def test_a_fault_of_the_user_is_one_line_and_code_2(

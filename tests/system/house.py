@@ -1,5 +1,6 @@
 """The services as processes on a router of their own, and what they are heard to say."""
 
+import csv
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 import zenoh
 from eigenscan.schemas.channels import HEALTH, find
 from eigenscan.schemas.envelope import Envelope
@@ -35,6 +37,13 @@ class Drive:
     recording: Path
     map: Path
     envelopes: list[Envelope]
+
+
+def reference(stamps: np.ndarray) -> np.ndarray:
+    """Positions (n, 2) of the log's reference at stamps (n,), ns."""
+    with (INTEL / "log.tum").open() as file:
+        rows = np.array([row[:3] for row in csv.reader(file, delimiter=" ") if row], dtype=float)
+    return np.column_stack([np.interp(stamps * 1e-9, rows[:, 0], rows[:, i]) for i in (1, 2)])
 
 
 @dataclass

@@ -14,7 +14,7 @@ from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
 
-from tests.system.house import Drive, House
+from tests.system.house import Drive, House, reference
 
 STOPS_WITHIN_S = 2.0
 ORDER = ("recorder", "mapbuilder", "projector", "tracker", "scan-ingest")
@@ -81,17 +81,45 @@ def test_each_service_may_be_killed_and_started_again(drive: Drive, models: Path
         say(house, SCAN_RAW, next(scans), lidar="front")
         house.start(victim, *(("--model", models) if victim == "mapbuilder" else ()))
         house.until("projector", ready, "has models")
-        drive_on(house, scans)
+        claims = drive_on(house, scans)
+        assert claims, f"not localized again within ten scans after {victim} was killed"
+        assert not wrong(claims)
         for service in ORDER:
             assert house.running[service].poll() is None, f"{service} ended\n{house.log(service)}"
 
 
-def drive_on(house: House, scans: Iterator[RawScan]) -> None:
-    """Says ten more scans; waits for poses of the first of them, and so for the whole way."""
+@pytest.mark.dataset
+@pytest.mark.parametrize(
+    "order", [ORDER, ORDER[::-1], ("projector", "scan-ingest", "recorder", "mapbuilder", "tracker")]
+)
+def test_the_services_start_in_any_order(
+    drive: Drive, models: Path, house: House, order: tuple[str, ...]
+) -> None:
+    flags = {"mapbuilder": ("--model", models), "recorder": ("--mcap", house.logs / "site.mcap")}
+    for service in order:
+        house.start(service, *flags.get(service, ()))
+    house.until("projector", ready, "has models")
+    claims = drive_on(house, iter(scans_of(drive, 10)))
+    assert claims
+    assert not wrong(claims)
+
+
+def drive_on(house: House, scans: Iterator[RawScan]) -> list[PoseEstimate]:
+    """Says ten more scans; the claims among their poses but the last, which may wait for another scan."""
     some = [next(scans) for _ in range(10)]
     for scan in some:
         say(house, SCAN_RAW, scan, lidar="front")
-    house.ear.wait_for(lambda _: last_pose(house) >= nanoseconds(some[2].timestamp), "poses")
+    first, last = nanoseconds(some[0].timestamp), nanoseconds(some[7].timestamp)
+    house.ear.wait_for(lambda _: last_pose(house) >= last, "poses")
+    poses = [pose for pose in house.ear.of(POSE, PoseEstimate) if nanoseconds(pose.timestamp) >= first]
+    return [pose for pose in poses if pose.state == STATE_LOCALIZED]
+
+
+def wrong(claims: list[PoseEstimate]) -> list[PoseEstimate]:
+    """Those more than half a metre from the log's reference."""
+    true = reference(np.array([nanoseconds(claim.timestamp) for claim in claims]))
+    away = np.hypot(*(np.array([[claim.pose.x, claim.pose.y] for claim in claims]) - true).T)
+    return [claim for claim, metres in zip(claims, away, strict=True) if metres > 0.5]
 
 
 def last_pose(house: House) -> int:

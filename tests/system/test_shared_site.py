@@ -1,6 +1,5 @@
 """Projectors that share a site's regions, with nothing but Zenoh between them and the tracker."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
-from tests.system.house import INTEL, Drive, House
+from tests.system.house import Drive, House, reference
 
 PARTS = 2
 
@@ -25,13 +24,6 @@ def ready_projectors(heard: list[Envelope]) -> bool:
         and e.open(Health).status == Health.STATUS_OK
     }
     return len(ok) == PARTS
-
-
-def reference(stamps: np.ndarray) -> np.ndarray:
-    """Positions (n, 2) of the log's reference at stamps (n,), ns."""
-    with (INTEL / "log.tum").open() as file:
-        rows = np.array([row[:3] for row in csv.reader(file, delimiter=" ") if row], dtype=float)
-    return np.column_stack([np.interp(stamps * 1e-9, rows[:, 0], rows[:, i]) for i in (1, 2)])
 
 
 @pytest.mark.dataset

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +20,11 @@ from prometheus_client.registry import Collector
 
 STALLED_AFTER_S = 10.0
 """A core that has not turned for this long makes /healthz fail."""
+
+
+TWIN_HINT = "give each instance of a service its own --instance"
+TWIN_FORGOTTEN_S = 3.0
+"""After so long without a word of another one of the same name it is taken for gone."""
 
 
 class _Counters(Collector):
@@ -54,6 +60,7 @@ class Monitor:
         self._condition = Condition(Health.STATUS_WAITING, "starting")
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
+        self._twin_heard = -math.inf
         self._registry = CollectorRegistry()
         self._registry.register(_Counters(self.condition))
         ProcessCollector(registry=self._registry)
@@ -80,13 +87,20 @@ class Monitor:
         before, self._condition = self._condition, condition
         return (before.status, before.detail) != (condition.status, condition.detail)
 
+    def hear_twin(self) -> None:
+        """Notes that another process speaks under this one's name."""
+        self._twin_heard = time.monotonic()
+
     def busy_s(self) -> float:
         """Seconds since the core turned last; 0 while it starts."""
         return 0.0 if self._turned is None else time.monotonic() - self._turned
 
     def condition(self) -> Condition:
-        """The core's condition; degraded where it has not turned for long."""
+        """The core's condition; degraded where it has not turned for long, or is there twice."""
         condition = self._condition
+        if time.monotonic() - self._twin_heard < TWIN_FORGOTTEN_S:
+            detail = f"another {self.service} is named {self.instance!r} too: {TWIN_HINT}"
+            return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
         if self.busy_s() > self._stalled_after_s:
             detail = f"no answer from the core for {self.busy_s():.0f} s"
             return Condition(Health.STATUS_DEGRADED, detail, condition.counters)

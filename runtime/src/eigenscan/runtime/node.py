@@ -22,7 +22,7 @@ from typing import TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
-from eigenscan.runtime.health import Monitor
+from eigenscan.runtime.health import TWIN_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.logs import configure
 from eigenscan.runtime.session import open_session
@@ -165,7 +165,8 @@ class Node:
             self._log.info("status", status=Health.Status.Name(health.status), detail=health.detail)
         if bus.twins > self._twins:
             self._twins = bus.twins
-            self._warn("duplicate_instance", hint="give each instance of a service its own --instance")
+            self._monitor.hear_twin()
+            self._warn("duplicate_instance", hint=TWIN_HINT)
 
     def _run_core(self) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -10,6 +11,13 @@ from eigenscan.schemas.channels import ContractError
 
 LOG_FILTER = "error,zenoh::net::routing=off"
 """Of Zenoh's own log, where RUST_LOG says nothing else; its routing takes a neighbour's end for an error."""
+
+URGENT_BATCHES = 16
+"""Zenoh's own 2 are full, and urgent messages dropped, whenever its thread gets no turn for two scans.
+
+A deeper queue makes nobody wait; a longer wait before a drop would, on a link that hangs.
+"""
+_QUEUE_SIZE = "transport/link/tx/queue/size"
 
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
@@ -29,6 +37,7 @@ def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
             config.insert_json5("mode", f'"{mode}"')
     except zenoh.ZError as error:
         raise ContractError(f"{path}: is no Zenoh configuration: {_reason(error)}") from error
+    _deepen_urgent_queues(config)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -36,6 +45,13 @@ def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
             f"{path or f'embedded {mode}'}: no Zenoh session: {_reason(error)}: "
             "check its listen and connect endpoints"
         ) from error
+
+
+def _deepen_urgent_queues(config: zenoh.Config) -> None:
+    """Unless the user's file has other sizes than Zenoh's own."""
+    if json.loads(config.get_json(_QUEUE_SIZE)) == json.loads(zenoh.Config().get_json(_QUEUE_SIZE)):
+        for priority in ("real_time", "interactive_high"):
+            config.insert_json5(f"{_QUEUE_SIZE}/{priority}", str(URGENT_BATCHES))
 
 
 def _reason(error: zenoh.ZError) -> str:
