@@ -17,7 +17,7 @@ PARTS = ("windows", "single-scans", "exhaustive", "memory")
 
 
 def evaluate(
-    log: Annotated[Path, typer.Option(help="log: CARMEN, ROS 1 or ROS 2 bag, MCAP")],
+    log: Annotated[Path, typer.Option(help="log: CARMEN, ROS 1 or ROS 2 bag, MCAP, CSV")],
     map_file: Annotated[Path, typer.Option("--map", help="map_server yaml")],
     ground_truth: Annotated[Path, typer.Option(help="reference, TUM: t x y z qx qy qz qw, base in the map")],
     windows: Annotated[

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def import_log(
-    log: Annotated[Path, typer.Argument(help="CARMEN log, ROS 1 bag, ROS 2 bag (folder or file) or MCAP")],
+    log: Annotated[Path, typer.Argument(help="CARMEN log, ROS 1 or ROS 2 bag (folder or file), MCAP or CSV")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MCAP to write; without it LOG's name with .mcap, here")
     ] = None,

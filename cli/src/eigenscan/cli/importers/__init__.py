@@ -34,7 +34,10 @@ def _file(path: Path) -> Opener:
     if start.startswith(b"\x89MCAP"):
         return _mcap
     from eigenscan.cli.importers.carmen import CarmenLog, looks_like_carmen
+    from eigenscan.cli.importers.csv_table import CsvLog, looks_like_csv
 
+    if looks_like_csv(path):
+        return CsvLog
     if looks_like_carmen(path):
         return CarmenLog
     raise _unknown(path, "is of no known format" if start else "is empty")
@@ -84,4 +87,7 @@ def _mcap(path: Path, options: LogOptions) -> Log:
 
 
 def _unknown(path: Path, what: str) -> LogError:
-    return LogError(f"{path}: {what}: give a CARMEN log (plain, .gz, .bz2), a ROS 1 or ROS 2 bag, or an MCAP")
+    return LogError(
+        f"{path}: {what}: give a CARMEN log (plain, .gz, .bz2), a ROS 1 or ROS 2 bag, an MCAP, "
+        "or a CSV with the column time_s"
+    )
