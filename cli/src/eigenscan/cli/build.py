@@ -23,7 +23,12 @@ if TYPE_CHECKING:
 
 
 def build(
-    map_file: Annotated[Path, typer.Argument(metavar="MAP.yaml", help="map_server yaml", show_default=False)],
+    map_file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP", help="map_server yaml, floor plan (.dxf, .svg) or image", show_default=False
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder to write the models to")],
     spacing: Annotated[float, typer.Option(min=0.05, max=5.0, help="m between positions")] = 0.5,
     step: Annotated[float, typer.Option(min=0.1, max=10.0, help="degrees between beams")] = 0.5,
@@ -36,12 +41,20 @@ def build(
     regions: Annotated[
         Path | None, typer.Option(help="GeoJSON of the regions, such as an edited MODEL/regions.geojson")
     ] = None,
+    metres_per_unit: Annotated[
+        float | None, typer.Option(min=1e-6, help="m that a drawing's unit is, or an image's pixel")
+    ] = None,
+    layer: Annotated[
+        list[str] | None,
+        typer.Option(help="layer (DXF) or group (SVG) of walls; repeat for more; default: all"),
+    ] = None,
     frame_id: Annotated[str, typer.Option(help="name of the map frame")] = "map",
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=0, help="threads; 0: one a core")] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Build the models of a map: regions, panoramas, eigenspaces, and a picture of them.
 
+    A floor plan's walls are its lines; what they enclose is free, doorways up to 1.2 m notwithstanding.
     Regions are found, or taken from GeoJSON: polygons in the map frame, m, property "name".
 
     \b
@@ -49,12 +62,14 @@ def build(
       eigenscan build MAP.yaml -o MODEL
       eigenscan build MAP.yaml -o MODEL --spacing 0.25
       eigenscan build MAP.yaml -o MODEL --regions ROOMS.geojson
+      eigenscan build plan.dxf -o MODEL --layer WALLS
+      eigenscan build plan.svg -o MODEL --metres-per-unit 0.01
       eigenscan run --map MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not frame_id:
         raise UsageError("--frame-id: give the map frame a name, such as map")
+    from eigenscan.cli.plans import PlanOptions, read_plan
     from eigenscan.eigenspace.folder import PICTURE, check_place, write_models
-    from eigenscan.geometry.gridmap import read_map
     from eigenscan.mapbuilder.drawn import outlines
     from eigenscan.mapbuilder.geojson import read_regions, to_geojson
     from eigenscan.mapbuilder.picture import draw_regions
@@ -77,7 +92,7 @@ def build(
     prepare(json_file)
     drawn = read_regions(regions) if regions else ()
     began = time.perf_counter()
-    grid = read_map(map_file)
+    grid = read_plan(map_file, PlanOptions(metres_per_unit, layer or ()))
     layout = _lay_out(grid, plan, drawn, map_file, regions)
     site = _build(grid, plan, layout, map_file)
     took = time.perf_counter() - began

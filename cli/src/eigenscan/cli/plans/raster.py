@@ -1,0 +1,80 @@
+"""Walls drawn as lines become cells: walls occupied, what they enclose free, what is outside unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+from scipy.ndimage import distance_transform_edt, label, maximum
+
+Array = NDArray[np.float64]
+
+DOORWAY = 1.2
+"""m: an opening no wider than this does not let the outside in."""
+ROOM = 0.5
+"""m: what nowhere is so far from its walls is the inside of a wall, a pillar or a table, and no room."""
+MARGIN = 2.0
+"""m of outside around the drawing: more than half a doorway, so that the outside goes around it."""
+MOST_CELLS = 400_000_000
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Lines (n, 2) in m, y up; `filled` are closed and solid inside."""
+
+    lines: Sequence[Array]
+    filled: Sequence[Array] = ()
+
+
+def rasterize(path: Path, walls: Walls, resolution: float) -> GridMap:
+    """The map of `walls`, its frame that of the drawing. Raises MapError where nothing is enclosed."""
+    drawn = [line for line in (*walls.lines, *walls.filled) if len(line) > 1]
+    if not drawn:
+        raise MapError(f"{path}: no wall in it: check --layer")
+    points = np.concatenate(drawn)
+    low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
+    width, height = np.ceil((high - low) / resolution).astype(np.int64).tolist()
+    if not np.isfinite(points).all() or width * height > MOST_CELLS:
+        wide, deep = high - low
+        raise MapError(f"{path}: {wide:.0f} m by {deep:.0f} m: too large: check --metres-per-unit")
+    wall = _draw(walls, low, resolution, (width, height))
+    clear = distance_transform_edt(~wall) * resolution
+    inside = ~wall & ~_outside(clear, resolution)
+    parts, count = label(inside)
+    if count:
+        roomy = np.concatenate([[False], maximum(clear, parts, np.arange(1, count + 1)) >= ROOM])
+        wall |= inside & ~roomy[parts]
+        inside &= roomy[parts]
+    if not inside.any():
+        wide, deep = high - low - 2 * MARGIN
+        raise MapError(
+            f"{path}: its walls, {wide:.1f} m by {deep:.1f} m, enclose nothing: check "
+            f"--metres-per-unit, and close outer walls that are open by more than {DOORWAY} m"
+        )
+    cells = np.full(wall.shape, UNKNOWN, dtype=np.uint8)
+    cells[inside], cells[wall] = FREE, OCCUPIED
+    return GridMap(cells, resolution, np.array([*low, 0.0]))
+
+
+def _draw(walls: Walls, low: Array, resolution: float, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Cells (H, W) on walls, row 0 lowest; lines are two cells wide, so that no ray slips through."""
+    image = Image.new("1", size)
+    pen = ImageDraw.Draw(image)
+    for line in walls.lines:
+        pen.line([*((line - low) / resolution).ravel().tolist()], fill=1, width=2)
+    for outline in walls.filled:
+        pen.polygon([*((outline - low) / resolution).ravel().tolist()], fill=1, outline=1)
+    drawn: NDArray[np.bool_] = np.array(image, dtype=np.bool_)
+    return drawn
+
+
+def _outside(clear: Array, resolution: float) -> NDArray[np.bool_]:
+    """Where one comes from the edge without passing a doorway; `clear` (H, W): m to the nearest wall."""
+    parts, _ = label(clear > DOORWAY / 2)
+    outside: NDArray[np.bool_] = distance_transform_edt(parts != parts[0, 0]) * resolution <= DOORWAY / 2
+    return outside
