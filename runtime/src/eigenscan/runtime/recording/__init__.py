@@ -1,0 +1,29 @@
+"""The pipeline's own MCAP: a channel per key, protobuf schemas in the file, zstd chunks, indexed."""
+
+from eigenscan.runtime.recording.contents import (
+    Contents,
+    contents,
+    is_complete,
+    message_count,
+    read_metadata,
+)
+from eigenscan.runtime.recording.files import DAMAGE, REPAIRED, RecordingError, WholeReads, parts
+from eigenscan.runtime.recording.reading import Record, read
+from eigenscan.runtime.recording.writing import PROFILE, RecordingWriter
+
+__all__ = [
+    "DAMAGE",
+    "PROFILE",
+    "REPAIRED",
+    "Contents",
+    "Record",
+    "RecordingError",
+    "RecordingWriter",
+    "WholeReads",
+    "contents",
+    "is_complete",
+    "message_count",
+    "parts",
+    "read",
+    "read_metadata",
+]

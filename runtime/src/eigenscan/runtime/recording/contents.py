@@ -1,0 +1,107 @@
+"""What a recording holds, told without reading all of it where there is an index."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from eigenscan.runtime.recording.files import is_indexed, messages, opened, parts
+from eigenscan.schemas.channels import Channel, find
+from mcap.reader import make_reader
+
+LAST = 2**64 - 1
+"""The last log time that an MCAP can hold."""
+
+
+@dataclass
+class Contents:
+    """Keys of a recording and its span; of messages that are not ours only their number."""
+
+    begin: int = LAST
+    end: int = 0
+    """Log times of the first and the last message, ns since the epoch; where there is none, begin > end."""
+    counts: Counter[str] = field(default_factory=Counter)
+    """Messages by key."""
+    foreign: Counter[str] = field(default_factory=Counter)
+    """Messages by topics that are no keys of the contract."""
+    complete: bool = True
+    """Whether the writer closed every file."""
+
+    @property
+    def messages(self) -> int:
+        """Number of all messages."""
+        return self.counts.total() + self.foreign.total()
+
+    @property
+    def robots(self) -> list[str]:
+        """Names of the robots that keys tell of, sorted."""
+        addresses = (found[1] for found in map(find, self.counts) if found)
+        return sorted({address["robot"] for address in addresses if "robot" in address})
+
+    def keys_of(self, channel: Channel) -> list[str]:
+        """The keys of one channel."""
+        return [key for key in self.counts if channel.parse(key)]
+
+    def add(self, topic: str, count: int) -> None:
+        """Counts messages on a topic."""
+        (self.counts if find(topic) else self.foreign)[topic] += count
+
+    def span(self, begin: int, end: int) -> None:
+        """Widens the span."""
+        self.begin = min(self.begin, begin)
+        self.end = max(self.end, end)
+
+
+def contents(path: Path) -> Contents:
+    """Of a file, or of all in a folder. Where a writer was killed it is read through, without decoding.
+
+    Raises RecordingError where a file is missing, no MCAP, or damaged.
+    """
+    found = Contents()
+    for part in parts(path):
+        _add(found, part)
+    return found
+
+
+def _add(found: Contents, path: Path) -> None:
+    with opened(path) as file:
+        if not is_indexed(file):
+            found.complete = False
+        else:
+            summary = make_reader(file).get_summary()
+            statistics = summary.statistics if summary else None
+            if summary and statistics:
+                for number, count in statistics.channel_message_counts.items():
+                    found.add(summary.channels[number].topic, count)
+                if statistics.message_count:
+                    found.span(statistics.message_start_time, statistics.message_end_time)
+                return
+        file.seek(0)
+        for _, channel, message in messages(file):
+            found.add(channel.topic, 1)
+            found.span(message.log_time, message.log_time)
+
+
+def is_complete(path: Path) -> bool:
+    """Whether the file was closed by its writer. Raises RecordingError where it cannot be read at all."""
+    for part in parts(path):
+        with opened(part) as file:
+            if not is_indexed(file):
+                return False
+            make_reader(file).get_summary()
+    return True
+
+
+def message_count(path: Path) -> int | None:
+    """Number of messages by the index; None where the writer was killed before it wrote one.
+
+    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    """
+    return contents(path).messages if is_complete(path) else None
+
+
+def read_metadata(path: Path) -> dict[str, dict[str, str]]:
+    """Metadata records by name; of a folder, of its first file. Raises RecordingError."""
+    with opened(parts(path)[0]) as file:
+        return {entry.name: dict(entry.metadata) for entry in make_reader(file).iter_metadata()}

@@ -1,0 +1,109 @@
+"""The files of a recording, whole, cut or damaged."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, cast
+
+from eigenscan.schemas.channels import ContractError
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Channel, Message, Schema
+from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
+
+REPAIRED = ".repaired.mcap"
+"""How the name of a repaired copy ends."""
+DAMAGE = (
+    McapError,
+    ContractError,
+    ZstdError,
+    struct.error,
+    ValueError,
+    KeyError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,  # of lz4
+)
+"""What reading a damaged file may raise."""
+
+Raw = tuple[Schema | None, Channel, Message]
+
+
+class RecordingError(ValueError):
+    """A file that is no readable recording; the message names it."""
+
+
+class WholeReads:
+    """A file whose reads give all that was asked for; `mcap` takes a cut chunk for a whole one."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def read(self, size: int) -> bytes:
+        """`size` bytes. Raises EndOfFile where there are fewer."""
+        data = self._file.read(size)
+        if len(data) < size:
+            raise EndOfFile
+        return data
+
+
+def parts(path: Path) -> list[Path]:
+    """The files of a recording: itself, or those of a folder that a recorder filled.
+
+    Of a file and its repaired copy only the copy counts. Raises RecordingError for a folder without any.
+    """
+    if not path.is_dir():
+        return [path]
+    files = {file.name: file for file in sorted(path.glob("*.mcap")) if not file.match("*.reference.mcap")}
+    for name in list(files):
+        if name.endswith(REPAIRED):
+            files.pop(f"{name.removesuffix(REPAIRED)}.mcap", None)
+    if not files:
+        raise RecordingError(f"{path}: is a folder that holds no .mcap")
+    return list(files.values())
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[IO[bytes]]:
+    """The file at `path`. Raises RecordingError where it, or what is read of it, is missing or damaged."""
+    try:
+        with path.open("rb") as file:
+            yield file
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except DAMAGE as error:
+        raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def is_indexed(file: IO[bytes]) -> bool:
+    """Whether the file ends as an MCAP; raises InvalidMagic where it does not start as one."""
+    start = file.read(len(MCAP0_MAGIC))
+    if start != MCAP0_MAGIC:
+        raise InvalidMagic(start)
+    rest = file.seek(0, os.SEEK_END) - len(MCAP0_MAGIC)
+    file.seek(-min(rest, len(MCAP0_MAGIC)), os.SEEK_END)
+    end = file.read()
+    file.seek(0)
+    return end == MCAP0_MAGIC
+
+
+def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iterator[Raw]:
+    """Messages from log time `begin`, ns, on; of the topics `early` also those before.
+
+    In order of log time where there is an index; else in order of the file, up to its last whole chunk,
+    and all of them.
+    """
+    if not is_indexed(file):
+        whole = cast(IO[bytes], WholeReads(file))
+        with suppress(EndOfFile):
+            yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
+        return
+    reader, topics = make_reader(file, validate_crcs=True), list(early)
+    if topics and begin:
+        yield from reader.iter_messages(topics=topics, ending_before=begin)
+    yield from reader.iter_messages(starting_at=begin)

@@ -1,0 +1,118 @@
+"""Reads recordings: one file, or the files that a recorder filled one after the other."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from eigenscan.runtime.recording.contents import contents
+from eigenscan.runtime.recording.files import Raw, is_indexed, messages, opened, parts
+from eigenscan.schemas.channels import CONTRACT_VERSION, find
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.wire import decode, encode
+from mcap.reader import make_reader
+from mcap.records import Channel, Schema
+
+
+@dataclass(frozen=True)
+class Record:
+    """One message of a recording. Times are ns since the epoch."""
+
+    envelope: Envelope
+    log_time: int
+    publish_time: int
+    size: int
+
+
+def read(path: Path, begin: int = 0) -> Iterator[Record]:
+    """Messages of our channels, of one file or of all in a folder; what is not ours is skipped.
+
+    In order of log time, by the index; from log time `begin` (ns) on, after the newest message before it
+    of each latched key. What a rotated file repeats at its start is left out.
+    Where the writer was killed and there is no index: in order of the
+    file, up to its last whole chunk (see `is_complete`).
+    Raises RecordingError where the file is missing, no MCAP, or damaged, or holds another schema or contract
+    version on one of our keys.
+    """
+    if not path.is_dir():
+        yield from _read_file(path, begin)
+        return
+    latched: dict[str, bytes] = {}
+    for record in _merged(parts(path), begin):
+        if record.envelope.channel.qos.latched:
+            key, payload = record.envelope.key, encode(record.envelope.message)
+            if latched.get(key) == payload:
+                continue
+            latched[key] = payload
+        yield record
+
+
+def _merged(files: list[Path], begin: int) -> Iterator[Record]:
+    """The records of all files by log time. A file is opened when its time has come, and closed after it."""
+    waiting = sorted(((contents(file).begin, number) for number, file in enumerate(files)), reverse=True)
+    running: list[tuple[int, int, Record, Iterator[Record]]] = []
+
+    def advance(number: int, records: Iterator[Record]) -> None:
+        record = next(records, None)
+        if record is not None:
+            heapq.heappush(running, (record.log_time, number, record, records))
+
+    while waiting or running:
+        while waiting and (not running or waiting[-1][0] <= running[0][0]):
+            number = waiting.pop()[1]
+            advance(number, _read_file(files[number], begin))
+        if running:
+            _, number, record, records = heapq.heappop(running)
+            yield record
+            advance(number, records)
+
+
+def _read_file(path: Path, begin: int) -> Iterator[Record]:
+    with opened(path) as file:
+        early = _latched_topics(path) if begin else ()
+        held: dict[str, Raw] = {}
+        for raw in messages(file, begin, early):
+            _, channel, message = raw
+            found = find(channel.topic)
+            if found is None:
+                continue
+            if message.log_time >= begin:
+                yield from _records(held)
+                yield _record(raw)
+            elif found[0].qos.latched:
+                held.pop(channel.topic, None)  # so that the order stays that of time
+                held[channel.topic] = raw
+        yield from _records(held)
+
+
+def _records(held: dict[str, Raw]) -> Iterator[Record]:
+    """The records of what is held, which is empty after it."""
+    for raw in held.values():
+        yield _record(raw)
+    held.clear()
+
+
+def _record(raw: Raw) -> Record:
+    schema, channel, message = raw
+    found = find(channel.topic)
+    assert found is not None
+    payload = decode(found[0], message.data, _declared(schema, channel))
+    return Record(
+        Envelope(found[0], found[1], payload), message.log_time, message.publish_time, len(message.data)
+    )
+
+
+def _declared(schema: Schema | None, channel: Channel) -> str:
+    """Encoding that the file declares for a channel, as it would read over Zenoh."""
+    contract = channel.metadata.get("contract", str(CONTRACT_VERSION))
+    return f"application/{channel.message_encoding};{schema.name}/{contract}" if schema else ""
+
+
+def _latched_topics(path: Path) -> list[str]:
+    with opened(path) as file:
+        summary = make_reader(file).get_summary() if is_indexed(file) else None
+        topics = [channel.topic for channel in summary.channels.values()] if summary else []
+    found = [(topic, find(topic)) for topic in topics]
+    return [topic for topic, one in found if one and one[0].qos.latched]

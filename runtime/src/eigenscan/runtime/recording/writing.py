@@ -1,0 +1,133 @@
+"""Writes recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from eigenscan.schemas.channels import CONTRACT_VERSION, Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.wire import encode
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message
+from mcap.writer import CompressionType, Writer
+
+PROFILE = "eigenscan"
+CHUNK_BYTES = 256 * 1024
+
+
+class RecordingWriter:
+    """Writes envelopes to one MCAP file. Close it (or use `with`), else it has no index."""
+
+    def __init__(self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self._file: IO[bytes] = path.open("wb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile=PROFILE, library="eigenscan")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequence: dict[str, int] = {}
+        for name, entries in (metadata or {}).items():
+            self._writer.add_metadata(name, dict(entries))
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def write(self, envelope: Envelope, log_time: int, publish_time: int | None = None) -> None:
+        """Adds a message. `publish_time` is `log_time` where it is not known."""
+        self.write_bytes(envelope.channel, envelope.key, encode(envelope.message), log_time, publish_time)
+
+    def write_bytes(
+        self,
+        channel: Channel,
+        key: str,
+        payload: bytes,
+        log_time: int,
+        publish_time: int | None = None,
+    ) -> None:
+        """Adds a message that is already encoded."""
+        number = self._sequence.get(key, 0)
+        self._sequence[key] = number + 1
+        self._writer.add_message(
+            channel_id=self._channel(channel, key),
+            log_time=log_time,
+            publish_time=log_time if publish_time is None else publish_time,
+            sequence=number,
+            data=payload,
+        )
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far, without the chunk in progress."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Ends the chunk in progress and hands it to the operating system: a kill loses nothing before.
+
+        Each flush costs some compression; once a second is cheap.
+        """
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Writes the index and closes the file."""
+        if not self._file.closed:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Closes the file as it is, after a write that failed: without an index, but readable."""
+        # closing writes what is buffered, which fails for the same reason
+        with suppress(OSError):
+            self._file.close()
+
+    def _channel(self, channel: Channel, key: str) -> int:
+        if key not in self._channels:
+            name = channel.schema_name
+            if name not in self._schemas:
+                self._schemas[name] = self._writer.register_schema(
+                    name, "protobuf", _descriptors(channel.message)
+                )
+            qos = channel.qos
+            self._channels[key] = self._writer.register_channel(
+                topic=key,
+                message_encoding="protobuf",
+                schema_id=self._schemas[name],
+                metadata={
+                    "contract": str(CONTRACT_VERSION),
+                    "channel": channel.name,
+                    "priority": qos.priority.value,
+                    "block": str(qos.block).lower(),
+                    "latched": str(qos.latched).lower(),
+                },
+            )
+        return self._channels[key]
+
+
+def _descriptors(message: type[Message]) -> bytes:
+    """FileDescriptorSet of a message and all that it imports, dependencies first."""
+    ordered: dict[str, Any] = {}
+
+    def visit(file: Any) -> None:
+        if file.name in ordered:
+            return
+        for needed in file.dependencies:
+            visit(needed)
+        ordered[file.name] = file
+
+    visit(message.DESCRIPTOR.file)
+    result = FileDescriptorSet()
+    for file in ordered.values():
+        file.CopyToProto(result.file.add())
+    return bytes(result.SerializeToString())
