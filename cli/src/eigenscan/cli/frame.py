@@ -43,7 +43,10 @@ def one_line(error: Exception) -> str:
 
 
 def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
-    """Group over name -> (`module:function`, one line of help); a module is imported when it is used."""
+    """Group over name -> (`module:function`, one line of help); a module is imported when it is used.
+
+    A module's table of that form in place of a function is a group within the group.
+    """
 
     class LazyGroup(TyperGroup):
         def list_commands(self, _ctx: Any) -> list[str]:
@@ -53,8 +56,20 @@ def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
             if cmd_name not in commands:
                 return None
             module, _, function = commands[cmd_name][0].partition(":")
+            target = getattr(importlib.import_module(module), function)
+            if isinstance(target, Mapping):
+                group = typer.Typer(
+                    name=cmd_name,
+                    cls=lazy_group(target),
+                    help=commands[cmd_name][1],
+                    no_args_is_help=True,
+                    add_completion=False,
+                    rich_markup_mode=None,
+                )
+                group.callback()(lambda: None)
+                return typer.main.get_command(group)
             single = typer.Typer(rich_markup_mode=None, add_completion=False)
-            single.command(cmd_name)(getattr(importlib.import_module(module), function))
+            single.command(cmd_name)(target)
             return typer.main.get_command(single)
 
         def format_commands(self, _ctx: Any, formatter: Any) -> None:
@@ -78,15 +93,17 @@ def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
                 return super().invoke(ctx)
             except Exception as error:
                 # the frame's own exceptions (usage, Exit, Abort) are for typer
-                if ctx.params.get("debug") or type(error).__module__.startswith("typer."):
+                if ctx.find_root().params.get("debug") or type(error).__module__.startswith("typer."):
                     raise
+                names = [ctx.info_name] if ctx.parent else []
+                command = " ".join(["eigenscan", *filter(None, names), ctx.invoked_subcommand or "?"])
                 if isinstance(error, FailedError):
-                    typer.echo(f"eigenscan {ctx.invoked_subcommand}: {error}", err=True)
+                    typer.echo(f"{command}: {error}", err=True)
                     raise typer.Exit(EXIT_FAILED) from None
                 expected = by_users(error)
                 line = one_line(error) if expected else f"{type(error).__name__}: {one_line(error)}"
                 hint = "" if expected else " (a fault of ours; eigenscan --debug shows the trace)"
-                typer.echo(f"eigenscan {ctx.invoked_subcommand or '?'}: {line}{hint}", err=True)
+                typer.echo(f"{command}: {line}{hint}", err=True)
                 raise typer.Exit(EXIT_USAGE if expected else EXIT_FAILED) from None
 
     return LazyGroup

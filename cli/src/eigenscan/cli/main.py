@@ -24,6 +24,8 @@ COMMANDS = {
     "repair": ("eigenscan.cli.repair:repair", "save what can be read of a recording that was cut or damaged"),
     "view": ("eigenscan.cli.view:view", "look at a recording in Rerun's web viewer"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
+    "doctor": ("eigenscan.cli.doctor:doctor", "find what is wrong with a deployment, and how to mend it"),
+    "fleet": ("eigenscan.cli.fleet:COMMANDS", "many robots on one site"),
 }
 """Name: `module:function` and one line of help. A module is imported when its command is used."""
 

@@ -1,0 +1,74 @@
+"""`eigenscan doctor`: what is wrong with a deployment, and how to mend it."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.frame import EXIT_FAILED
+from eigenscan.schemas.channels import DEFAULT_SITE
+
+if TYPE_CHECKING:
+    from eigenscan.cli.fleet.diagnosis import Finding
+
+LEAST_FREE_MB = 1000
+"""Of this machine's disk, below which a recorder on it soon ends."""
+
+
+def doctor(
+    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
+    robot: Annotated[
+        list[str] | None, typer.Option(help="a robot that must be there; may be given often")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="listen so long")] = 5.0,
+    json_file: JsonFile = None,
+) -> None:
+    """Find what is wrong with a deployment: a line for each fault, and one that says how to mend it.
+
+    It listens only, and so may be run on a site at work. Exit code 0: all is well, 1: it found faults.
+
+    \b
+    Examples:
+      eigenscan doctor --site hospital --zenoh deploy/site.json5
+      eigenscan doctor --site hospital --robot r1 --robot r2 --json -
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    found = [*_of_this_machine(), *_of_the_site(site, zenoh, tuple(robot or ()), seconds)]
+    if wants_words(json_file):
+        for finding in found:
+            typer.echo(f"{finding.where}: {finding.what}\n    mend: {finding.mend}")
+        typer.echo(f"{len(found)} found" if found else f"all is well on site {site}")
+    write_figures([asdict(finding) for finding in found], json_file)
+    if found:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds: float) -> list[Finding]:
+    from eigenscan.cli.fleet.connection import NoRouterError, connect
+    from eigenscan.cli.fleet.diagnosis import Finding, diagnose
+    from eigenscan.cli.fleet.status import listen
+    from eigenscan.cli.fleet.view import FleetView
+
+    try:
+        session = connect(zenoh)
+    except NoRouterError as error:
+        what, _, mend = str(error).partition(": ")
+        return [Finding("router", what, mend)]
+    with FleetView(session, site) as view:
+        listen(view, seconds)
+        return diagnose(view, robots)
+
+
+def _of_this_machine() -> list[Finding]:
+    from eigenscan.cli.fleet.diagnosis import Finding
+
+    free = shutil.disk_usage(Path.cwd()).free // 1_000_000
+    if free >= LEAST_FREE_MB:
+        return []
+    return [
+        Finding("this machine", f"{free} MB of disk are left", "delete old recordings, or lower budget_mb")
+    ]

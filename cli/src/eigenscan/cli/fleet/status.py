@@ -1,0 +1,157 @@
+"""`eigenscan fleet status`: a live table of all robots of a site."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.schemas.channels import DEFAULT_SITE
+
+if TYPE_CHECKING:
+    from eigenscan.cli.fleet.view import FleetView, Service
+    from rich.table import Table
+
+OLD_S = 3.0
+"""What is older than this is shown as old: nobody may act on it."""
+REFRESH_S = 0.5
+
+
+def status(
+    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
+    once: Annotated[bool, typer.Option("--once", help="listen for a while, print the table, end")] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="with --once or --json: listen so long")] = 3.0,
+    json_file: JsonFile = None,
+) -> None:
+    """Show each robot of a site: state, confidence, place, map, and how old that is. Ctrl-C ends it.
+
+    Ages count from when the word arrived here, so they hold whatever the robots' clocks say.
+
+    \b
+    Examples:
+      eigenscan fleet status --site hospital --zenoh deploy/site.json5
+      eigenscan fleet status --site hospital --once
+      eigenscan fleet status --site hospital --json - | jq '.robots[] | select(.state != "localized")'
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.fleet.connection import connect
+    from eigenscan.cli.fleet.view import FleetView
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console()
+    with FleetView(connect(zenoh), site) as view:
+        if once or json_file is not None:
+            listen(view, seconds)
+            if wants_words(json_file):
+                console.print(table(view))
+            write_figures({"site": site, "model": view.model_version, "robots": rows(view)}, json_file)
+            return
+        with Live(table(view), console=console, auto_refresh=False) as live:
+            try:
+                while True:
+                    listen(view, REFRESH_S)
+                    live.update(table(view), refresh=True)
+            except KeyboardInterrupt:
+                return
+
+
+def listen(view: FleetView, seconds: float) -> None:
+    """Takes in what comes within `seconds`."""
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        time.sleep(min(left, 0.1))
+        view.update()
+
+
+def rows(view: FleetView) -> list[dict[str, Any]]:
+    """A row for each robot, by name."""
+    now = time.monotonic()
+    return [_row(view, name, now) for name in view.robot_names()]
+
+
+def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
+    from eigenscan.cli.launch.screen import state_name
+
+    robot = view.robots.get(name)
+    serving = [service for service in view.serving(name) if service.contracts]
+    row: dict[str, Any] = {
+        "robot": name,
+        "state": "unknown",
+        "confidence": None,
+        "x": None,
+        "y": None,
+        "model": "",
+        "pose_age_s": None,
+        "services": {service.name: service.status for service in serving},
+        "drops": sum(sum(service.drops.values()) for service in serving),
+        "clock_offset_s": _clock(serving),
+    }
+    if robot is not None and robot.pose is not None:
+        pose = robot.pose
+        row |= {
+            "state": state_name(pose.state),
+            "confidence": round(pose.confidence, 3),
+            "x": round(pose.pose.x, 3),
+            "y": round(pose.pose.y, 3),
+            "model": pose.model_version,
+            "pose_age_s": round(now - robot.heard_at, 2),
+        }
+    return row
+
+
+def _clock(serving: list[Service]) -> float | None:
+    offsets = [each.clock_offset_s for each in serving if each.clock_offset_s is not None]
+    return round(max(offsets, key=math.fabs), 2) if offsets else None
+
+
+def table(view: FleetView) -> Table:
+    """The rows for people: what needs a person is red or yellow, and says what it is."""
+    from rich.table import Table
+
+    found = rows(view)
+    sure = sum(row["state"] == "localized" and (row["pose_age_s"] or 0) <= OLD_S for row in found)
+    shown = Table(title=f"site {view.site}: {sure} of {len(found)} robots localized", title_justify="left")
+    for heading in ("robot", "state", "confidence", "x, y (m)", "age", "map", "services", "drops", "clock"):
+        shown.add_column(heading, justify="right" if heading in ("confidence", "age", "drops") else "left")
+    for row in found:
+        shown.add_row(*_cells(row, view.model_version))
+    return shown
+
+
+def _cells(row: dict[str, Any], newest: str) -> list[str]:
+    age, offset = row["pose_age_s"], row["clock_offset_s"]
+    old = age is not None and age > OLD_S
+    colour = "red" if old or row["state"] in ("lost", "unknown") else _COLOURS.get(row["state"], "yellow")
+    state = f"[{colour}]{'was ' if old else ''}{row['state']}[/]"
+    place = "" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}"
+    model = row["model"][:8]
+    if newest and model and row["model"] != newest:
+        model = f"[yellow]{model} old[/]"
+    drops = f"[yellow]{row['drops']}[/]" if row["drops"] else "0"
+    clock = "" if offset is None else (f"[red]{offset:+.0f} s[/]" if abs(offset) > OLD_S else "ok")
+    confidence = "" if row["confidence"] is None else f"{row['confidence']:.2f}"
+    return [row["robot"], state, confidence, place, age_text(age), model, _services(row), drops, clock]
+
+
+_COLOURS = {"localized": "green", "ambiguous": "yellow"}
+
+
+def _services(row: dict[str, Any]) -> str:
+    from eigenscan.cli.fleet.view import ROBOT_SERVICES
+
+    troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
+    troubles += [f"[yellow]{name} {word}[/]" for name, word in row["services"].items() if word != "ok"]
+    return ", ".join(troubles) or "ok"
+
+
+def age_text(seconds: float | None) -> str:
+    """An age as people read it; empty where there is none."""
+    if seconds is None:
+        return ""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"

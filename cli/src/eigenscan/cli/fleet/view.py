@@ -1,0 +1,144 @@
+"""What a site's robots and services say of themselves, and how long ago each was heard."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import zenoh
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, MODEL_SET, POSE, ContractError
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.schemas.wire import decode
+
+ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
+"""What each robot needs, on it or for all robots at once (robot *)."""
+
+
+@dataclass
+class Service:
+    """One instance of a service; times are monotonic, s."""
+
+    name: str
+    instance: str
+    contracts: set[str] = field(default_factory=set)
+    """Versions of the contract in its liveliness tokens; empty: it is not there (any more)."""
+    health: Health | None = None
+    first: Health | None = None
+    heard_at: float = 0.0
+    clock_offset_s: float | None = None
+    """How far its clock is before ours; what the newest message took on its way is in it."""
+
+    @property
+    def robot(self) -> str:
+        """The robot it serves, * for all; of a service that does not tell, its instance."""
+        if self.health is not None and self.health.settings:
+            return str(json.loads(self.health.settings).get("robot", self.instance))
+        return self.instance
+
+    @property
+    def status(self) -> str:
+        """`ok`, `waiting`, `degraded`, or `unknown` before it said anything."""
+        if self.health is None:
+            return "unknown"
+        return Health.Status.Name(self.health.status).removeprefix("STATUS_").lower()
+
+    def counter(self, name: str) -> int:
+        """One of its counters, 0 where it has none of that name."""
+        return int(self.health.counters.get(name, 0)) if self.health is not None else 0
+
+    def grew(self, name: str) -> int:
+        """By how much a counter grew since this service was first heard."""
+        return self.counter(name) - (int(self.first.counters.get(name, 0)) if self.first is not None else 0)
+
+    @property
+    def drops(self) -> dict[str, int]:
+        """Samples that its full inbox dropped, by channel."""
+        counters = self.health.counters if self.health is not None else {}
+        return {name.removeprefix("dropped_"): int(n) for name, n in counters.items() if name in _DROPS and n}
+
+
+_DROPS = frozenset(f"dropped_{channel.name}" for channel in CHANNELS)
+
+
+@dataclass
+class Robot:
+    """The newest pose of one robot."""
+
+    name: str
+    pose: PoseEstimate | None = None
+    heard_at: float = 0.0
+
+
+class FleetView:
+    """Listens to a site; `update` takes in what came since the last call."""
+
+    def __init__(self, session: zenoh.Session, site: str) -> None:
+        self.site = site
+        self.robots: dict[str, Robot] = {}
+        self.services: dict[tuple[str, str], Service] = {}
+        self.model_version = ""
+        self._inbox = Inbox()
+        self._tokens: list[tuple[str, bool]] = []
+        self._bus = Bus(session)
+        everyone = ALIVE_TEMPLATE.format(site=site, service="*", instance="*", contract="*")
+        self._watch = session.liveliness().declare_subscriber(everyone, self._on_token, history=True)
+        self._bus.listen([HEALTH, POSE, MODEL_SET], {"site": site}, self._inbox)
+
+    def __enter__(self) -> FleetView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._watch.undeclare()  # type: ignore[no-untyped-call]
+        self._bus.close()
+
+    def _on_token(self, sample: Any) -> None:
+        self._tokens.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    def update(self) -> None:
+        """Takes in what was heard."""
+        while self._tokens:
+            key, there = self._tokens.pop(0)
+            _, _, name, instance, contract = key.split("/")
+            contracts = self._service(name, instance).contracts
+            (contracts.add if there else contracts.discard)(contract)
+        while (arrival := self._inbox.take(0.0)) is not None:
+            self._hear(arrival, time.monotonic(), time.time_ns())
+
+    def _hear(self, arrival: Arrival, now: float, wall: int) -> None:
+        try:
+            message = decode(arrival.channel, arrival.payload, arrival.encoding)
+        except ContractError:
+            return  # not of this contract, and not ours to judge
+        address = arrival.channel.parse(arrival.key) or {}
+        if isinstance(message, ModelSet):
+            self.model_version = message.version
+        elif isinstance(message, PoseEstimate):
+            robot = self.robots.setdefault(address["robot"], Robot(address["robot"]))
+            robot.pose, robot.heard_at = message, now
+        elif isinstance(message, Health):
+            service = self._service(address["service"], address["instance"])
+            service.clock_offset_s = (nanoseconds(message.timestamp) - wall) * 1e-9
+            service.first = service.first or message
+            service.health, service.heard_at = message, now
+
+    def _service(self, name: str, instance: str) -> Service:
+        return self.services.setdefault((name, instance), Service(name, instance))
+
+    def robot_names(self) -> list[str]:
+        """Every robot that was heard, or that a service is there for."""
+        served = {each.robot for each in self.services.values() if each.name in ROBOT_SERVICES}
+        return sorted((served | set(self.robots)) - {"*"})
+
+    def serving(self, robot: str) -> Iterator[Service]:
+        """The services that work for one robot, its own and those for all."""
+        for service in self.services.values():
+            if service.name in ROBOT_SERVICES and service.robot in (robot, "*"):
+                yield service
