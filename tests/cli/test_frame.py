@@ -80,16 +80,28 @@ def test_an_option_out_of_range() -> None:
 
 
 def test_every_command_has_help_with_an_example() -> None:
+    from eigenscan.cli import fleet
     from eigenscan.cli.main import COMMANDS
 
-    listing = _run("--help")
-    assert listing.returncode == 0
-    for name, (_, line) in COMMANDS.items():
-        assert f"  {name}" in listing.stdout
-        assert line[:30] in listing.stdout
-        own = _run(name, "--help")
-        assert own.returncode == 0, own.stderr
-        assert f"eigenscan {name} " in own.stdout.partition("xample")[2], f"{name} has no example"
+    for group, commands in (((), COMMANDS), (("fleet",), fleet.COMMANDS)):
+        listing = _run(*group, "--help")
+        assert listing.returncode == 0
+        for name, (_, line) in commands.items():
+            assert f"  {name}" in listing.stdout
+            assert line[:30] in listing.stdout
+            own = _run(*group, name, "--help")
+            assert own.returncode == 0, own.stderr
+            if name == "fleet":
+                continue  # a group: its commands have the examples
+            typed = " ".join(["eigenscan", *group, name, ""])
+            assert typed in own.stdout.partition("xample")[2], f"{name} has no example"
+
+
+def test_an_error_in_a_group_names_the_whole_command() -> None:
+    result = _run("fleet", "status", "--zenoh", "absent.json5", "--once")
+    assert result.returncode == 2
+    assert result.stderr.startswith("eigenscan fleet status: absent.json5: ")
+    assert "Traceback" in _run("fleet", "status", "--zenoh", "absent.json5", "--debug").stderr
 
 
 def test_help_starts_without_the_heavy_imports() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import typer
+from eigenscan.cli import fleet
 from eigenscan.cli.main import COMMANDS, app
 
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
@@ -66,14 +67,16 @@ def test_a_json_file_that_cannot_be_written_is_told_before_the_work(drive: Path)
     assert not (drive / "never").exists()
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", [*COMMANDS, *(f"fleet {name}" for name in fleet.COMMANDS)])
 def test_every_example_can_be_typed(name: str) -> None:
-    command = typer.main.get_command(app).get_command(None, name)  # type: ignore[attr-defined]
+    command: Any = typer.main.get_command(app)
+    for word in name.split():
+        command = command.get_command(None, word)
     lines = [line.strip() for line in (command.help or "").splitlines()]
     examples = [line for line in lines if line.startswith(f"eigenscan {name} ")]
-    assert examples or name == "demo"
+    assert examples or name in ("demo", "fleet")
     for line in examples:
-        words = shlex.split(line)[2:]
+        words = shlex.split(line)[1 + len(name.split()) :]
         command.make_context(name, words).close()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,7 +34,7 @@ def status(
     Examples:
       eigenscan fleet status --site hospital --zenoh deploy/site.json5
       eigenscan fleet status --site hospital --once
-      eigenscan fleet status --site hospital --json - | jq '.robots[] | select(.state != "localized")'
+      eigenscan fleet status --site hospital --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.fleet.connection import connect
     from eigenscan.cli.fleet.view import FleetView
@@ -105,7 +104,8 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
 
 def _clock(serving: list[Service]) -> float | None:
     offsets = [each.clock_offset_s for each in serving if each.clock_offset_s is not None]
-    return round(max(offsets, key=math.fabs), 2) if offsets else None
+    worst = max(offsets, key=abs, default=None)
+    return None if worst is None else round(worst, 2)
 
 
 def table(view: FleetView) -> Table:
