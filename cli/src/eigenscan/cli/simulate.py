@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
+    from eigenscan.cli.simulation.fleet import Fleet
+    from eigenscan.cli.simulation.lidar import Lidar
     from eigenscan.cli.simulation.stage import Stage, Timed
     from eigenscan.geometry.gridmap import GridMap
 
@@ -29,56 +31,98 @@ def simulate(
     kidnap: Annotated[float | None, typer.Option(help="carry the robot elsewhere at this second")] = None,
     seed: Annotated[int, typer.Option(min=0, help="the same seed gives the same bytes")] = 1,
     people: Annotated[int, typer.Option(min=0, help="people who walk about")] = 3,
-    beams: Annotated[int, typer.Option(min=2, help="beams of the lidar")] = 361,
-    fov: Annotated[float, typer.Option(min=1.0, max=360.0, help="field of view, degrees")] = 180.0,
-    rate: Annotated[float, typer.Option(min=0.1, max=50.0, help="scans a second")] = 10.0,
-    range_max: Annotated[float, typer.Option(min=0.5, help="reach of the lidar, m")] = 30.0,
-    noise: Annotated[float, typer.Option(min=0.0, help="standard deviation of a range, m")] = 0.015,
-    missing: Annotated[float, typer.Option(min=0.0, max=1.0, help="share of beams that are lost")] = 0.01,
+    boxes: Annotated[int, typer.Option(min=0, help="boxes that stand about and are not in the map")] = 0,
+    robots: Annotated[int, typer.Option(min=1, help="robots; several are named ROBOT1, ROBOT2, ...")] = 1,
+    drift: Annotated[float, typer.Option(min=0.0, help="times the usual noise of odometry")] = 1.0,
+    lidar: Annotated[
+        str, typer.Option(metavar="MODEL", help="such as rplidar-a2; a wrong one names all")
+    ] = "generic",
+    beams: Annotated[int | None, typer.Option(min=2, help="beams, instead of the model's")] = None,
+    fov: Annotated[
+        float | None, typer.Option(min=1.0, max=360.0, help="degrees, instead of the model's")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.1, max=50.0, help="scans a second, instead of its")
+    ] = None,
+    range_max: Annotated[float | None, typer.Option(min=0.5, help="m of reach, instead of its")] = None,
+    noise: Annotated[
+        float | None, typer.Option(min=0.0, help="m, deviation of a range, instead of its")
+    ] = None,
+    missing: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="share of beams that are lost, instead of its")
+    ] = None,
     live: Annotated[bool, typer.Option("--live", help="publish on Zenoh in real time")] = False,
     speed: Annotated[float, typer.Option(min=0.01, help="with --live: times faster than real time")] = 1.0,
     zenoh: Annotated[Path | None, typer.Option(help="with --live: Zenoh configuration, JSON5")] = None,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
 ) -> None:
-    """Drive a simulated robot through a map: raw scans, odometry that drifts, people, a kidnap.
+    """Drive simulated robots through a map: raw scans, odometry that drifts, people, boxes, a kidnap.
+
+    Several robots share one recording, and see each other; each has a truth of its own, TRUTH-ROBOT.tum.
 
     \b
     Examples:
       eigenscan simulate -o drive.mcap --truth drive.tum --save-map map.yaml --kidnap 30
-      eigenscan simulate --map MAP.yaml -o drive.mcap --seconds 120 --seed 7 --fov 270 --beams 1080
+      eigenscan simulate --map MAP.yaml -o drive.mcap --seconds 120 --seed 7 --lidar rplidar-a2 --boxes 8
+      eigenscan simulate --map MAP.yaml -o fleet.mcap --truth fleet.tum --robots 5 --robot r
       eigenscan simulate --map MAP.yaml --live --speed 2
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not (out or truth or save_map or live):
         raise UsageError("nothing to do: give -o FILE.mcap, --truth FILE.tum, --save-map FILE.yaml or --live")
     if kidnap is not None and not 0 < kidnap < seconds:
         raise UsageError(f"--kidnap {kidnap:g}: give a second between 0 and --seconds {seconds:g}")
-    from eigenscan.cli.simulation.lidar import Lidar
-    from eigenscan.cli.simulation.stage import Scenario, Stage
+    from eigenscan.cli.simulation.fleet import Fleet
+    from eigenscan.cli.simulation.robot import OdometryNoise
+    from eigenscan.cli.simulation.stage import Scenario
     from eigenscan.geometry.gridmap import write_map
 
     grid = _map(map_file)
-    # a full turn has as many steps as beams: the last beam does not repeat the first
-    turn = math.radians(fov) if fov < 360.0 else math.tau * (beams - 1) / beams
-    lidar = Lidar(beams=beams, fov=turn, rate=rate, range_max=range_max, noise=noise, missing=missing)
+    changes = {"beams": beams, "rate": rate, "range_max": range_max, "noise": noise, "missing": missing}
     scenario = Scenario(
         seconds=seconds,
         kidnap=kidnap,
         seed=seed,
         people=people,
-        lidar=lidar,
+        lidar=_lidar(lidar, fov, {name: value for name, value in changes.items() if value is not None}),
+        odometry=OdometryNoise(**{name: drift * value for name, value in vars(OdometryNoise()).items()}),
         site=site,
         robot=robot,
     )
-    stage = Stage(grid, scenario)
+    fleet = Fleet(_with_boxes(grid, boxes, seed), scenario, robots)
     if save_map:
         write_map(grid, save_map)
     if truth:
-        _write_truth(stage, truth)
+        for stage in fleet.stages:
+            name = f"{truth.stem}-{stage.scenario.robot}{truth.suffix}" if robots > 1 else truth.name
+            _write_truth(stage, truth.with_name(name))
     if out:
-        _record(stage, out)
+        _record(fleet, out, {"seed": str(seed), "map_version": grid.version})
     if live:
-        _publish(stage, zenoh, speed)
+        _publish(fleet, seconds / speed, zenoh, speed)
+
+
+def _lidar(model: str, fov: float | None, changes: Mapping[str, Any]) -> Lidar:
+    from dataclasses import replace
+
+    from eigenscan.cli.simulation.lidar import LIDARS
+
+    if model not in LIDARS:
+        raise UsageError(f"--lidar {model}: there are {', '.join(LIDARS)}")
+    lidar = replace(LIDARS[model], **changes)
+    # a full turn has as many steps as beams: the last beam does not repeat the first
+    if fov is not None:
+        turn = math.radians(fov) if fov < 360.0 else math.tau * (lidar.beams - 1) / lidar.beams
+        lidar = replace(lidar, fov=turn)
+    return lidar
+
+
+def _with_boxes(grid: GridMap, boxes: int, seed: int) -> GridMap:
+    """The building as it is, not as its map shows it."""
+    import numpy as np
+    from eigenscan.cli.simulation.unmapped import put_boxes
+
+    return put_boxes(grid, boxes, np.random.default_rng([seed, boxes])) if boxes else grid
 
 
 def _map(path: Path | None) -> GridMap:
@@ -100,34 +144,33 @@ def _write_truth(stage: Stage, path: Path) -> None:
             )
 
 
-def _record(stage: Stage, path: Path) -> None:
+def _record(fleet: Fleet, path: Path, about: dict[str, str]) -> None:
     from eigenscan.runtime.recording import RecordingWriter
 
-    scenario = stage.scenario
-    metadata = {"simulation": {"seed": str(scenario.seed), "map_version": stage.grid.version}}
-    with RecordingWriter(path, metadata) as writer:
-        for timed in _watched(stage):
+    with RecordingWriter(path, {"simulation": about}) as writer:
+        for timed in _watched(fleet):
             writer.write(timed.envelope, timed.time)
 
 
-def _watched(stage: Stage) -> Iterator[Timed]:
+def _watched(fleet: Fleet) -> Iterator[Timed]:
     """The messages, with a progress bar on a terminal."""
     from rich.console import Console
     from rich.progress import Progress
 
+    first = fleet.stages[0]
     with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        bar = progress.add_task("simulating", total=stage.scenario.seconds)
-        for timed in stage.messages():
+        bar = progress.add_task("simulating", total=first.scenario.seconds)
+        for timed in fleet.messages():
             yield timed
-            progress.update(bar, completed=(timed.time - stage.epoch) * 1e-9)
+            progress.update(bar, completed=(timed.time - first.epoch) * 1e-9)
 
 
-def _publish(stage: Stage, zenoh: Path | None, speed: float) -> None:
+def _publish(fleet: Fleet, seconds: float, zenoh: Path | None, speed: float) -> None:
     from eigenscan.cli.simulation.live import publish
     from eigenscan.runtime.bus import Bus
     from eigenscan.runtime.session import open_session
 
     with Bus(open_session(zenoh)) as bus:
-        typer.echo(f"publishing for {stage.scenario.seconds / speed:.0f} s; Ctrl-C ends it", err=True)
-        stage.epoch = time.time_ns()
-        publish(stage.messages(), bus.say, speed)
+        typer.echo(f"publishing for {seconds:.0f} s; Ctrl-C ends it", err=True)
+        fleet.begin(time.time_ns())
+        publish(fleet.messages(), bus.say, speed)

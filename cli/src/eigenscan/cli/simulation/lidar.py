@@ -49,6 +49,17 @@ class Lidar:
         return ranges
 
 
+LIDARS = {
+    "generic": Lidar(),
+    "sick-lms200": Lidar(361, np.pi, 10.0, 0.04, 30.0, 0.015),
+    "sick-tim571": Lidar(811, np.deg2rad(270.0), 15.0, 0.05, 25.0, 0.02),
+    "hokuyo-urg-04lx": Lidar(683, np.deg2rad(240.0), 10.0, 0.06, 4.0, 0.01),
+    "hokuyo-utm-30lx": Lidar(1081, np.deg2rad(270.0), 40.0, 0.1, 30.0, 0.01),
+    "rplidar-a1": Lidar(360, np.deg2rad(359.0), 5.5, 0.15, 12.0, 0.02, 0.05),
+    "rplidar-a2": Lidar(400, np.deg2rad(359.1), 10.0, 0.2, 12.0, 0.02, 0.03),
+}
+"""Lidars by name: beams, angles, rates and limits as their makers state them, noise about so."""
+
 SAME_WALL = 0.05
 """m: two maps that differ by no more along a beam show it the same wall."""
 

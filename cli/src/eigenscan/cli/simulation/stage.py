@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -53,6 +53,7 @@ class Scenario:
     site: str = DEFAULT_SITE
     robot: str = DEFAULT_ROBOT
     lidar_name: str = "front"
+    number: int = 0  # of the robot in a fleet: another way among the same people
 
 
 @dataclass(frozen=True)
@@ -72,9 +73,12 @@ class Stage:
     def __init__(self, grid: GridMap, scenario: Scenario) -> None:
         self.grid, self.scenario = grid, scenario
         self.epoch = EPOCH_NS
-        seeds = np.random.SeedSequence(scenario.seed).spawn(4)
+        self.others: Sequence[Stage] = ()
         # a stream each: more people do not change the route, nor a longer drive the noise
-        route, people, wheels, self._beams_seed = seeds
+        route, people, wheels, self._beams_seed = np.random.SeedSequence(scenario.seed).spawn(4)
+        if scenario.number:
+            own = np.random.SeedSequence((scenario.seed, scenario.number))
+            route, _, wheels, self._beams_seed = own.spawn(4)
         self._planner = plan(grid, scenario.drive.radius)
         self._walls = RayCaster.of(grid)
         self._walls.cast(np.zeros(3), np.zeros(1), 1.0)  # compiled now, not at the first scan
@@ -102,8 +106,9 @@ class Stage:
         return pose
 
     def people_at(self, time: int) -> Array:
-        """Centres of the people (n, 2), m, map frame, at the stamp `time`, ns."""
-        return positions(self._walkers, (time - self.epoch) * 1e-9, self.pose_at(time)[:2])
+        """Centres of the people and of other robots (n, 2), m, map frame, at the stamp `time`, ns."""
+        people = positions(self._walkers, (time - self.epoch) * 1e-9, self.pose_at(time)[:2])
+        return np.vstack([people, *(other.pose_at(time)[:2] for other in self.others)])
 
     @property
     def kidnap_time(self) -> int | None:
