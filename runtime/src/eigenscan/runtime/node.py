@@ -25,6 +25,7 @@ from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.health import TWIN_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.logs import configure
+from eigenscan.runtime.port import NoPort, Port
 from eigenscan.runtime.session import open_session
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
 from eigenscan.runtime.wake import Wake
@@ -56,18 +57,23 @@ def main(
     mode: str = "peer",
     *,
     whole_site: bool = False,
+    make_port: Callable[[S], Port] | None = None,
 ) -> None:
     """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
 
     `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
     hears keys of the site that are not of the contract, to count them, and drops later than others.
+    `make_port`: carries those channels of the core that are not of the contract.
     """
     wake = Wake()
     with wake.on_signals():
         settings = None
         try:
             settings = load(kind, service)
-            node = Node(service, settings, lambda: make_core(settings), mode, wake, whole_site=whole_site)
+            port = make_port(settings) if make_port else None
+            node = Node(
+                service, settings, lambda: make_core(settings), mode, wake, whole_site=whole_site, port=port
+            )
             code = node.run()
         except (SettingsError, ContractError, OSError, ValueError) as error:
             print(f"eigenscan-{service}: {error}", file=sys.stderr)
@@ -95,6 +101,7 @@ class Node:
         wake: Wake | None = None,
         *,
         whole_site: bool = False,
+        port: Port | None = None,
     ) -> None:
         self.service, self.settings = service, settings
         self._whole_site = whole_site
@@ -112,6 +119,7 @@ class Node:
         )
         self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1)
         self._bus: Bus | None = None
+        self._port = port or NoPort()
         self._fault: BaseException | None = None
 
     def stop(self) -> None:
@@ -133,7 +141,7 @@ class Node:
             core.join(STOP_CORE_S)
             unfinished = core.is_alive()
             if self._bus:
-                closing = threading.Thread(target=self._bus.close, name="close", daemon=True)
+                closing = threading.Thread(target=self._close, args=(self._bus,), name="close", daemon=True)
                 closing.start()
                 closing.join(CLOSE_S)
                 unfinished = unfinished or closing.is_alive()
@@ -186,13 +194,20 @@ class Node:
         if settings.robot != "*":
             address["robot"] = settings.robot
         bus = self._bus = Bus(session)
-        bus.offer(core.says, address)
+        apart = self._port.channels
+        hears = [channel for channel in core.hears if channel not in apart]
+        bus.offer([channel for channel in core.says if channel not in apart], address)
         if self._whole_site and settings.robot == "*":
-            bus.listen_all(core.hears, f"{settings.site}/**", self._inbox)
+            bus.listen_all(hears, f"{settings.site}/**", self._inbox)
         else:
-            bus.listen(core.hears, address, self._inbox)
+            bus.listen(hears, address, self._inbox)
+        self._port.open(self._inbox)
         bus.announce(settings.site, self.service, settings.instance)
         return bus
+
+    def _close(self, bus: Bus) -> None:
+        self._port.close()
+        bus.close()
 
     def _loop(self, bus: Bus, core: Core) -> None:
         due = 0.0
@@ -246,7 +261,7 @@ class Node:
 
     def _say(self, bus: Bus, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
-            bus.say(envelope)
+            (self._port if envelope.channel in self._port.channels else bus).say(envelope)
             self._counts[f"said_{envelope.channel.name}"] += 1
 
     def _set_aside(self, reason: str, key: str, error: BaseException | None, trace: bool = False) -> None:

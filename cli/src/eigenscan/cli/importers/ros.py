@@ -21,7 +21,7 @@ from eigenscan.cli.importers.log import (
     raw_scan,
 )
 from eigenscan.cli.importers.ros_survey import MOVES, Lidar, Plan, frame_name, header_stamp, survey_bag
-from eigenscan.cli.importers.transforms import is_place, rotation_matrix
+from eigenscan.geometry.transforms import is_place, rotation_matrix
 from eigenscan.schemas.envelope import Envelope
 from numpy.typing import NDArray
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from eigenscan.cli.importers.bag import LASER_SCAN, MULTI_ECHO, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
 from eigenscan.cli.importers.log import LogError, LogOptions
-from eigenscan.cli.importers.transforms import TransformTree, planar
+from eigenscan.geometry.transforms import TransformTree, planar
 from numpy.typing import NDArray
 
 CLOCKS_APART_NS = 1_000_000_000

@@ -1,0 +1,9 @@
+"""ROS 2's messages as the bridge's core hears and says them: CDR bytes, by the topic's name."""
+
+from __future__ import annotations
+
+from eigenscan.schemas.channels import Channel, Qos
+from google.protobuf.wrappers_pb2 import BytesValue
+
+ROS_HEARD = Channel("ros_heard", "heard/{endpoint}", BytesValue, Qos(depth=1024), "what ROS says")
+ROS_SAID = Channel("ros_said", "said/{endpoint}", BytesValue, about="what is said to ROS")

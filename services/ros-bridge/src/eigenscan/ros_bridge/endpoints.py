@@ -1,0 +1,117 @@
+"""The ROS 2 topics and services that the bridge hears, says and answers, with their quality of service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+from eigenscan.ros_bridge.cdr import (
+    EMPTY_SERVICE,
+    LASER_SCAN,
+    OCCUPANCY_GRID,
+    ODOMETRY,
+    PARTICLE_CLOUD,
+    POSE_WITH_COVARIANCE,
+    TRANSFORMS,
+)
+from eigenscan.ros_bridge.settings import RosBridgeSettings
+
+
+class Role(Enum):
+    """What an endpoint does, by the names that ROS 2's graph has for it on Zenoh."""
+
+    PUBLISHER = "MP"
+    SUBSCRIPTION = "MS"
+    SERVICE = "SS"
+
+
+@dataclass(frozen=True)
+class Qos:
+    """As in ROS 2; history is always the last `depth`."""
+
+    depth: int
+    reliable: bool = True
+    transient_local: bool = False
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """One topic or service. `name` is fully qualified, with its slash before it."""
+
+    name: str
+    kind: str
+    role: Role
+    qos: Qos
+
+    @property
+    def chunk(self) -> str:
+        """The name as one chunk of a key."""
+        return self.name.replace("/", "%")
+
+
+_SENSOR = Qos(5, reliable=False)
+_LATCHED = Qos(1, transient_local=True)
+_TF = Qos(100)
+_COMMAND = Qos(10)
+
+
+@dataclass(frozen=True)
+class Endpoints:
+    """All endpoints of one bridge; None where it is switched off."""
+
+    scans: tuple[Endpoint, ...]
+    odometry: Endpoint | None
+    transforms: Endpoint | None
+    static_transforms: Endpoint | None
+    initial_pose: Endpoint | None
+    global_localization: Endpoint | None
+    pose: Endpoint | None
+    map_to_odom: Endpoint | None
+    particles: Endpoint | None
+    map: Endpoint | None
+
+    def __iter__(self) -> Iterator[Endpoint]:
+        yield from self.scans
+        for endpoint in vars(self).values():
+            if isinstance(endpoint, Endpoint):
+                yield endpoint
+
+
+def endpoints(settings: RosBridgeSettings) -> Endpoints:
+    """What `settings` ask for."""
+
+    def at(name: str, kind: str, role: Role, qos: Qos) -> Endpoint | None:
+        return Endpoint(qualified(settings.namespace, name), kind, role, qos) if name else None
+
+    def heard(name: str, kind: str, qos: Qos) -> Endpoint | None:
+        return at(name, kind, Role.SUBSCRIPTION, qos)
+
+    def said(name: str, kind: str, qos: Qos) -> Endpoint | None:
+        return at(name, kind, Role.PUBLISHER, qos)
+
+    scans = [heard(name, LASER_SCAN, _SENSOR) for name in settings.scan]
+    return Endpoints(
+        scans=tuple(scan for scan in scans if scan),
+        odometry=heard(settings.odom, ODOMETRY, _COMMAND),
+        transforms=heard(settings.tf, TRANSFORMS, _TF) if settings.mounts_from_tf else None,
+        static_transforms=(
+            heard(settings.tf_static, TRANSFORMS, Qos(100, transient_local=True))
+            if settings.mounts_from_tf
+            else None
+        ),
+        initial_pose=heard(settings.initial_pose, POSE_WITH_COVARIANCE, _COMMAND),
+        global_localization=at(settings.global_localization, EMPTY_SERVICE, Role.SERVICE, _COMMAND),
+        pose=said(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),
+        map_to_odom=said(settings.tf, TRANSFORMS, _TF),
+        particles=said(settings.particles, PARTICLE_CLOUD, _SENSOR),
+        map=said(settings.map, OCCUPANCY_GRID, _LATCHED),
+    )
+
+
+def qualified(namespace: str, name: str) -> str:
+    """Full name of a topic: one without a leading slash is in the robot's namespace."""
+    if name.startswith("/"):
+        return name
+    inside = namespace.strip("/")
+    return f"/{inside}/{name}" if inside else f"/{name}"

@@ -1,0 +1,113 @@
+"""From ROS 2's messages to the contract's. `body` is a message as `cdr.decode` gives it, or of a bag."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from eigenscan.geometry.pose import covariance_to_message, to_message, to_pose3
+from eigenscan.geometry.transforms import is_place, rotation_matrix
+from eigenscan.schemas.envelope import stamp
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.schemas.tracking_pb2 import Relocation
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from numpy.typing import ArrayLike, NDArray
+
+_PLANAR = np.array([0, 1, 5])
+"""x, y and yaw among ROS's x, y, z, roll, pitch, yaw."""
+
+
+def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawScan:
+    """Of a LaserScan; `mount` (3,) is the sensor in the base frame, `time` in ns."""
+    increment = float(body.angle_increment)
+    if increment == 0.0 and len(body.ranges) > 1:
+        increment = (float(body.angle_max) - float(body.angle_min)) / (len(body.ranges) - 1)
+    return RawScan(
+        timestamp=stamp(time),
+        frame_id=frame_name(body.header.frame_id),
+        mount=to_message(mount),
+        upside_down=upside_down,
+        angle_min=float(body.angle_min),
+        angle_increment=increment,
+        range_min=float(body.range_min),
+        range_max=float(body.range_max),
+        ranges=np.asarray(body.ranges, dtype=np.float32).tolist(),
+    )
+
+
+def odometry(body: Any) -> Odometry | None:
+    """Of an Odometry; None where its pose is none."""
+    pose = pose_on_plane(body.pose.pose)
+    if pose is None:
+        return None
+    linear, angular = body.twist.twist.linear, body.twist.twist.angular
+    return Odometry(
+        timestamp=stamp(header_stamp(body.header)),
+        frame_id=frame_name(body.header.frame_id),
+        body_frame_id=frame_name(body.child_frame_id),
+        pose=to_pose3(pose),
+        linear_velocity=Vector3(x=linear.x, y=linear.y, z=linear.z),
+        angular_velocity=Vector3(x=angular.x, y=angular.y, z=angular.z),
+        pose_covariance=stated_covariance(body.pose.covariance),
+    )
+
+
+def relocation(body: Any) -> Relocation | None:
+    """Of a PoseWithCovarianceStamped that an operator clicked; None where its pose is none."""
+    pose = pose_on_plane(body.pose.pose)
+    if pose is None:
+        return None
+    message = Relocation(
+        timestamp=stamp(header_stamp(body.header)),
+        frame_id=frame_name(body.header.frame_id),
+        pose=to_message(pose),
+    )
+    stated = stated_covariance(body.pose.covariance)
+    if stated:
+        planar = np.reshape(stated, (6, 6))[np.ix_(_PLANAR, _PLANAR)]
+        message.covariance.CopyFrom(covariance_to_message(planar))
+    return message
+
+
+def pose_on_plane(pose: Any) -> NDArray[np.float64] | None:
+    """x, y, yaw (3,) of a Pose, height and tilt left out; None where it is none."""
+    position, turn = pose.position, pose.orientation
+    rotation = rotation_matrix((turn.x, turn.y, turn.z, turn.w))
+    if rotation is None or not is_place((position.x, position.y)):
+        return None
+    return np.array([position.x, position.y, math.atan2(rotation[1, 0], rotation[0, 0])])
+
+
+def stated_covariance(values: Any) -> list[float]:
+    """All 36 numbers, row by row; none where they are all zero, which means not known, or not finite."""
+    covariance = np.asarray(values, dtype=np.float64)
+    stated: list[float] = covariance.tolist() if np.isfinite(covariance).all() and covariance.any() else []
+    return stated
+
+
+def lidar_names(topics: Sequence[str]) -> dict[str, str]:
+    """A name for each topic, one key chunk: `/front/laser/scan` is `front_laser`, `/scan` is `scan`."""
+    names: dict[str, str] = {}
+    for topic in topics:
+        parts = [part for part in re.split(r"[/*$#?@\s]+", topic) if part]
+        if len(parts) > 1 and parts[-1] in ("scan", "laser_scan"):
+            parts.pop()
+        name = "_".join(parts) or "lidar"
+        while name in names.values():
+            name += "_"
+        names[topic] = name
+    return names
+
+
+def frame_name(name: str) -> str:
+    """A frame's name without the slash that old logs put before it."""
+    return name.lstrip("/")
+
+
+def header_stamp(header: Any) -> int:
+    """Stamp, ns."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)

@@ -1,0 +1,170 @@
+"""The bridge's second Zenoh session, towards ROS 2."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import zenoh
+from eigenscan.ros_bridge.cdr import EMPTY_REPLY
+from eigenscan.ros_bridge.channels import ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.dialect import Dialect
+from eigenscan.ros_bridge.endpoints import Endpoint, Role, endpoints
+from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
+from eigenscan.ros_bridge.ros2dds import Ros2Dds
+from eigenscan.ros_bridge.settings import RosBridgeSettings
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import Channel, ContractError
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.wire import encode, encoding
+from google.protobuf.wrappers_pb2 import BytesValue
+
+HEARTBEAT_S = 1.0
+"""After what is said once on a transient local topic: who lost it asks again."""
+
+
+class RosPort:
+    """Says and hears ROS 2's endpoints in one dialect; answers the services."""
+
+    channels: tuple[Channel, ...] = (ROS_HEARD, ROS_SAID)
+
+    def __init__(self, settings: RosBridgeSettings) -> None:
+        self._settings = settings
+        self._endpoints = list(endpoints(settings))
+        self._publishers: dict[str, _Publisher] = {}
+        self._declared: list[Any] = []
+        self._session: zenoh.Session | None = None
+
+    def open(self, inbox: Inbox) -> None:
+        """Connects, declares all endpoints, then shows them in ROS 2's graph. Raises ContractError."""
+        session = self._session = _open(self._settings)
+        dialect = _dialect(self._settings, str(session.zid()))
+        for endpoint in self._endpoints:
+            key = dialect.key(endpoint)
+            if endpoint.role is Role.PUBLISHER:
+                self._publishers[endpoint.chunk] = _Publisher(session, dialect, endpoint)
+            elif endpoint.role is Role.SUBSCRIPTION:
+                self._declared.append(_subscribe(session, key, endpoint, _Intake(endpoint, inbox)))
+            else:
+                answer = _Answer(key, _Intake(endpoint, inbox), dialect)
+                self._declared.append(session.declare_queryable(key, answer.on_query, complete=True))
+        liveliness = session.liveliness()
+        self._declared.extend(liveliness.declare_token(key) for key in dialect.tokens(self._endpoints))
+
+    def say(self, envelope: Envelope) -> None:
+        """Publishes CDR bytes on the topic that the address names."""
+        self._publishers[envelope.address["endpoint"]].put(envelope.open(BytesValue).value)
+
+    def close(self) -> None:
+        """Takes the endpoints out of ROS 2's graph, the newest first, and closes the session."""
+        declared: Iterable[Any] = [*reversed(self._declared), *self._publishers.values()]
+        self._declared.clear()
+        self._publishers.clear()
+        for one in declared:
+            with contextlib.suppress(zenoh.ZError):  # the link may be gone already
+                one.undeclare()
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
+class _Publisher:
+    """One topic that is said; a late joiner of a transient local one gets the last message."""
+
+    def __init__(self, session: zenoh.Session, dialect: Dialect, endpoint: Endpoint) -> None:
+        self._dialect, self._endpoint = dialect, endpoint
+        self._number = 0
+        key, qos = dialect.key(endpoint), endpoint.qos
+        if qos.transient_local:
+            self._publisher: Any = zenoh.ext.declare_advanced_publisher(
+                session,
+                key,
+                cache=zenoh.ext.CacheConfig(qos.depth),
+                publisher_detection=True,
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(
+                    heartbeat=None, sporadic_heartbeat=HEARTBEAT_S
+                ),
+            )
+        else:
+            self._publisher = session.declare_publisher(key, express=True)
+
+    def put(self, payload: bytes) -> None:
+        self._number += 1
+        beside = self._dialect.attachment(self._endpoint, self._number, time.time_ns())
+        self._publisher.put(payload, attachment=beside)
+
+    def undeclare(self) -> None:
+        self._publisher.undeclare()
+
+
+class _Intake:
+    """Puts the messages of one endpoint into the inbox."""
+
+    def __init__(self, endpoint: Endpoint, inbox: Inbox) -> None:
+        self._key = ROS_HEARD.key({"endpoint": endpoint.chunk})
+        self._inbox = inbox
+
+    def put(self, data: bytes) -> None:
+        self._inbox.put(ROS_HEARD, self._key, encode(BytesValue(value=data)), encoding(ROS_HEARD))
+
+    def on_sample(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT:
+            self.put(sample.payload.to_bytes())
+
+
+class _Answer:
+    """Answers a service without fields at once; the request goes to the core."""
+
+    def __init__(self, key: str, intake: _Intake, dialect: Dialect) -> None:
+        self._key, self._intake, self._dialect = key, intake, dialect
+
+    def on_query(self, query: zenoh.Query) -> None:
+        request = query.payload.to_bytes() if query.payload else b""
+        beside = query.attachment.to_bytes() if query.attachment else b""
+        self._intake.put(request)
+        with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
+            reply = self._dialect.reply_attachment(beside, time.time_ns())
+            query.reply(self._key, EMPTY_REPLY, attachment=reply)
+
+
+def _subscribe(session: zenoh.Session, key: str, endpoint: Endpoint, intake: _Intake) -> Any:
+    # on /tf its own messages would come back
+    remote = zenoh.Locality.REMOTE
+    if not endpoint.qos.transient_local:
+        return session.declare_subscriber(key, intake.on_sample, allowed_origin=remote)
+    return zenoh.ext.declare_advanced_subscriber(
+        session,
+        key,
+        intake.on_sample,
+        allowed_origin=remote,
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=endpoint.qos.depth),
+        recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        subscriber_detection=True,
+    )
+
+
+def _dialect(settings: RosBridgeSettings, session: str) -> Dialect:
+    if settings.dialect == "ros2dds":
+        return Ros2Dds(session)
+    hashed = settings.dialect == "rmw_zenoh"
+    return RmwZenoh(settings.domain, settings.namespace, session, hashed=hashed)
+
+
+def _open(settings: RosBridgeSettings) -> zenoh.Session:
+    if settings.ros_zenoh:
+        return open_session(settings.ros_zenoh)
+    config = {
+        "mode": "peer",
+        # as rmw_zenoh's own sessions: those on this machine, met at the robot's router
+        "listen": {"endpoints": ["tcp/localhost:0"]},
+        "connect": {"endpoints": [settings.ros_router], "exit_on_failure": False, "timeout_ms": -1},
+        "scouting": {"multicast": {"enabled": False}},
+        "timestamping": {"enabled": True},
+    }
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as error:
+        raise ContractError(f"ros_router = {settings.ros_router!r}: no Zenoh session: {error}") from error

@@ -1,0 +1,48 @@
+"""The dialect of zenoh-bridge-ros2dds, beside a robot whose ROS 2 speaks a DDS.
+
+A message's key is its topic, and nothing travels beside it. The bridge takes liveliness tokens as those of
+another bridge: it then shows the topics to ROS before anything is said on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from eigenscan.ros_bridge.cdr import type_hash
+from eigenscan.ros_bridge.endpoints import Endpoint, Qos, Role
+
+_SLASH = "§"
+
+
+class Ros2Dds:
+    """The keys of one robot. `session` is the Zenoh id of this side."""
+
+    def __init__(self, session: str) -> None:
+        self._session = session
+
+    def key(self, endpoint: Endpoint) -> str:
+        """`[<namespace>/]<topic>`."""
+        return endpoint.name.strip("/")
+
+    def tokens(self, endpoints: Iterable[Endpoint]) -> Iterator[str]:
+        """One for the bridge, one for each endpoint."""
+        bridge = f"@/{self._session}/@ros2_lv"
+        yield bridge
+        for endpoint in endpoints:
+            key, kind = self.key(endpoint).replace("/", _SLASH), endpoint.kind.replace("/", _SLASH)
+            token = f"{bridge}/{endpoint.role.value}/{key}/{kind}"
+            is_topic = endpoint.role is not Role.SERVICE
+            yield f"{token}/{qos_chunk(endpoint.qos, type_hash(endpoint.kind))}" if is_topic else token
+
+    def attachment(self, _endpoint: Endpoint, _number: int, _time: int) -> None:
+        """Nothing."""
+        return
+
+    def reply_attachment(self, _request: bytes, _time: int) -> None:
+        """Nothing: the bridge itself remembers who asked."""
+        return
+
+
+def qos_chunk(qos: Qos, kind_hash: str) -> str:
+    """No key; reliability, durability, history and depth by DDS's numbers; user data, as ROS 2 writes it."""
+    return f":{int(qos.reliable)}:{int(qos.transient_local)}:0,{qos.depth}:typehash={kind_hash};"

@@ -1,0 +1,279 @@
+"""What the bridge makes of each message, without Zenoh."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import from_pose3, to_message
+from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge.channels import ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.core import RosBridgeCore
+from eigenscan.ros_bridge.settings import RosBridgeSettings
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.schemas.tracking_pb2 import (
+    STATE_AMBIGUOUS,
+    STATE_LOCALIZED,
+    STATE_LOST,
+    PoseEstimate,
+    Relocation,
+    Tracks,
+)
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from google.protobuf.wrappers_pb2 import BytesValue
+
+TIME = 1_700_000_000_250_000_000
+SITE = {"site": "s", "robot": "r"}
+
+
+def core(**settings: Any) -> RosBridgeCore:
+    return RosBridgeCore(RosBridgeSettings.model_validate({**SITE, **settings}))
+
+
+def header(frame: str, time: int = TIME) -> Any:
+    return cdr.make(
+        "std_msgs/msg/Header", cdr.make("builtin_interfaces/msg/Time", *divmod(time, 10**9)), frame
+    )
+
+
+def pose(x: float, y: float, theta: float) -> Any:
+    turn = cdr.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
+    return cdr.make("geometry_msgs/msg/Pose", cdr.make("geometry_msgs/msg/Point", x, y, 0.0), turn)
+
+
+def vector(x: float, y: float, z: float) -> Any:
+    return cdr.make("geometry_msgs/msg/Vector3", x, y, z)
+
+
+def scan(frame: str = "laser", ranges: Iterable[float] = (1.0, 2.0, np.inf), time: int = TIME) -> bytes:
+    values = np.asarray([*ranges], dtype=np.float32)
+    none = np.zeros(0, dtype=np.float32)
+    return cdr.encode(
+        cdr.make(cdr.LASER_SCAN, header(frame, time), -1.0, 1.0, 1.0, 0.0, 0.1, 0.05, 30.0, values, none)
+    )
+
+
+def odometry(x: float, y: float, theta: float, base: str = "base_link") -> bytes:
+    covariance = np.diag([0.01, 0.02, 0.0, 0.0, 0.0, 0.03]).ravel()
+    stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(x, y, theta), covariance)
+    twist = cdr.make("geometry_msgs/msg/Twist", vector(0.5, 0.0, 0.0), vector(0.0, 0.0, 0.2))
+    moving = cdr.make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36))
+    return cdr.encode(cdr.make(cdr.ODOMETRY, header("odom"), base, stated, moving))
+
+
+def transform(parent: str, child: str, xyz: tuple[float, float, float], xyzw: tuple[float, ...]) -> bytes:
+    turn = cdr.make("geometry_msgs/msg/Quaternion", *xyzw)
+    item = cdr.make(
+        "geometry_msgs/msg/TransformStamped",
+        header(parent),
+        child,
+        cdr.make("geometry_msgs/msg/Transform", vector(*xyz), turn),
+    )
+    return cdr.encode(cdr.make(cdr.TRANSFORMS, [item]))
+
+
+MOUNT = transform("base_link", "laser", (0.2, 0.1, 0.3), (0.0, 0.0, 1.0, 0.0))
+
+
+def hear(bridge: RosBridgeCore, endpoint: str, data: bytes) -> list[Envelope]:
+    """As over Zenoh: the messages are encoded on their way."""
+    heard = Envelope(ROS_HEARD, {"endpoint": endpoint}, BytesValue(value=data))
+    return Loopback([bridge]).hear(heard)
+
+
+def tell(bridge: RosBridgeCore, channel: Any, message: Any) -> list[tuple[str, bytes]]:
+    said = Loopback([bridge]).hear(Envelope(channel, SITE, message))
+    assert all(each.channel is ROS_SAID for each in said)
+    return [(each.address["endpoint"], each.open(BytesValue).value) for each in said]
+
+
+def test_a_scan_is_said_with_the_mount_that_tf_tells() -> None:
+    bridge = core()
+    hear(bridge, "%odom", odometry(0, 0, 0))
+    hear(bridge, "%tf_static", MOUNT)
+    (said,) = hear(bridge, "%scan", scan())
+    message = said.open(RawScan)
+    assert said.key == "s/robot/r/scan/raw/scan"
+    assert nanoseconds(message.timestamp) == TIME
+    assert (message.mount.x, message.mount.y) == pytest.approx((0.2, 0.1))
+    assert abs(message.mount.theta) == pytest.approx(np.pi)
+    assert not message.upside_down
+    assert list(message.ranges) == [1.0, 2.0, np.inf]
+    assert (message.angle_min, message.angle_increment) == (-1.0, 1.0)
+    assert message.range_max == 30.0
+    assert bridge.condition().status == Health.STATUS_OK
+
+
+def test_an_upside_down_lidar_on_an_arm_of_several_joints() -> None:
+    bridge = core(base_frame="base_footprint")
+    hear(bridge, "%tf_static", transform("base_footprint", "base_link", (0.0, 0.0, 0.1), (0, 0, 0, 1)))
+    hear(bridge, "%tf", transform("base_link", "mast", (0.5, 0.0, 0.0), (0, 0, 0, 1)))
+    hear(bridge, "%tf_static", transform("mast", "laser", (0.0, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0)))
+    (said,) = hear(bridge, "%scan", scan())
+    assert said.open(RawScan).mount.x == pytest.approx(0.5)
+    assert said.open(RawScan).upside_down
+
+
+def test_scans_wait_for_the_mount_and_say_so() -> None:
+    bridge = core()
+    assert bridge.condition().detail == "no scan yet on /scan"
+    assert hear(bridge, "%scan", scan()) == []
+    assert "no odometry" in bridge.condition().detail
+    hear(bridge, "%odom", odometry(0, 0, 0, base="base_footprint"))
+    assert hear(bridge, "%scan", scan()) == []
+    condition = bridge.condition()
+    assert condition.status == Health.STATUS_WAITING
+    assert "no transform from base_footprint to laser" in condition.detail
+    assert condition.counters["set_aside_no_mount"] == 1
+    hear(bridge, "%tf_static", transform("base_footprint", "laser", (0, 0, 0), (0, 0, 0, 1)))
+    assert len(hear(bridge, "%scan", scan())) == 1
+
+
+def test_a_tilted_lidar_is_not_for_this() -> None:
+    bridge = core(base_frame="base_link")
+    hear(bridge, "%tf_static", transform("base_link", "laser", (0, 0, 0), (0.0, 0.5, 0.0, 0.8)))
+    assert hear(bridge, "%scan", scan()) == []
+    assert bridge.condition().counters["set_aside_tilted"] == 1
+
+
+def test_without_tf_the_mount_is_left_to_scan_ingest() -> None:
+    bridge = core(mounts_from_tf=False)
+    (said,) = hear(bridge, "%scan", scan())
+    assert said.open(RawScan).mount == to_message((0, 0, 0))
+
+
+def test_two_lidars_by_their_topics() -> None:
+    bridge = core(scan=["front/scan", "/rear/scan"], mounts_from_tf=False, namespace="r17")
+    assert hear(bridge, "%r17%front%scan", scan())[0].address["lidar"] == "r17_front"
+    assert hear(bridge, "%rear%scan", scan())[0].address["lidar"] == "rear"
+
+
+def test_odometry_is_said_with_frames_and_velocity() -> None:
+    (said,) = hear(core(), "%odom", odometry(1.0, -2.0, 3.0))
+    message = said.open(Odometry)
+    assert said.channel is ODOMETRY
+    assert (message.frame_id, message.body_frame_id) == ("odom", "base_link")
+    assert from_pose3(message.pose) == pytest.approx([1.0, -2.0, 3.0])
+    assert message.linear_velocity.x == 0.5
+    assert message.angular_velocity.z == 0.2
+    assert message.pose_covariance[35] == 0.03
+
+
+def test_a_clicked_pose_is_a_relocation() -> None:
+    covariance = np.zeros((6, 6))
+    covariance[0, 0], covariance[1, 1], covariance[5, 5], covariance[0, 5] = 0.25, 0.5, 0.07, 0.01
+    stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), covariance.ravel())
+    data = cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header("map"), stated))
+    (said,) = hear(core(), "%initialpose", data)
+    message = said.open(Relocation)
+    assert said.channel is RELOCATION
+    assert (message.pose.x, message.pose.y, message.pose.theta) == pytest.approx((3.0, 4.0, -1.0))
+    c = message.covariance
+    assert (c.xx, c.yy, c.tt, c.xt) == (0.25, 0.5, 0.07, 0.01)
+
+
+def test_the_service_says_forget() -> None:
+    (said,) = hear(core(), "%reinitialize_global_localization", b"\0\1\0\0\0")
+    assert not said.open(Relocation).HasField("pose")
+
+
+def test_only_a_claimed_pose_is_said() -> None:
+    bridge = core()
+    estimate = PoseEstimate(timestamp=stamp(TIME), frame_id="map", pose=to_message((1, 2, 0.5)))
+    for state in (STATE_LOST, STATE_AMBIGUOUS):
+        estimate.state = state
+        assert tell(bridge, POSE, estimate) == []
+    estimate.state = STATE_LOCALIZED
+    ((endpoint, data),) = tell(bridge, POSE, estimate)
+    body = cdr.decode(cdr.POSE_WITH_COVARIANCE, data)
+    assert endpoint == "%amcl_pose"
+    assert (body.pose.pose.position.x, body.header.frame_id) == (1.0, "map")
+
+
+def test_map_to_odom_is_dated_ahead() -> None:
+    message = FrameTransform(timestamp=stamp(TIME), parent_frame_id="map", child_frame_id="odom")
+    message.rotation.w = 1.0
+    ((endpoint, data),) = tell(core(transform_tolerance=0.5), TRANSFORM, message)
+    (item,) = cdr.decode(cdr.TRANSFORMS, data).transforms
+    assert endpoint == "%tf"
+    assert item.header.stamp.sec * 10**9 + item.header.stamp.nanosec == TIME + 500_000_000
+
+
+@pytest.mark.parametrize("channel", [POSE, TRANSFORM, TRACKS, MAP])
+def test_what_is_switched_off_is_not_said(channel: Any) -> None:
+    bridge = core(pose="", tf="", particles="", map="")
+    messages = {
+        POSE: PoseEstimate(state=STATE_LOCALIZED),
+        TRANSFORM: FrameTransform(),
+        TRACKS: Tracks(),
+        MAP: Grid(),
+    }
+    assert tell(bridge, channel, messages[channel]) == []
+
+
+def test_a_grid_that_is_no_map_is_counted() -> None:
+    bridge = core()
+    assert tell(bridge, MAP, Grid(column_count=3, data=b"12345")) == []
+    assert bridge.condition().counters["set_aside_not_a_map"] == 1
+
+
+def bad(data: bytes) -> bytes:
+    return data[: len(data) // 2]
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "data", "counter"),
+    [
+        ("%scan", bad(scan()), "set_aside_not_cdr"),
+        ("%odom", bad(odometry(0, 0, 0)), "set_aside_not_cdr"),
+        ("%tf_static", bad(MOUNT), "set_aside_not_cdr"),
+        ("%initialpose", b"", "set_aside_not_cdr"),
+        ("%odom", odometry(np.nan, 0, 0), "set_aside_odometry_not_a_pose"),
+        ("%odom", odometry(1e300, 0, 0), "set_aside_odometry_not_a_pose"),
+    ],
+)
+def test_what_is_no_message_is_counted_and_the_next_one_goes_through(
+    endpoint: str, data: bytes, counter: str
+) -> None:
+    bridge = core(mounts_from_tf=True, base_frame="base_link")
+    with np.errstate(invalid="ignore"):
+        assert hear(bridge, endpoint, data) == []
+    assert bridge.condition().counters[counter] == 1
+    hear(bridge, "%tf_static", MOUNT)
+    assert [each.channel for each in hear(bridge, "%scan", scan())] == [SCAN_RAW]
+
+
+def test_a_covariance_that_is_none_is_not_stated() -> None:
+    stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), np.full(36, np.nan))
+    data = cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header("map"), stated))
+    (said,) = hear(core(), "%initialpose", data)
+    assert not said.open(Relocation).HasField("covariance")
+
+
+@pytest.mark.parametrize(
+    ("settings", "part"),
+    [
+        ({"robot": "*"}, "one robot"),
+        ({"scan": []}, "at least 1"),
+        ({"scan": ["scan", "scan"]}, "each once"),
+        ({"odom": "od om"}, "ROS name"),
+        ({"domain": 500}, "232"),
+        ({"ros_router": "localhost:7447"}, "match"),
+        ({"ros_router": "tcp/a:1", "ros_zenoh": "x.json5"}, "one of"),
+    ],
+)
+def test_settings_that_do_not_hold(settings: dict[str, Any], part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        core(**settings)
+
+
+def test_the_domain_is_ros_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert RosBridgeSettings().domain == 42
+    assert RosBridgeSettings(domain=7).domain == 7
