@@ -45,7 +45,7 @@ def one_line(error: Exception) -> str:
 def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
     """Group over name -> (`module:function`, one line of help); a module is imported when it is used.
 
-    A module's table of that form in place of a function is a group within the group.
+    In place of a function a module's table of that form makes a group, whose help is the module's docstring.
     """
 
     class LazyGroup(TyperGroup):
@@ -56,12 +56,13 @@ def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
             if cmd_name not in commands:
                 return None
             module, _, function = commands[cmd_name][0].partition(":")
-            target = getattr(importlib.import_module(module), function)
+            source = importlib.import_module(module)
+            target = getattr(source, function)
             if isinstance(target, Mapping):
                 group = typer.Typer(
                     name=cmd_name,
                     cls=lazy_group(target),
-                    help=commands[cmd_name][1],
+                    help=source.__doc__,
                     no_args_is_help=True,
                     add_completion=False,
                     rich_markup_mode=None,

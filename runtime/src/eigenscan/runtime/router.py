@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import threading
+import time
 from collections.abc import Iterable
+from pathlib import Path
 
+import structlog
+import zenoh
 from eigenscan.runtime import node
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Envelope
+from pydantic import Field
+
+LOOK_EVERY_S = 1.0
 
 
 class RouterSettings(ServiceSettings):
     """Routes a site's traffic. Without a Zenoh configuration it listens on TCP port 7447."""
+
+    end_on_change: bool = Field(
+        False,
+        description="end when the Zenoh configuration changes: what keeps it up starts it with the new one",
+    )
 
 
 class RouterCore:
@@ -37,6 +53,34 @@ class RouterCore:
         return Condition(detail="routing")
 
 
+def _end_on_change(path: Path) -> None:
+    """Ends this process, in good order, once `path` holds another configuration that Zenoh can read."""
+    log = structlog.get_logger(service="router")
+    seen = path.read_bytes()
+    while True:
+        time.sleep(LOOK_EVERY_S)
+        with contextlib.suppress(OSError):  # it is being replaced
+            now = path.read_bytes()
+            if now == seen:
+                continue
+            seen = now
+            try:
+                zenoh.Config.from_file(str(path))
+            except zenoh.ZError as error:
+                log.error("configuration_refused", path=str(path), error=str(error))
+            else:
+                log.info("configuration_changed", path=str(path))
+                os.kill(os.getpid(), signal.SIGTERM)
+                return
+
+
+def _core(settings: RouterSettings) -> RouterCore:
+    if settings.end_on_change and settings.zenoh:
+        watch = threading.Thread(target=_end_on_change, args=(settings.zenoh,), name="watch", daemon=True)
+        watch.start()
+    return RouterCore()
+
+
 def main() -> None:
     """Entry point of `eigenscan-router`."""
-    node.main("router", RouterSettings, lambda _settings: RouterCore(), mode="router")
+    node.main("router", RouterSettings, _core, mode="router")

@@ -6,6 +6,7 @@ key chunks. Keys are built and parsed here and nowhere else.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -51,6 +52,15 @@ class Priority(Enum):
     BACKGROUND = "background"
 
 
+class Role(Enum):
+    """Who speaks at a site's router, as its certificate says."""
+
+    ROBOT = "robot"
+    MAPBUILDER = "mapbuilder"
+    RECORDER = "recorder"
+    OPERATOR = "operator"
+
+
 @dataclass(frozen=True)
 class Qos:
     """How a channel's samples travel.
@@ -58,7 +68,8 @@ class Qos:
     `block`: the publisher waits rather than drops. `express`: never batched, for low latency.
     `latched`: a late joiner gets the newest sample of each key by a query on that key.
     `depth`: samples that wait at a subscriber before the oldest is dropped (0: never dropped).
-    `rate_hz`: what is usual, for health and for planning. `on_robot`: does not cross the air by default.
+    `rate_hz`: what is usual, for health and for planning. `air_hz`: samples a second that may cross the air
+    between robot and site; 0: it stays on the robot, infinite: all of them.
     """
 
     priority: Priority = Priority.DATA
@@ -67,7 +78,7 @@ class Qos:
     latched: bool = False
     depth: int = 64
     rate_hz: float = 0.0
-    on_robot: bool = True
+    air_hz: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -79,6 +90,12 @@ class Channel:
     message: type[Message]
     qos: Qos = field(default_factory=Qos)
     about: str = ""
+    said_by: tuple[Role, ...] = (Role.ROBOT,)
+
+    @property
+    def heard_by(self) -> tuple[Role, ...]:
+        """Who may hear it through the site's router: the site hears all, a robot what no robot says."""
+        return tuple(role for role in Role if role is not Role.ROBOT or Role.ROBOT not in self.said_by)
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -124,7 +141,7 @@ class Channel:
 
 
 _LIVE = Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=40.0)
-_SITE_DATA = Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, on_robot=False)
+_SITE_DATA = Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, air_hz=math.inf)
 
 SCAN_RAW = Channel(
     "scan_raw",
@@ -165,14 +182,14 @@ POSE = Channel(
     "pose",
     "{site}/robot/{robot}/pose",
     PoseEstimate,
-    Qos(Priority.INTERACTIVE_HIGH, express=True, rate_hz=40.0, on_robot=False),
+    Qos(Priority.INTERACTIVE_HIGH, express=True, rate_hz=40.0, air_hz=10.0),
     "the one pose to act on, with its state and confidence, from the tracker",
 )
 TRACKS = Channel(
     "tracks",
     "{site}/robot/{robot}/tracks",
     Tracks,
-    Qos(rate_hz=40.0),
+    Qos(rate_hz=40.0, air_hz=1.0),
     "all trajectories in play, from the tracker",
 )
 TRANSFORM = Channel(
@@ -196,13 +213,21 @@ RELOCATION = Channel(
     Qos(Priority.INTERACTIVE_HIGH, block=True, express=True),
     "where the robot is, or that it may be anywhere, from somebody who knows, for the tracker",
 )
-MAP = Channel("map", "{site}/map", Grid, _SITE_DATA, "the occupancy grid that the models were made from")
+MAP = Channel(
+    "map",
+    "{site}/map",
+    Grid,
+    _SITE_DATA,
+    "the occupancy grid that the models were made from",
+    (Role.MAPBUILDER,),
+)
 MODEL = Channel(
     "model",
     "{site}/model/{region}",
     RegionModel,
     _SITE_DATA,
     "the eigenspace of one region, from the mapbuilder, for projectors",
+    (Role.MAPBUILDER,),
 )
 MODEL_SET = Channel(
     "model_set",
@@ -210,13 +235,15 @@ MODEL_SET = Channel(
     ModelSet,
     _SITE_DATA,
     "which models and map belong together, from the mapbuilder, for projectors",
+    (Role.MAPBUILDER,),
 )
 HEALTH = Channel(
     "health",
     "{site}/health/{service}/{instance}",
     Health,
-    Qos(Priority.BACKGROUND, rate_hz=1.0, on_robot=False),
+    Qos(Priority.BACKGROUND, rate_hz=1.0, air_hz=math.inf),
     "how a service instance is, from every service",
+    (Role.ROBOT, Role.MAPBUILDER, Role.RECORDER),
 )
 
 CHANNELS: tuple[Channel, ...] = (

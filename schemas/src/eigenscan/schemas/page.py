@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from pathlib import Path
@@ -36,6 +37,9 @@ def tables() -> dict[str, str]:
             ),
             [_qos(channel) for channel in CHANNELS],
         ),
+        "air": _table(
+            ("channel", "said by", "heard by", "over the air"), [_air(channel) for channel in CHANNELS]
+        ),
         "tokens": _table(
             ("key", "held by"),
             [
@@ -63,6 +67,17 @@ def _qos(channel: Channel) -> tuple[str, ...]:
         "yes" if qos.latched else "",
         f"newest {qos.depth} a key" if qos.depth else "all",
         f"{qos.rate_hz:g} Hz" if qos.rate_hz else "on change",
+    )
+
+
+def _air(channel: Channel) -> tuple[str, ...]:
+    hz = channel.qos.air_hz
+    limit = f"up to {hz:g} Hz" if math.isfinite(hz) else "all"
+    return (
+        f"`{channel.name}`",
+        ", ".join(role.value for role in channel.said_by),
+        ", ".join(role.value for role in channel.heard_by),
+        limit if hz else "stays on the robot",
     )
 
 

@@ -1,0 +1,163 @@
+"""Who may say and hear what through a router, as Zenoh's access control; all of it from the contract's table.
+
+Nothing is allowed but what is written here, for each certificate by its common name. Zenoh is silent about
+what it denies: a denied sample does not arrive, a denied query gets no answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, LATCHED_TEMPLATE, Channel, Role
+
+EVERY_MESSAGE = [
+    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable",
+    "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
+]  # fmt: skip
+
+Air = Mapping[str, float]
+"""Channel name -> samples a second that a robot may send over the air, for every channel."""
+
+
+@dataclass(frozen=True)
+class Rights:
+    """Key expressions that one holder of a certificate may use at the site's router."""
+
+    site: str
+    says: tuple[str, ...]
+    answers: tuple[str, ...]
+    shows: tuple[str, ...]
+    hears: tuple[str, ...]
+    subscribes: tuple[str, ...]
+    asks: tuple[str, ...]
+    sees: tuple[str, ...]
+
+    def rules(self, name: str, *, at_site: bool) -> list[dict[str, Any]]:
+        """Zenoh's rules for the link to this holder, or where not `at_site` for its own link to the site."""
+        there, back = ("ingress", "egress") if at_site else ("egress", "ingress")
+        watch = ["declare_liveliness_subscriber", "liveliness_query"]
+        wanted: list[tuple[str, list[str], tuple[str, ...]]] = [
+            (there, ["put"], self.says),
+            (there, ["reply", "declare_queryable"], self.answers),
+            (back, ["query"], self.answers),
+            (there, ["liveliness_token"], self.shows),
+            # that somebody listens is no secret: what they get is decided where it is put
+            (back, ["declare_subscriber", *watch], (f"{self.site}/**",)),
+            (back, ["put"], self.hears),
+            (there, ["declare_subscriber"], self.subscribes),
+            (back, ["reply", "declare_queryable"], self.asks),
+            (there, ["query"], self.asks),
+            (back, ["liveliness_token"], self.sees),
+            (there, watch, (*self.subscribes, *self.sees)),
+        ]
+        return [
+            {
+                "id": f"{name} {flow} {messages[0]}",
+                "permission": "allow",
+                "flows": [flow],
+                "messages": messages,
+                "key_exprs": list(keys),
+            }
+            for flow, messages, keys in wanted
+            if keys
+        ]
+
+
+def of_robot(site: str, robot: str, air: Air) -> Rights:
+    """A robot says its own keys that cross the air, and hears what no robot says."""
+    says = [one for one in CHANNELS if Role.ROBOT in one.said_by and air[one.name] > 0]
+    hears = [one for one in CHANNELS if Role.ROBOT in one.heard_by]
+    # its services are instances of the robot's name
+    address = {"site": site, "robot": robot, "instance": robot}
+    return Rights(
+        site,
+        says=_keys(says, address),
+        answers=(),
+        shows=(_alive(site, robot),),
+        hears=_keys(hears, address),
+        subscribes=_keys(hears, address),
+        asks=_keys([one for one in hears if one.qos.latched], address),
+        sees=_tokens(hears, site),
+    )
+
+
+def of_service(site: str, role: Role) -> Rights:
+    """A service of the site hears whatever has come to it, and says what the table lets it say."""
+    says = [one for one in CHANNELS if role in one.said_by]
+    hears = [one for one in CHANNELS if role in one.heard_by]
+    # in health, where robots speak as well, it keeps to its own name
+    address = {"site": site, "service": role.value}
+    return Rights(
+        site,
+        says=_keys(says, address),
+        answers=_keys([one for one in says if one.qos.latched], address),
+        shows=(*_tokens(says, site), _alive(site, service=role.value)) if says else (),
+        hears=_keys(hears, {"site": site}),
+        subscribes=(f"{site}/**",),  # a recorder counts what is not of the contract
+        asks=_keys([one for one in hears if one.qos.latched], {"site": site}),
+        sees=(*_tokens(hears, site), _alive(site)),
+    )
+
+
+def at_site(site: str, robots: Mapping[str, tuple[str, Air]], services: Mapping[Role, str]) -> dict[str, Any]:
+    """Access control of the site's router.
+
+    `robots`: name -> common name of its certificate and what crosses the air; `services`: common names.
+    """
+    holders = {name: (common_name, of_robot(site, name, air)) for name, (common_name, air) in robots.items()}
+    # no robot's name has a dot in it
+    holders |= {
+        f"site.{role.value}": (common_name, of_service(site, role)) for role, common_name in services.items()
+    }
+    return _control(
+        {
+            name: ({"cert_common_names": [common_name]}, own.rules(name, at_site=True))
+            for name, (common_name, own) in holders.items()
+        }
+    )
+
+
+def on_robot(site: str, robot: str, air: Air) -> dict[str, Any]:
+    """Access control of a robot's own router: everything among its services, by its rights over the air."""
+    inside = {
+        "id": "inside",
+        "permission": "allow",
+        "flows": ["ingress", "egress"],
+        "messages": EVERY_MESSAGE,
+        "key_exprs": ["**"],
+    }
+    return _control(
+        {
+            "air": ({"link_protocols": ["tls"]}, of_robot(site, robot, air).rules("air", at_site=False)),
+            "inside": ({"link_protocols": ["tcp"]}, [inside]),
+        }
+    )
+
+
+def _control(subjects: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]]) -> dict[str, Any]:
+    """Zenoh's `access_control`: subject -> how it is told, and its rules; all else is denied."""
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [rule for _, rules in subjects.values() for rule in rules],
+        "subjects": [{"id": name, **told} for name, (told, _) in subjects.items()],
+        "policies": [
+            {"subjects": [name], "rules": [rule["id"] for rule in rules]}
+            for name, (_, rules) in subjects.items()
+        ],
+    }
+
+
+def _keys(channels: list[Channel], address: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(one.selector(address) for one in channels)
+
+
+def _tokens(channels: list[Channel], site: str) -> tuple[str, ...]:
+    names = [one.name for one in channels if one.qos.latched]
+    return tuple(LATCHED_TEMPLATE.format(site=site, channel=name, session="*") for name in names)
+
+
+def _alive(site: str, instance: str = "*", service: str = "*") -> str:
+    return ALIVE_TEMPLATE.format(site=site, service=service, instance=instance, contract="*")

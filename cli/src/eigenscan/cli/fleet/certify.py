@@ -1,0 +1,77 @@
+"""`eigenscan fleet certify`: a site's certificates and configuration, for robots, routers and services."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from eigenscan.cli.fleet.authority import Authority
+
+LOCAL = ("localhost", "127.0.0.1", "::1")
+
+
+def certify(
+    site: Annotated[str | None, typer.Option(help="name of a new site, first chunk of every key")] = None,
+    robot: Annotated[list[str] | None, typer.Option(help="robot to certify; as often as there are")] = None,
+    address: Annotated[
+        list[str] | None,
+        typer.Option(help="host name or address of the site's router; robots connect to the first"),
+    ] = None,
+    days: Annotated[int, typer.Option(min=1, max=3650, help="how long new certificates are valid")] = 730,
+    folder: Annotated[Path, typer.Option("-o", "--fleet", help="the fleet's folder")] = Path("fleet"),
+) -> None:
+    """Make a site's certificates and configuration, or add robots to it.
+
+    What is there already is kept: it makes what is missing. The authority's key signs certificates; keep it
+    away from robots and servers. Private keys are for their owner only, and not encrypted.
+
+    \b
+    Examples:
+      eigenscan fleet certify --site hospital --address 10.0.0.5 --robot r17 --robot r18 -o fleet
+      eigenscan fleet certify --robot r19 -o fleet
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.fleet import layout
+    from eigenscan.cli.fleet.authority import Authority
+    from eigenscan.cli.frame import UsageError
+
+    names, settings = robot or [], folder / "fleet.toml"
+    is_new = not settings.exists()
+    if is_new and (site is None or not address):
+        raise UsageError("a new fleet needs --site NAME and --address HOST, where robots reach its router")
+    if not is_new and (site is not None or address):
+        raise UsageError(f"--site, --address: {settings} has them; change them there")
+    wanted = {"site": site, "addresses": address} if is_new else layout.read(folder).model_dump()
+    fleet = layout.checked(wanted | {"robots": {name: {} for name in names}}, "--site, --address, --robot")
+    for name in names:
+        if name in layout.robots(folder) or names.count(name) > 1:
+            raise UsageError(
+                f"--robot {name}: has a certificate; for a new one: eigenscan fleet revoke {name} -o {folder}"
+            )
+    if is_new:
+        Authority.create(fleet.site).save(folder / "authority")
+        layout.begin(folder, fleet.site, fleet.addresses)
+    authority = Authority.load(folder / "authority")
+    _certify_site(authority, folder, fleet.addresses, days)
+    for name in names:
+        authority.issue(folder / "robots" / name, "robot", f"robot.{name}", days)
+    layout.configure(folder)
+    typer.echo(f"{folder / 'authority'}: signs certificates; keep it away from robots and servers")
+    typer.echo(f"{folder / 'site'}: {layout.INSTALLED} of the site's server")
+    typer.echo(f"{folder / 'operator'}: {layout.INSTALLED} of who looks after the fleet")
+    for name in names:
+        typer.echo(f"{folder / 'robots' / name}: {layout.INSTALLED} of {name}")
+
+
+def _certify_site(authority: Authority, folder: Path, addresses: Sequence[str], days: int) -> None:
+    """Certificates of the router and the site's services that have none."""
+    from eigenscan.cli.fleet import layout
+
+    if not (folder / "site/router.crt").exists():
+        authority.issue(folder / "site", "router", "site.router", days, serves=[*LOCAL, *addresses])
+    for role, own in layout.services(folder).items():
+        if not (own / f"{role.value}.crt").exists():
+            authority.issue(own, role.value, f"site.{role.value}", days)

@@ -1,0 +1,90 @@
+"""Zenoh's configuration of each router and service of a fleet, as JSON, which is JSON5."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from eigenscan.cli.fleet import access
+from eigenscan.schemas.channels import Role
+
+INSTALLED = "/etc/eigenscan"
+"""Where each machine, or its containers, finds its own part of the fleet's folder."""
+PORT = 7447
+MOST_ROBOTS = 10_000
+"""Links that the site's router takes; Zenoh's own limit is 1,000."""
+LARGEST_BYTES = 1_000_000
+"""Of one message from a robot: a raw scan has some tens of kilobytes."""
+
+_NO_SCOUTING = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+_PATIENT = {"timeout_ms": -1, "exit_on_failure": False}
+
+
+def site_router(
+    site: str, robots: Mapping[str, tuple[str, access.Air]], services: Mapping[Role, str]
+) -> dict[str, Any]:
+    """The site's router. `robots`: name -> common name of its certificate and what crosses the air."""
+    return {
+        "mode": "router",
+        "listen": {"endpoints": [f"tls/[::]:{PORT}"]},
+        "scouting": _NO_SCOUTING,
+        "transport": {
+            "unicast": {"max_sessions": MOST_ROBOTS},
+            "link": {"tls": _tls("router", "listen")},
+            "shared_memory": {"enabled": False},
+        },
+        "access_control": access.at_site(site, robots, services),
+        "low_pass_filter": [
+            {
+                "id": "largest message of a robot",
+                "flows": ["ingress"],
+                "messages": ["put"],
+                "key_exprs": [f"{site}/robot/**", f"{site}/health/**"],
+                "size_limit": LARGEST_BYTES,
+            }
+        ],
+    }
+
+
+def robot_router(site: str, robot: str, air: access.Air, router: str) -> dict[str, Any]:
+    """A robot's own router: its services meet there, and only what may cross the air leaves for `router`.
+
+    It is a peer to the site's router: routers would tell each other of all routers of the site.
+    """
+    return {
+        "mode": "peer",
+        "listen": {"endpoints": [f"tcp/127.0.0.1:{PORT}"]},
+        "connect": {"endpoints": [_endpoint(router)], **_PATIENT},
+        "scouting": _NO_SCOUTING,
+        "transport": {"link": {"tls": _tls("robot", "connect")}},
+        "access_control": access.on_robot(site, robot, air),
+    }
+
+
+def robot_service() -> dict[str, Any]:
+    """A service on a robot, or its driver: it speaks to the robot's own router and to nobody else."""
+    return _client(f"tcp/127.0.0.1:{PORT}")
+
+
+def site_service(name: str, router: str = "localhost") -> dict[str, Any]:
+    """A service of the site, or an operator's tool, with the certificate `name`."""
+    return _client(_endpoint(router)) | {"transport": {"link": {"tls": _tls(name, "connect")}}}
+
+
+def _client(endpoint: str) -> dict[str, Any]:
+    return {"mode": "client", "connect": {"endpoints": [endpoint], **_PATIENT}, "scouting": _NO_SCOUTING}
+
+
+def _endpoint(router: str) -> str:
+    return f"tls/[{router}]:{PORT}" if ":" in router else f"tls/{router}:{PORT}"
+
+
+def _tls(name: str, side: str) -> dict[str, Any]:
+    return {
+        "root_ca_certificate": f"{INSTALLED}/ca.crt",
+        f"{side}_private_key": f"{INSTALLED}/{name}.key",
+        f"{side}_certificate": f"{INSTALLED}/{name}.crt",
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }

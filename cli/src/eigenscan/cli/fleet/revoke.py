@@ -1,0 +1,34 @@
+"""`eigenscan fleet revoke`: shut out a certificate that is in wrong hands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def revoke(
+    name: Annotated[str, typer.Argument(help="robot, or service of the site", metavar="NAME")],
+    folder: Annotated[Path, typer.Option("-o", "--fleet", help="the fleet's folder")] = Path("fleet"),
+) -> None:
+    """Shut out a robot whose certificate is in wrong hands: stolen, lost, sold.
+
+    The site's router no longer lets it say or hear anything, nor those that are connected already. All other
+    robots go on alone meanwhile and are back within seconds. A new certificate for the same name
+    (eigenscan fleet certify --robot NAME) does not let the old one in again.
+
+    \b
+    Example:
+      eigenscan fleet revoke r17 -o fleet
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.fleet import layout
+
+    kept = layout.revoke(folder, name)
+    router = folder / "site" / "router.json5"
+    typer.echo(f"{kept.name}: is in {router} no more")
+    typer.echo(
+        "it holds as soon as the site's router has that file: one that ends on change starts anew by itself "
+        "(our fleet deployment does), any other must be restarted",
+        err=True,
+    )

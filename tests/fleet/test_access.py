@@ -1,0 +1,210 @@
+"""Every key of the contract, said and heard by every role, through a real router: what the table allows."""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import pytest
+import zenoh
+from eigenscan.schemas.channels import (
+    ALIVE_TEMPLATE,
+    CHANNELS,
+    CONTRACT_VERSION,
+    HEALTH,
+    LATCHED_TEMPLATE,
+    MODEL,
+    POSE,
+    SCAN,
+    SCAN_RAW,
+    Channel,
+    Role,
+)
+
+from tests.fleet.conftest import ROBOTS, SITE, Fleet, until
+
+SERVICES = tuple(role.value for role in Role if role is not Role.ROBOT)
+HOLDERS = (*ROBOTS, *SERVICES)
+ROUNDS, PAUSE_S, DENIED_S = 5, 0.05, 0.5
+LATCHED = [channel for channel in CHANNELS if channel.qos.latched]
+
+
+def role_of(holder: str) -> Role:
+    return Role.ROBOT if holder in ROBOTS else Role(holder)
+
+
+def service_of(owner: str) -> str:
+    return "tracker" if owner in ROBOTS else owner
+
+
+def key_of(channel: Channel, owner: str) -> str:
+    """The channel's key that belongs to `owner`: its robot, or its instance."""
+    fields = {
+        "site": SITE,
+        "robot": owner,
+        "instance": owner,
+        "lidar": "front",
+        "projector": "p",
+        "region": "hall",
+    }
+    return channel.key(fields | {"service": "tracker" if owner in ROBOTS else owner})
+
+
+def may_say(holder: str, channel: Channel, owner: str) -> bool:
+    role = role_of(holder)
+    if role not in channel.said_by:
+        return False
+    by_owner = {"robot", "instance"} & set(channel.fields)
+    return channel.qos.air_hz > 0 and (holder == owner or not by_owner)
+
+
+def may_hear(holder: str, channel: Channel) -> bool:
+    return role_of(holder) in channel.heard_by
+
+
+@dataclass
+class Exchange:
+    """What everybody heard, of whom, after everybody said everything."""
+
+    heard: set[tuple[str, str, str]] = field(default_factory=set)
+    answered: set[tuple[str, str, str]] = field(default_factory=set)
+    tokens: set[tuple[str, str]] = field(default_factory=set)
+
+    def hearer(self, holder: str) -> Any:
+        return lambda sample: self.heard.add((holder, str(sample.key_expr), sample.payload.to_string()))
+
+    def seer(self, holder: str) -> Any:
+        return lambda token: self.tokens.add((holder, str(token.key_expr)))
+
+
+def answerer(key: str, holder: str) -> Any:
+    def answer(query: Any) -> None:
+        with query:
+            query.reply(key, holder)
+
+    return answer
+
+
+WHAT = [(channel, owner) for channel, owner in product(CHANNELS, HOLDERS)]
+SPOKEN = [(holder, channel, owner) for holder, (channel, owner) in product(HOLDERS, WHAT)]
+
+
+def speak(sessions: dict[str, zenoh.Session]) -> None:
+    for holder, channel, owner in SPOKEN:
+        sessions[holder].put(key_of(channel, owner), holder)
+
+
+def token_of(holder: str, owner: str) -> str:
+    """A sign of life under `owner`'s name, told apart by who shows it."""
+    service = "tracker" if owner in ROBOTS else owner
+    return ALIVE_TEMPLATE.format(
+        site=SITE, service=service, instance=owner, contract=f"{CONTRACT_VERSION}-{holder}"
+    )
+
+
+@pytest.fixture(scope="module")
+def exchange(fleet: Fleet) -> Iterator[Exchange]:
+    told, shown = Exchange(), []
+    with ExitStack() as opened:
+        sessions = {
+            holder: opened.enter_context(
+                fleet.past_its_router(holder) if holder in ROBOTS else fleet.at_site(holder)
+            )
+            for holder in HOLDERS
+        }
+        for holder, session in sessions.items():
+            # a rule is asked for the subscription as it stands: the whole, and each channel by itself
+            for selector in ["**", f"{SITE}/**", *(channel.selector({"site": SITE}) for channel in CHANNELS)]:
+                session.declare_subscriber(
+                    selector, told.hearer(holder), allowed_origin=zenoh.Locality.REMOTE
+                )
+            session.liveliness().declare_subscriber(f"{SITE}/**", told.seer(holder), history=True)
+            for channel in LATCHED:
+                selector = LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session="*")
+                session.liveliness().declare_subscriber(selector, told.seer(holder), history=True)
+                token = LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session=holder)
+                shown.append(session.liveliness().declare_token(token))
+                session.declare_queryable(
+                    channel.selector({"site": SITE}), answerer(key_of(channel, holder), holder)
+                )
+            shown += [session.liveliness().declare_token(token_of(holder, owner)) for owner in HOLDERS]
+        expected = {
+            (hearer, key_of(channel, owner), holder)
+            for holder, channel, owner in SPOKEN
+            for hearer in HOLDERS
+            if hearer != holder and may_say(holder, channel, owner) and may_hear(hearer, channel)
+        }
+
+        def said() -> bool:
+            speak(sessions)
+            return expected <= told.heard
+
+        until(said, "not all that is allowed has arrived")
+        for _ in range(ROUNDS):
+            speak(sessions)
+            time.sleep(PAUSE_S)
+        for holder, channel in product(HOLDERS, LATCHED):
+            replies = sessions[holder].get(
+                channel.selector({"site": SITE}), target=zenoh.QueryTarget.ALL, timeout=5.0,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )  # fmt: skip
+            told.answered |= {
+                (holder, str(reply.ok.key_expr), reply.ok.payload.to_string())
+                for reply in replies
+                if reply.ok
+            }
+        time.sleep(DENIED_S)
+        assert len(shown) == len(HOLDERS) * (len(LATCHED) + len(HOLDERS))  # a token that nobody holds is gone
+        yield told
+
+
+@pytest.mark.parametrize("holder", HOLDERS)
+@pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
+def test_says_what_the_table_lets_it_say(exchange: Exchange, channel: Channel, holder: str) -> None:
+    for owner, hearer in product(HOLDERS, HOLDERS):
+        if hearer != holder:
+            arrived = (hearer, key_of(channel, owner), holder) in exchange.heard
+            allowed = may_say(holder, channel, owner) and may_hear(hearer, channel)
+            assert arrived == allowed, f"{holder} as {owner} to {hearer}"
+
+
+@pytest.mark.parametrize("holder", HOLDERS)
+@pytest.mark.parametrize("channel", LATCHED, ids=lambda channel: channel.name)
+def test_asks_and_answers_where_the_table_lets_it(exchange: Exchange, channel: Channel, holder: str) -> None:
+    asked = {(who, by) for who, key, by in exchange.answered if channel.parse(key) and who != by}
+    assert {who for who, by in asked if by == holder} == {
+        who
+        for who in HOLDERS
+        if who != holder and may_say(holder, channel, holder) and may_hear(who, channel)
+    }
+
+
+@pytest.mark.parametrize("holder", HOLDERS)
+def test_shows_itself_under_its_own_name_only(exchange: Exchange, holder: str) -> None:
+    for owner, seer in product(HOLDERS, HOLDERS):
+        if seer != holder:
+            seen = (seer, token_of(holder, owner)) in exchange.tokens
+            speaks = holder == owner and role_of(holder) in HEALTH.said_by
+            assert seen == (speaks and seer in SERVICES), f"{holder} as {owner} to {seer}"
+    for channel in LATCHED:
+        token = LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session=holder)
+        seers = {seer for seer, seen in exchange.tokens if seen == token and seer != holder}
+        assert seers == (set(HOLDERS) - {holder} if role_of(holder) in channel.said_by else set())
+
+
+def test_what_a_reader_of_the_table_expects(exchange: Exchange) -> None:
+    """Said once without the table, so that an error in it is noticed as well."""
+    heard_by: dict[tuple[str, str, str], set[str]] = {}
+    for holder, channel, owner in SPOKEN:
+        said = (key_of(channel, owner), holder)
+        heard_by[channel.name, owner, holder] = {one for one, *what in exchange.heard if tuple(what) == said}
+    site = {"mapbuilder", "recorder", "operator"}
+    assert heard_by[POSE.name, "r17", "r17"] == site
+    assert heard_by[POSE.name, "r17", "r18"] == set()
+    assert heard_by[POSE.name, "r17", "mapbuilder"] == set()
+    assert heard_by[SCAN.name, "r17", "r17"] == heard_by[SCAN_RAW.name, "r17", "r17"] == set()
+    assert heard_by[MODEL.name, "mapbuilder", "mapbuilder"] == {"r17", "r18", "recorder", "operator"}
+    assert heard_by[MODEL.name, "r17", "r17"] == set()
+    assert not {key for key, by in heard_by.items() if key[2] == "operator" and by}

@@ -1,0 +1,162 @@
+"""The folder that `eigenscan fleet certify` makes: complete, private, never overwritten; faults in a line."""
+
+import json
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from tests.fleet.conftest import run
+
+FIRST = ("certify", "--site", "hospital", "--address", "10.0.0.5", "--address", "router.hospital.example")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "fleet"
+    done = run(*FIRST, "--robot", "r17", "-o", folder)
+    assert done.exit_code == 0, done.stderr
+    return folder
+
+
+def certificate(path: Path) -> x509.Certificate:
+    return x509.load_pem_x509_certificate(path.read_bytes())
+
+
+def content(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_every_private_key_is_its_owners_only_and_no_configuration_holds_one(folder: Path) -> None:
+    keys = sorted(folder.rglob("*.key"))
+    assert len(keys) == 6  # authority, router, robot, mapbuilder, recorder, operator
+    assert len({key.read_bytes() for key in keys}) == len(keys)
+    for key in keys:
+        assert stat.S_IMODE(key.stat().st_mode) == 0o600, key
+    for path in folder.rglob("*"):
+        if path.is_file() and path.suffix != ".key":
+            assert "PRIVATE" not in path.read_text(), path
+
+
+def test_nothing_that_signs_is_for_a_machine(folder: Path) -> None:
+    signing = (folder / "authority/ca.key").read_bytes()
+    machines = [folder / "site", folder / "operator", folder / "robots/r17"]
+    assert not any(signing in content(machine).values() for machine in machines)
+
+
+def test_certificates_are_for_what_they_are_for_and_not_for_ever(folder: Path) -> None:
+    authority = certificate(folder / "authority/ca.crt")
+    now = datetime.now(UTC)
+    for path in [
+        *(folder / "site").glob("[!c]*.crt"),
+        folder / "operator/operator.crt",
+        folder / "robots/r17/robot.crt",
+    ]:
+        own = certificate(path)
+        own.verify_directly_issued_by(authority)
+        assert isinstance(own.public_key(), ec.EllipticCurvePublicKey)
+        uses = own.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        served = ExtendedKeyUsageOID.SERVER_AUTH
+        assert list(uses) == [served if path.stem == "router" else ExtendedKeyUsageOID.CLIENT_AUTH]
+        assert own.not_valid_before_utc < now < own.not_valid_after_utc < now + timedelta(days=731)
+        assert own.extensions.get_extension_for_class(x509.BasicConstraints).value.ca is False
+    names = certificate(folder / "site/router.crt").extensions.get_extension_for_class(
+        x509.SubjectAlternativeName
+    )
+    assert "router.hospital.example" in names.value.get_values_for_type(x509.DNSName)
+    assert "10.0.0.5" in [str(one) for one in names.value.get_values_for_type(x509.IPAddress)]
+
+
+def test_a_robot_more_changes_nothing_but_the_routers_rules(folder: Path) -> None:
+    before = content(folder)
+    assert run("certify", "--robot", "r18", "-o", folder).exit_code == 0
+    after = content(folder)
+    changed = {path for path, was in before.items() if after[path] != was}
+    assert changed == {folder / "site/router.json5"}
+    assert {path.parent for path in set(after) - set(before)} == {folder / "robots/r18"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("certify", "--robot", "r17"), ("r17", "fleet revoke r17")),
+        (("certify", "--robot", "r18", "--robot", "r18"), ("r18",)),
+        (("certify", "--site", "other"), ("--site", "fleet.toml")),
+        (("certify", "--robot", "a/b"), ("a/b", "chunk")),
+        (("certify", "--robot", "recorder"), ("recorder", "service of the site")),
+        (("certify", "--robot", "r" * 80), ("too long", "shorten")),
+        (("revoke", "r99"), ("r99", "r17")),
+    ],
+)
+def test_what_it_refuses_in_one_line_and_leaves_as_it_was(
+    folder: Path, arguments: tuple[str, ...], parts: tuple[str, ...]
+) -> None:
+    before = content(folder)
+    done = run(*arguments, "-o", folder)
+    assert done.exit_code == 2, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stderr.startswith(f"eigenscan fleet {arguments[0]}: ")
+    for part in parts:
+        assert part in done.stderr
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (("certify",), "--address"),
+        (("certify", "--site", "a b", "--address", "h"), "site = 'a b'"),
+        (("certify", "--site", "s", "--address", "h:7447"), "without a port"),
+        (("configure",), "fleet certify"),
+        (("revoke", "r17"), "fleet certify"),
+    ],
+)
+def test_no_fleet_and_nothing_left(tmp_path: Path, arguments: tuple[str, ...], part: str) -> None:
+    done = run(*arguments, "-o", tmp_path / "fleet")
+    assert done.exit_code == 2, done.stderr
+    assert part in done.stderr
+    assert not (tmp_path / "fleet").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("[air]\nscans = 1.0", ("air.scans", "scan_raw")),
+        ("[air]\nscan = -1", ("air.scan", "greater than or equal")),
+        ("[air]\nmodel = 1.0", ("air.model", "robots")),
+        ("[robots.r99]\nscan = 1.0", ("robots.r99", "r17")),
+        ("speed = 1", ("speed",)),
+        ("[air", ("TOML",)),
+    ],
+)
+def test_a_fault_in_fleet_toml_is_named(folder: Path, text: str, parts: tuple[str, ...]) -> None:
+    path = folder / "fleet.toml"
+    before = content(folder)
+    path.write_text(f'site = "hospital"\naddresses = ["10.0.0.5"]\n{text}\n')
+    done = run("configure", "-o", folder)
+    assert done.exit_code == 2, done.stderr
+    assert "fleet.toml" in done.stderr
+    for part in parts:
+        assert part in done.stderr
+    path.write_bytes(before[path])
+    assert content(folder) == before
+
+
+def test_a_certificate_that_is_gone_is_made_again(folder: Path) -> None:
+    for path in (folder / "site").glob("recorder.*"):
+        path.unlink()
+    assert run("certify", "-o", folder).exit_code == 0
+    certificate(folder / "site/recorder.crt").verify_directly_issued_by(
+        certificate(folder / "authority/ca.crt")
+    )
+
+
+def test_addresses_of_ip_version_6(tmp_path: Path) -> None:
+    folder = tmp_path / "fleet"
+    assert run("certify", "--site", "s", "--address", "fd00::5", "--robot", "r", "-o", folder).exit_code == 0
+    connect = json.loads((folder / "robots/r/router.json5").read_text())["connect"]
+    assert connect["endpoints"] == ["tls/[fd00::5]:7447"]
