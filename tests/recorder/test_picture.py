@@ -8,11 +8,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
 import pytest
+import rerun.blueprint as rrb
 from eigenscan.eigenspace.components import analyse
 from eigenscan.eigenspace.model import RegionModel, quantize
 from eigenscan.eigenspace.panorama import Sensor
@@ -20,8 +21,12 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
 from eigenscan.recorder.picture.belief import probabilities
+from eigenscan.recorder.picture.blueprint import blueprint
+from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
+from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.manifold import Manifold
 from eigenscan.recorder.picture.pace import Pace
+from eigenscan.recorder.picture.palette import LOCALIZED, LOST
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.recorder.settings import RecorderSettings
@@ -96,6 +101,9 @@ def test_the_file_is_sound_and_holds_every_part_of_the_picture(tmp_path: Path) -
         "/eigenspace/r1/scan",
         "/eigenspace/r1/hypotheses",
         "/eigenspace/r1/places",
+        "/curves/r1/scan/seen",
+        "/curves/r1/scan/kept",
+        "/curves/r1/eigenscans",
     }
     assert expected <= entities(path)
     assert len(RrdReader(str(path)).blueprints()) >= 1
@@ -414,6 +422,63 @@ def test_scan_pose_and_place_meet_in_one_point_of_eigenspace(components: int) ->
     distances = [np.linalg.norm(loop - np.array(direct), axis=1).min() for loop in manifold.loops()]
     assert int(np.argmin(distances)) == place
     assert all(np.array_equal(loop[0], loop[-1]) for loop in manifold.loops())
+
+
+def test_the_curves_are_the_scan_and_what_its_coefficients_stand_for() -> None:
+    """Of a scan with one missing beam and a narrower field of view than the model's."""
+    model = hallway(4)
+    manifold = Manifold(model.to_message())
+    bearings = np.radians(np.arange(-80, 91))
+    ranges = [to_wall(2, 1, 0.3 + bearing) for bearing in bearings]
+    ranges[40] = math.nan
+    scan = Scan(angle_min=bearings[0], angle_increment=math.radians(1.0), ranges=ranges)
+    seen, kept = manifold.sight(scan)
+    assert np.flatnonzero(np.isnan(seen)).tolist() == [*range(10), 50]
+    assert seen[10:] == pytest.approx(ranges, abs=1e-5, nan_ok=True)
+    offset = np.where(np.isnan(seen), 0.0, seen - model.space.mean)
+    direct = model.space.mean + sum((offset @ vector) * vector for vector in model.space.vectors)
+    assert kept == pytest.approx(direct, abs=1e-3)
+    assert np.degrees(manifold.bearings) == pytest.approx(np.arange(-90, 91), abs=1e-3)
+    _, shares = manifold.eigenscans(3)
+    assert np.all(np.diff(shares) <= 0)
+    assert 0.3 < shares.sum() < 1
+
+
+@pytest.mark.parametrize("robots", [2, 40])
+def test_the_board_shows_who_needs_somebody_first(robots: int) -> None:
+    """Few robots stay where they are; of many, those in need come first, in the colour of their state."""
+    lines = [
+        Line(f"r{n:02}", "LOST" if n == robots - 1 else "LOCALIZED", int(n == robots - 1), colour, "", "")
+        for n in range(robots)
+        for colour in [LOST if n == robots - 1 else LOCALIZED]
+    ]
+    order = shown(lines)
+    assert {line.robot for line in order} == {line.robot for line in lines}
+    first = order[-1] if robots <= MOST_BARS else order[0]
+    assert first.robot == f"r{robots - 1:02}"
+    image = draw_board(order)
+    red = np.argwhere((image == LOST).all(axis=-1))
+    green = np.argwhere((image == LOCALIZED).all(axis=-1))
+    share = len(red) / (len(red) + len(green))
+    assert share == pytest.approx(1 / robots, rel=0.3)
+    assert (red[:, 0].min() < green[:, 0].max()) == (robots > MOST_BARS)
+
+
+def origins(panel: Any) -> set[str]:
+    """Entities that the panels of a blueprint stand on."""
+    if isinstance(panel, rrb.Container):
+        return set().union(*(origins(part) for part in panel.contents))
+    return {str(panel.origin)}
+
+
+def test_no_panel_of_any_layout_stays_empty(tmp_path: Path) -> None:
+    draw(tmp_path / "a.rrd", Site("s", seconds=3.0).messages())
+    drawn = entities(tmp_path / "a.rrd")
+    for layout in get_args(Layout):
+        stood_on = origins(blueprint(layout, None, None, live=False).root_container)
+        assert {"status", "world", "legend"} <= stood_on
+        for origin in stood_on:
+            assert any(entity.startswith(f"/{origin}") for entity in drawn), (layout, origin)
 
 
 def test_missing_beams_and_another_field_of_view_pull_nowhere() -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.frame import UsageError
+from eigenscan.recorder.picture.layout import Layout
+
+if TYPE_CHECKING:
+    from eigenscan.recorder.settings import RecorderSettings
 
 HOST = "127.0.0.1"
 
@@ -19,6 +23,7 @@ def view(
         Path | None, typer.Option(help="Rerun file to write; without it one that is gone afterwards")
     ] = None,
     is_opened: Annotated[bool, typer.Option("--open/--no-open", help="open the web viewer")] = True,
+    layout: Annotated[Layout, typer.Option(help="what the picture shows first")] = "operator",
     picture_hz: Annotated[
         float, typer.Option(min=0.01, help="pictures a second of the recording's time")
     ] = 10.0,
@@ -29,12 +34,15 @@ def view(
     \b
     Examples:
       eigenscan view recordings/site-20260131-120000.mcap
+      eigenscan view drive.mcap --layout researcher
       eigenscan view drive.mcap --rrd drive.rrd --no-open
     """  # noqa: D301 - \b keeps the lines apart in --help
     if rrd is None and not is_opened:
         raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
+    from eigenscan.recorder.settings import RecorderSettings
+
     if rrd is not None:
-        _draw(recording, rrd, picture_hz)
+        _draw(recording, RecorderSettings(rrd=rrd, layout=layout, picture_hz=picture_hz))
         if is_opened:
             _open(rrd, port)
         return
@@ -42,20 +50,19 @@ def view(
 
     with TemporaryDirectory(prefix="eigenscan-view-") as folder:
         target = Path(folder) / f"{recording.stem}.rrd"
-        _draw(recording, target, picture_hz)
+        _draw(recording, RecorderSettings(rrd=target, layout=layout, picture_hz=picture_hz))
         _open(target, port)
 
 
-def _draw(recording: Path, target: Path, picture_hz: float) -> None:
-    """Draws `recording` into `target`, with a progress bar."""
+def _draw(recording: Path, settings: RecorderSettings) -> None:
+    """Draws `recording` as `settings` say, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
-    from eigenscan.recorder.settings import RecorderSettings
     from eigenscan.runtime.recording import message_count, read
     from rich.console import Console
     from rich.progress import Progress
 
     total = message_count(recording)
-    sink = RerunSink(RecorderSettings(rrd=target, picture_hz=picture_hz))
+    sink = RerunSink(settings)
     drawn = 0
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"drawing {recording.name}", total=total)

@@ -35,7 +35,11 @@ class RerunSink:
             sinks.append(self._serve(settings, settings.viewer_port))
         self._stream.set_sinks(*sinks)
         self._picture = Picture(
-            self._stream, settings.picture_hz, settings.plot_window_s, live=settings.viewer_port is not None
+            self._stream,
+            settings.picture_hz,
+            settings.layout,
+            settings.plot_window_s,
+            live=settings.viewer_port is not None,
         )
 
     @property

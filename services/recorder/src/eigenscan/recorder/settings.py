@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from eigenscan.recorder.files import Limits
+from eigenscan.recorder.picture.layout import Layout
 from eigenscan.runtime.settings import ServiceSettings
 from pydantic import Field, field_validator, model_validator
 
@@ -48,6 +49,10 @@ class RecorderSettings(ServiceSettings):
     viewer_memory: str = Field(
         "256MB",
         description="memory for late joining viewers; the oldest is dropped beyond it",
+    )
+    layout: Layout = Field(
+        "operator",
+        description="what the picture shows first: operator, developer, researcher, or fleet (many robots)",
     )
     picture_hz: float = Field(
         10.0,

@@ -1,4 +1,4 @@
-"""The layout: one bar to read from across the room, the map below it, the evidence beside it."""
+"""The layouts: one bar to read from across the room, and below it what each reader asks for first."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from eigenscan.recorder.picture.canvas import TIMELINE
+from eigenscan.recorder.picture.curves import BOUNDS
+from eigenscan.recorder.picture.layout import Layout
 from numpy.typing import ArrayLike
 
 FIELD_OF_VIEW = np.deg2rad(55.0)
@@ -18,18 +20,19 @@ ASPECT = 1.35
 """Width over height of the map's panel on a usual screen."""
 
 
-def layout(extent: tuple[ArrayLike, ArrayLike] | None, window_s: float | None, live: bool) -> rrb.Blueprint:
+Past = Sequence[rr.VisibleTimeRange] | None
+Extent = tuple[ArrayLike, ArrayLike]
+
+
+def blueprint(layout: Layout, extent: Extent | None, window_s: float | None, live: bool) -> rrb.Blueprint:
     """Panels for any number of robots.
 
     `extent`: low and high corner of the map, m, which the eye takes in; `window_s`: s of the past that time
     plots show, None for everything; `live`: the newest is followed.
     """
+    panels = {"operator": _operator, "developer": _developer, "researcher": _researcher, "fleet": _fleet}
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Spatial2DView(origin="status", name="State", titlebar=False, background=[30, 30, 30]),
-            rrb.Horizontal(_map(extent), _evidence(window_s), column_shares=[7, 4]),
-            row_shares=[1, 12],
-        ),
+        panels[layout](extent, _past(window_s)),
         rrb.TimePanel(
             state="collapsed",
             timeline=TIMELINE,
@@ -41,7 +44,49 @@ def layout(extent: tuple[ArrayLike, ArrayLike] | None, window_s: float | None, l
     )
 
 
-def _map(extent: tuple[ArrayLike, ArrayLike] | None) -> rrb.Spatial3DView:
+def _operator(extent: Extent | None, past: Past) -> rrb.Container:
+    """Where is it, and may it be believed?"""
+    evidence = rrb.Vertical(
+        _state(past),
+        _belief(past),
+        rrb.Tabs(*_errors(past)),
+        rrb.Tabs(_legend(), _beams(), _eigenspace(), _events()),
+        row_shares=[1.2, 2, 2, 5],
+    )
+    return _under_the_bar(rrb.Horizontal(_map(extent), evidence, column_shares=[7, 4]))
+
+
+def _developer(extent: Extent | None, past: Past) -> rrb.Container:
+    """Which service did what, when?"""
+    time = rrb.Vertical(_state(past), _belief(past), *_errors(past), row_shares=[1.2, 2, 2, 2])
+    here = rrb.Vertical(_map(extent), rrb.Tabs(_beams(), _legend()), row_shares=[7, 3])
+    return _under_the_bar(rrb.Horizontal(here, rrb.Vertical(time, _events(), row_shares=[3, 2])))
+
+
+def _researcher(extent: Extent | None, past: Past) -> rrb.Container:
+    """What does the eigenspace make of a scan?"""
+    space = rrb.Vertical(_eigenspace(), rrb.Horizontal(_beams(), _belief(past)), row_shares=[7, 3])
+    scan = rrb.Vertical(_curves(), rrb.Tabs(_map(extent), _legend()), row_shares=[5, 4])
+    return _under_the_bar(rrb.Horizontal(space, scan, column_shares=[6, 5]))
+
+
+def _fleet(extent: Extent | None, past: Past) -> rrb.Container:
+    """Which robot needs me?"""
+    below = rrb.Horizontal(
+        _map(extent), rrb.Vertical(_events(), rrb.Tabs(_state(past), _legend())), column_shares=[7, 4]
+    )
+    return rrb.Vertical(_board(), below, row_shares=[4, 9])
+
+
+def _under_the_bar(panels: rrb.Container) -> rrb.Container:
+    return rrb.Vertical(_board(), panels, row_shares=[1, 12])
+
+
+def _board() -> rrb.View:
+    return rrb.Spatial2DView(origin="status", name="State", titlebar=False, background=[30, 30, 30])
+
+
+def _map(extent: Extent | None) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin="world",
         name="Where (map, north up)",
@@ -52,7 +97,7 @@ def _map(extent: tuple[ArrayLike, ArrayLike] | None) -> rrb.Spatial3DView:
     )
 
 
-def _eye(extent: tuple[ArrayLike, ArrayLike] | None) -> rrb.EyeControls3D | None:
+def _eye(extent: Extent | None) -> rrb.EyeControls3D | None:
     """Straight above the middle, high enough to see all of the map."""
     if extent is None:
         return None
@@ -67,32 +112,54 @@ def _eye(extent: tuple[ArrayLike, ArrayLike] | None) -> rrb.EyeControls3D | None
     )
 
 
-def _evidence(window_s: float | None) -> rrb.Vertical:
-    ranges = _past(window_s)
-    return rrb.Vertical(
-        rrb.StateTimelineView(origin="state", name="State over time", time_ranges=ranges),
-        rrb.TimeSeriesView(
-            origin="belief",
-            name="How sure (1 = certain)",
-            axis_y=rrb.ScalarAxis(range=(-0.03, 1.03)),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-            time_ranges=ranges,
-        ),
-        rrb.Tabs(
-            rrb.TimeSeriesView(origin="error/position", name="Error, m", time_ranges=ranges),
-            rrb.TimeSeriesView(origin="error/heading", name="Heading error, deg", time_ranges=ranges),
-        ),
-        rrb.Tabs(
-            rrb.TextDocumentView(origin="legend", name="What the colours mean"),
-            rrb.BarChartView(origin="beams", name="Beams"),
-            rrb.Spatial3DView(origin="eigenspace", name="Eigenspace", line_grid=False),
-            rrb.TextLogView(origin="events", name="Events"),
-        ),
-        row_shares=[1.2, 2, 2, 5],
+def _state(past: Past) -> rrb.View:
+    return rrb.StateTimelineView(origin="state", name="State over time", time_ranges=past)
+
+
+def _belief(past: Past) -> rrb.View:
+    return rrb.TimeSeriesView(
+        origin="belief",
+        name="How sure (1 = certain)",
+        axis_y=rrb.ScalarAxis(range=(-0.03, 1.03)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        time_ranges=past,
     )
 
 
-def _past(window_s: float | None) -> Sequence[rr.VisibleTimeRange] | None:
+def _errors(past: Past) -> tuple[rrb.View, rrb.View]:
+    return (
+        rrb.TimeSeriesView(origin="error/position", name="Error, m", time_ranges=past),
+        rrb.TimeSeriesView(origin="error/heading", name="Heading error, deg", time_ranges=past),
+    )
+
+
+def _beams() -> rrb.View:
+    return rrb.BarChartView(origin="beams", name="Beams")
+
+
+def _eigenspace() -> rrb.View:
+    return rrb.Spatial3DView(origin="eigenspace", name="Eigenspace", line_grid=False)
+
+
+def _curves() -> rrb.View:
+    across, down = BOUNDS
+    return rrb.Spatial2DView(
+        origin="curves",
+        name="Scan and eigen-scans (left to right as the robot looks)",
+        background=[255, 255, 255],
+        visual_bounds=rrb.VisualBounds2D(x_range=across, y_range=down),
+    )
+
+
+def _legend() -> rrb.View:
+    return rrb.TextDocumentView(origin="legend", name="What the colours mean")
+
+
+def _events() -> rrb.View:
+    return rrb.TextLogView(origin="events", name="Events")
+
+
+def _past(window_s: float | None) -> Past:
     if window_s is None:
         return None
     return [

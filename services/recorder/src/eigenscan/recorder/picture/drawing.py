@@ -8,11 +8,12 @@ import numpy as np
 import rerun as rr
 from eigenscan.recorder.picture.beams import BeamsPicture
 from eigenscan.recorder.picture.belief import BeliefPicture
-from eigenscan.recorder.picture.blueprint import layout
+from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.canvas import Canvas
 from eigenscan.recorder.picture.eigenspace import EigenspacePicture
 from eigenscan.recorder.picture.events import Events
 from eigenscan.recorder.picture.floor import Floor
+from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.legend import LEGEND
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.plots import Plots
@@ -43,27 +44,38 @@ class Picture:
     """Draws the traffic of a site, any number of robots on one map."""
 
     def __init__(
-        self, stream: rr.RecordingStream, rate_hz: float, window_s: float | None, *, live: bool
+        self,
+        stream: rr.RecordingStream,
+        rate_hz: float,
+        layout: Layout,
+        window_s: float | None,
+        *,
+        live: bool,
     ) -> None:
-        """`rate_hz`: pictures per second and robot at most; `window_s`, `live`: see `blueprint.layout`."""
-        self._stream, self._window_s, self._live = stream, window_s, live
+        """`rate_hz`: pictures per second and robot at most; the others: see `blueprint.blueprint`."""
+        self._stream, self._layout, self._window_s, self._live = stream, layout, window_s, live
         canvas, scans = Canvas(stream), ScanMemory()
         pace, charts = Pace(rate_hz), Pace(rate_hz / CHARTS_LESS_OFTEN)
         self._floor, self._plots = Floor(canvas), Plots(canvas)
-        robots, belief = RobotPicture(canvas, pace, scans), BeliefPicture(canvas, pace)
+        robots = RobotPicture(canvas, pace, scans, brief=layout == "fleet")
+        belief = BeliefPicture(canvas, pace)
         beams, space = BeamsPicture(canvas, charts, scans), EigenspacePicture(canvas, charts, scans)
         board, events = StatusBoard(canvas), Events(canvas)
         self._drawn_by: dict[Channel, tuple[Draw, ...]] = {
             MAP: (self._draw_map,),
-            MODEL: (self._floor.draw_region, space.keep_model),
-            SCAN: (scans.keep, robots.hear_scan),
+            MODEL: (self._floor.draw_region,),
             POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
             TRUTH: (robots.draw_truth, self._plots.hear_truth),
-            HYPOTHESES: (belief.draw_hypotheses, space.draw),
-            OBSTACLES: (belief.draw_obstacles, beams.draw),
-            TRACKS: (belief.draw_tracks,),
             HEALTH: (events.hear_health, board.hear_health),
         }
+        if layout != "fleet":  # many robots' guesses would hide the map
+            self._drawn_by |= {
+                MODEL: (self._floor.draw_region, space.keep_model),
+                SCAN: (scans.keep, robots.hear_scan),
+                HYPOTHESES: (belief.draw_hypotheses, space.draw),
+                OBSTACLES: (belief.draw_obstacles, beams.draw),
+                TRACKS: (belief.draw_tracks,),
+            }
         canvas.fix("legend", rr.TextDocument(LEGEND, media_type=rr.MediaType.MARKDOWN))
         self._show()
 
@@ -84,4 +96,6 @@ class Picture:
             self._show()
 
     def _show(self) -> None:
-        self._stream.send_blueprint(layout(self._floor.extent, self._window_s, live=self._live))
+        self._stream.send_blueprint(
+            blueprint(self._layout, self._floor.extent, self._window_s, live=self._live)
+        )

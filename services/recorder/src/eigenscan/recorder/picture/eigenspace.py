@@ -9,6 +9,7 @@ import rerun as rr
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.recorder.picture.belief import HYPOTHESES_DRAWN, probabilities
 from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
+from eigenscan.recorder.picture.curves import draw_eigenscans, draw_scan
 from eigenscan.recorder.picture.manifold import Manifold
 from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import HYPOTHESIS, PLACE, SCAN, UNLIKELY, blend
@@ -22,7 +23,10 @@ MANIFOLDS_KEPT = 4
 
 
 class EigenspacePicture:
-    """Draws the first three coefficients (paper, eq. 2), m, in the space of the best hypothesis' region."""
+    """Draws the first three coefficients (paper, eq. 2), m, in the space of the best hypothesis' region.
+
+    And the same space as curves over the bearing.
+    """
 
     def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory) -> None:
         self._canvas, self._pace, self._scans = canvas, pace, scans
@@ -55,6 +59,8 @@ class EigenspacePicture:
         if shown != region or abs(stamp - drawn_at) >= REPEAT_NS:
             self._shown[robot] = region, stamp
             self._draw_places(stamp, robot, manifold)
+            draw_eigenscans(self._canvas, stamp, f"curves/{robot}/eigenscans", manifold)
+        draw_scan(self._canvas, stamp, f"curves/{robot}/scan", manifold, scan)
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
         poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed])

@@ -21,6 +21,8 @@ The **bar on top** says it in one word:
 - **Beams**: observed minus predicted range of each beam, m; blue: explained, red: unexpected.
 - **Eigenspace**: the scan (blue) and its hypotheses (orange) by their first three coefficients in the best
   region's space. Each thin loop is one place of that region, seen at all headings.
+- **Scan and eigen-scans**: the scan's ranges (blue) and what the region's eigenspace keeps of them (orange);
+  below, the first eigen-scans (purple), of which it is mixed.
 - **Events**: changes of state and of the services' health.
 
 Hidden at first: the outlines of the regions that have an eigenspace (`world/regions`).

@@ -20,6 +20,7 @@ Array32 = NDArray[np.float32]
 
 PLACES_DRAWN = 30
 HEADINGS_DRAWN = 60
+FAR_SHARE = 0.99
 
 
 class Manifold:
@@ -34,6 +35,8 @@ class Manifold:
         self._transform = RangeTransform(model.range_cap)
         self._turn = model.sensor.turn
         self._values = self._transform(resample(model.panoramas, self._turn))
+        self.far = max(float(np.quantile(self._values, FAR_SHARE)), 1e-3)
+        """Range, m, that hardly any beam exceeds here."""
 
     def loops(self) -> list[Array32]:
         """A closed line (HEADINGS_DRAWN + 1, 3) for each of at most PLACES_DRAWN places: all its headings."""
@@ -42,17 +45,36 @@ class Manifold:
         turned = np.linspace(0, self._turn, HEADINGS_DRAWN + 1).astype(np.intp) % self._turn
         return list(every[:, turned])
 
+    @property
+    def bearings(self) -> Array32:
+        """Of the analysed beams (B,), rad, to the left."""
+        steps = np.arange(self._sensor.beams, dtype=np.float32)
+        return np.float32(self._sensor.angle_min) + np.float32(self._sensor.angle_increment) * steps
+
+    def eigenscans(self, number: int) -> tuple[Array32, Array32]:
+        """The first eigenvectors (n, B), at most `number`, and their shares of the variance (n,)."""
+        shares = self._space.eigenvalues[:number] / np.float32(max(self._space.total_variance, 1e-9))
+        return self._space.vectors[:number], shares
+
     def scan(self, scan: Scan) -> Array32:
         """The scan's point (3,). Beams that are missing, or beyond its field of view, count as the mean."""
-        sensor = self._sensor
-        bearings = sensor.angle_min + sensor.angle_increment * np.arange(sensor.beams)
-        beam = np.rint((bearings - scan.angle_min) / scan.angle_increment)
+        return _three(self._space.project(self._filled(self._values_of(scan))))
+
+    def sight(self, scan: Scan) -> tuple[Array32, Array32]:
+        """Ranges (B,), m, NaN where none was measured, and their reconstruction (paper, eq. 3)."""
+        values = self._values_of(scan)
+        return values, self._space.reconstruct(self._space.project(self._filled(values)))
+
+    def _values_of(self, scan: Scan) -> Array32:
+        """Values (B,) of the scan's beams at the analysed bearings; NaN where there is none."""
+        beam = np.rint((self.bearings - scan.angle_min) / scan.angle_increment)
         seen = (beam >= 0) & (beam < len(scan.ranges))
-        ranges = np.full(sensor.beams, np.nan)
+        ranges = np.full(self._sensor.beams, np.nan)
         ranges[seen] = np.asarray(scan.ranges, dtype=np.float64)[beam[seen].astype(np.intp)]
-        values = self._transform(ranges)
-        filled = np.where(np.isnan(values), np.float32(self._space.mean), values)
-        return _three(self._space.project(filled))
+        return self._transform(ranges)
+
+    def _filled(self, values: Array32) -> Array32:
+        return np.where(np.isnan(values), np.float32(self._space.mean), values)
 
     def poses(self, bases: ArrayLike, scan: Scan) -> Array32:
         """Points (n, 3) of what the lidar of `scan` would see with the robot's base at `bases` (n, 3).

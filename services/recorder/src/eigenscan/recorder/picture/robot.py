@@ -32,8 +32,9 @@ class Sighting:
 class RobotPicture:
     """Draws poses and scans of all robots. A scan waits for the pose that follows from it."""
 
-    def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory) -> None:
-        self._canvas, self._pace, self._scans = canvas, pace, scans
+    def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory, *, brief: bool) -> None:
+        """`brief`: the label beside a robot is its name alone."""
+        self._canvas, self._pace, self._scans, self._brief = canvas, pace, scans, brief
         self._seen: dict[str, Sighting] = {}
         self._state: dict[str, int] = {}
 
@@ -81,7 +82,7 @@ class RobotPicture:
     def _draw_robot(self, robot: str, stamp: int, pose: Array, message: PoseEstimate) -> None:
         colour = STATE_COLOURS.get(message.state, TRUTH)
         path = f"world/robots/{robot}/pose"
-        label = f"{robot}: {state_name(message.state)} {message.confidence:.0%}"
+        label = robot if self._brief else f"{robot}: {state_name(message.state)} {message.confidence:.0%}"
         self._canvas.style(path, _arrow_style)
         strips, disc = _arrow(pose, 0.12)
         self._canvas.draw(

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-import numpy as np
 import rerun as rr
+from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
 from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
 from eigenscan.recorder.picture.palette import SILENT, STATE_COLOURS, Colour, state_name
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from PIL import Image, ImageDraw, ImageFont
 
-LINE_PX = (1000, 46)
 REFRESH_NS = 2_000_000_000
 SILENT_NS = 3_000_000_000
 """A robot that says no pose for so long is silent."""
@@ -22,31 +19,23 @@ SILENCE = "SILENT"
 WELL = state_name(STATE_LOCALIZED)
 ADVICE = {
     "LOCALIZED": "act on the pose",
+    "UNKNOWN": "no state",
     "AMBIGUOUS": "several places fit: see the tracks",
     "LOST": "do not act on any pose",
-    "UNKNOWN": "no state",
     SILENCE: "no pose comes any more: is its tracker running?",
 }
-
-
-@dataclass(frozen=True)
-class Line:
-    """What the board says of one robot."""
-
-    colour: Colour
-    title: str
-    detail: str
+"""Of each state, the more urgent the later."""
 
 
 class StatusBoard:
-    """Draws the board whenever it changes, a state at once, figures every 2 s; and the events."""
+    """Draws the board whenever it changes, every 2 s, a state of few robots at once; and the events."""
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
         self._lines: dict[str, Line] = {}
         self._states: dict[str, str] = {}
         self._told_at: dict[str, int] = {}
-        self._drawn_at = 0
+        self._looked_at = self._drawn_at = 0
         self._drawn: list[Line] = []
         self._now = 0
         self._heard_at: dict[str, int] = {}
@@ -58,7 +47,7 @@ class StatusBoard:
         if stamp is None:
             return
         self._heard_at[robot] = self._now
-        self._tell(stamp, robot, state_name(message.state), _line(robot, message))
+        self._tell(stamp, _line(robot, message))
 
     def hear_health(self, heard: Envelope) -> None:
         """Takes the services' clock: while it goes on, a robot without poses is silent, not well."""
@@ -67,11 +56,10 @@ class StatusBoard:
         for robot, heard_at in self._heard_at.items():
             if heard_at and self._now - heard_at > SILENT_NS:
                 self._heard_at[robot] = 0
-                self._tell(
-                    self._canvas.newest, robot, SILENCE, Line(SILENT, f"{robot}: {SILENCE}", ADVICE[SILENCE])
-                )
+                self._tell(self._canvas.newest, _say(robot, SILENCE, SILENT))
 
-    def _tell(self, stamp: int, robot: str, name: str, line: Line) -> None:
+    def _tell(self, stamp: int, line: Line) -> None:
+        robot, name = line.robot, line.state
         self._lines[robot] = line
         before = self._states.get(robot)
         if before != name:
@@ -79,11 +67,18 @@ class StatusBoard:
         if before != name or abs(stamp - self._told_at.get(robot, 0)) >= REPEAT_NS:
             self._told_at[robot] = stamp
             self._canvas.draw(stamp, f"state/{robot}", rr.StateChange(state=name))
-        lines = list(self._lines.values())
-        due = REFRESH_NS if lines != self._drawn else REPEAT_NS
-        if before != name or abs(stamp - self._drawn_at) >= due:
+        self._refresh(stamp, at_once=before != name and len(self._lines) <= MOST_BARS)
+
+    def _refresh(self, stamp: int, *, at_once: bool) -> None:
+        """A board of many robots is dear: it waits for its turn."""
+        if not at_once and abs(stamp - self._looked_at) < REFRESH_NS:
+            return
+        self._looked_at = stamp
+        lines = shown(list(self._lines.values()))
+        if lines != self._drawn or abs(stamp - self._drawn_at) >= REPEAT_NS:
             self._drawn, self._drawn_at = lines, stamp
-            self._canvas.draw(stamp, "status", _board(lines))
+            # not compressed: a viewer shows nothing while it unpacks an image
+            self._canvas.draw(stamp, "status", rr.Image(draw_board(lines)))
 
     def _announce(self, stamp: int, robot: str, name: str, before: str | None) -> None:
         """State changes go to the events."""
@@ -101,22 +96,11 @@ def _state_styles() -> tuple[rr.StateConfiguration]:
 
 def _line(robot: str, message: PoseEstimate) -> Line:
     name = state_name(message.state)
-    colour = STATE_COLOURS.get(message.state, SILENT)
-    if not message.track_id or math.isnan(message.confidence):
-        return Line(colour, f"{robot}: {name}", ADVICE[name])
-    percent = 5 * round(20 * min(max(message.confidence, 0.0), 1.0))
-    return Line(colour, f"{robot}: {name}   {percent} % sure", ADVICE[name])
+    sureness = ""
+    if message.track_id and not math.isnan(message.confidence):
+        sureness = f"{5 * round(20 * min(max(message.confidence, 0.0), 1.0))} % sure"
+    return _say(robot, name, STATE_COLOURS.get(message.state, SILENT), sureness)
 
 
-def _board(lines: list[Line]) -> rr.Image:
-    """One coloured bar a robot. Not compressed: a viewer shows nothing while it unpacks an image."""
-    width, height = LINE_PX
-    image = Image.new("RGB", (width, height * len(lines)))
-    pen = ImageDraw.Draw(image)
-    title, detail = ImageFont.load_default(26), ImageFont.load_default(16)
-    for row, line in enumerate(lines):
-        top = row * height
-        pen.rectangle((0, top, width, top + height - 3), fill=line.colour)
-        pen.text((14, top + 22), line.title, font=title, fill="white", anchor="lm")
-        pen.text((width - 14, top + 22), line.detail, font=detail, fill="white", anchor="rm")
-    return rr.Image(np.asarray(image))
+def _say(robot: str, name: str, colour: Colour, sureness: str = "") -> Line:
+    return Line(robot, name, list(ADVICE).index(name), colour, sureness, ADVICE[name])

@@ -1,0 +1,75 @@
+"""The board as an image: a bar a robot, or a field a robot where there are many, those in need first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.recorder.picture.palette import Colour
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+BAR_PX = (1000, 46)
+FIELD_PX = (240, 30)
+FIELDS_A_ROW = 8
+MOST_BARS = 6
+"""Robots that get a bar each."""
+SUMMARY: Colour = (30, 30, 30)
+
+
+@dataclass(frozen=True)
+class Line:
+    """What the board says of one robot. `urgency`: the greater, the sooner somebody must look."""
+
+    robot: str
+    state: str
+    urgency: int
+    colour: Colour
+    sureness: str
+    advice: str
+
+
+def shown(lines: Sequence[Line]) -> list[Line]:
+    """What the board shows of the lines, in its order: many robots are shown without figures."""
+    if len(lines) <= MOST_BARS:
+        return list(lines)
+    brief = (Line(line.robot, line.state, line.urgency, line.colour, "", "") for line in lines)
+    return sorted(brief, key=lambda line: (-line.urgency, line.robot))
+
+
+def draw_board(lines: Sequence[Line]) -> NDArray[np.uint8]:
+    """The image (h, w, 3) of what `shown` gave."""
+    return _bars(lines) if len(lines) <= MOST_BARS else _fields(lines)
+
+
+def _bars(lines: Sequence[Line]) -> NDArray[np.uint8]:
+    width, height = BAR_PX
+    image = Image.new("RGB", (width, height * len(lines)))
+    pen = ImageDraw.Draw(image)
+    title, detail = ImageFont.load_default(26), ImageFont.load_default(16)
+    for row, line in enumerate(lines):
+        top = row * height
+        pen.rectangle((0, top, width, top + height - 3), fill=line.colour)
+        words = f"{line.robot}: {line.state}   {line.sureness}".rstrip()
+        pen.text((14, top + 22), words, font=title, fill="white", anchor="lm")
+        pen.text((width - 14, top + 22), line.advice, font=detail, fill="white", anchor="rm")
+    return np.asarray(image)
+
+
+def _fields(lines: Sequence[Line]) -> NDArray[np.uint8]:
+    width, height = FIELD_PX
+    rows = 1 + -(-len(lines) // FIELDS_A_ROW)
+    image = Image.new("RGB", (width * FIELDS_A_ROW, height * rows), SUMMARY)
+    pen = ImageDraw.Draw(image)
+    font = ImageFont.load_default(18)
+    counts = Counter(line.state for line in lines)
+    words = ", ".join(f"{counts[state]} {state}" for state in dict.fromkeys(line.state for line in lines))
+    pen.text((8, height // 2), f"{len(lines)} robots: {words}", font=font, fill="white", anchor="lm")
+    for number, line in enumerate(lines):
+        row, column = divmod(number, FIELDS_A_ROW)
+        left, top = column * width, (row + 1) * height
+        pen.rectangle((left, top, left + width - 3, top + height - 3), fill=line.colour)
+        pen.text((left + 8, top + 14), f"{line.robot}: {line.state}", font=font, fill="white", anchor="lm")
+    return np.asarray(image)

@@ -1,0 +1,7 @@
+"""What a picture can be for."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Layout = Literal["operator", "developer", "researcher", "fleet"]
