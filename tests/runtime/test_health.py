@@ -1,4 +1,5 @@
 import socket
+import time
 from urllib.request import urlopen
 
 import pytest
@@ -8,7 +9,7 @@ from eigenscan.schemas.envelope import Condition
 from eigenscan.schemas.health_pb2 import Health
 from prometheus_client.parser import text_string_to_metric_families
 
-OK = Condition(Health.STATUS_OK, "well", {"heard": 3})
+OK = Condition(Health.STATUS_OK, "well", {"heard": 3, "waiting": 2})
 
 
 def test_it_starts_then_turns_then_stalls() -> None:
@@ -26,7 +27,7 @@ def test_it_starts_then_turns_then_stalls() -> None:
     message = still.message()
     assert message.status == Health.STATUS_DEGRADED
     assert "no answer from the core" in message.detail
-    assert message.counters == {"heard": 3}
+    assert message.counters == OK.counters
 
 
 def test_a_service_that_waits_or_is_degraded_is_alive() -> None:
@@ -49,7 +50,7 @@ def test_the_message_says_who_and_how() -> None:
     monitor.turn(OK)
     message = monitor.message()
     assert (message.service, message.instance, message.package_version) == ("probe", "r7", "1.2.3")
-    assert (message.status, message.detail, message.counters) == (Health.STATUS_OK, "well", {"heard": 3})
+    assert (message.status, message.detail, message.counters) == (Health.STATUS_OK, "well", OK.counters)
     assert message.timestamp.seconds > 1_700_000_000
 
 
@@ -57,12 +58,16 @@ def test_prometheus_reads_the_metrics() -> None:
     monitor = Monitor("probe", "r7", "1.2.3")
     monitor.turn(OK)
     monitor.handling.labels("scan").observe(0.003)
+    monitor.dealt_with("scan", time.time_ns() - 3_000_000_000)
     families = {family.name: family for family in text_string_to_metric_families(monitor.metrics().decode())}
     assert [
         (sample.name, sample.labels, sample.value) for sample in families["eigenscan_messages"].samples
     ] == [("eigenscan_messages_total", {"what": "heard"}, 3.0)]
     assert families["eigenscan_status"].samples[0].value == Health.STATUS_OK
     assert families["eigenscan_handling_seconds"].type == "histogram"
+    (age,) = (one.value for one in families["eigenscan_lag_seconds"].samples if one.name.endswith("_sum"))
+    assert 3.0 <= age < 10.0
+    assert families["eigenscan_waiting_messages"].samples[0].value == 2
     (info,) = (
         families["eigenscan_info"].samples if "eigenscan_info" in families else families["eigenscan"].samples
     )

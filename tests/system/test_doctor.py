@@ -11,20 +11,13 @@ from typing import Any
 
 import pytest
 import zenoh
-from eigenscan.cli.conformance.generation import wing
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
-from eigenscan.geometry.gridmap import write_map
-from eigenscan.runtime.bus import Bus
-from eigenscan.runtime.session import open_session
-from eigenscan.schemas.channels import ALIVE_TEMPLATE, HEALTH, ODOMETRY, SCAN
-from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.channels import ALIVE_TEMPLATE, HEALTH, SCAN
+from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import encode, encoding
 
 from tests.system.house import PROGRAMS, House
+from tests.system.robot import Robot
 
 
 def ask(house: House, *command: str, config: Path | None = None) -> tuple[int, Any]:
@@ -56,39 +49,9 @@ def complaints(house: House, *flags: str) -> list[tuple[str, str]]:
     return [(finding["where"], finding["what"]) for finding in found]
 
 
-class Robot:
-    """Drives on in the background, with odometry or without."""
-
-    def __init__(self, house: House) -> None:
-        self.stage = Stage(
-            wing(office()).render(),
-            Scenario(seconds=600.0, seed=5, people=1, lidar=Lidar(beams=181, rate=5.0), site=house.site),
-        )
-        self.odometry = threading.Event()
-        self.odometry.set()
-        self._stop = threading.Event()
-        self._bus = Bus(open_session(house.config))
-        self._thread = threading.Thread(
-            target=publish, args=(self.stage.messages(), self._say, 1.0, self._stop)
-        )
-
-    def _say(self, envelope: Envelope) -> None:
-        if envelope.channel is not ODOMETRY or self.odometry.is_set():
-            self._bus.say(envelope)
-
-    def __enter__(self) -> "Robot":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._bus.close()
-
-
 def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> None:
-    robot = Robot(house)
-    write_map(robot.stage.grid, house.logs / "map.yaml")
+    robot = Robot(house.site, house.config)
+    map_file = robot.write_map(house.logs)
     for service in ("projector", "tracker", "scan-ingest"):
         house.start(service)
     where, site = "robot robot", f"site {house.site}"
@@ -98,7 +61,7 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
     ]
     with robot:
         assert (where, "projector: no model") in complaints(house)
-        house.start("mapbuilder", "--map", house.logs / "map.yaml", "--step", "1.0")
+        house.start("mapbuilder", "--map", map_file, "--step", "1.0")
         house.until("tracker", lambda health: health.counters["heard_hypotheses"] > 10, "hears hypotheses")
         assert complaints(house) == []
 

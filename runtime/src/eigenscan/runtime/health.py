@@ -22,6 +22,9 @@ STALLED_AFTER_S = 10.0
 """A core that has not turned for this long makes /healthz fail."""
 
 
+WAITING = "waiting"
+"""The one counter that does not only grow."""
+
 TWIN_HINT = "give each instance of a service its own --instance"
 TWIN_FORGOTTEN_S = 3.0
 """After so long without a word of another one of the same name it is taken for gone."""
@@ -34,14 +37,18 @@ class _Counters(Collector):
     def collect(self) -> Iterator[Metric]:
         condition = self._read()
         counts = CounterMetricFamily(
-            "eigenscan_messages", "messages heard, said and set aside", labels=["what"]
+            "eigenscan_messages",
+            "messages heard, said, dropped and set aside since the start",
+            labels=["what"],
         )
         for name, value in sorted(condition.counters.items()):
-            counts.add_metric([name], value)
+            if name != WAITING:
+                counts.add_metric([name], value)
         yield counts
-        status = GaugeMetricFamily("eigenscan_status", "1 ok, 2 waiting, 3 degraded")
-        status.add_metric([], condition.status)
-        yield status
+        yield GaugeMetricFamily(
+            "eigenscan_waiting_messages", "samples in the inbox now", condition.counters.get(WAITING, 0)
+        )
+        yield GaugeMetricFamily("eigenscan_status", "1 ok, 2 waiting, 3 degraded", condition.status)
 
 
 class Monitor:
@@ -79,6 +86,13 @@ class Monitor:
             registry=self._registry,
             buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5, 1, 10),
         )
+        self._lag = Histogram(
+            "eigenscan_lag_seconds",
+            "from a message's own stamp until it is dealt with, by this machine's clock",
+            ["channel"],
+            registry=self._registry,
+            buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 60),
+        )
         self._server: ThreadingHTTPServer | None = None
 
     def turn(self, condition: Condition) -> bool:
@@ -86,6 +100,10 @@ class Monitor:
         self._turned = time.monotonic()
         before, self._condition = self._condition, condition
         return (before.status, before.detail) != (condition.status, condition.detail)
+
+    def dealt_with(self, channel: str, stamp_ns: int) -> None:
+        """Notes how old a message is when the core is done with it."""
+        self._lag.labels(channel).observe(time.time() - stamp_ns * 1e-9)
 
     def hear_twin(self) -> None:
         """Notes that another process speaks under this one's name."""

@@ -22,7 +22,7 @@ from typing import TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
-from eigenscan.runtime.health import TWIN_HINT, Monitor
+from eigenscan.runtime.health import TWIN_HINT, WAITING, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.logs import configure
 from eigenscan.runtime.port import NoPort, Port
@@ -30,7 +30,7 @@ from eigenscan.runtime.session import open_session
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
 from eigenscan.runtime.wake import Wake
 from eigenscan.schemas.channels import HEALTH, ContractError
-from eigenscan.schemas.envelope import Condition, Core, Envelope
+from eigenscan.schemas.envelope import Condition, Core, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
@@ -231,7 +231,7 @@ class Node:
             self._counts["foreign_key"] = counters["foreign_key"] = dropped["foreign_key"]
             self._warn("foreign_key", count=dropped["foreign_key"])
         counters |= {f"dropped_{name}": count for name, count in dropped.items()}
-        counters["waiting"] = len(self._inbox)
+        counters[WAITING] = len(self._inbox)
         try:
             own = core.condition()
         except Exception as error:
@@ -258,6 +258,8 @@ class Node:
                 # the shell outlives a fault of the core: the next scan may be fine
                 if not self._wake.stopping:
                     self._set_aside("core_failed", arrival.key, error, trace=True)
+        if channel.qos.rate_hz:  # what has a rate has a stamp
+            self._monitor.dealt_with(channel.name, nanoseconds(message.timestamp))  # type: ignore[attr-defined]
 
     def _say(self, bus: Bus, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:

@@ -8,6 +8,7 @@ Examples:
 
 COMMANDS = {
     "status": ("eigenscan.cli.fleet.status:status", "a live table of all robots of a site"),
+    "metrics": ("eigenscan.cli.fleet.metrics:metrics", "all of that for Prometheus, from one place"),
     "certify": (
         "eigenscan.cli.fleet.certify:certify",
         "make a site's certificates and configuration, or add robots",
