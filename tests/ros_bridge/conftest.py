@@ -12,6 +12,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -49,6 +50,11 @@ def eventually(what: Callable[[], T], about: str) -> T:
     return result
 
 
+def fields(message: Any) -> dict[str, Any]:
+    """The fields of a message, as the SDK's publisher takes them."""
+    return {name: value for name, value in vars(message).items() if name != "__msgtype__"}
+
+
 @dataclass(frozen=True)
 class Network:
     """A router's port, and the configuration of the pipeline's own services behind it."""
@@ -60,8 +66,10 @@ class Network:
     def endpoint(self) -> str:
         return f"tcp/127.0.0.1:{self.port}"
 
-    def open(self) -> zenoh.Session:
-        return open_session(self.leaf)
+    @property
+    def environment(self) -> dict[str, str]:
+        """For the processes: linear algebra on one thread, five share the cores."""
+        return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @pytest.fixture(scope="session")
@@ -83,6 +91,14 @@ class Ear:
     bus: Bus
     inbox: Inbox = field(default_factory=lambda: Inbox(64))
     heard: list[Envelope] = field(default_factory=list)
+
+    @classmethod
+    @contextmanager
+    def on(cls, network: Network, site: str) -> Iterator["Ear"]:
+        with Bus(open_session(network.leaf)) as bus:
+            ear = cls(bus)
+            bus.listen_all(CHANNELS, f"{site}/**", ear.inbox)
+            yield ear
 
     def of(self, channel: Channel, kind: type[T]) -> list[T]:
         """The messages of one channel so far."""
@@ -115,12 +131,11 @@ class Bridge:
 def start(network: Network) -> Iterator[Callable[..., Bridge]]:
     """Starts a bridge with these flags; waits until it is there."""
     started: list[Bridge] = []
+    stack = ExitStack()
 
     def start(*flags: str) -> Bridge:
         site = f"test-{uuid.uuid4().hex[:12]}"
-        bus = Bus(network.open())
-        ear = Ear(bus)
-        bus.listen_all(CHANNELS, f"{site}/**", ear.inbox)
+        ear = stack.enter_context(Ear.on(network, site))
         command = [
             sys.executable,
             "-m",
@@ -136,12 +151,11 @@ def start(network: Network) -> Iterator[Callable[..., Bridge]]:
         eventually(ear.health, "the bridge's health")
         return bridge
 
-    yield start
-    for bridge in started:
-        bridge.process.terminate()
-        code = bridge.process.wait(10)
-        bridge.ear.bus.close()
-        assert code == 0
+    with stack:
+        yield start
+        for bridge in started:
+            bridge.process.terminate()
+            assert bridge.process.wait(10) == 0
 
 
 @dataclass

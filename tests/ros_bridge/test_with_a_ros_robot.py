@@ -26,7 +26,7 @@ from zenoh_ros2_sdk import (
 )
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
-from tests.ros_bridge.conftest import Bridge, Network, Robot, eventually
+from tests.ros_bridge.conftest import Bridge, Network, Robot, eventually, fields
 from tests.ros_bridge.test_cdr import BAG
 
 Start = Callable[..., Bridge]
@@ -38,11 +38,6 @@ TIME = 1_700_000_000_250_000_000
 @pytest.fixture
 def bridge(start: Start, robot: Robot) -> Bridge:
     return start("--domain", str(robot.domain))
-
-
-def fields(message: Any) -> dict[str, Any]:
-    """The fields of a message of the bag, as the SDK's publisher takes them."""
-    return {name: value for name, value in vars(message).items() if name != "__msgtype__"}
 
 
 def recorded(count: int) -> list[BagMessage]:

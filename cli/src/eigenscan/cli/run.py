@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from eigenscan.cli.frame import UsageError
@@ -20,6 +20,13 @@ def run(
     zenoh: Annotated[
         Path | None, typer.Option(help="Zenoh configuration, JSON5; without it peers meet by multicast")
     ] = None,
+    ros2: Annotated[
+        Literal["rmw_zenoh", "rmw_zenoh_humble", "ros2dds"] | None,
+        typer.Option(help="also the bridge to a robot with ROS 2, by what it speaks on Zenoh: docs/ros2.md"),
+    ] = None,
+    ros2_router: Annotated[
+        str, typer.Option(help="with --ros2: where the robot's rmw_zenohd or DDS bridge listens")
+    ] = "tcp/localhost:7447",
     viewer: Annotated[bool, typer.Option(help="serve the live web viewer on this machine")] = True,
     out: Annotated[
         Path | None,
@@ -29,11 +36,13 @@ def run(
     """Start all services for your own map and robot; Ctrl-C ends them all.
 
     The robot's driver publishes raw scans on SITE/robot/ROBOT/scan/raw/LIDAR and odometry on
-    SITE/robot/ROBOT/odom; the pose comes on SITE/robot/ROBOT/pose.
+    SITE/robot/ROBOT/odom; the pose comes on SITE/robot/ROBOT/pose. With --ros2 they are the robot's
+    /scan, /odom and /amcl_pose.
 
     \b
     Examples:
       eigenscan run --map MAP.yaml --robot r17
+      eigenscan run --map MAP.yaml --robot r17 --ros2 rmw_zenoh
       eigenscan run --map MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not map_or_model.exists():
@@ -51,5 +60,9 @@ def run(
         read_map(map_or_model)
         model_flags = ["--map", str(map_or_model)]
     folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
-    pipeline = Pipeline(site, robot, model_flags, zenoh, mcap=folder / "mcap", rrd=None, viewer=viewer)
-    attend(pipeline, folder)
+    ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
+    mcap = folder / "mcap"
+    attend(
+        Pipeline(site, robot, model_flags, zenoh, mcap, rrd=None, viewer=viewer, ros2_flags=ros2_flags),
+        folder,
+    )

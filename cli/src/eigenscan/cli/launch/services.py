@@ -1,4 +1,4 @@
-"""The five services as one pipeline: started with what they need, and awaited."""
+"""The services as one pipeline: started with what they need, and awaited."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from eigenscan.cli.frame import FailedError
 from eigenscan.cli.launch.screen import StatusLine
-from eigenscan.cli.launch.supervision import SERVICES, Supervisor
+from eigenscan.cli.launch.supervision import ROS_BRIDGE, SERVICES, Supervisor
 from eigenscan.cli.launch.witness import Witness
 from eigenscan.runtime.wake import Wake
 
@@ -28,6 +28,7 @@ class Pipeline:
     mcap: Path
     rrd: Path | None
     viewer: bool
+    ros2_flags: Sequence[str] | None = None  # the ROS bridge's; None: without one
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it hears everything."""
@@ -42,6 +43,8 @@ class Pipeline:
         flags = {"recorder": recorder, "mapbuilder": list(self.model_flags)}
         for name in sorted(SERVICES, key=lambda name: name != "recorder"):
             supervisor.start(name, SERVICES[name], [*shared, *flags.get(name, [])])
+        if self.ros2_flags is not None:
+            supervisor.start("ros-bridge", ROS_BRIDGE, [*shared, *self.ros2_flags])
 
 
 def wait_until_ready(supervisor: Supervisor, witness: Witness, line: StatusLine, wake: Wake) -> bool:
@@ -53,7 +56,7 @@ def wait_until_ready(supervisor: Supervisor, witness: Witness, line: StatusLine,
     while not wake.stopping:
         supervisor.check()
         witness.listen()
-        missing = witness.missing(SERVICES)
+        missing = witness.missing(supervisor.children)
         if not missing:
             return True
         if time.monotonic() > deadline:

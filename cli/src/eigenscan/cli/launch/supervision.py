@@ -21,6 +21,8 @@ SERVICES = {
     "recorder": "eigenscan.recorder.node",
 }
 """Name of each service and the module that runs it."""
+ROS_BRIDGE = "eigenscan.ros_bridge.node"
+"""The module of the one that only robots with ROS 2 need."""
 
 STOP_S = 4.0
 """What a child gets to end itself; then it is killed."""

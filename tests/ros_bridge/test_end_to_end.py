@@ -1,0 +1,129 @@
+"""A simulated robot that speaks ROS 2 only is localized by `eigenscan run --ros2`, and told so in ROS 2."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+import pytest
+from eigenscan.cli.simulation.live import publish
+from eigenscan.cli.simulation.stage import Scenario, Stage
+from eigenscan.cli.simulation.world import office
+from eigenscan.geometry.gridmap import write_map
+from eigenscan.geometry.pose import compose, from_pose3
+from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge.inbound import header_stamp, pose_on_plane
+from eigenscan.schemas.channels import HEALTH, MAP, ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from zenoh_ros2_sdk.qos import QosDurability, QosProfile
+
+from tests.ros_bridge.conftest import Ear, Network, Robot, eventually, fields
+from tests.ros_bridge.test_core import header, odometry, scan, transform
+
+SECONDS = 8.0
+LATCHED = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
+
+
+class RosDriver:
+    """Says in ROS 2 what the simulated robot says."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._scan = robot.publisher("/scan", cdr.LASER_SCAN)
+        self._odom = robot.publisher("/odom", cdr.ODOMETRY)
+        self._static = robot.publisher("/tf_static", cdr.TRANSFORMS)
+
+    def say(self, envelope: Envelope) -> None:
+        if envelope.channel is ODOMETRY:
+            message = envelope.open(Odometry)
+            body = cdr.decode(cdr.ODOMETRY, odometry(*from_pose3(message.pose)))
+            body.header = header("odom", nanoseconds(message.timestamp))
+            self._odom.publish(**fields(body))
+        elif envelope.channel is SCAN_RAW:
+            raw = envelope.open(RawScan)
+            mount = raw.mount
+            turn = (0.0, 0.0, np.sin(mount.theta / 2), np.cos(mount.theta / 2))
+            static = transform("base_link", "laser", (mount.x, mount.y, 0.0), turn)
+            self._static.publish(**fields(cdr.decode(cdr.TRANSFORMS, static)))
+            body = cdr.decode(cdr.LASER_SCAN, scan("laser", raw.ranges, nanoseconds(raw.timestamp)))
+            body.angle_min, body.angle_increment = raw.angle_min, raw.angle_increment
+            body.range_max = raw.range_max
+            self._scan.publish(**fields(body))
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Stage:
+    grid = office().render()
+    write_map(grid, tmp_path / "map.yaml")
+    return Stage(grid, Scenario(seconds=SECONDS, people=2))
+
+
+@pytest.fixture
+def ear(network: Network, robot: Robot, stage: Stage, tmp_path: Path) -> Iterator[Ear]:
+    """What the running pipeline says."""
+    site = f"test-{uuid4().hex[:12]}"
+    command = [
+        sys.executable,
+        "-m",
+        "eigenscan.cli.main",
+        "run",
+        "--map",
+        tmp_path / "map.yaml",
+        "--site",
+        site,
+    ]
+    command += ["--zenoh", network.leaf, "--no-viewer", "--out", tmp_path / "out"]
+    command += ["--ros2", "rmw_zenoh", "--ros2-router", network.endpoint]
+    with Ear.on(network, site) as ear:
+        environment = {"ROS_DOMAIN_ID": str(robot.domain)}
+        with subprocess.Popen(
+            [str(part) for part in command], env=network.environment | environment
+        ) as process:
+            try:
+                eventually(lambda: _ready(ear), "the pipeline")
+                yield ear
+            finally:
+                process.send_signal(signal.SIGINT)
+        assert process.returncode == 0
+
+
+def _ready(ear: Ear) -> bool:
+    """Whether the bridge is there, and the projector has its model."""
+    newest = {health.service: health.status for health in ear.of(HEALTH, Health)}
+    return {"ros-bridge", "tracker"} <= newest.keys() and newest.get("projector") == Health.STATUS_OK
+
+
+def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, robot: Robot) -> None:
+    poses = robot.subscribe("/amcl_pose", cdr.POSE_WITH_COVARIANCE, qos=LATCHED)
+    transforms = robot.subscribe("/tf", cdr.TRANSFORMS)
+    maps = robot.subscribe("/map", cdr.OCCUPANCY_GRID, qos=LATCHED)
+    stage.epoch = time.time_ns()
+    publish(stage.messages(), RosDriver(robot).say)
+    eventually(lambda: poses and transforms and maps, "pose, transform and map")
+    errors = []
+    for message in poses:
+        truth, pose = stage.pose_at(header_stamp(message.header)), pose_on_plane(message.pose.pose)
+        assert pose is not None
+        errors.append(np.hypot(*(pose - truth)[:2]))
+    assert len(poses) > 0.5 * SECONDS * stage.scenario.lidar.rate
+    assert np.median(errors) < 0.1
+    assert np.max(errors) < 0.5
+    # map to odom, with the robot's own odometry, leads to where it is
+    (item,) = transforms[-1].transforms
+    move, turn = item.transform.translation, item.transform.rotation
+    anchor = np.array([move.x, move.y, 2.0 * np.arctan2(turn.z, turn.w)])
+    at = stage.pose_at(header_stamp(item.header) - 100_000_000)
+    tick = int(np.argmin(np.abs(stage.poses[:, :2] - at[:2]).sum(axis=1)))
+    assert np.hypot(*(compose(anchor, stage.odometry[tick]) - at)[:2]) < 0.2
+    grid = ear.of(MAP, Grid)[0]
+    assert (maps[0].info.width * maps[0].info.height, maps[0].info.width) == (
+        len(grid.data),
+        grid.column_count,
+    )
