@@ -12,9 +12,12 @@ from eigenscan.cli.process_replay.services import Service, heard_by, said_by
 from eigenscan.cli.process_replay.survey import Survey
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import ODOMETRY
+from eigenscan.schemas.channels import ODOMETRY, RELOCATION
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+
+DISPENSABLE = (ODOMETRY, RELOCATION)
+"""What a service hears, but can do without."""
 
 
 class Side(Enum):
@@ -83,7 +86,7 @@ def _check(survey: Survey, services: tuple[Service, ...]) -> None:
     """Raises UsageError where the recording lacks what the first service needs to say anything."""
     first = services[0]
     for channel in first.hears:
-        needed = not channel.qos.latched and channel is not ODOMETRY
+        needed = not channel.qos.latched and channel not in DISPENSABLE
         if needed and not survey.counts[channel]:
             raise UsageError(
                 f"{survey.path}: holds no {channel.name}, which {first.name} hears: record it as well"
