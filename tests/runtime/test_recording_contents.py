@@ -52,7 +52,7 @@ def test_it_begins_with_the_models_that_held_then(path: Path) -> None:
 
 def test_contents_are_told(path: Path) -> None:
     found = contents(path)
-    assert (found.begin, found.end, found.messages, found.robots) == (10, 29, 22, ["r"])
+    assert (found.begin, found.end, found.messages) == (10, 29, 22)
     assert found.counts == {"s/models": 2, "s/robot/r/scan/l": 20}
     assert found.keys_of(SCAN) == ["s/robot/r/scan/l"]
 
@@ -65,7 +65,7 @@ def test_what_is_not_ours_is_counted_apart(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/camera", "json", 0), 1, b"{}", 1)
         writer.finish()
     found = contents(path)
-    assert (found.counts, found.foreign, found.robots) == ({}, {"/camera": 1}, [])
+    assert (found.counts, found.foreign) == ({}, {"/camera": 1})
     assert list(read(path)) == []
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,21 +14,14 @@ from eigenscan.cli.frame import UsageError
 from eigenscan.cli.process_replay.command import Request, process_replay
 
 if TYPE_CHECKING:
-    from eigenscan.cli.simulation.stage import Timed
-
-INPUTS = ("scan_raw", "odometry")
-"""What a pipeline is given; all else is its own answer."""
+    from eigenscan.cli.playback.player import Score
 
 
-@dataclass(frozen=True)
-class Selection:
-    """What of a recording is played. Times in s from its start; empty names: any."""
+class Stamps(StrEnum):
+    """Which stamps messages have when they are played."""
 
-    channels: tuple[str, ...]
-    begin: float
-    end: float
-    site: str | None
-    robot: str | None
+    RECORDED = "recorded"
+    NOW = "now"
 
 
 def replay(
@@ -35,13 +30,29 @@ def replay(
     begin: Annotated[float, typer.Option("--from", min=0.0, help="s from the recording's start")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="s from the recording's start")] = None,
     only: Annotated[
-        list[str] | None, typer.Option(help="channel to play, such as scan_raw; may be given again")
+        list[str] | None,
+        typer.Option(
+            help="channel to play, such as scan_raw, or key, such as 'site/robot/r1/**'; repeat for more"
+        ),
     ] = None,
     everything: Annotated[
         bool, typer.Option("--all", help="play every channel, not raw scans and odometry alone")
     ] = False,
     site: Annotated[str | None, typer.Option(help="play under this site's name")] = None,
-    robot: Annotated[str | None, typer.Option(help="play under this robot's name")] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(help="play this robot alone; of a recording that holds one: play it under this name"),
+    ] = None,
+    robots: Annotated[
+        int | None, typer.Option(min=1, help="play its one robot as so many: r-001, r-002, and so on")
+    ] = None,
+    stamps: Annotated[
+        Stamps, typer.Option(help="as recorded, or shifted to the present, without ever going back")
+    ] = Stamps.RECORDED,
+    commands: Annotated[
+        bool,
+        typer.Option("--commands", help="take pause, play, step, seek S, skip S, end from standard input"),
+    ] = False,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     wait: Annotated[float, typer.Option(min=0.0, help="s to wait for somebody who listens")] = 5.0,
     service: Annotated[
@@ -72,8 +83,9 @@ def replay(
     ] = None,
     least: Annotated[int, typer.Option(min=1, help="with --compare: messages that must be compared")] = 10,
 ) -> None:
-    """Play a recording onto Zenoh, stamps as recorded: raw scans and odometry, or what is asked for.
+    """Play a recording onto Zenoh: raw scans and odometry, or what is asked for.
 
+    In a terminal: space pauses, left and right go 5 s, down and up a minute, a dot plays one message, q ends.
     With --service NAME --compare: give a service what it heard, and compare what it says with what it said.
     Exit code 0: the same, 1: a difference, 2: the recording cannot be replayed.
 
@@ -81,10 +93,14 @@ def replay(
     Examples:
       eigenscan replay drive.mcap --speed 4
       eigenscan replay night.mcap --from 120 --to 180 --only scan_raw --only odometry
+      eigenscan replay drive.mcap --robots 50 --stamps now
       eigenscan replay night.mcap --service tracker --compare
     """  # noqa: D301 - \b keeps the lines apart in --help
     if service is not None:
-        _refuse_for_service(begin=begin, end=end, only=only, everything=everything, site=site, robot=robot)
+        _refuse_for_service(
+            begin=begin, end=end, only=only, everything=everything, site=site, robot=robot, robots=robots,
+            commands=commands,
+        )  # fmt: skip
         process_replay(
             Request(
                 *(file, service, compare, out, model),
@@ -98,20 +114,32 @@ def replay(
         return
     if compare or out or model or changes or tolerant or strict or ignore:
         raise UsageError("--compare and what goes with it: give --service NAME as well")
-    from eigenscan.cli.simulation.live import publish
+    from eigenscan.cli.playback.cast import Cast
+    from eigenscan.cli.playback.controls import controls
+    from eigenscan.cli.playback.player import Player, Score
+    from eigenscan.cli.playback.selection import INPUTS, select
     from eigenscan.runtime.bus import Bus
     from eigenscan.runtime.session import open_session
+    from eigenscan.schemas.channels import CHANNELS
 
-    if end is not None and end <= begin:
-        raise UsageError(f"--to {end:g}: must be after --from {begin:g}")
-    selection = Selection(
-        _channels(only, everything), begin, float("inf") if end is None else end, site, robot
+    names = only or ([channel.name for channel in CHANNELS] if everything else INPUTS)
+    selection = select(file, names, robot, begin, end)
+    if robots and len(selection.robots) != 1:
+        held = ", ".join(selection.robots) or "no robot"
+        raise UsageError(f"--robots {robots}: needs one robot, there is {held}: choose one with --robot")
+    parts = Cast(site, robot, robots or 0)
+    score = Score(
+        lambda start: parts.messages(selection.messages(start)),
+        *(selection.start, selection.begin, selection.end),
     )
-    first, length = _span(file, selection)
+    first = next(score.messages(score.begin)).envelope
+    clock = time.time_ns if stamps is Stamps.NOW else None
     with Bus(open_session(zenoh)) as bus:
-        if not bus.wait_for_listener(first, wait):
-            typer.echo(f"eigenscan replay: nobody listens to {first}", err=True)
-        publish(_watched(_chosen(file, selection), length), bus.say, speed)
+        bus.offer(selection.latched, first.address)
+        if not bus.wait_for_listener(first.key, wait):
+            typer.echo(f"eigenscan replay: nobody listens to {first.key}", err=True)
+        with controls(scripted=commands) as told, _progress(score, told.hint) as moved:
+            Player(score, bus.say, told, moved, speed, clock).play()
 
 
 def _refuse_for_service(**options: object) -> None:
@@ -122,65 +150,23 @@ def _refuse_for_service(**options: object) -> None:
             raise UsageError(f"--{names.get(name, name)}: not with --service, which hears all that it heard")
 
 
-def _channels(only: Sequence[str] | None, everything: bool) -> tuple[str, ...]:
-    from eigenscan.schemas.channels import CHANNELS
-
-    names = [channel.name for channel in CHANNELS]
-    for name in only or ():
-        if name not in names:
-            raise UsageError(f"--only {name}: there are {', '.join(names)}")
-    return tuple(only or (names if everything else INPUTS))
-
-
-def _chosen(file: Path, selection: Selection) -> Iterator[Timed]:
-    """What is played, with the time at which it was logged."""
-    from eigenscan.cli.simulation.stage import Timed
-    from eigenscan.runtime.recording import read
-    from eigenscan.schemas.envelope import Envelope
-
-    start: int | None = None
-    other = {"site": selection.site, "robot": selection.robot}
-    renamed = {name: value for name, value in other.items() if value is not None}
-    for record in read(file):
-        start = record.log_time if start is None else start
-        at = (record.log_time - start) * 1e-9
-        if at > selection.end:
-            return
-        envelope = record.envelope
-        if at >= selection.begin and envelope.channel.name in selection.channels:
-            known = {name: value for name, value in renamed.items() if name in envelope.channel.fields}
-            yield Timed(
-                record.log_time, Envelope(envelope.channel, {**envelope.address, **known}, envelope.message)
-            )
-
-
-def _span(file: Path, selection: Selection) -> tuple[str, int]:
-    """Key of the first message that is played, and the time, ns, from it to the last."""
-    first = last = None
-    for timed in _chosen(file, selection):
-        first, last = first or timed, timed
-    if first is None or last is None:
-        raise UsageError(
-            f"{file}: nothing to play between --from and --to on the channels {', '.join(selection.channels)}"
-        )
-    return first.envelope.key, last.time - first.time
-
-
-def _watched(messages: Iterator[Timed], length: int) -> Iterator[Timed]:
-    """The messages, with a progress bar in seconds of the recording."""
+@contextmanager
+def _progress(score: Score, hint: str) -> Iterator[Callable[[int, bool], None]]:
+    """A bar in seconds of the recording; gives what moves it, by log time in ns and whether it is paused."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
     columns: list[Any] = [
-        TextColumn("replay"),
+        TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
-        TimeRemainingColumn(),
+        TextColumn(hint, style="dim"),
     ]
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("replay", total=length * 1e-9)
-        begun: int | None = None
-        for timed in messages:
-            begun = timed.time if begun is None else begun
-            yield timed
-            progress.update(bar, completed=(timed.time - begun) * 1e-9)
+        bar = progress.add_task("replay", total=(score.end - score.start) * 1e-9)
+
+        def moved(moment: int, paused: bool) -> None:
+            at = (min(moment, score.end) - score.start) * 1e-9
+            progress.update(bar, completed=at, description="paused" if paused else "replay")
+
+        yield moved

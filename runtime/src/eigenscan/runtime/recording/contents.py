@@ -33,12 +33,6 @@ class Contents:
         """Number of all messages."""
         return self.counts.total() + self.foreign.total()
 
-    @property
-    def robots(self) -> list[str]:
-        """Names of the robots that keys tell of, sorted."""
-        addresses = (found[1] for found in map(find, self.counts) if found)
-        return sorted({address["robot"] for address in addresses if "robot" in address})
-
     def keys_of(self, channel: Channel) -> list[str]:
         """The keys of one channel."""
         return [key for key in self.counts if channel.parse(key)]
