@@ -184,7 +184,7 @@ def test_a_write_that_fails_leaves_the_old_set(tmp_path, monkeypatch):
     def full(*_arguments, **_named):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez_compressed", full)
+    monkeypatch.setattr("eigenscan.eigenspace.folder.write_map", full)
     with pytest.raises(ModelError, match="No space left"):
         write_models(SiteModel(site().grid, "floor2", (model("c", 2),)), tmp_path / "m")
     assert read_models(tmp_path / "m").to_message() == before

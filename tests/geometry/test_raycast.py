@@ -242,6 +242,17 @@ def test_a_ray_goes_on_beyond_what_is_swept(seed, monkeypatch):
     assert np.isfinite(part[part > 2.0]).any()
 
 
+@pytest.mark.parametrize("swept", [0.4, 1.1, 20.0])
+@pytest.mark.parametrize("yaw", [0.0, 0.3])
+def test_what_is_seen_does_not_depend_on_how_the_positions_are_shared_out(swept, yaw, monkeypatch):
+    monkeypatch.setattr(raycast, "SWEPT", swept)
+    grid = random_map(11, (1.0, 2.0, yaw))
+    points = free_poses(grid, 300, 11)[:, :2]
+    together = raycast.panoramas(grid, points, 180, 6.0)
+    parts = [raycast.panoramas(grid, part, 180, 6.0) for part in np.array_split(points, 9)]
+    np.testing.assert_array_equal(np.vstack(parts), together)
+
+
 def test_each_ray_may_end_at_its_own_range():
     grid = random_map(4, (3.0, -7.5, 0.4))
     poses, bearings = free_poses(grid, 20, 4), np.linspace(-np.pi, np.pi, 40)

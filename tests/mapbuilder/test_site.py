@@ -14,7 +14,8 @@ from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.picture import draw_regions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.mapbuilder.shards import shards
+from eigenscan.mapbuilder.site import Plan, build_site, lay_out
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
@@ -51,9 +52,9 @@ def test_the_same_map_gives_the_same_site_on_any_number_of_threads(office):
     assert len(versions) == 1
 
 
-def test_a_site_that_is_cast_in_batches_is_the_same(office, monkeypatch):
+def test_a_site_that_is_cast_in_shards_is_the_same(office, monkeypatch):
     whole = build_site(office, QUICK).to_message()
-    monkeypatch.setattr("eigenscan.mapbuilder.site._CAST_AT_ONCE", 60)
+    monkeypatch.setattr("eigenscan.mapbuilder.site.shards", lambda areas: shards(areas, 60))
     assert build_site(office, QUICK).to_message() == whole
 
 
@@ -104,8 +105,7 @@ def test_where_a_maps_origin_lies_does_not_matter(office, origin):
 
 
 def test_the_picture_shows_each_region_in_its_own_colour(office):
-    site = build_site(office, QUICK)
-    with Image.open(io.BytesIO(draw_regions(site))) as image:
+    with Image.open(io.BytesIO(draw_regions(office, lay_out(office, QUICK).areas))) as image:
         pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
     coloured = pixels[pixels.max(axis=1) - pixels.min(axis=1) > 25]
     hues = {tuple(p) for p in (coloured // 24).tolist()}

@@ -6,20 +6,23 @@ import math
 import os
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
-from eigenscan.cli.frame import UsageError
+from eigenscan.cli.frame import FailedError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from eigenscan.eigenspace.folder import SiteModel
+    from eigenscan.eigenspace.pieces import Piece, Pieces
     from eigenscan.geometry.gridmap import GridMap
+    from eigenscan.mapbuilder.cluster import Workers
     from eigenscan.mapbuilder.geojson import GivenRegion
     from eigenscan.mapbuilder.site import Layout, Plan
+    from eigenscan.schemas.model_pb2 import ModelSet
 
 
 def build(
@@ -50,12 +53,20 @@ def build(
     ] = None,
     frame_id: Annotated[str, typer.Option(help="name of the map frame")] = "map",
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=0, help="threads; 0: one a core")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=0, help="processes of this machine that build instead, by dask")
+    ] = 0,
+    scheduler: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="dask scheduler whose workers build instead")
+    ] = "",
     json_file: JsonFile = None,
 ) -> None:
     """Build the models of a map: regions, panoramas, eigenspaces, and a picture of them.
 
     A floor plan's walls are its lines; what they enclose is free, doorways up to 1.2 m notwithstanding.
     Regions are found, or taken from GeoJSON: polygons in the map frame, m, property "name".
+    What is finished is kept in MODEL.pieces until all is: the same command goes on after a break.
+    --workers and --scheduler are for large sites: pip install 'eigenscan[cluster]'.
 
     \b
     Examples:
@@ -64,12 +75,14 @@ def build(
       eigenscan build MAP.yaml -o MODEL --regions ROOMS.geojson
       eigenscan build plan.dxf -o MODEL --layer WALLS
       eigenscan build plan.svg -o MODEL --metres-per-unit 0.01
+      eigenscan build CAMPUS.yaml -o MODEL --scheduler tcp://10.0.0.5:8786
       eigenscan run --map MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not frame_id:
         raise UsageError("--frame-id: give the map frame a name, such as map")
     from eigenscan.cli.plans import PlanOptions, read_plan
-    from eigenscan.eigenspace.folder import PICTURE, check_place, write_models
+    from eigenscan.eigenspace.pieces import Pieces
+    from eigenscan.mapbuilder.cluster import Workers
     from eigenscan.mapbuilder.drawn import outlines
     from eigenscan.mapbuilder.geojson import read_regions, to_geojson
     from eigenscan.mapbuilder.picture import draw_regions
@@ -88,16 +101,24 @@ def build(
         division=Division(margin=margin),
         threads=jobs or len(os.sched_getaffinity(0)),
     )
-    check_place(out)
+    if workers and scheduler:
+        raise UsageError("--workers and --scheduler: give one of them")
+    engine = Workers(workers, scheduler) if workers or scheduler else None
     prepare(json_file)
     drawn = read_regions(regions) if regions else ()
     began = time.perf_counter()
     grid = read_plan(map_file, PlanOptions(metres_per_unit, layer or ()))
-    layout = _lay_out(grid, plan, drawn, map_file, regions)
-    site = _build(grid, plan, layout, map_file)
-    took = time.perf_counter() - began
-    write_models(site, out, draw_regions(site), to_geojson(outlines(layout.regions, layout.names), frame_id))
-    _summarize(site, out, out / PICTURE, took, json_file)
+    with Pieces(out) as pieces:
+        layout = _lay_out(grid, plan, drawn, map_file, regions)
+        built = _build(grid, plan, layout, pieces, engine)
+        message = pieces.publish(
+            built[0],
+            grid,
+            frame_id,
+            draw_regions(grid, layout.areas),
+            to_geojson(outlines(layout.regions, layout.names), frame_id),
+        )
+    _summarize(message, layout, built, out, time.perf_counter() - began, json_file)
 
 
 def _lay_out(
@@ -115,56 +136,67 @@ def _lay_out(
         raise UsageError(f"{map_file}: {error}") from error
 
 
-def _build(grid: GridMap, plan: Plan, layout: Layout, map_file: Path) -> SiteModel:
-    """The models, with a progress bar on a terminal."""
-    from eigenscan.eigenspace.model import ModelError
-    from eigenscan.mapbuilder.site import build_site
+def _build(
+    grid: GridMap, plan: Plan, layout: Layout, pieces: Pieces, workers: Workers | None
+) -> tuple[Mapping[str, Piece], int]:
+    """The finished regions, with a progress bar on a terminal."""
+    from eigenscan.mapbuilder.sharded import build_pieces
     from rich.console import Console
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
         bar = progress.add_task("reading", total=1.0)
+
+        def moved(what: str, share: float) -> None:
+            progress.update(bar, description=what, completed=share)
+
         try:
-            return build_site(
-                grid,
-                plan,
-                lambda what, share: progress.update(bar, description=what, completed=share),
-                layout,
-            )
-        except ModelError as error:
-            raise UsageError(f"{map_file}: {error}") from error
+            with workers or nullcontext():
+                return build_pieces(grid, plan, layout, pieces, moved, workers)
+        except KeyboardInterrupt:
+            raise FailedError(
+                f"stopped: what is finished is in {pieces.place}, the same command goes on"
+            ) from None
 
 
-def _summarize(site: SiteModel, folder: Path, picture: Path, seconds: float, json_file: Path | None) -> None:
-    import numpy as np
+def _summarize(
+    message: ModelSet,
+    layout: Layout,
+    built: tuple[Mapping[str, Piece], int],
+    folder: Path,
+    seconds: float,
+    json_file: Path | None,
+) -> None:
+    from eigenscan.eigenspace.folder import PICTURE
 
-    message = site.to_message()
-    shared = np.concatenate([model.index for model in site.regions])
-    spacing = site.regions[0].spacing
-    components = [len(model.space.eigenvalues) for model in site.regions]
+    pieces, found = built
+    components = [piece.components for piece in pieces.values()]
+    spacing = layout.positions.spacing
+    shared = sum(len(area.positions.index) for area in layout.areas)
+    wire_bytes = sum(entry.size for entry in message.entries)
     figures = {
-        "regions": len(site.regions),
+        "regions": len(pieces),
+        "regions_finished_before": found,
         "free_area_m2": message.free_area_m2,
-        "positions": len(np.unique(shared, axis=0)),
+        "positions": layout.held,
         "spacing_m": spacing,
         "components": components,
-        "wire_bytes": sum(entry.size for entry in message.entries),
+        "wire_bytes": wire_bytes,
         "build_s": seconds,
         "version": message.version,
         "model": str(folder),
-        "picture": str(picture),
+        "picture": str(folder / PICTURE),
     }
     rows = {
-        "regions": str(len(site.regions)),
+        "regions": str(len(pieces)) + (f", {found} of them finished before" if found else ""),
         "free area": f"{message.free_area_m2:.0f} m²",
-        "positions": f"{figures['positions']}, {spacing:g} m apart ({len(shared)} with the regions' overlap)",
-        "panoramas": f"{site.regions[0].ranges.shape[1]} beams each",
+        "positions": f"{layout.held}, {spacing:g} m apart ({shared} with the regions' overlap)",
         "components": f"{min(components)} to {max(components)} a region",
-        "on the wire": f"{sum(entry.size for entry in message.entries) / 1e6:.1f} MB",
+        "on the wire": f"{wire_bytes / 1e6:.1f} MB",
         "built in": f"{seconds:.1f} s",
         "version": message.version[:12],
         "models": str(folder),
-        "picture": str(picture),
+        "picture": str(folder / PICTURE),
     }
     say(rows, json_file)
     write_figures(figures, json_file)

@@ -15,15 +15,13 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
-from eigenscan.eigenspace.components import Eigenspace
 from eigenscan.eigenspace.model import ModelError, RegionModel, model_set, set_version
-from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.eigenspace.region_file import pack_region, read_region
 from eigenscan.eigenspace.versions import MANIFEST, replace
 from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
 from eigenscan.schemas import model_pb2
@@ -31,7 +29,6 @@ from eigenscan.schemas import model_pb2
 MAP, REGIONS, PICTURE = "map.yaml", "regions", "regions.png"
 OUTLINES = "regions.geojson"
 LAYOUT = 1
-_PLAIN = ("region", "frame_id", "spacing", "origin", "index", "ranges", "range_cap", "range_unit", "outline")
 
 
 @dataclass(frozen=True)
@@ -54,12 +51,41 @@ def write_models(
 
     Raises ModelError where something else than a model folder is there or it cannot be written.
     """
+    contents = {model.region: pack_region(model) for model in site.regions}
+
+    def put(regions: Path) -> None:
+        for name, content in contents.items():
+            (regions / f"{name}.npz").write_bytes(content)
+
+    publish(folder, site.grid, site.to_message(), put, picture, outlines)
+
+
+def publish(
+    folder: Path,
+    grid: GridMap,
+    message: model_pb2.ModelSet,
+    put: Callable[[Path], None],
+    picture: bytes | None,
+    outlines: str | None,
+) -> None:
+    """Writes `folder` as write_models does; `put` puts the set's region files into a folder that it is given.
+
+    Raises ModelError as write_models does.
+    """
     check_place(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
-            _fill(site, fresh, picture, outlines)
+            fresh.chmod(0o755)
+            write_map(grid, fresh / MAP)
+            (fresh / REGIONS).mkdir()
+            put(fresh / REGIONS)
+            if picture is not None:
+                (fresh / PICTURE).write_bytes(picture)
+            if outlines is not None:
+                (fresh / OUTLINES).write_text(outlines, encoding="utf-8")
+            (fresh / MANIFEST).write_text(json.dumps(_manifest(message), indent=1) + "\n", encoding="utf-8")
             _take_place(fresh, folder)
         finally:
             shutil.rmtree(fresh, ignore_errors=True)
@@ -74,20 +100,6 @@ def check_place(folder: Path) -> None:
         raise ModelError(f"{folder}: is there and holds no models: name a new folder")
 
 
-def _fill(site: SiteModel, folder: Path, picture: bytes | None, outlines: str | None) -> None:
-    folder.chmod(0o755)
-    write_map(site.grid, folder / MAP)
-    (folder / REGIONS).mkdir()
-    for model in site.regions:
-        np.savez_compressed(folder / REGIONS / f"{model.region}.npz", allow_pickle=False, **_arrays(model))
-    if picture is not None:
-        (folder / PICTURE).write_bytes(picture)
-    if outlines is not None:
-        (folder / OUTLINES).write_text(outlines, encoding="utf-8")
-    text = json.dumps(_manifest(site), indent=1)
-    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
-
-
 def _take_place(fresh: Path, folder: Path) -> None:
     if (folder / MANIFEST).is_file():
         replace(folder, fresh)
@@ -95,12 +107,11 @@ def _take_place(fresh: Path, folder: Path) -> None:
         fresh.rename(folder)
 
 
-def _manifest(site: SiteModel) -> dict[str, Any]:
-    message = site.to_message()
+def _manifest(message: model_pb2.ModelSet) -> dict[str, Any]:
     return {
         "layout": LAYOUT,
         "version": message.version,
-        "frame_id": site.frame_id,
+        "frame_id": message.frame_id,
         "map_version": message.map_version,
         "free_area_m2": message.free_area_m2,
         "regions": [
@@ -108,15 +119,6 @@ def _manifest(site: SiteModel) -> dict[str, Any]:
             for entry in message.entries
         ],
     }
-
-
-def _arrays(model: RegionModel) -> dict[str, Any]:
-    arrays: dict[str, Any] = {name: getattr(model, name) for name in _PLAIN}
-    sensor, space = model.sensor, model.space
-    arrays["sensor"] = np.array([sensor.angle_min, sensor.angle_increment, sensor.beams, sensor.range_max])
-    arrays["mean"], arrays["total_variance"] = space.mean, space.total_variance
-    arrays["eigenvectors"], arrays["eigenvalues"] = space.vectors, space.eigenvalues
-    return arrays
 
 
 def read_models(folder: Path) -> SiteModel:
@@ -131,7 +133,7 @@ def read_models(folder: Path) -> SiteModel:
     except MapError as error:
         raise ModelError(str(error)) from error
     entries = manifest["regions"]
-    regions = tuple(_read_region(folder / REGIONS / f"{e['region']}.npz", e["version"]) for e in entries)
+    regions = tuple(read_region(folder / REGIONS / f"{e['region']}.npz", e["version"]) for e in entries)
     if set_version(grid.version, [model.version for model in regions]) != manifest["version"]:
         raise ModelError(f"{folder / MAP}: is not the map that the models were built from: build again")
     return SiteModel(grid, manifest["frame_id"], regions)
@@ -157,35 +159,3 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         raise ModelError(f"{path}: is no manifest of models: lacks {error}") from error
     result: dict[str, Any] = manifest
     return result
-
-
-def _read_region(path: Path, version: str) -> RegionModel:
-    try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            model = _from_arrays(file)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (BadZipFile, KeyError, ValueError, TypeError, EOFError) as error:
-        raise ModelError(f"{path}: is no region of a model: {error}") from error
-    if model.version != version:
-        raise ModelError(f"{path}: content is not the version {version[:12]} of the manifest: build again")
-    return model
-
-
-def _from_arrays(file: Any) -> RegionModel:
-    angle_min, step, beams, range_max = file["sensor"].tolist()
-    return RegionModel(
-        region=str(file["region"]),
-        frame_id=str(file["frame_id"]),
-        spacing=float(file["spacing"]),
-        origin=file["origin"],
-        index=file["index"],
-        ranges=file["ranges"],
-        sensor=Sensor(angle_min, step, int(beams), range_max),
-        range_cap=float(file["range_cap"]),
-        space=Eigenspace(
-            float(file["mean"]), file["eigenvectors"], file["eigenvalues"], float(file["total_variance"])
-        ),
-        outline=file["outline"],
-        range_unit=float(file["range_unit"]),
-    )

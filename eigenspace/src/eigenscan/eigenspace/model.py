@@ -69,6 +69,12 @@ class RegionModel:
         """The ranges as they travel: little-endian, zlib."""
         return zlib.compress(self.ranges.astype("<u2").tobytes(), _COMPRESSION)
 
+    @property
+    def entry(self) -> model_pb2.ModelSet.Entry:
+        """What a set says of the model."""
+        size = self.to_message().ByteSize()
+        return model_pb2.ModelSet.Entry(region=self.region, version=self.version, size=size)
+
     def to_message(self) -> model_pb2.RegionModel:
         """The message of the same name, with its version."""
         message = self._message(self.packed)
@@ -134,12 +140,15 @@ def model_set(
     models: Sequence[RegionModel], map_version: str, frame_id: str, free_area_m2: float
 ) -> model_pb2.ModelSet:
     """The set of `models` and their map; a projector takes it whole or not at all."""
-    entries = [
-        model_pb2.ModelSet.Entry(region=m.region, version=m.version, size=m.to_message().ByteSize())
-        for m in models
-    ]
+    return set_of([m.entry for m in models], map_version, frame_id, free_area_m2)
+
+
+def set_of(
+    entries: Sequence[model_pb2.ModelSet.Entry], map_version: str, frame_id: str, free_area_m2: float
+) -> model_pb2.ModelSet:
+    """The set of the models that `entries` name, and their map."""
     return model_pb2.ModelSet(
-        version=set_version(map_version, [m.version for m in models]),
+        version=set_version(map_version, [entry.version for entry in entries]),
         frame_id=frame_id,
         map_version=map_version,
         entries=entries,

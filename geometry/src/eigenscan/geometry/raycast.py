@@ -12,12 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.distance_tiles import distance_tiles
 from eigenscan.geometry.gridmap import OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.sweep import sweep, transpose, visits
 from eigenscan.geometry.trace import DARK, LEAPS_PER_CELL, WALL, trace
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import binary_dilation
 
 DARK_CELLS = 2.0
 """Depth in UNKNOWN, in cells from anything known, beyond which nothing is known."""
@@ -44,12 +45,15 @@ class RayCaster:
         """Caster for `grid`; keep it where a map is cast against more than once."""
         wall = np.pad(grid.cells == OCCUPIED, 1)
         unknown = np.pad(grid.cells == UNKNOWN, 1, constant_values=True)
-        dark = unknown & (unknown.all() | (distance_transform_edt(unknown) > DARK_CELLS))
+        dark = np.zeros_like(unknown)
+        for part, distance in distance_tiles(unknown, DARK_CELLS):
+            dark[part] = distance > DARK_CELLS
         dark[[0, -1], :] = dark[:, [0, -1]] = True
-        stops = wall | dark
         # distance of cell centres to the walls grown by one cell = distance between the cells' outlines
-        outline = distance_transform_edt(~binary_dilation(stops, np.ones((3, 3), dtype=bool)))
-        leap = np.minimum(np.floor(outline * LEAPS_PER_CELL), DARK - 1).astype(np.uint8)
+        free = ~binary_dilation(wall | dark, np.ones((3, 3), dtype=bool))
+        leap = np.empty(wall.shape, dtype=np.uint8)
+        for part, distance in distance_tiles(free, DARK / LEAPS_PER_CELL):
+            leap[part] = np.minimum(np.floor(distance * LEAPS_PER_CELL), DARK - 1)
         leap[wall] = WALL
         leap[dark] = DARK
         return cls(leap, grid)

@@ -116,8 +116,8 @@ def _sweep(x, y, what, bounds, leap, angles, rows, reach, unit, out):  # type: i
     low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
     for k in rows:
         dx, dy = np.cos(angles[k]), np.sin(angles[k])
-        # a lane is a coordinate across the direction; a cell reaches 2 beyond its corner at most. They
-        # start at a whole number, so that a point's range does not depend on the other points
+        # a lane is a coordinate across the direction; a cell reaches 2 beyond its corner at most. They are
+        # counted from the map's corner, so that a point's range does not depend on the other points
         least = np.floor(min(-dy * low_x, -dy * high_x) + min(dx * low_y, dx * high_y)) - 2.0
         width = abs(dy) * (high_x - low_x) + abs(dx) * (high_y - low_y) + 5.0
         lanes = np.full(int(width * LANES_PER_CELL) + 2, -1, dtype=np.int32)
@@ -130,26 +130,31 @@ def _sweep(x, y, what, bounds, leap, angles, rows, reach, unit, out):  # type: i
 def _sweep_one(x, y, what, leap, dx, dy, least, reach, unit, lanes, out):  # type: ignore[no-untyped-def]
     inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
     inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
-    across_x, across_y, offset = -dy * LANES_PER_CELL, dx * LANES_PER_CELL, -least * LANES_PER_CELL
+    across_x, across_y, first = -dy * LANES_PER_CELL, dx * LANES_PER_CELL, int(least) * LANES_PER_CELL
     down, up = _extent(dx, dy)
     near, limit = reach
     for i in range(len(x)):
-        place = across_x * x[i] + across_y * y[i] + offset
+        place = across_x * x[i] + across_y * y[i]
         if what[i] < 0:
-            for lane in range(int(place + down) + 1, int(place + up) + 1):
+            low, high = int(np.floor(place + down)) + 1, int(np.floor(place + up)) + 1
+            for lane in range(low - first, high - first):
                 lanes[lane] = i
             continue
-        stop, other = lanes[int(place)], lanes[int(place) + 1]
+        below = int(np.floor(place))
+        stop, other = lanes[below - first], lanes[below - first + 1]
         if stop < 0 and other < 0:
             # no stop on the way out of the part of the map that was swept
             reached = trace(leap, x[i], y[i], dx, dy, limit, near)
         elif stop != other:
-            reached = _between(x, y, what, leap, dx, dy, i, place - int(place), stop, other, limit)
-        elif what[stop] == WALL_VISIT:
+            reached = _between(x, y, what, leap, dx, dy, i, place - below, stop, other, reach)
+        else:
             # what blocks both lanes blocks the ray between them
             reached = max((x[stop] - x[i]) * inverse_x, (y[stop] - y[i]) * inverse_y, 0.0)
-        else:
-            reached = np.inf
+            if reached > near:
+                # it is among the visits or not by where other points lie, which must make no difference
+                reached = trace(leap, x[i], y[i], dx, dy, limit, near)
+            elif what[stop] == DARK_VISIT:
+                reached = np.inf
         out[what[i]] = reached * unit if reached <= limit else np.inf
 
 
@@ -162,11 +167,12 @@ def _extent(dx: float, dy: float) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _between(x, y, what, leap, dx, dy, i, share, low, high, limit):  # type: ignore[no-untyped-def]
+def _between(x, y, what, leap, dx, dy, i, share, low, high, reach):  # type: ignore[no-untyped-def]
     """Cells from point `i` to the first wall; `share` of a lane above `low`'s lane, below `high`'s."""
     inverse_x = 1.0 / dx if abs(dx) > _PARALLEL else 0.0
     inverse_y = 1.0 / dy if abs(dy) > _PARALLEL else 0.0
     down, up = _extent(dx, dy)
+    near, limit = reach
     nearest, hit, doubtful = np.inf, -1, np.inf
     for stop, lanes_aside in ((low, -share), (high, 1.0 - share)):
         if stop < 0:
@@ -181,6 +187,8 @@ def _between(x, y, what, leap, dx, dy, i, share, low, high, limit):  # type: ign
             aside = lanes_aside / LANES_PER_CELL
             reached = max((to_x + dy * aside) * inverse_x, (to_y - dx * aside) * inverse_y)
             doubtful = min(doubtful, reached - _DIAGONAL)
+    if min(nearest, doubtful) > near:
+        return trace(leap, x[i], y[i], dx, dy, limit, near)
     if doubtful < nearest:
         return trace(leap, x[i], y[i], dx, dy, limit, max(doubtful, 0.0))
     return max(nearest, 0.0) if hit >= 0 and what[hit] == WALL_VISIT else np.inf

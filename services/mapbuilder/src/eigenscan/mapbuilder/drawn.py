@@ -9,7 +9,7 @@ from eigenscan.geometry.gridmap import FREE, GridMap
 from eigenscan.mapbuilder.geojson import GivenRegion, Polygon, RegionsError
 from eigenscan.mapbuilder.regions import Division, Regions, reached
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes
+from scipy.ndimage import binary_fill_holes, find_objects
 from skimage.draw import polygon2mask
 from skimage.measure import approximate_polygon, find_contours, label
 
@@ -42,15 +42,20 @@ def outlines(regions: Regions, names: dict[int, str]) -> tuple[GivenRegion, ...]
     """Regions by number from 0, without their overlap, as polygons to be edited; holes are filled."""
     half = 0.5
     found = []
+    boxes = find_objects(regions.core)
     for number, name in names.items():
-        pieces = label(regions.core == number + 1, connectivity=2)
+        box = boxes[number]
+        corner = np.array([axis.start for axis in box])
+        pieces = label(regions.core[box] == number + 1, connectivity=2)
         polygons = []
         for piece in range(1, int(pieces.max()) + 1):
             mask = np.pad(np.asarray(binary_fill_holes(pieces == piece)), 1)
             ring = approximate_polygon(max(find_contours(mask.astype(float), half), key=len), half)
             if len(ring) >= 4:
                 # contour coordinates are cell centres, and the padding adds one
-                polygons.append(Polygon((regions.grid.to_map((ring[:, ::-1] - half) * regions.block),)))
+                polygons.append(
+                    Polygon((regions.grid.to_map((ring + corner - half)[:, ::-1] * regions.block),))
+                )
         if polygons:
             found.append(GivenRegion(name, tuple(polygons)))
     return tuple(found)

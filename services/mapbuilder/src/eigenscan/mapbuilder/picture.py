@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 from io import BytesIO
 
 import numpy as np
-from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.eigenspace.model import RegionModel
+from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.backdrop import Backdrop
+from eigenscan.mapbuilder.shards import Area
 from PIL import Image, ImageDraw, ImageFont
 
 _GOLDEN = 0.618034
 
 
-def draw_regions(site: SiteModel) -> bytes:
-    """PNG of the site: each region's outline with its overlap, its positions, name and area."""
-    view = Backdrop(site.grid)
+def draw_regions(grid: GridMap, areas: Sequence[Area]) -> bytes:
+    """PNG of the map: each region's outline with its overlap, its positions, name and area."""
+    view = Backdrop(grid)
     image = view.image()
     shade = Image.new("RGBA", image.size, (0, 0, 0, 0))
     pen = ImageDraw.Draw(shade)
-    for number, model in enumerate(site.regions):
+    for number, area in enumerate(areas):
         colour = _colour(number)
-        if len(model.outline) > 2:
-            loop = view.pixels(model.outline)
+        if len(area.outline) > 2:
+            loop = view.pixels(area.outline)
             pen.polygon(loop, fill=(*colour, 60))
             pen.line([*loop, loop[0]], fill=(*colour, 255), width=2)
-        for x, y in view.pixels(model.positions):
+        for x, y in view.pixels(area.positions.points):
             pen.rectangle((x - 0.5, y - 0.5, x + 0.5, y + 0.5), fill=(*colour, 200))
     image = Image.alpha_composite(image, shade)
     pen = ImageDraw.Draw(image)
-    for model in site.regions:
-        _name(pen, view, model)
-    _legend(pen, view, site)
+    for area in areas:
+        _name(pen, view, area)
+    _legend(pen, view, areas)
     file = BytesIO()
     image.convert("RGB").save(file, format="PNG", optimize=True)
     return file.getvalue()
@@ -44,13 +45,13 @@ def _colour(number: int) -> tuple[int, int, int]:
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
-def _name(pen: ImageDraw.ImageDraw, view: Backdrop, model: RegionModel) -> None:
-    middle = model.positions.mean(axis=0)
-    nearest = np.argmin(np.linalg.norm(model.positions - middle, axis=1))
-    (place,) = view.pixels(model.positions[nearest : nearest + 1])
+def _name(pen: ImageDraw.ImageDraw, view: Backdrop, area: Area) -> None:
+    points = area.positions.points
+    nearest = np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1))
+    (place,) = view.pixels(points[nearest : nearest + 1])
     pen.text(
         place,
-        f"{model.region}\n{len(model.index) * model.spacing**2:.0f} m2",
+        f"{area.name}\n{len(points) * area.positions.spacing**2:.0f} m2",
         fill=(0, 0, 0),
         font=ImageFont.load_default(15),
         anchor="mm",
@@ -60,10 +61,10 @@ def _name(pen: ImageDraw.ImageDraw, view: Backdrop, model: RegionModel) -> None:
     )
 
 
-def _legend(pen: ImageDraw.ImageDraw, view: Backdrop, site: SiteModel) -> None:
-    spacing = site.regions[0].spacing if site.regions else 0.0
+def _legend(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> None:
+    spacing = areas[0].positions.spacing if areas else 0.0
     view.legend(
         pen,
-        f"{len(site.regions)} regions, {site.grid.free_area:.0f} m2 free; each colour is one region with its "
+        f"{len(areas)} regions, {view.grid.free_area:.0f} m2 free; each colour is one region with its "
         f"overlap,\neach dot a position with its panorama, {spacing:g} m apart",
     )

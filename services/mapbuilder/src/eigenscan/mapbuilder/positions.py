@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from eigenscan.geometry.distance_tiles import distance_tiles
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import label
 
 SMALLEST_SPACE_M2 = 0.5
 """Free space cut off from the rest and smaller than this is a gap between walls, not a place."""
@@ -29,15 +30,20 @@ class Positions:
         """Map-frame points (P, 2), m."""
         return self.origin + self.index * self.spacing
 
+    def at(self, which: NDArray[np.int64]) -> Positions:
+        """Those `which` (K,)."""
+        return replace(self, index=self.index[which])
+
 
 def standable(grid: GridMap, clearance: float) -> NDArray[np.bool_]:
     """Cells (H, W) that are free, at least `clearance` m from every wall, and part of a place."""
-    wall = grid.cells == OCCUPIED
     free = grid.cells == FREE
-    if wall.any():
-        free &= distance_transform_edt(~wall) * grid.resolution >= clearance
+    for part, distance in distance_tiles(grid.cells != OCCUPIED, clearance / grid.resolution):
+        free[part] &= distance * grid.resolution >= clearance
     parts, count = label(free, structure=np.ones((3, 3), dtype=int))
-    area = np.bincount(parts.ravel(), minlength=count + 1) * grid.resolution**2
+    area = np.zeros(count + 1)
+    for rows in np.array_split(parts, max(len(parts) // 512, 1)):  # bincount makes its numbers longer
+        area += np.bincount(rows.ravel(), minlength=count + 1) * grid.resolution**2
     place = area >= min(SMALLEST_SPACE_M2, area[1:].max(initial=0.0))
     place[0] = False
     kept: NDArray[np.bool_] = place[parts]

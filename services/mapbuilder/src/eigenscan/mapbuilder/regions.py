@@ -10,9 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.distance_tiles import TILE, distance_tiles
 from eigenscan.geometry.gridmap import FREE, GridMap
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
+from scipy.ndimage import binary_dilation, find_objects, label
 from skimage.measure import find_contours
 from skimage.morphology import local_maxima, reconstruction
 from skimage.segmentation import watershed
@@ -55,12 +56,15 @@ class Regions:
     def members(self, points: NDArray[np.float64]) -> list[NDArray[np.int64]]:
         """Indices of the map-frame points (P, 2) in each region; a point may be in several or in none."""
         column, row = np.floor(self.grid.to_grid(points) / self.block).astype(np.int64).T
+        order = np.argsort(row, kind="stable")
+        column, row = column[order], row[order]
         found = []
         for mask, top, left in self.reach:
-            r, c = row - top, column - left
-            inside = (r >= 0) & (r < mask.shape[0]) & (c >= 0) & (c < mask.shape[1])
+            band = slice(*np.searchsorted(row, (top, top + mask.shape[0])))
+            r, c = row[band] - top, column[band] - left
+            inside = (c >= 0) & (c < mask.shape[1])
             inside[inside] = mask[r[inside], c[inside]]
-            found.append(np.nonzero(inside)[0])
+            found.append(np.sort(order[band][inside]))
         return found
 
     def outline(self, region: int) -> NDArray[np.float64]:
@@ -77,7 +81,7 @@ def divide(grid: GridMap, division: Division) -> Regions:
     """Regions of the map's free space, by rows of their middles. There may be none."""
     space = _without_clutter(grid.cells == FREE, division.clutter / grid.resolution)
     block = max(1, round(division.raster / grid.resolution))
-    width = _block_maximum(distance_transform_edt(np.pad(space, 1))[1:-1, 1:-1], block)
+    width = _half_widths(space, block)
     cell_area = (block * grid.resolution) ** 2
     core = _cut(width, np.log(division.narrowing))
     core = _halve(core, division.largest / cell_area)
@@ -105,12 +109,17 @@ def _without_clutter(free: NDArray[np.bool_], extent: float) -> NDArray[np.bool_
     return filled
 
 
-def _block_maximum(values: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-    height, width = values.shape
-    padded = np.pad(values, ((0, -height % block), (0, -width % block)))
-    tiles = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block)
-    maxima: NDArray[np.float64] = tiles.max(axis=(1, 3))
-    return maxima
+def _half_widths(space: NDArray[np.bool_], block: int) -> NDArray[np.float64]:
+    """Largest distance to the edge of the space, in cells, by blocks; beyond the map is no space."""
+    height, width = space.shape
+    padded = np.pad(space, ((block, block + -height % block), (block, block + -width % block)))
+    widths = np.empty((padded.shape[0] // block, padded.shape[1] // block))
+    for (rows, columns), distance in distance_tiles(padded, tile=TILE // block * block):
+        tiles = distance.reshape(distance.shape[0] // block, block, distance.shape[1] // block, block)
+        widths[rows.start // block : rows.stop // block, columns.start // block : columns.stop // block] = (
+            tiles.max(axis=(1, 3))
+        )
+    return widths[1:-1, 1:-1]
 
 
 def _cut(width: NDArray[np.float64], depth: float) -> NDArray[np.int32]:
@@ -128,10 +137,12 @@ def _halve(core: NDArray[np.int32], largest: float) -> NDArray[np.int32]:
     """Pieces of more than `largest` cells in halves, across the longer principal axis, until they fit."""
     core = core.copy()
     count = int(core.max(initial=0))
-    waiting = [n for n, area in enumerate(np.bincount(core.ravel())) if n and area > largest]
+    waiting = [
+        np.argwhere(core[box] == n) + [axis.start for axis in box]
+        for n, box in enumerate(find_objects(core), 1)
+    ]
     while waiting:
-        number = waiting.pop()
-        cells = np.column_stack(np.nonzero(core == number))
+        cells = waiting.pop()
         if len(cells) <= largest:
             continue
         centred = cells - cells.mean(axis=0)
@@ -140,7 +151,7 @@ def _halve(core: NDArray[np.int32], largest: float) -> NDArray[np.int32]:
         far = along > np.median(along)
         count += 1
         core[cells[far, 0], cells[far, 1]] = count
-        waiting += [number, count]
+        waiting += [cells[~far], cells[far]]
     return core
 
 

@@ -1,0 +1,122 @@
+"""Regions that a build has finished, in files of their own: what is there need not be built again.
+
+MODEL.pieces/ lies beside the MODEL that it is to become. A piece is named by the hash of all that its model
+is made of, appears whole or not at all, and is checked when it is found again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+from zipfile import BadZipFile
+
+import numpy as np
+from eigenscan.eigenspace.folder import check_place, publish
+from eigenscan.eigenspace.model import ModelError, set_of
+from eigenscan.eigenspace.region_file import read_region
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.schemas.model_pb2 import ModelSet
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A finished region: its file, what a set says of it, and how many components it has."""
+
+    path: Path
+    entry: ModelSet.Entry
+    components: int
+
+
+class Pieces:
+    """The finished regions of a model `folder`. To be entered: one build at a time.
+
+    Raises ModelError where the folder is something that models must not replace, another build is at it, or
+    the pieces cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        check_place(folder)
+        self.folder, self.place = folder, folder.with_name(folder.name + ".pieces")
+        self._lock: IO[str] | None = None
+
+    def __enter__(self) -> Pieces:
+        try:
+            self.place.mkdir(parents=True, exist_ok=True)
+            self._lock = (self.place / "lock").open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if self._lock is not None:
+                self._lock.close()
+            if isinstance(error, BlockingIOError):
+                raise ModelError(f"{self.folder}: another build is at it: wait for it, or stop it") from error
+            raise ModelError(f"{self.place}: cannot be written: {error.strerror}: check the place") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._lock is not None
+        if error is None or not any(self.place.glob("*.npz")):
+            shutil.rmtree(self.place, ignore_errors=True)
+        self._lock.close()
+
+    def find(self, key: str) -> Piece | None:
+        """The piece of that key; None where there is none, or it is damaged."""
+        try:
+            piece = _described(self._path(key))
+            read_region(piece.path, piece.entry.version)
+        except (OSError, BadZipFile, KeyError, ValueError, EOFError):
+            return None
+        return piece
+
+    def keep(self, key: str, content: bytes) -> Piece:
+        """Writes a piece. Raises ModelError where it cannot."""
+        path = self._path(key)
+        try:
+            path.with_suffix(".half").write_bytes(content)
+            path.with_suffix(".half").rename(path)
+        except OSError as error:
+            raise ModelError(f"{path}: cannot be written: {error.strerror}: make room, run again") from error
+        return _described(path)
+
+    def publish(
+        self,
+        pieces: Mapping[str, Piece],
+        grid: GridMap,
+        frame_id: str,
+        picture: bytes | None,
+        outlines: str | None,
+    ) -> ModelSet:
+        """The pieces by their regions' names as the model folder, in one step. Raises ModelError."""
+        entries = [piece.entry for _, piece in sorted(pieces.items())]
+        message = set_of(entries, grid.version, frame_id, grid.free_area)
+
+        def put(regions: Path) -> None:
+            for name, piece in pieces.items():
+                _link(piece.path, regions / f"{name}.npz")
+
+        publish(self.folder, grid, message, put, picture, outlines)
+        return message
+
+    def _path(self, key: str) -> Path:
+        return self.place / f"{key[:32]}.npz"
+
+
+def _described(path: Path) -> Piece:
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        entry = ModelSet.Entry(
+            region=str(file["region"]), version=str(file["version"]), size=int(file["wire_bytes"])
+        )
+        return Piece(path, entry, len(file["eigenvalues"]))
+
+
+def _link(piece: Path, target: Path) -> None:
+    try:
+        target.hardlink_to(piece)
+    except OSError:  # some file systems have no links
+        shutil.copyfile(piece, target)

@@ -1,0 +1,156 @@
+"""A site built in shards: the same models, on any number of workers, and on after a break."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from eigenscan.eigenspace.folder import read_models
+from eigenscan.eigenspace.model import ModelError
+from eigenscan.eigenspace.pieces import Pieces
+from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.gridmap import write_map
+from eigenscan.mapbuilder.cluster import ClusterError, Workers
+from eigenscan.mapbuilder.sharded import build_pieces
+from eigenscan.mapbuilder.shards import shards
+from eigenscan.mapbuilder.site import Plan, build_site, lay_out
+
+QUICK = Plan(step=TURN / 180)
+FINE = ["--spacing", "0.05", "--step", "1"]
+"""Five shards of the office."""
+
+
+def command(*arguments):
+    return [sys.executable, "-m", "eigenscan.cli.main", "build", *map(str, arguments)]
+
+
+def build(*arguments):
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=240, check=False)
+
+
+def published(grid, folder, plan=QUICK):
+    layout = lay_out(grid, plan)
+    with Pieces(folder) as pieces:
+        ready, found = build_pieces(grid, plan, layout, pieces)
+        return pieces.publish(ready, grid, "map", None, None), found
+
+
+def left_off(grid, folder):
+    """The pieces of a build that had all of them, and was cut before it could publish them."""
+    pieces = Pieces(folder)
+    with contextlib.suppress(InterruptedError), pieces:
+        build_pieces(grid, QUICK, lay_out(grid, QUICK), pieces)
+        raise InterruptedError
+    return pieces
+
+
+def test_piece_by_piece_the_models_are_those_of_the_whole(office, tmp_path):
+    message, found = published(office, tmp_path / "model")
+    assert found == 0
+    assert message == build_site(office, QUICK).to_message()
+    assert read_models(tmp_path / "model").to_message() == message
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["model"]
+
+
+def test_shards_hold_every_region_once_and_few_positions(office):
+    areas = lay_out(office, replace(QUICK, spacing=0.1)).areas
+    cut = shards(areas, 3000)
+    assert sorted(area.name for shard in cut for area in shard) == [area.name for area in areas]
+    assert len(cut) > 1
+    assert all(len(s) == 1 or sum(len(a.positions.index) for a in s) <= 3000 for s in cut)
+
+
+def test_what_is_finished_is_not_built_again_unless_it_is_damaged(office, tmp_path):
+    folder = tmp_path / "model"
+    pieces = left_off(office, folder)
+    assert not folder.exists()
+    first, second, _ = sorted(pieces.place.glob("*.npz"))
+    first.write_bytes(first.read_bytes()[:-30])
+    second.write_bytes(second.read_bytes().replace(b"PK", b"KP", 1))
+    message, found = published(office, folder)
+    assert found == 1
+    assert read_models(folder).to_message() == message == build_site(office, QUICK).to_message()
+
+
+def test_pieces_of_another_map_or_plan_do_not_count(office, tmp_path):
+    left_off(office, tmp_path / "model")
+    other = replace(QUICK, range_cap=5.0)
+    moved = replace(office, origin=np.array([0.1, 0.0, 0.0]))
+    with Pieces(tmp_path / "model") as pieces:
+        for grid, plan in ((office, other), (moved, QUICK)):
+            assert build_pieces(grid, plan, lay_out(grid, plan), pieces)[1] == 0
+        assert build_pieces(office, replace(QUICK, threads=3), lay_out(office, QUICK), pieces)[1] == 3
+
+
+def test_one_build_at_a_time(tmp_path):
+    with (
+        Pieces(tmp_path / "model"),
+        pytest.raises(ModelError, match="model: another build is at it"),
+        Pieces(tmp_path / "model"),
+    ):
+        pytest.fail("two builds at a time")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_build_that_was_killed_goes_on_and_nothing_half_is_ever_there(office, tmp_path):
+    write_map(office, tmp_path / "map.yaml")
+    model, pieces = tmp_path / "model", tmp_path / "model.pieces"
+    process = subprocess.Popen(
+        command(tmp_path / "map.yaml", "-o", model, *FINE),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    while process.poll() is None and not list(pieces.glob("*.npz")):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert process.returncode == -signal.SIGKILL, "it ended before it could be killed"
+    assert list(pieces.glob("*.npz"))
+    assert not model.exists()
+    again = build(tmp_path / "map.yaml", "-o", model, *FINE)
+    assert again.returncode == 0, again.stderr
+    assert "of them finished before" in again.stdout
+    assert not pieces.exists()
+    fresh = build(tmp_path / "map.yaml", "-o", tmp_path / "other", *FINE)
+    assert "finished before" not in fresh.stdout
+    one, other = (read_models(folder).to_message() for folder in (model, tmp_path / "other"))
+    assert one == other
+
+
+def test_two_workers_build_the_same_models(office, tmp_path):
+    write_map(office, tmp_path / "map.yaml")
+    result = build(tmp_path / "map.yaml", "-o", tmp_path / "model", "--step", "2", "--workers", "2")
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    expected = build_site(office, QUICK).to_message()
+    assert read_models(tmp_path / "model").to_message().entries == expected.entries
+
+
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setattr("eigenscan.mapbuilder.cluster._PATIENCE_S", 1)
+    with (
+        pytest.raises(ClusterError, match=r"--scheduler tcp://127\.0\.0\.1:9: no dask scheduler"),
+        Workers(address="tcp://127.0.0.1:9"),
+    ):
+        pass
+
+
+def test_without_dask_the_extra_is_named(office, tmp_path):
+    write_map(office, tmp_path / "map.yaml")
+    hidden = "import sys; sys.modules['distributed'] = None; from eigenscan.cli.main import app; app()"
+    flags = ["build", tmp_path / "map.yaml", "-o", tmp_path / "model", "--workers", "2"]
+    result = subprocess.run(
+        [sys.executable, "-c", hidden, *map(str, flags)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stderr.strip() == (
+        "eigenscan build: --workers and --scheduler need dask: pip install 'eigenscan[cluster]'"
+    )
