@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.bus import STAGGER_S, Bus, stagger
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Envelope
@@ -70,6 +70,33 @@ def test_a_late_joiner_gets_10_mb_whole_and_once(net: Any, buses: Opener) -> Non
     assert arrival.encoding == encoding(MODEL)
     assert hashlib.sha256(arrival.payload).digest() == hashlib.sha256(encode(said.message)).digest()
     assert _settled(early, inbox, net) == []
+
+
+def test_who_holds_some_regions_gets_only_the_others(net: Any, buses: Opener) -> None:
+    holder = buses()
+    holder.offer([MODEL], {"site": net.site})
+    said = [_model(net, "1", region=region) for region in ("a", "b", "c")]
+    for one in said:
+        holder.say(one)
+    known = [Arrival(MODEL, one.key, encode(one.message), encoding(MODEL)) for one in said[:2]]
+    changed = _model(net, "0", region="b")
+    known[1] = Arrival(MODEL, changed.key, encode(changed.message), encoding(MODEL))
+    hearer, inbox = buses(), Inbox()
+    hearer.listen([MODEL, SCAN], {"site": net.site}, inbox, known)
+    assert sorted(_next(inbox).key[-1] for _ in range(2)) == ["b", "c"]
+    assert _settled(holder, inbox, net) == []
+
+
+def test_a_fleet_asks_again_one_after_another() -> None:
+    names = [f"r{number}" for number in range(200)]
+    waits = sorted(stagger({"site": "s", "robot": name}) for name in names)
+    assert waits == sorted(stagger({"robot": name}) for name in reversed(names))
+    assert waits[0] >= 0.0
+    assert waits[-1] <= STAGGER_S
+    # evenly enough: no half second has more than twice its share
+    counts = [sum(begin <= wait < begin + 0.5 for wait in waits) for begin in (0.5 * k for k in range(10))]
+    assert max(counts) <= 2 * len(names) / len(counts)
+    assert stagger({"site": "s"}) == 0.0
 
 
 def test_who_holds_a_model_may_come_last(net: Any, buses: Opener) -> None:

@@ -72,6 +72,24 @@ def test_a_projector_that_comes_last_gets_the_models_and_answers(
 
 
 @pytest.mark.dataset
+def test_a_projector_that_starts_without_the_site_has_the_models_it_heard(
+    drive: Drive, models: Path, house: House
+) -> None:
+    house.start("mapbuilder", "--model", models)
+    house.start("projector", "--keep", house.logs / "kept")
+    house.until("projector", ready, "has models")
+    for service in ("projector", "mapbuilder"):
+        house.kill(service)
+    house.start("projector", "--keep", house.logs / "kept")
+    house.until("projector", lambda health: health.detail.startswith("model "), "has models from the disk")
+    for service in ("tracker", "scan-ingest"):
+        house.start(service)
+    claims = drive_on(house, iter(scans_of(drive, 10)))
+    assert claims
+    assert not wrong(claims)
+
+
+@pytest.mark.dataset
 def test_each_service_may_be_killed_and_started_again(drive: Drive, models: Path, house: House) -> None:
     start_all(house, models)
     scans = iter(scans_of(drive, 150))

@@ -10,13 +10,15 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from types import TracebackType
 from typing import Any
 
 import zenoh
-from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.keepsake import DIGEST_BYTES, digest
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,
@@ -31,6 +33,10 @@ from eigenscan.schemas.wire import encode, encoding
 
 LATCHED_TIMEOUT_S = 120.0
 """What a holder's answer may take: 100 MB of models on a slow link."""
+
+STAGGER_S = 5.0
+"""Who holds samples already and sees their speaker come back asks again within this, each in its own moment:
+after a cut a whole fleet comes back at once."""
 
 LISTENER_POLL_S = 0.02
 
@@ -93,9 +99,10 @@ class Bus:
     def _answer(self, query: Any) -> None:
         with self._lock:
             held = [(key, *sample) for key, sample in self._latched.items()]
+        had = _digests(query.payload)
         with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
             for key, channel, payload, stamp in held:
-                if query.key_expr.intersects(key):
+                if query.key_expr.intersects(key) and digest(payload) not in had:
                     query.reply(
                         key,
                         payload,
@@ -104,14 +111,24 @@ class Bus:
                         express=channel.qos.express,
                     )
 
-    def listen(self, channels: Sequence[Channel], address: Mapping[str, str], inbox: Inbox) -> None:
-        """Fills `inbox` from all keys of `channels` that fit `address`; latched ones also from the past."""
+    def listen(
+        self,
+        channels: Sequence[Channel],
+        address: Mapping[str, str],
+        inbox: Inbox,
+        known: Iterable[Arrival] = (),
+    ) -> None:
+        """Fills `inbox` from all keys of `channels` that fit `address`; latched ones also from the past.
+
+        `known` samples, oldest first, need not come again.
+        """
+        known = list(known)
         for channel in channels:
-            intake = _Intake([channel], inbox)
+            intake = _Intake([channel], inbox, known)
             selector = channel.selector(address)
             self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
             if channel.qos.latched:
-                self._follow(channel, address.get("site", "*"), selector, intake)
+                self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
 
     def listen_all(self, channels: Sequence[Channel], selector: str, inbox: Inbox) -> None:
         """Fills `inbox` from every key that `selector` matches; each sample goes to its own channel.
@@ -126,16 +143,30 @@ class Bus:
             if channel.qos.latched and zenoh.KeyExpr(selector).intersects(past):
                 self._follow(channel, site, past, intake)
 
-    def _follow(self, channel: Channel, site: str, selector: str, intake: _Intake) -> None:
-        """Asks for the newest samples of `channel` whenever somebody appears who holds some."""
+    def _follow(
+        self, channel: Channel, site: str, selector: str, intake: _Intake, patience_s: float = 0.0
+    ) -> None:
+        """Asks for the newest samples of `channel` whenever somebody appears who holds some.
+
+        Who holds some of them itself says which, and first waits for `patience_s`.
+        """
 
         def on_token(token: Any) -> None:
             if token.kind != zenoh.SampleKind.PUT:
                 return
+            if intake.digests() and patience_s:
+                later = threading.Timer(patience_s, ask)
+                later.daemon = True
+                later.start()
+            else:
+                ask()
+
+        def ask() -> None:
             with contextlib.suppress(zenoh.ZError):  # the session is closed
                 self._session.get(
                     selector,
                     intake.on_reply,
+                    payload=b"".join(intake.digests()) or None,
                     target=zenoh.QueryTarget.ALL,
                     consolidation=zenoh.ConsolidationMode.NONE,
                     timeout=LATCHED_TIMEOUT_S,
@@ -195,14 +226,32 @@ class Bus:
         self._session.close()  # type: ignore[no-untyped-call]
 
 
+def stagger(address: Mapping[str, str]) -> float:
+    """Seconds that a robot waits before it asks again: by its name, always the same; 0 for a whole site."""
+    robot = address.get("robot", "")
+    return STAGGER_S * zlib.crc32(robot.encode()) / 2**32 if robot else 0.0
+
+
+def _digests(payload: Any) -> frozenset[bytes]:
+    """What a query says that its asker has."""
+    listed = payload.to_bytes() if payload is not None else b""
+    return frozenset(listed[i : i + DIGEST_BYTES] for i in range(0, len(listed), DIGEST_BYTES))
+
+
 class _Intake:
     """Puts samples into an inbox; of a latched key only what is newer than what it has put before."""
 
-    def __init__(self, channels: Sequence[Channel], inbox: Inbox) -> None:
+    def __init__(self, channels: Sequence[Channel], inbox: Inbox, known: Iterable[Arrival] = ()) -> None:
         self._channels = channels
+        self._held = {sample.key: digest(sample.payload) for sample in known if sample.channel in channels}
         self._inbox = inbox
         self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub does not say that it can be compared
         self._lock = threading.Lock()
+
+    def digests(self) -> list[bytes]:
+        """Of the newest samples of latched keys."""
+        with self._lock:
+            return list(self._held.values())
 
     def on_sample(self, sample: Any) -> None:
         """A live sample."""
@@ -227,6 +276,8 @@ class _Intake:
             with self._lock:  # held over the put: a newer sample must not be overtaken by this one
                 if not channel.qos.latched or self._is_news(key, sample.timestamp, live):
                     self._inbox.put(channel, key, payload, declared)
+                    if channel.qos.latched:
+                        self._held[key] = digest(payload)
 
     def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
         """Clocks of two publishers may differ: between them only a held sample must prove to be newer."""

@@ -14,22 +14,21 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable
-from concurrent.futures import Future
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.health import TWIN_HINT, WAITING, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.keepsake import Keepsake
 from eigenscan.runtime.logs import configure
 from eigenscan.runtime.port import NoPort, Port
-from eigenscan.runtime.session import open_session
+from eigenscan.runtime.session import open_meanwhile
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
 from eigenscan.runtime.wake import Wake
-from eigenscan.schemas.channels import HEALTH, ContractError
+from eigenscan.schemas.channels import HEALTH, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Core, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
@@ -119,6 +118,7 @@ class Node:
         )
         self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1)
         self._bus: Bus | None = None
+        self._keepsake: Keepsake | None = None
         self._port = port or NoPort()
         self._fault: BaseException | None = None
 
@@ -178,7 +178,7 @@ class Node:
 
     def _run_core(self) -> None:
         try:
-            opening = _open_meanwhile(self.settings.zenoh, self._mode)
+            opening = open_meanwhile(self.settings.zenoh, self._mode)
             core = self._make_core()
             bus = self._connect(core, opening.result())
             self._say(bus, core.start())
@@ -200,10 +200,28 @@ class Node:
         if self._whole_site and settings.robot == "*":
             bus.listen_all(hears, f"{settings.site}/**", self._inbox)
         else:
-            bus.listen(hears, address, self._inbox)
+            bus.listen(hears, address, self._inbox, self._remember(hears))
         self._port.open(self._inbox)
         bus.announce(settings.site, self.service, settings.instance)
         return bus
+
+    def _remember(self, hears: Sequence[Channel]) -> list[Arrival]:
+        """Lets the core hear again what was kept on disk; gives it."""
+        if self.settings.keep is None:
+            return []
+        self._keepsake = Keepsake(self.settings.keep)
+        known = [sample for sample in self._keepsake.read() if sample.channel in hears]
+        for sample in known:
+            self._inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
+        return known
+
+    def _keep(self, sample: Arrival) -> None:
+        if self._keepsake is None:
+            return
+        try:
+            self._keepsake.put(sample)
+        except OSError as error:
+            self._set_aside("not_kept", sample.key, error)
 
     def _close(self, bus: Bus) -> None:
         self._port.close()
@@ -258,6 +276,8 @@ class Node:
                 # the shell outlives a fault of the core: the next scan may be fine
                 if not self._wake.stopping:
                     self._set_aside("core_failed", arrival.key, error, trace=True)
+        if channel.qos.latched:
+            self._keep(arrival)
         if channel.qos.rate_hz:  # what has a rate has a stamp
             self._monitor.dealt_with(channel.name, nanoseconds(message.timestamp))  # type: ignore[attr-defined]
 
@@ -282,20 +302,6 @@ class Node:
         if now - self._warned_at.get(reason, -math.inf) >= 1.0:
             self._warned_at[reason] = now
             self._log.warning(reason, **context)
-
-
-def _open_meanwhile(path: Path | None, mode: str) -> Future[zenoh.Session]:
-    """A session that opens on a thread of its own: neighbours are looked for during half a second."""
-    opening: Future[zenoh.Session] = Future()
-
-    def run() -> None:
-        try:
-            opening.set_result(open_session(path, mode))
-        except BaseException as error:
-            opening.set_exception(error)
-
-    threading.Thread(target=run, name="session", daemon=True).start()
-    return opening
 
 
 def _package_version(service: str) -> str:

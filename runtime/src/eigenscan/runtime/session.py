@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import threading
+from concurrent.futures import Future
 from pathlib import Path
 
 import zenoh
@@ -45,6 +47,20 @@ def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
             f"{path or f'embedded {mode}'}: no Zenoh session: {_reason(error)}: "
             "check its listen and connect endpoints"
         ) from error
+
+
+def open_meanwhile(path: Path | None, mode: str) -> Future[zenoh.Session]:
+    """A session that opens on a thread of its own: neighbours are looked for during half a second."""
+    opening: Future[zenoh.Session] = Future()
+
+    def run() -> None:
+        try:
+            opening.set_result(open_session(path, mode))
+        except BaseException as error:
+            opening.set_exception(error)
+
+    threading.Thread(target=run, name="session", daemon=True).start()
+    return opening
 
 
 def _deepen_urgent_queues(config: zenoh.Config) -> None:

@@ -26,7 +26,7 @@ from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 
-_OF_THE_PROCESS = {"zenoh", "metrics_port", "metrics_host", "log_level", "log_format"}
+_OF_THE_PROCESS = {"zenoh", "keep", "metrics_port", "metrics_host", "log_level", "log_format"}
 
 
 class SettingsError(ValueError):
@@ -45,6 +45,10 @@ class ServiceSettings(BaseModel):
         description="name of this instance among those of its service; the robot's name without it",
     )
     zenoh: Path | None = Field(None, description="Zenoh configuration, JSON5; without it an embedded peer")
+    keep: Path | None = Field(
+        None,
+        description="folder for the maps and models that were heard, to start with where the site is cut off",
+    )
     metrics_port: int | None = Field(
         None,
         ge=0,

@@ -1,0 +1,86 @@
+"""Maps and models that were heard, kept on disk: whoever starts without the site hears them from there.
+
+What was heard is read again in the order of hearing, so that a core comes to the state it had. Of each key
+the newest two are kept: a set that was on its way when the machine went down must not cost the one in use.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+from eigenscan.runtime.inbox import Arrival
+from eigenscan.schemas.channels import find
+
+GENERATIONS = 2
+DIGEST_BYTES = 8
+"""Of a sample's SHA-256, by which a hearer tells what it has: two of a site's thousands agree never."""
+
+
+def digest(payload: bytes) -> bytes:
+    """What a sample is known by, DIGEST_BYTES long."""
+    return hashlib.sha256(payload).digest()[:DIGEST_BYTES]
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """One file: `NUMBER-DIGEST-KEY`, the encoding and a line break before the payload."""
+
+    path: Path
+    number: int
+    digest: str
+    key: str
+
+    @classmethod
+    def of(cls, path: Path) -> _Kept | None:
+        """From a file's name; None where it is not of this folder's."""
+        number, _, rest = path.name.partition("-")
+        hexadecimal, _, key = rest.partition("-")
+        if not (number.isdigit() and key):
+            return None
+        return cls(path, int(number), hexadecimal, unquote(key))
+
+
+class Keepsake:
+    """A folder of samples. Raises OSError where it cannot be made."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        named = (_Kept.of(path) for path in folder.iterdir())
+        found = sorted((kept for kept in named if kept is not None), key=lambda kept: kept.number)
+        self._kept: defaultdict[str, list[_Kept]] = defaultdict(list)
+        for kept in found:
+            self._kept[kept.key].append(kept)
+        self._next = found[-1].number + 1 if found else 0
+
+    def read(self) -> Iterator[Arrival]:
+        """All samples, oldest first; a file that is damaged or of no channel is passed over."""
+        everything = [kept for history in self._kept.values() for kept in history]
+        for kept in sorted(everything, key=lambda kept: kept.number):
+            channel = find(kept.key)
+            encoding, _, payload = kept.path.read_bytes().partition(b"\n")
+            if channel is not None and digest(payload).hex() == kept.digest:
+                yield Arrival(channel[0], kept.key, payload, encoding.decode(errors="replace"))
+
+    def put(self, sample: Arrival) -> None:
+        """Keeps a sample, unless it is the newest of its key already. Raises OSError."""
+        history, known = self._kept[sample.key], digest(sample.payload).hex()
+        if history and history[-1].digest == known:
+            return
+        name = f"{self._next:09d}-{known}-{quote(sample.key, safe='')}"
+        partial = self._folder / "partial"
+        with partial.open("wb") as file:
+            file.write(sample.encoding.encode() + b"\n" + sample.payload)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(self._folder / name)
+        history.append(_Kept(self._folder / name, self._next, known, sample.key))
+        self._next += 1
+        while len(history) > GENERATIONS:
+            history.pop(0).path.unlink(missing_ok=True)

@@ -1,0 +1,49 @@
+from pathlib import Path
+
+import pytest
+from eigenscan.runtime.inbox import Arrival
+from eigenscan.runtime.keepsake import Keepsake
+from eigenscan.schemas.channels import MODEL, MODEL_SET
+from eigenscan.schemas.wire import encoding
+
+
+def model(region: str, payload: bytes) -> Arrival:
+    return Arrival(MODEL, f"site/model/{region}", payload, encoding(MODEL))
+
+
+def test_another_process_reads_what_was_heard_in_that_order(tmp_path: Path) -> None:
+    heard = [model("hall", b"1"), model("room", b"1\n2"), Arrival(MODEL_SET, "site/models", b"", "x")]
+    first = Keepsake(tmp_path / "new/folder")
+    for sample in [*heard, heard[1]]:  # the newest again is no news
+        first.put(sample)
+    assert list(Keepsake(tmp_path / "new/folder").read()) == heard
+
+
+def test_of_each_key_the_newest_two_stay(tmp_path: Path) -> None:
+    for payload in (b"1", b"2", b"3", b"1"):  # a process each
+        Keepsake(tmp_path).put(model("hall", payload))
+    Keepsake(tmp_path).put(model("room", b"1"))
+    assert [(one.key, one.payload) for one in Keepsake(tmp_path).read()] == [
+        ("site/model/hall", b"3"),
+        ("site/model/hall", b"1"),
+        ("site/model/room", b"1"),
+    ]
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
+    Keepsake(tmp_path).put(model("hall", b"1" * 100))
+    Keepsake(tmp_path).put(model("room", b"2"))
+    (first, _) = sorted(tmp_path.iterdir())
+    first.write_bytes(first.read_bytes()[:-1])
+    (tmp_path / "partial").write_bytes(b"half")
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / first.name.replace("site", "elsewhere%2Fsite")).write_bytes(b"x\n")
+    assert [one.payload for one in Keepsake(tmp_path).read()] == [b"2"]
+    assert (tmp_path / "notes.txt").exists()
+
+
+def test_a_folder_that_cannot_be_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError):
+        Keepsake(tmp_path / "file")
