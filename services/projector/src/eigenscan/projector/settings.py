@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from eigenscan.projector.association import kinds
 from eigenscan.projector.embedding import Kind
 from eigenscan.runtime.settings import ServiceSettings
@@ -16,7 +18,7 @@ class ProjectorSettings(ServiceSettings):
     components: int = Field(16, ge=1, le=64, description="coefficients kept of each subspace")
     association: kinds.Kind = Field(
         "sweep",
-        description="how near poses are found: sweep, cells, tree, connectivity, triangles or tetrahedra",
+        description=f"how near poses are found: {', '.join(get_args(kinds.Kind))}",
     )
     margin: float = Field(
         0.5, ge=0, le=1, description="of its size that a scan may lie outside of a triangle or tetrahedron"
