@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
-from eigenscan.tracker.covariance import determinant, mahalanobis_squared, residual
+from eigenscan.tracker.symmetric import apart, determinant, inverse, plus, square, triangle
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -26,18 +28,33 @@ class Pairs:
 
 def associate(x: Array, C: Array, y: Array, R: Array, gate: float) -> Pairs:
     """Pairs of tracks (n, 3), (n, 3, 3) and hypotheses (k, 3), (k, 3, 3) with distance^2 <= `gate`."""
-    near = np.ones((len(x), len(y)), dtype=bool)
-    for axis in (0, 1):
-        delta = y[None, :, axis] - x[:, None, axis]
-        # one axis alone is never farther than all three together
-        near &= delta * delta <= gate * (C[:, axis, axis][:, None] + R[:, axis, axis][None, :])
-    i, k = np.nonzero(near)
-    total = C[i] + R[k]
-    distance2 = mahalanobis_squared(residual(y[k], x[i]), total)
-    inside = distance2 <= gate
-    i, k, distance2, total = i[inside], k[inside], distance2[inside], total[inside]
-    overlap = 0.5 * np.log(determinant(R[k]) / determinant(total)) - 0.5 * distance2
-    return Pairs(i, k, distance2, overlap)
+    return Pairs(*_within_gate(x, C, y, R, gate))
+
+
+_PAIRS = "Tuple((i8[::1], i8[::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:,:], f8[:,:], f8[:,:,:], f8)"
+
+
+@njit(_PAIRS, cache=True, nogil=True, error_model="numpy")  # pragma: no cover - compiled
+def _within_gate(x: Array, C: Array, y: Array, R: Array, gate: float) -> tuple[Index, Index, Array, Array]:
+    room = len(x) * len(y)
+    track, hypothesis = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    distance2, log_overlap = np.empty(room), np.empty(room)
+    count = 0
+    for i in range(len(x)):
+        for k in range(len(y)):
+            # one axis alone is never farther than all three together
+            if (y[k, 0] - x[i, 0]) ** 2 > gate * (C[i, 0, 0] + R[k, 0, 0]):
+                continue
+            if (y[k, 1] - x[i, 1]) ** 2 > gate * (C[i, 1, 1] + R[k, 1, 1]):
+                continue
+            own = triangle(R[k])
+            total = plus(triangle(C[i]), own)
+            length = square(inverse(total), apart(y[k], x[i]))
+            if length <= gate:
+                track[count], hypothesis[count], distance2[count] = i, k, length
+                log_overlap[count] = 0.5 * log(determinant(own) / determinant(total)) - 0.5 * length
+                count += 1
+    return track[:count], hypothesis[:count], distance2[:count], log_overlap[:count]
 
 
 def crowding(y: Array, R: Array) -> Array:

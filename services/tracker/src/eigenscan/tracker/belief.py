@@ -156,8 +156,7 @@ class Belief:
         if share.broken:
             self._break_off(source)
         self._leave(happened(LEAVES * share.progress))
-        mine = self.tracks.frame == frame
-        old = self.tracks.pick(mine)
+        old, others = self._by_frame(frame)
         merit = Merit.of(seen)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         part = self.elsewhere[frame]
@@ -169,8 +168,13 @@ class Belief:
         evidence = np.zeros((len(k), len(self.sources)))
         evidence[:, source] = merit.foretold[k]
         new = begin(seen.poses[k], seen.covariances[k], log_weight, evidence, frame, seen.stamp)
-        self.tracks = join([self.tracks.pick(~mine), grown, new])
+        self.tracks = join([*others, grown, new])
         self.normalise()
+
+    def _by_frame(self, frame: int) -> tuple[Tracks, list[Tracks]]:
+        """The tracks of a frame, and those of others, mostly none."""
+        mine = self.tracks.frame == frame
+        return (self.tracks, []) if mine.all() else (self.tracks.pick(mine), [self.tracks.pick(~mine)])
 
     def name_new(self) -> None:
         """Gives numbers to the tracks that forks and births left without one."""

@@ -48,9 +48,10 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
     log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
     hidden_share = np.zeros(len(origin))
     hidden_share[:count] = np.exp(unseen - log_weight[:count])
-    id_, parent = _forks(old.pick(origin), log_weight, origin)
+    branches = old.pick(origin)
+    id_, parent = _forks(branches, log_weight, origin)
     weighed = replace(
-        old.pick(origin),
+        branches,
         log_weight=log_weight,
         hidden=hidden_share,
         evidence=evidence[origin],

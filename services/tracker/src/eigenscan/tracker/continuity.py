@@ -6,10 +6,13 @@ none of a list goes on in the next one, the sensor was covered or uncovered, or 
 
 from __future__ import annotations
 
+from math import hypot
+
 import numpy as np
 from eigenscan.geometry.pose import compose
-from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.symmetric import apart
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -38,6 +41,16 @@ def goes_on(before: Array, after: Array, moved: Motion) -> bool | None:
     if moved.way > FARTHEST_M or moved.turn > FARTHEST_RAD or abs(moved.unknown) > LONGEST_S:
         return None
     expected = compose(before[:COMPARED], np.asarray(moved.delta))
-    off = np.abs(residual(after[None], expected[:, None]))
-    near = np.hypot(off[..., 0], off[..., 1]) <= NEAR_M + ODOMETRY_SHARE * moved.way
-    return bool((near & (off[..., 2] <= NEAR_RAD + ODOMETRY_SHARE * moved.turn)).any())
+    near, turned = NEAR_M + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
+    return bool(_any_near(expected, after, near, turned))
+
+
+@njit("b1(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)  # pragma: no cover - compiled
+def _any_near(expected: Array, found: Array, near: float, turned: float) -> bool:
+    """Whether any of `found` (k, 3) is within `near` m and `turned` rad of any of `expected` (n, 3)."""
+    for i in range(len(expected)):
+        for k in range(len(found)):
+            x, y, turn = apart(found[k], expected[i])
+            if hypot(x, y) <= near and abs(turn) <= turned:
+                return True
+    return False

@@ -63,17 +63,7 @@ def observe(
 
     One whose covariance is missing or not positive definite gets Cp, from the grid's spacing.
     """
-    rows = np.array(
-        [
-            (
-                *(h.pose.x, h.pose.y, h.pose.theta, h.log_likelihood),
-                *(h.covariance.xx, h.covariance.xy, h.covariance.xt),
-                *(h.covariance.yy, h.covariance.yt, h.covariance.tt),
-            )
-            for h in message.hypotheses
-        ],
-        dtype=np.float64,
-    ).reshape(-1, 10)
+    rows = _rows(message)
     finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
     if not finite.all():
         counts["hypothesis_not_finite"] += int((~finite).sum())
@@ -104,6 +94,16 @@ def observe(
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
     )
+
+
+def _rows(message: Hypotheses) -> Array:
+    """x, y, theta, log-likelihood and the covariance's upper triangle of each hypothesis, (k, 10)."""
+    numbers = list[float]()
+    for hypothesis in message.hypotheses:
+        pose, c = hypothesis.pose, hypothesis.covariance
+        numbers += [pose.x, pose.y, pose.theta, hypothesis.log_likelihood]
+        numbers += [c.xx, c.xy, c.xt, c.yy, c.yt, c.tt]
+    return np.array(numbers).reshape(-1, 10)
 
 
 def limit_sigma(covariances: Array) -> Array:

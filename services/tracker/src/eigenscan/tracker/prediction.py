@@ -6,6 +6,8 @@ import numpy as np
 from eigenscan.geometry.pose import compose
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import plus, put, triangle, turned
+from numba import guvectorize
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -32,14 +34,18 @@ def motion_noise(moved: Motion, settings: TrackerSettings) -> Array:
 
 def predict(x: Array, C: Array, moved: Motion, settings: TrackerSettings) -> tuple[Array, Array]:
     """Poses (n, 3) and covariances (n, 3, 3) after a motion."""
-    moved_x = compose(x, moved.delta)
-    cos, sin = np.cos(x[:, 2]), np.sin(x[:, 2])
-    F = np.tile(np.eye(3), (len(x), 1, 1))
-    F[:, 0, 2] = -sin * moved.delta[0] - cos * moved.delta[1]
-    F[:, 1, 2] = cos * moved.delta[0] - sin * moved.delta[1]
-    G = np.zeros_like(F)
-    G[:, 0, 0] = G[:, 1, 1] = cos
-    G[:, 0, 1], G[:, 1, 0], G[:, 2, 2] = -sin, sin, 1.0
-    Q = motion_noise(moved, settings)
-    grown = F @ C @ np.swapaxes(F, 1, 2) + G @ Q @ np.swapaxes(G, 1, 2)
-    return moved_x, (grown + np.swapaxes(grown, 1, 2)) / 2
+    delta, Q = np.array(moved.delta), motion_noise(moved, settings)
+    return compose(x, delta), _grown(x[:, 2], C, delta, Q)
+
+
+@guvectorize(["(f8, f8[:,:], f8[:], f8[:,:], f8[:,:])"], "(),(n,n),(n),(n,n)->(n,n)", cache=True)
+def _grown(
+    heading: float, C: Array, delta: Array, Q: Array, out: Array
+) -> None:  # pragma: no cover - compiled
+    """F C F' + G Q G' of one pose: F its derivatives by the pose before, G by the increment."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    # F is the identity but for these two, in the heading's column; G is the rotation
+    u, v = -sin * delta[0] - cos * delta[1], cos * delta[0] - sin * delta[1]
+    a, b, c, d, e, f = triangle(C)
+    carried = (a + 2 * u * c + u * u * f, b + u * e + v * c + u * v * f, c + u * f, d + 2 * v * e + v * v * f)
+    put(plus((*carried, e + v * f, f), turned(triangle(Q), cos, sin)), out)
