@@ -23,7 +23,7 @@ from eigenscan.schemas.channels import (
     Role,
 )
 
-from tests.fleet.conftest import ROBOTS, SITE, Fleet, until
+from tests.fleet.conftest import ROBOTS, SITE, Fleet, make_fleet, until
 
 SERVICES = tuple(role.value for role in Role if role is not Role.ROBOT)
 HOLDERS = (*ROBOTS, *SERVICES)
@@ -73,7 +73,11 @@ class Exchange:
     tokens: set[tuple[str, str]] = field(default_factory=set)
 
     def hearer(self, holder: str) -> Any:
-        return lambda sample: self.heard.add((holder, str(sample.key_expr), sample.payload.to_string()))
+        def on_sample(sample: Any) -> None:
+            said = sample.payload.to_bytes().decode(errors="replace")  # the router says its health meanwhile
+            self.heard.add((holder, str(sample.key_expr), said))
+
+        return on_sample
 
     def seer(self, holder: str) -> Any:
         return lambda token: self.tokens.add((holder, str(token.key_expr)))
@@ -102,6 +106,21 @@ def token_of(holder: str, owner: str) -> str:
     return ALIVE_TEMPLATE.format(
         site=SITE, service=service, instance=owner, contract=f"{CONTRACT_VERSION}-{holder}"
     )
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    """Without limits of rate: they would hold back what access control should."""
+    fleet = make_fleet(tmp_path_factory.mktemp("access"))
+    settings = fleet.folder / "fleet.toml"
+    settings.write_text(settings.read_text().replace("[air]", "[air]\npose = inf\ntracks = inf"))
+    fleet.command("configure")
+    fleet.install("site")
+    try:
+        fleet.start("site")
+        yield fleet
+    finally:
+        fleet.stop()
 
 
 @pytest.fixture(scope="module")

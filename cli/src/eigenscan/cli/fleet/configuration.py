@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from eigenscan.cli.fleet import access
-from eigenscan.schemas.channels import Role
+from eigenscan.schemas.channels import CHANNELS, Role
 
 INSTALLED = "/etc/eigenscan"
 """Where each machine, or its containers, finds its own part of the fleet's folder."""
 PORT = 7447
 MOST_ROBOTS = 10_000
 """Links that the site's router takes; Zenoh's own limit is 1,000."""
+FLOOD = 2.0
+"""So many times faster than it should may a robot speak: what waited for the link comes in a burst."""
 LARGEST_BYTES = 1_000_000
 """Of one message from a robot: a raw scan has some tens of kilobytes."""
 
@@ -24,6 +27,7 @@ def site_router(
     site: str, robots: Mapping[str, tuple[str, access.Air]], services: Mapping[Role, str]
 ) -> dict[str, Any]:
     """The site's router. `robots`: name -> common name of its certificate and what crosses the air."""
+    most = {one.name: max((air[one.name] for _, air in robots.values()), default=0.0) for one in CHANNELS}
     return {
         "mode": "router",
         "listen": {"endpoints": [f"tls/[::]:{PORT}"]},
@@ -34,6 +38,7 @@ def site_router(
             "shared_memory": {"enabled": False},
         },
         "access_control": access.at_site(site, robots, services),
+        "downsampling": _limits("flood", "ingress", {"site": site}, most, FLOOD),
         "low_pass_filter": [
             {
                 "id": "largest message of a robot",
@@ -58,6 +63,8 @@ def robot_router(site: str, robot: str, air: access.Air, router: str) -> dict[st
         "scouting": _NO_SCOUTING,
         "transport": {"link": {"tls": _tls("robot", "connect")}},
         "access_control": access.on_robot(site, robot, air),
+        "downsampling": _limits("air", "egress", {"site": site, "robot": robot}, air),
+        "qos": {"network": _urgency(site, robot, air)},
     }
 
 
@@ -69,6 +76,40 @@ def robot_service() -> dict[str, Any]:
 def site_service(name: str, router: str = "localhost") -> dict[str, Any]:
     """A service of the site, or an operator's tool, with the certificate `name`."""
     return _client(_endpoint(router)) | {"transport": {"link": {"tls": _tls(name, "connect")}}}
+
+
+def _limits(
+    name: str, flow: str, address: Mapping[str, str], air: access.Air, slack: float = 1.0
+) -> list[dict[str, Any]]:
+    """Zenoh's downsampling on links over the air, of channels that are limited."""
+    rules = [
+        {"key_expr": one.selector(address), "freq": air[one.name] * slack}
+        for one in CHANNELS
+        if 0 < air[one.name] < math.inf
+    ]
+    if not rules:
+        return []
+    return [{"id": name, "link_protocols": ["tls"], "flows": [flow], "messages": ["put"], "rules": rules}]
+
+
+def _urgency(site: str, robot: str, air: access.Air) -> list[dict[str, Any]]:
+    """Priority and congestion control over the air are the table's, whatever the publisher chose."""
+    return [
+        {
+            "id": one.name,
+            "link_protocols": ["tls"],
+            "flows": ["egress"],
+            "messages": ["put"],
+            "key_exprs": [one.selector({"site": site, "robot": robot})],
+            "overwrite": {
+                "priority": one.qos.priority.value,
+                "congestion_control": "block" if one.qos.block else "drop",
+                "express": one.qos.express,
+            },
+        }
+        for one in CHANNELS
+        if Role.ROBOT in one.said_by and air[one.name] > 0
+    ]
 
 
 def _client(endpoint: str) -> dict[str, Any]:
