@@ -13,6 +13,8 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 REFRESH_NS = 2_000_000_000
+MANY_NS = 500_000_000
+"""A board of many robots is dear: changes of state wait for so long."""
 SILENT_NS = 3_000_000_000
 """A robot that says no pose for so long is silent."""
 SILENCE = "SILENT"
@@ -28,7 +30,7 @@ ADVICE = {
 
 
 class StatusBoard:
-    """Draws the board whenever it changes, every 2 s, a state of few robots at once; and the events."""
+    """Draws the board whenever it changes, figures every 2 s, a state at once; and the events."""
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
@@ -36,6 +38,7 @@ class StatusBoard:
         self._states: dict[str, str] = {}
         self._told_at: dict[str, int] = {}
         self._looked_at = self._drawn_at = 0
+        self._news = False
         self._drawn: list[Line] = []
         self._now = 0
         self._heard_at: dict[str, int] = {}
@@ -67,13 +70,16 @@ class StatusBoard:
         if before != name or abs(stamp - self._told_at.get(robot, 0)) >= REPEAT_NS:
             self._told_at[robot] = stamp
             self._canvas.draw(stamp, f"state/{robot}", rr.StateChange(state=name))
-        self._refresh(stamp, at_once=before != name and len(self._lines) <= MOST_BARS)
+        self._news |= before != name
+        self._refresh(stamp)
 
-    def _refresh(self, stamp: int, *, at_once: bool) -> None:
-        """A board of many robots is dear: it waits for its turn."""
-        if not at_once and abs(stamp - self._looked_at) < REFRESH_NS:
+    def _refresh(self, stamp: int) -> None:
+        wait = REFRESH_NS
+        if self._news:
+            wait = 0 if len(self._lines) <= MOST_BARS else MANY_NS
+        if abs(stamp - self._looked_at) < wait:
             return
-        self._looked_at = stamp
+        self._looked_at, self._news = stamp, False
         lines = shown(list(self._lines.values()))
         if lines != self._drawn or abs(stamp - self._drawn_at) >= REPEAT_NS:
             self._drawn, self._drawn_at = lines, stamp
