@@ -1,4 +1,4 @@
-"""`eigenscan models`: the versions of a model folder, and back to an older one."""
+"""`eigenscan models`: the versions of a model folder, back to an older one, on to one that is proposed."""
 
 from __future__ import annotations
 
@@ -21,44 +21,51 @@ class Action(StrEnum):
 
     LIST = "list"
     ROLLBACK = "rollback"
+    ACCEPT = "accept"
 
 
 def models(
-    action: Annotated[Action, typer.Argument(help="list the versions, or go back to one")],
+    action: Annotated[
+        Action, typer.Argument(help="list the versions, go back to one, or accept what is proposed")
+    ],
     folder: Annotated[Path, typer.Argument(metavar="MODEL", help="folder that eigenscan build wrote")],
     version: Annotated[
         str | None,
         typer.Argument(
-            help="the version, or how it begins; without it the newest older one", metavar="VERSION"
+            help="the version, or how it begins; without it the newest older one, or the one proposed",
+            metavar="VERSION",
         ),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """List the versions of a model folder, or put an older one in use again.
+    """List the versions of a model folder, put an older one in use again, or one that is proposed.
 
     A build into a folder that holds models keeps what it replaces, the last five versions, in
     MODEL.versions. A rollback checks the old version and swaps it in, in one step; what was in use is kept.
+    A mapbuilder that keeps the map true proposes versions there; each has a picture, change.png. A mapbuilder
+    that runs publishes what comes into use within seconds.
 
     \b
     Examples:
       eigenscan models list MODEL
       eigenscan models rollback MODEL
       eigenscan models rollback MODEL 7ce7719a
+      eigenscan models accept MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.frame import UsageError
     from eigenscan.eigenspace.folder import read_models
-    from eigenscan.eigenspace.versions import choose, replace, versions
+    from eigenscan.eigenspace.versions import accept, choose, choose_proposal, replace, versions
 
     if action is Action.LIST:
         if version is not None:
             raise UsageError(f"list takes no version, {version!r} was given: eigenscan models list {folder}")
         _tell(versions(folder), json_file)
         return
-    chosen = choose(versions(folder), version, folder)
+    pick, put = (choose, replace) if action is Action.ROLLBACK else (choose_proposal, accept)
+    chosen = pick(versions(folder), version, folder)
     read_models(chosen.folder)  # a damaged one must not come into use
-    replace(folder, chosen.folder)
+    put(folder, chosen.folder)
     _tell(versions(folder)[:1], json_file)
-    typer.echo("a mapbuilder that runs publishes it after a restart", err=True)
 
 
 def _tell(found: Sequence[Version], json_file: Path | None) -> None:
@@ -67,9 +74,10 @@ def _tell(found: Sequence[Version], json_file: Path | None) -> None:
     for number, version in enumerate(found):
         if wants_words(json_file):
             built = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(version.built))
+            proposed = f"  proposed: {version.folder / 'change.png'}" if version.proposed_for else ""
             typer.echo(
                 f"{' ' if number else '*'} {version.version[:12]}  {built}  {version.regions:4} regions  "
-                f"{version.free_area_m2:7.0f} m²  {version.wire_bytes / 1e6:6.1f} MB"
+                f"{version.free_area_m2:7.0f} m²  {version.wire_bytes / 1e6:6.1f} MB{proposed}"
             )
         figures.append({**vars(version), "folder": str(version.folder), "in_use": number == 0})
     write_figures(figures, json_file)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,9 +45,14 @@ class SiteModel:
 
 
 def write_models(
-    site: SiteModel, folder: Path, picture: bytes | None = None, outlines: str | None = None
+    site: SiteModel,
+    folder: Path,
+    picture: bytes | None = None,
+    outlines: str | None = None,
+    others: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Writes `folder`, in place of a model folder that is there; `picture` is a PNG, `outlines` GeoJSON.
+    """Writes `folder`, in place of a model folder that is there; `picture` is a PNG, `outlines` GeoJSON,
+    `others` files that go with it, by name.
 
     Raises ModelError where something else than a model folder is there or it cannot be written.
     """
@@ -57,7 +62,7 @@ def write_models(
         for name, content in contents.items():
             (regions / f"{name}.npz").write_bytes(content)
 
-    publish(folder, site.grid, site.to_message(), put, picture, outlines)
+    publish(folder, site.grid, site.to_message(), put, picture, outlines, others)
 
 
 def publish(
@@ -67,6 +72,7 @@ def publish(
     put: Callable[[Path], None],
     picture: bytes | None,
     outlines: str | None,
+    others: Mapping[str, bytes] | None = None,
 ) -> None:
     """Writes `folder` as write_models does; `put` puts the set's region files into a folder that it is given.
 
@@ -86,6 +92,8 @@ def publish(
             if outlines is not None:
                 (fresh / OUTLINES).write_text(outlines, encoding="utf-8")
             (fresh / MANIFEST).write_text(json.dumps(_manifest(message), indent=1) + "\n", encoding="utf-8")
+            for name, content in (others or {}).items():
+                (fresh / name).write_bytes(content)
             _take_place(fresh, folder)
         finally:
             shutil.rmtree(fresh, ignore_errors=True)

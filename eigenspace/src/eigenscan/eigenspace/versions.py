@@ -17,6 +17,10 @@ from pathlib import Path
 from eigenscan.eigenspace.model import ModelError
 
 MANIFEST = "manifest.json"
+PROPOSAL = "proposal.json"
+"""In a version that was never in use: what is proposed, and as `since` the version that it is to replace."""
+CHANGE = "change.json"
+"""The same in a version that was accepted."""
 KEPT = 5
 """Versions that are kept beside the one in use; the oldest goes first."""
 _AT_CWD, _EXCHANGE = -100, 2
@@ -24,7 +28,7 @@ _AT_CWD, _EXCHANGE = -100, 2
 
 @dataclass(frozen=True)
 class Version:
-    """A version on disk; `built`: s since the epoch."""
+    """A version on disk; `built`: s since the epoch; `proposed_for`: the version that it is to replace."""
 
     version: str
     folder: Path
@@ -32,6 +36,7 @@ class Version:
     regions: int
     free_area_m2: float
     wire_bytes: int
+    proposed_for: str = ""
 
 
 def kept_in(folder: Path) -> Path:
@@ -57,18 +62,54 @@ def choose(found: Sequence[Version], version: str | None, folder: Path) -> Versi
 
     `found`: as `versions` gives it. Raises ModelError where there is none, or more than one.
     """
-    current, *kept = found
+    current, *others = found
+    kept = [v for v in others if not v.proposed_for]
     if version is None:
         older = [v for v in kept if v.built < current.built]
         if not older:
             raise ModelError(f"{folder}: no older version is kept beside {current.version[:12]}")
         return older[0]
-    matches = [v for v in kept if version and v.version.startswith(version)]
+    return _named(kept, version, "those kept", folder)
+
+
+def choose_proposal(found: Sequence[Version], version: str | None, folder: Path) -> Version:
+    """The proposal whose hash begins with `version`, or the only one; else as `choose`.
+
+    Raises ModelError also where it was made for another version than the one in use.
+    """
+    current, *others = found
+    proposed = [v for v in others if v.proposed_for]
+    if version is None and not proposed:
+        raise ModelError(f"{folder}: no change is proposed: see eigenscan models list {folder}")
+    chosen = _named(proposed, version or proposed[0].version, "those proposed", folder)
+    if chosen.proposed_for != current.version:
+        raise ModelError(
+            f"{folder}: {chosen.version[:12]} was proposed for {chosen.proposed_for[:12]}, and "
+            f"{current.version[:12]} is in use: wait for a new proposal"
+        )
+    return chosen
+
+
+def _named(among: Sequence[Version], version: str, which: str, folder: Path) -> Version:
+    matches = [v for v in among if version and v.version.startswith(version)]
     if len(matches) != 1:
         what = "names more than one" if matches else "is none"
-        there = ", ".join(v.version[:12] for v in kept) or "no other"
-        raise ModelError(f"{folder}: version {version!r} {what} of those kept: there is {there}")
+        there = ", ".join(v.version[:12] for v in among) or "no other"
+        raise ModelError(f"{folder}: version {version!r} {what} of {which}: there is {there}")
     return matches[0]
+
+
+def accept(folder: Path, proposal: Path) -> None:
+    """Puts the folder of a proposal in use, as `replace` does."""
+    (proposal / PROPOSAL).rename(proposal / CHANGE)
+    replace(folder, proposal)
+
+
+def withdraw(folder: Path) -> None:
+    """Deletes the proposals that are kept beside `folder`."""
+    for version in versions(folder)[1:]:
+        if version.proposed_for:
+            shutil.rmtree(version.folder)
 
 
 def replace(folder: Path, fresh: Path) -> None:
@@ -88,7 +129,8 @@ def replace(folder: Path, fresh: Path) -> None:
             shutil.rmtree(target, ignore_errors=True)
             fresh.rename(target)
     _, *kept = versions(folder)
-    live = {v.folder for v in kept[:KEPT]}
+    live = {v.folder for v in kept if v.proposed_for}
+    live |= {v.folder for v in [v for v in kept if not v.proposed_for][:KEPT]}
     for path in store.glob("*"):
         if path not in live and _describe(path) is not None:
             shutil.rmtree(path)
@@ -119,6 +161,11 @@ def _describe(folder: Path) -> Version | None:
             len(said["regions"]),
             float(said["free_area_m2"]),
             sum(int(entry["wire_bytes"]) for entry in said["regions"]),
+            _proposed_for(folder / PROPOSAL),
         )
     except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError):
         return None
+
+
+def _proposed_for(proposal: Path) -> str:
+    return str(json.loads(proposal.read_text(encoding="utf-8"))["since"]) if proposal.is_file() else ""

@@ -45,6 +45,11 @@ def draw_walkers(planner: Planner, count: int, random: np.random.Generator) -> l
     return walkers
 
 
+def stander(place: tuple[float, float]) -> Walker:
+    """Someone who stays at `place`, m, map frame, but for a step aside."""
+    return Walker(np.array([place, (place[0] + 1e-6, place[1])]), speed=0.0, offset=0.0)
+
+
 def positions(walkers: list[Walker], time: float, robot: Array) -> Array:
     """Where all are (n, 2) at `time`, out of the way of the robot at (2,)."""
     if not walkers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,14 +44,24 @@ class OdometryNoise:
 
 
 def drive_route(
-    planner: Planner, start: Array, ticks: int, drive: Drive, random: np.random.Generator
+    planner: Planner,
+    start: Array,
+    ticks: int,
+    drive: Drive,
+    random: np.random.Generator,
+    goals: Sequence[tuple[float, float]] = (),
 ) -> Array:
-    """Poses (ticks, 3), PERIOD apart, on a drive from `start` (2,) to one random goal after the other."""
+    """Poses (ticks, 3), PERIOD apart, on a drive from `start` (2,) to `goals`, then one random goal after
+    the other.
+    """
+    ahead = iter(goals)
     here = planner.points(np.array([planner.cell(start)]))[0]
     poses = np.empty((0, 3))
     heading = float(random.uniform(-np.pi, np.pi))
     while len(poses) < ticks:
-        way = planner.way(here, planner.draw_goal(random, here, KIDNAP_DISTANCE))
+        given = next(ahead, None)
+        goal = planner.draw_goal(random, here, KIDNAP_DISTANCE) if given is None else np.array(given)
+        way = planner.way(here, goal)
         leg = _follow(way, heading, ticks - len(poses), drive)
         poses = np.concatenate([poses, leg])
         here, heading = poses[-1, :2], float(poses[-1, 2])

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.people import draw_walkers, positions
+from eigenscan.cli.simulation.people import draw_walkers, positions, stander
 from eigenscan.cli.simulation.robot import (
     KIDNAP_DISTANCE,
     TICKS_PER_S,
@@ -47,6 +47,8 @@ class Scenario:
     people: int = 3
     start: tuple[float, float] | None = None  # m, map frame; None: drawn
     kidnap_to: tuple[float, float] | None = None
+    goals: tuple[tuple[float, float], ...] = ()  # m, driven to in this order before any is drawn
+    standing: tuple[tuple[float, float], ...] = ()  # m, people who stay where they are
     lidar: Lidar = field(default_factory=Lidar)
     drive: Drive = field(default_factory=Drive)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
@@ -83,6 +85,7 @@ class Stage:
         self._walls = RayCaster.of(grid)
         self._walls.cast(np.zeros(3), np.zeros(1), 1.0)  # compiled now, not at the first scan
         self._walkers = draw_walkers(self._planner, scenario.people, np.random.default_rng(people))
+        self._walkers += [stander(place) for place in scenario.standing]
         self.poses, self.jumps = self._drive(np.random.default_rng(route))
         self.odometry = odometry(self.poses, self.jumps, scenario.odometry, np.random.default_rng(wheels))
 
@@ -122,7 +125,7 @@ class Stage:
         start = planner.draw_goal(random, np.zeros(2), 0.0)
         if scenario.start is not None:
             start = np.array(scenario.start)
-        poses = drive_route(planner, start, first, scenario.drive, random)
+        poses = drive_route(planner, start, first, scenario.drive, random, scenario.goals)
         if first == total:
             return poses, np.empty(0, dtype=np.int64)
         elsewhere = planner.draw_goal(random, poses[-1, :2], KIDNAP_DISTANCE)

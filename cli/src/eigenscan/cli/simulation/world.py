@@ -5,7 +5,7 @@ All lengths are metres in the map frame, whose origin is the building's south-we
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -35,6 +35,10 @@ class Box:
         inside: NDArray[np.bool_] = (x > self.x_min) & (x < self.x_max) & (y > self.y_min) & (y < self.y_max)
         return inside
 
+    def moved(self, x: float, y: float) -> Box:
+        """The same elsewhere, by so much."""
+        return Box(self.x_min + x, self.y_min + y, self.x_max + x, self.y_max + y)
+
     def grown(self, by: float) -> Box:
         """The same with every side moved outwards."""
         return Box(self.x_min - by, self.y_min - by, self.x_max + by, self.y_max + by)
@@ -62,6 +66,12 @@ class FloorPlan:
     doors: tuple[Box, ...]
     furniture: tuple[Box | Disc, ...]
 
+    def with_moved(self, piece: Box, x: float, y: float) -> FloorPlan:
+        """The plan with that piece of furniture moved by so much. Raises ValueError where it is not there."""
+        index = self.furniture.index(piece)
+        moved = (*self.furniture[:index], piece.moved(x, y), *self.furniture[index + 1 :])
+        return replace(self, furniture=moved)
+
     def render(self, resolution: float = RESOLUTION) -> GridMap:
         """The plan as cells: FREE rooms, OCCUPIED walls and furniture, UNKNOWN outside."""
         margin = 0.5
@@ -81,6 +91,10 @@ class FloorPlan:
         for piece in self.furniture:
             cells[piece.covers(x, y)] = OCCUPIED
         return GridMap(cells, resolution, np.array([-margin, -margin, 0.0]))
+
+
+CUPBOARD = Box(8.9, 9.6, 9.45, 11.95)
+"""A tall one, in the bureau."""
 
 
 def office() -> FloorPlan:
@@ -131,7 +145,7 @@ def _furniture() -> tuple[Box | Disc, ...]:
         # kitchen: counter in an L, a round table
         Box(0.05, 11.3, 3.95, 11.95), Box(0.05, 9.0, 0.65, 11.3), Disc(2.3, 9.6, 0.5),
         # bureau: two desks, a cupboard
-        Box(6.4, 8.6, 7.8, 9.4), Box(4.4, 10.9, 6.2, 11.7), Box(8.9, 9.6, 9.45, 11.95),
+        Box(6.4, 8.6, 7.8, 9.4), Box(4.4, 10.9, 6.2, 11.7), CUPBOARD,
         # library: free-standing shelves
         Box(10.3, 8.4, 10.7, 11.0), Box(11.7, 9.2, 12.1, 11.95),
         # workshop: a bench, a pillar, crates

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from eigenscan.runtime.settings import ServiceSettings
 from pydantic import Field, model_validator
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 class MapbuilderSettings(ServiceSettings):
     """Settings of mapbuilder: a map in, eigenspace models out."""
 
+    robot: str = Field(
+        "*", description="robot whose scans keep the map true; * hears every robot of the site"
+    )
     map: Path | None = Field(None, description="map_server yaml to build models from")
     model: Path | None = Field(None, description="folder of models that were built before, instead of map")
     frame_id: str = Field("map", min_length=1, description="name of the map frame in what is published")
@@ -30,11 +33,22 @@ class MapbuilderSettings(ServiceSettings):
     smallest: float = Field(4.0, ge=0.0, description="m^2, smaller regions join a neighbour")
     largest: float = Field(150.0, ge=1.0, description="m^2, larger regions are halved")
     threads: int = Field(1, ge=1, le=256, description="threads that build; they do not change the result")
+    changes: Literal["off", "propose", "publish"] | None = Field(
+        None,
+        description="what becomes of lasting changes that robots see: off, propose (the operator accepts) or "
+        "publish; without it propose with a model folder that can be written beside, else off",
+    )
+    visits: int = Field(4, ge=2, le=50, description="visits in a row that must agree on a change")
+    visit: float = Field(
+        30.0, ge=0.1, le=1440.0, description="min, of one visit: what is seen within counts once"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> MapbuilderSettings:
         if (self.map is None) == (self.model is None):
             raise ValueError("give one of map (a map_server yaml) and model (a folder of models)")
+        if self.changes in ("propose", "publish") and self.model is None:
+            raise ValueError("changes needs model, a folder for new versions: build it with eigenscan build")
         return self
 
     @property

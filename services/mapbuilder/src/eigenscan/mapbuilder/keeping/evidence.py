@@ -1,0 +1,92 @@
+"""What the visits say of each cell: the memory from which a lasting change is told from a passer-by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.mapbuilder.keeping.look import Marks
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+
+LOOKS = 3
+"""Looks, from places that differ, that a visit must have of a cell to say anything of it."""
+BESIDE = 0.1
+"""m that a beam's end may be off."""
+MOST = 255
+LONGEST = 100
+"""Visits that are counted; more say no more."""
+DAY_NS = 86_400 * 1_000_000_000
+
+
+@dataclass
+class Evidence:
+    """Counts (H, W) on a map's cells.
+
+    A visit is a stretch of time of a fixed length: however many robots come by in it, and however often, it
+    counts once. So what stands for less than n - 2 such lengths can never be seen by n visits.
+
+    `run` int8: consecutive visits that say the same, above 0 occupied, below 0 seen through. `struck` and
+    `crossed` uint8: looks of the running visit. `visit`: its number, from the epoch; -1: none yet.
+    """
+
+    run: NDArray[np.int8]
+    struck: NDArray[np.uint8]
+    crossed: NDArray[np.uint8]
+    length_ns: int
+    resolution: float
+    visit: int = -1
+
+    @classmethod
+    def of(cls, grid: GridMap, length_s: float) -> Evidence:
+        """Nothing seen yet of the grid's cells."""
+        shape = grid.cells.shape
+        return cls(
+            np.zeros(shape, np.int8),
+            np.zeros(shape, np.uint8),
+            np.zeros(shape, np.uint8),
+            round(length_s * 1e9),
+            grid.resolution,
+        )
+
+    def turn_to(self, stamp: int) -> bool:
+        """Ends the running visit where `stamp`, ns, lies in a later one; True where that was so.
+
+        What is late counts for the running visit. A jump of more than a day is a clock that was set, or a
+        long silence: the running visit is dropped, so that clocks which differ cannot make visits.
+        """
+        number = stamp // self.length_ns
+        ahead = number - self.visit
+        if self.visit >= 0 and abs(ahead) * self.length_ns > DAY_NS:
+            self._forget()
+        elif self.visit >= 0 and ahead <= 0:
+            return False
+        ended = self.visit >= 0
+        if ended:
+            self._end()
+        self.visit = number
+        return ended
+
+    def add(self, marks: Marks) -> None:
+        """Counts one look for the running visit."""
+        struck, crossed = self.struck[marks.part], self.crossed[marks.part]
+        struck += marks.struck & (struck < MOST)
+        crossed += marks.crossed & (crossed < MOST)
+
+    def _end(self) -> None:
+        """Each cell that was looked at enough gets the visit's word."""
+        struck, crossed, run = self.struck.astype(np.int16), self.crossed.astype(np.int16), self.run
+        # poses err: a wall that was struck beside this cell was not looked through
+        beside = maximum_filter(struck, 1 + 2 * max(1, round(BESIDE / self.resolution)))
+        occupied = (struck >= LOOKS) & (struck > crossed)
+        through = (crossed >= LOOKS) & (4 * beside <= crossed)
+        mixed = (np.maximum(struck, crossed) >= LOOKS) & ~occupied & ~through
+        run[occupied] = np.minimum(np.maximum(run[occupied], 0) + 1, LONGEST)
+        run[through] = np.maximum(np.minimum(run[through], 0) - 1, -LONGEST)
+        run[mixed] = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self.struck[:] = 0
+        self.crossed[:] = 0

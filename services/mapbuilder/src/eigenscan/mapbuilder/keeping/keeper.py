@@ -1,0 +1,60 @@
+"""The site's memory of what its robots saw, and the changes that follow from it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.mapbuilder.keeping.agreement import Agreement
+from eigenscan.mapbuilder.keeping.change import Change, find_change
+from eigenscan.mapbuilder.keeping.evidence import Evidence
+from eigenscan.mapbuilder.keeping.look import Look, mark
+from eigenscan.mapbuilder.keeping.witness import Witness
+from eigenscan.schemas.channels import POSE, SCAN
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+
+
+class Keeper:
+    """Hears scans and poses of all robots of a site; says what has changed at the end of a visit."""
+
+    def __init__(self, grid: GridMap, evidence: Evidence, visits: int) -> None:
+        self.evidence = evidence
+        self.counts: Counter[str] = Counter()
+        self._visits = visits
+        self._witnesses: dict[tuple[str, str], Witness] = {}
+        self.trust(grid)
+
+    def trust(self, grid: GridMap) -> None:
+        """Goes by this map from now on. It must have the cells of the one before."""
+        self._grid, self._agreement = grid, Agreement(grid)
+
+    def fits(self, grid: GridMap) -> bool:
+        """Whether a map has the same cells, whatever is in them."""
+        own = self._grid
+        same = grid.cells.shape == own.cells.shape and grid.resolution == own.resolution
+        return same and bool(np.array_equal(grid.origin, own.origin))
+
+    def hear(self, heard: Envelope) -> Change | None:
+        """The change that is known now, at the end of each visit; else None."""
+        robot, judge = heard.address["robot"], self._agreement.share
+        looks: list[Look] = []
+        if heard.channel is SCAN:
+            scan = heard.open(Scan)
+            key = (robot, heard.address["lidar"])
+            witness = self._witnesses.setdefault(key, Witness(self.counts))
+            looks = witness.hear_scan(scan, judge)
+        elif heard.channel is POSE:
+            pose = heard.open(PoseEstimate)
+            for (name, _), witness in self._witnesses.items():
+                if name == robot:
+                    looks += witness.hear_pose(pose, judge)
+        ended = [self._count(look) for look in looks]
+        return find_change(self._grid, self.evidence.run, self._visits) if any(ended) else None
+
+    def _count(self, look: Look) -> bool:
+        ended = self.evidence.turn_to(look.stamp)
+        self.evidence.add(mark(look, self._grid))
+        return ended

@@ -1,0 +1,61 @@
+"""One look: a scan from a known place, and what it says of the map's cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.carving import Carving
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.pose import transform
+from numpy.typing import NDArray
+
+MARGIN = 0.1
+"""m before its end that a beam says nothing of: its range and its place are not exact."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Beams from a sensor at `pose` (3,), map frame, at `stamp`, ns: `bearings` (B,), rad, `ranges` (B,), m.
+
+    Only beams that ended on something near enough to tell which cell.
+    """
+
+    stamp: int
+    pose: NDArray[np.float64]
+    bearings: NDArray[np.float64]
+    ranges: NDArray[np.float64]
+
+    def points(self, ranges: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Map-frame points (B, 2), m, along the beams: their ends, or at other `ranges` (B,)."""
+        r = self.ranges if ranges is None else ranges
+        return transform(self.pose, np.column_stack([r * np.cos(self.bearings), r * np.sin(self.bearings)]))
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Cells that one look struck, and those that it looked through: masks (h, w) of a part of the map."""
+
+    part: tuple[slice, slice]
+    struck: NDArray[np.bool_]
+    crossed: NDArray[np.bool_]
+
+
+def mark(look: Look, grid: GridMap) -> Marks:
+    """What the look says of the grid's cells. A cell that any beam struck was not looked through."""
+    place = grid.to_grid(look.pose[:2])
+    ends = grid.to_grid(look.points())
+    before = grid.to_grid(look.points(np.maximum(look.ranges - MARGIN, 0.0)))
+    carving = Carving.around(np.concatenate([ends, place[None]]), 1.0)
+    carving.add(place, before)
+    crossed = (carving.passes + carving.hits) > 0
+    struck = np.zeros_like(crossed)
+    column, row = np.floor(ends - carving.low).astype(np.int64).T
+    struck[row, column] = True
+    corner = carving.low.astype(np.int64)[::-1]
+    low = np.clip(corner, 0, grid.cells.shape)
+    high = np.clip(corner + crossed.shape, 0, grid.cells.shape)
+    part, inner = (
+        (slice(r0, r1), slice(c0, c1)) for (r0, c0), (r1, c1) in ((low, high), (low - corner, high - corner))
+    )
+    return Marks(part, struck[inner], (crossed & ~struck)[inner])

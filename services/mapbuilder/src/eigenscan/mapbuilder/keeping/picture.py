@@ -1,0 +1,47 @@
+"""A picture of a change, for people: what is new in red, what is gone in blue, each ringed."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import numpy as np
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.mapbuilder.backdrop import Backdrop
+from eigenscan.mapbuilder.keeping.change import Change, Place
+from PIL import ImageDraw, ImageFont
+
+NEW, GONE = (205, 20, 20), (25, 70, 220)
+
+
+def draw_change(grid: GridMap, change: Change, note: str) -> bytes:
+    """PNG of the map `grid` as it is in use, with the change on it and a line of text."""
+    view = Backdrop(grid)
+    image = view.image()
+    pen = ImageDraw.Draw(image)
+    for cells, colour in ((change.gone, GONE), (change.new, NEW)):
+        rows, columns = np.nonzero(cells)
+        low = view.pixels(grid.to_map(np.column_stack([columns, rows])))
+        high = view.pixels(grid.to_map(np.column_stack([columns + 1, rows + 1])))
+        for (x0, y1), (x1, y0) in zip(low, high, strict=True):
+            pen.rectangle((x0, y0, max(x1 - 1, x0), max(y1 - 1, y0)), fill=colour)
+    for place in change.places():
+        _ring(pen, view, place, NEW if place.is_new else GONE)
+    view.legend(pen, note)
+    file = BytesIO()
+    image.convert("RGB").save(file, format="PNG", optimize=True)
+    return file.getvalue()
+
+
+def _ring(pen: ImageDraw.ImageDraw, view: Backdrop, place: Place, colour: tuple[int, int, int]) -> None:
+    ((x, y),) = view.pixels(np.array([place.centre]))
+    radius = max(24.0, 0.75 * place.extent * view.scale / view.grid.resolution)
+    pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=3)
+    pen.text(
+        (x, y - radius - 4),
+        "new" if place.is_new else "gone",
+        fill=colour,
+        font=ImageFont.load_default(18),
+        anchor="mb",
+        stroke_width=2,
+        stroke_fill=(255, 255, 255),
+    )

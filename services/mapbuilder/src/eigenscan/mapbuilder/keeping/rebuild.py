@@ -1,0 +1,86 @@
+"""A site's models after a change: those of the regions that see it are made anew, the others stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.eigenspace.model import RegionModel, quantize
+from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.positions import free_positions
+from eigenscan.mapbuilder.site import Plan
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+Index = NDArray[np.int32]
+
+
+def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
+    """The models of `grid`, a map with the same cells as the site's, in the site's regions.
+
+    Positions that the change covers are left out, those that it frees join the regions of their neighbours,
+    and panoramas that do not see it stay bit for bit. A region that it covers whole stays as it is.
+    """
+    spacing = site.regions[0].spacing
+    old, new = (free_positions(g, spacing, plan.clearance).index for g in (site.grid, grid))
+    work = _Rebuild(plan, RayCaster.of(site.grid), RayCaster.of(grid), _without(old, new), _without(new, old))
+    return SiteModel(grid, site.frame_id, tuple(work.after(model) for model in site.regions))
+
+
+@dataclass(frozen=True)
+class _Rebuild:
+    """The maps of before and now, and the grid positions (n, 2) that the change took and gave."""
+
+    plan: Plan
+    before: RayCaster
+    now: RayCaster
+    taken: Index
+    given: Index
+
+    def after(self, model: RegionModel) -> RegionModel:
+        """The model itself where nothing that it holds is different."""
+        stays = ~_among(model.index, self.taken)
+        if not stays.any():
+            return model
+        kept, ranges = model.index[stays], model.ranges[stays]
+        now = self._ranges(self.now, model, kept)
+        changed = (self._ranges(self.before, model, kept) != now).any(axis=1)
+        joining = _without(_reached(model.index, self.given), model.index)
+        if stays.all() and not changed.any() and not len(joining):
+            return model
+        ranges = np.where(changed[:, None], now, ranges)
+        index = np.concatenate([kept, joining])
+        ranges = np.concatenate([ranges, self._ranges(self.now, model, joining)])
+        order = np.lexsort(index.T)
+        built = replace(model, index=index[order], ranges=ranges[order])
+        values = RangeTransform(model.range_cap)(built.panoramas)
+        return replace(built, space=analyse(values, model.sensor.beams, share=self.plan.share))
+
+    def _ranges(self, caster: RayCaster, model: RegionModel, index: Index) -> NDArray[np.uint16]:
+        points, beams = model.origin + index * model.spacing, model.ranges.shape[1]
+        cast = caster.panoramas(points, beams, self.plan.range_max, self.plan.threads)
+        return quantize(cast, model.range_unit)
+
+
+def _reached(start: Index, given: Index) -> Index:
+    """Those of `given` that a way over neighbours leads to from `start`."""
+    left, found, front = given, [given[:0]], start
+    while len(left) and len(front):
+        beside = np.isfinite(KDTree(front).query(left, p=np.inf, distance_upper_bound=1.5)[0])
+        front, left = left[beside], left[~beside]
+        found.append(front)
+    return np.concatenate(found)
+
+
+def _among(index: Index, others: Index) -> NDArray[np.bool_]:
+    """Which rows of `index` (n, 2) are rows of `others` (m, 2)."""
+    one, other = (rows.astype(np.int64) @ [1 << 32, 1] for rows in (index, others))
+    return np.isin(one, other)
+
+
+def _without(index: Index, others: Index) -> Index:
+    return index[~_among(index, others)]

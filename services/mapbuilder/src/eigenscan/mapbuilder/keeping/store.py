@@ -1,0 +1,128 @@
+"""Where a kept map lives: the model folder, what is proposed for it, and the evidence beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from eigenscan.eigenspace.folder import OUTLINES, SiteModel, read_models, write_models
+from eigenscan.eigenspace.model import ModelError
+from eigenscan.eigenspace.versions import (
+    MANIFEST,
+    PROPOSAL,
+    accept,
+    choose_proposal,
+    kept_in,
+    versions,
+    withdraw,
+)
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.mapbuilder.keeping.evidence import Evidence
+
+PICTURE = "change.png"
+
+
+class Store:
+    """A model folder that others may change at any time. Whatever is written appears whole or not at all."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._evidence = folder.with_name(folder.name + ".evidence.npz")
+        self._read: tuple[int, int] | None = None
+        self._version = ""
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether versions can be put beside the folder."""
+        return os.access(self.folder.resolve().parent, os.W_OK)
+
+    def renewed(self) -> SiteModel | None:
+        """The models in use where they are others than the last that this gave.
+
+        Raises ModelError, once for each state of the folder that cannot be read.
+        """
+        try:
+            found = (self.folder / MANIFEST).stat()
+        except OSError as error:
+            raise ModelError(f"{self.folder / MANIFEST}: cannot be read: {error.strerror}") from error
+        state = found.st_ino, found.st_mtime_ns
+        if state == self._read:
+            return None
+        before, self._read, self._version = self._version, state, ""
+        site = read_models(self.folder)
+        self._version = site.to_message().version
+        return None if self._version == before else site
+
+    def propose(self, site: SiteModel, about: Mapping[str, Any], picture: bytes) -> None:
+        """Puts `site` beside the version in use, as the one proposal. Raises ModelError or OSError."""
+        from eigenscan.mapbuilder.picture import draw_regions
+        from eigenscan.mapbuilder.positions import Positions
+        from eigenscan.mapbuilder.shards import Area
+
+        areas = [Area(m.region, Positions(m.index, m.origin, m.spacing), m.outline) for m in site.regions]
+        self.withdraw()
+        outlines = self.folder / OUTLINES
+        write_models(
+            site,
+            kept_in(self.folder) / site.to_message().version[:12],
+            draw_regions(site.grid, areas),
+            outlines.read_text(encoding="utf-8") if outlines.is_file() else None,
+            {PICTURE: picture, PROPOSAL: json.dumps(about, indent=1).encode() + b"\n"},
+        )
+
+    def accept(self) -> None:
+        """Puts the proposal in use. Raises ModelError where it was made for another version."""
+        accept(self.folder, choose_proposal(versions(self.folder), None, self.folder).folder)
+
+    def withdraw(self) -> None:
+        """Deletes what is proposed."""
+        withdraw(self.folder)
+
+    def load(self, grid: GridMap, visit_s: float) -> Evidence:
+        """The evidence of these cells; none where the file is missing, damaged or of other cells."""
+        evidence = Evidence.of(grid, visit_s)
+        try:
+            with self._evidence.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+                if (
+                    np.array_equal(file["cells"], _cells(grid))
+                    and int(file["length_ns"]) == evidence.length_ns
+                ):
+                    evidence.run[:] = file["run"]
+                    evidence.struck[:] = file["struck"]
+                    evidence.crossed[:] = file["crossed"]
+                    evidence.visit = int(file["visit"])
+        except (OSError, BadZipFile, KeyError, ValueError, EOFError):
+            return Evidence.of(grid, visit_s)
+        return evidence
+
+    def save(self, evidence: Evidence, grid: GridMap) -> None:
+        """Replaces the evidence on disk in one step. Raises OSError."""
+        with tempfile.NamedTemporaryFile(
+            dir=self._evidence.parent, prefix=".evidence.", delete=False
+        ) as file:
+            try:
+                np.savez_compressed(
+                    file,
+                    allow_pickle=False,
+                    cells=_cells(grid),
+                    length_ns=evidence.length_ns,
+                    visit=evidence.visit,
+                    run=evidence.run,
+                    struck=evidence.struck,
+                    crossed=evidence.crossed,
+                )
+                file.close()
+                Path(file.name).replace(self._evidence)
+            finally:
+                Path(file.name).unlink(missing_ok=True)
+
+
+def _cells(grid: GridMap) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """What tells the cells of two maps apart, whatever is in them."""
+    return np.array([*grid.cells.shape, grid.resolution, *grid.origin])

@@ -1,0 +1,150 @@
+"""A robot as a witness: which of its scans count, and only once what came after bears them out."""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict, deque
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from eigenscan.geometry.pose import compose, from_message
+from eigenscan.mapbuilder.keeping.claim import Claim, bridge
+from eigenscan.mapbuilder.keeping.look import Look
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from numpy.typing import NDArray
+
+T = TypeVar("T")
+
+FARTHEST = 8.0
+"""m, of a beam that counts: beyond, a small error of the heading is a large one of the place."""
+LEAST_BEAMS = 20
+AGREES, MOSTLY_AGREES = 0.3, 0.7
+"""Least share of agreeing beams: of a look, for a room may have changed much, and on average of RECORD."""
+RECORD, LEAST_RECORD = 50, 25
+"""Looks on which a robot is judged, at most and at least: what changed is a part of 10 m of way."""
+PROBATION = 10
+"""Looks that must follow before one counts: at least 2 m of way, or turns of 100 degrees."""
+WAITING = 64
+"""Scans, and poses, that wait for each other."""
+
+Judge = Callable[[Look], float]
+
+
+class Witness:
+    """One lidar of one robot. Scans and poses are matched by their stamps, in whatever order they come.
+
+    Sure poses that go on from each other by odometry count. What was seen between two of them, where the
+    robot was unsure or claimed to be elsewhere for a while, counts at the places that odometry leads over.
+    """
+
+    def __init__(self, counts: Counter[str]) -> None:
+        self._counts = counts
+        self._scans: OrderedDict[int, Scan] = OrderedDict()
+        self._claims: OrderedDict[int, Claim] = OrderedDict()
+        self._anchor: Claim | None = None
+        self._seen: Claim | None = None
+        self._between: list[tuple[Claim, Scan]] = []
+        self._held: deque[Look] = deque()
+        self._shares: deque[float] = deque(maxlen=RECORD)
+
+    def hear_scan(self, scan: Scan, judge: Judge) -> list[Look]:
+        """Looks that now count, because of this scan."""
+        stamp = nanoseconds(scan.timestamp)
+        claim = self._claims.pop(stamp, None)
+        if claim is None:
+            _keep(self._scans, stamp, scan)
+            return []
+        return self._take(claim, scan, judge)
+
+    def hear_pose(self, pose: PoseEstimate, judge: Judge) -> list[Look]:
+        """Looks that now count, because of this pose."""
+        claim = Claim.of(pose)
+        if claim is None:
+            self._counts["poses_malformed"] += 1
+            return []
+        scan = self._scans.pop(claim.stamp, None)
+        if scan is None:
+            _keep(self._claims, claim.stamp, claim)
+            return []
+        return self._take(claim, scan, judge)
+
+    def _take(self, claim: Claim, scan: Scan, judge: Judge) -> list[Look]:
+        if self._anchor is None or self._anchor.is_left_behind(claim):
+            self._start_anew(claim)
+        anchor, new = self._anchor, self._seen is None or self._seen.has_moved(claim)
+        if new:
+            self._seen = claim
+        if anchor is None:
+            self._counts["looks_unsure"] += new
+            return []
+        if claim.is_sure and anchor.leads_to(claim):
+            return self._go_on(anchor, claim, scan if new else None, judge)
+        if new:
+            self._between.append((claim, scan))
+        return []
+
+    def _start_anew(self, claim: Claim) -> None:
+        """What is not yet borne out is forgotten."""
+        self._counts["looks_withdrawn"] += len(self._held)
+        self._counts["looks_unsure"] += len(self._between)
+        self._held.clear()
+        self._shares.clear()
+        self._between.clear()
+        self._seen = None
+        self._anchor = claim if claim.is_sure else None
+
+    def _go_on(self, anchor: Claim, claim: Claim, scan: Scan | None, judge: Judge) -> list[Look]:
+        bases = bridge(anchor, claim, [between for between, _ in self._between])
+        self._counts["looks_bridged"] += len(bases)
+        self._counts["looks_unsure"] += len(self._between) - len(bases)
+        for base, (_, between) in zip(bases, self._between, strict=False):
+            look = self._look(base, between)
+            if look is not None:
+                self._held.append(look)
+        self._between.clear()
+        self._anchor = claim
+        look = self._look(claim.base, scan) if scan is not None else None
+        if look is not None:
+            self._judge(look, judge(look))
+        return self._borne_out()
+
+    def _judge(self, look: Look, share: float) -> None:
+        """Holds a look that agrees; forgets all that are held where the robot's record is not good enough.
+
+        What was bridged over is not judged for itself: in a corner where much has changed nothing may agree.
+        """
+        self._shares.append(share)
+        if share >= AGREES:
+            self._held.append(look)
+        else:
+            self._counts["looks_disagreeing"] += 1
+        if np.mean(self._shares) < MOSTLY_AGREES:
+            self._counts["looks_withdrawn"] += len(self._held)
+            self._held.clear()
+
+    def _borne_out(self) -> list[Look]:
+        if len(self._shares) < LEAST_RECORD:
+            return []
+        count = max(0, len(self._held) - PROBATION)
+        self._counts["looks_counted"] += count
+        return [self._held.popleft() for _ in range(count)]
+
+    def _look(self, base: NDArray[np.float64], scan: Scan) -> Look | None:
+        """The beams that can tell which cell they end in; None where they are too few."""
+        ranges = np.array(scan.ranges, dtype=np.float64)
+        bearings = scan.angle_min + np.arange(len(ranges), dtype=np.float64) * scan.angle_increment
+        sensor = compose(base, from_message(scan.mount))
+        with np.errstate(invalid="ignore"):
+            near = (ranges > 0) & (ranges <= FARTHEST)
+        if not np.isfinite(sensor).all() or not np.isfinite(bearings).all() or near.sum() < LEAST_BEAMS:
+            self._counts["looks_unusable"] += 1
+            return None
+        return Look(nanoseconds(scan.timestamp), sensor, bearings[near], ranges[near])
+
+
+def _keep(waiting: OrderedDict[int, T], stamp: int, one: T) -> None:
+    waiting[stamp] = one
+    while len(waiting) > WAITING:
+        waiting.popitem(last=False)

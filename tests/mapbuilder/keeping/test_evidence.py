@@ -1,0 +1,126 @@
+import numpy as np
+import pytest
+from eigenscan.geometry.gridmap import FREE, GridMap
+from eigenscan.mapbuilder.keeping.evidence import DAY_NS, LOOKS, Evidence
+from eigenscan.mapbuilder.keeping.look import Look, Marks, mark
+from eigenscan.mapbuilder.keeping.store import Store
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+LENGTH_S = 1800.0
+HOUR = 3600
+GRID = GridMap(np.full((4, 4), FREE, np.uint8), 0.05, np.zeros(3))
+WHOLE = slice(0, 4), slice(0, 4)
+CELL = 1, 1
+seconds = st.integers(0, 10 * HOUR)
+
+
+def marks(occupied):
+    """A look that struck one cell, or looked through it."""
+    one = np.zeros((4, 4), dtype=bool)
+    one[CELL] = True
+    none = np.zeros((4, 4), dtype=bool)
+    return Marks(WHOLE, one, none) if occupied else Marks(WHOLE, none, one)
+
+
+def tell(evidence, looks):
+    """Looks (seconds, occupied) in their order."""
+    for second, occupied in looks:
+        evidence.turn_to(second * 10**9)
+        evidence.add(marks(occupied))
+    return evidence
+
+
+def ended(evidence, second):
+    evidence.turn_to(second * 10**9)
+    return int(evidence.run[CELL])
+
+
+@given(st.integers(0, 20 * HOUR), st.lists(st.integers(0, HOUR), min_size=1, max_size=200))
+def test_what_stands_for_an_hour_is_never_seen_by_four_visits(begin, stood):
+    looks = [(begin + second, True) for second in sorted(stood)]
+    assert ended(tell(Evidence.of(GRID, LENGTH_S), looks), begin + 2 * HOUR) <= 3
+
+
+@given(st.lists(st.tuples(seconds, st.booleans()), max_size=120))
+def test_no_cell_has_more_visits_than_there_were(looks):
+    looks = sorted(looks)
+    evidence = tell(Evidence.of(GRID, LENGTH_S), looks)
+    assert abs(ended(evidence, 12 * HOUR)) <= len({second // 1800 for second, _ in looks})
+
+
+@given(st.lists(seconds, min_size=1, max_size=60), st.data())
+def test_robots_whose_clocks_differ_make_no_visits(times, data):
+    """One robot's clock is days ahead: whichever speaks when, visits are not more than by one clock."""
+    ahead = 3 * DAY_NS // 10**9
+    looks = [(t + ahead * data.draw(st.integers(0, 1)), True) for t in sorted(times)]
+    evidence = tell(Evidence.of(GRID, LENGTH_S), looks)
+    assert ended(evidence, ahead + 12 * HOUR) <= len({second // 1800 for second in times})
+
+
+def test_a_visit_that_says_otherwise_begins_anew():
+    evidence = Evidence.of(GRID, LENGTH_S)
+    for visit in range(3):
+        tell(evidence, [(visit * 1800, True)] * LOOKS)
+    assert ended(evidence, 3 * 1800) == 3
+    tell(evidence, [(3 * 1800, False)] * LOOKS)
+    assert ended(evidence, 4 * 1800) == -1
+
+
+@pytest.mark.parametrize("looks", [[True] * (LOOKS - 1), [True] * LOOKS + [False] * LOOKS])
+def test_a_glimpse_or_a_mixed_visit_says_nothing(looks):
+    assert ended(tell(Evidence.of(GRID, LENGTH_S), [(5, occupied) for occupied in looks]), 1800) == 0
+
+
+@given(st.lists(st.tuples(seconds, st.booleans()), max_size=60), st.integers(0, 60))
+def test_evidence_goes_on_after_a_restart(tmp_path_factory, looks, cut):
+    looks, store = sorted(looks), Store(tmp_path_factory.mktemp("site") / "model")
+    store.save(tell(Evidence.of(GRID, LENGTH_S), looks[:cut]), GRID)
+    resumed = tell(store.load(GRID, LENGTH_S), looks[cut:])
+    whole = tell(Evidence.of(GRID, LENGTH_S), looks)
+    assert ended(resumed, 12 * HOUR) == ended(whole, 12 * HOUR)
+
+
+def test_evidence_of_other_cells_or_a_damaged_file_is_none(tmp_path):
+    store = Store(tmp_path / "model")
+    evidence = tell(Evidence.of(GRID, LENGTH_S), [(0, True)] * LOOKS)
+    store.save(evidence, GRID)
+    assert store.load(GRID, LENGTH_S).struck[CELL] == LOOKS
+    moved = GridMap(GRID.cells, GRID.resolution, np.array([1.0, 0.0, 0.0]))
+    assert not store.load(moved, LENGTH_S).struck.any()
+    assert not store.load(GRID, 60.0).struck.any()
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-40])
+    assert not store.load(GRID, LENGTH_S).struck.any()
+
+
+@settings(deadline=None)  # it compiles at first
+@given(
+    st.floats(-3.0, 8.0),
+    st.floats(-3.0, 8.0),
+    st.floats(-3.1, 3.1),
+    st.floats(-3.1, 3.1),
+    st.integers(0, 2**32 - 1),
+)
+def test_a_look_marks_the_cells_on_its_beams_and_no_others(x, y, theta, turn, seed):
+    """On a map at any place and turn, also where beams leave it."""
+    grid = GridMap(np.zeros((90, 110), np.uint8), 0.05, np.array([0.3, -0.2, turn]))
+    rng = np.random.default_rng(seed)
+    look = Look(0, np.array([x, y, theta]), rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.05, 6.0, 40))
+    found = mark(look, grid)
+    struck, crossed = np.zeros(grid.cells.shape, bool), np.zeros(grid.cells.shape, bool)
+    struck[found.part], crossed[found.part] = found.struck, found.crossed
+    assert not (struck & crossed).any()
+    column, row = np.floor(grid.to_grid(look.points())).astype(int).T
+    inside = (row >= 0) & (row < 90) & (column >= 0) & (column < 110)
+    expected = np.zeros_like(struck)
+    expected[row[inside], column[inside]] = True
+    np.testing.assert_array_equal(struck, expected)
+    rows, columns = np.nonzero(crossed)
+    middles = grid.to_map(np.column_stack([columns + 0.5, rows + 0.5]))
+    aims = look.points() - look.pose[:2]
+    aims /= np.linalg.norm(aims, axis=1, keepdims=True)
+    to = middles - look.pose[:2]
+    along = np.clip(to @ aims.T, 0.0, look.ranges)
+    nearest = np.linalg.norm(to[:, None] - along[..., None] * aims, axis=2).min(axis=1, initial=np.inf)
+    assert (nearest <= 0.05 * np.sqrt(0.5) + 1e-6).all()
