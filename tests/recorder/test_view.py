@@ -11,7 +11,9 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from eigenscan.cli.importers import stamp_of
 from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.schemas.channels import POSE
 from rerun.chunk import RrdReader
 from traffic import Site
 
@@ -27,7 +29,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-def view(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+def view(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, check=False)
 
 
@@ -36,6 +38,39 @@ def test_a_recording_becomes_a_picture(recording: Path, tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     drawn = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "drive.rrd")).stream()}
     assert {"/world/map", "/world/robots/r1/tracks", "/belief/r1", "/legend"} <= drawn
+
+
+def drawn_times(rrd: Path, path: str) -> list[int]:
+    """Stamps, ns, at which something is drawn at an entity."""
+    chunks = [chunk for chunk in RrdReader(str(rrd)).stream() if chunk.entity_path == path]
+    columns = [chunk.to_record_batch().column("time") for chunk in chunks if not chunk.is_static]
+    return sorted(value.value for column in columns for value in column)
+
+
+def test_it_begins_where_it_is_asked_to_and_knows_the_map_there(tmp_path: Path) -> None:
+    path, messages = tmp_path / "long.mcap", list(Site("s", seconds=6.0).messages())
+    first = min(stamp_of(m) for m in messages if m.channel is POSE)
+    with RecordingWriter(path) as writer:
+        for message in messages:
+            writer.write(message, first if message.channel.qos.latched else max(first, stamp_of(message)))
+    result = view(path, "--at", 2, "--to", 4, "--rrd", tmp_path / "part.rrd", "--no-open")
+    assert result.returncode == 0, result.stderr
+    times = drawn_times(tmp_path / "part.rrd", "/world/robots/r1/tracks")
+    assert 2.0 <= (times[0] - first) * 1e-9 <= 2.3
+    assert 3.7 <= (times[-1] - first) * 1e-9 <= 4.0
+    assert "/world/map" in {chunk.entity_path for chunk in RrdReader(str(tmp_path / "part.rrd")).stream()}
+
+
+def test_robots_share_one_map(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    both = [m for robot in ("r1", "r2") for m in Site("s", robot, seconds=1.0).messages()]
+    with RecordingWriter(path) as writer:
+        for number, message in enumerate(both):
+            writer.write(message, number)
+    assert view(path, "--rrd", tmp_path / "two.rrd", "--no-open").returncode == 0
+    drawn = [chunk.entity_path for chunk in RrdReader(str(tmp_path / "two.rrd")).stream()]
+    assert {"/world/robots/r1/tracks", "/world/robots/r2/tracks", "/world/map"} <= set(drawn)
+    assert {path for path in drawn if path.endswith("/map")} == {"/world/map"}
 
 
 def test_a_recording_that_was_cut_off_is_drawn_as_far_as_it_goes(recording: Path, tmp_path: Path) -> None:
@@ -53,6 +88,7 @@ def test_a_recording_that_was_cut_off_is_drawn_as_far_as_it_goes(recording: Path
         (None, ["--rrd", "a.rrd", "--no-open"], "cannot be read"),
         (b"no MCAP", ["--rrd", "a.rrd", "--no-open"], "is no readable recording"),
         (b"", ["--no-open"], "give --rrd"),
+        (b"", ["--at", "5", "--to", "4"], "--to 4: must be after --at 5"),
     ],
 )
 def test_what_cannot_be_drawn_is_told_in_one_line(
