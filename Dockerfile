@@ -1,6 +1,6 @@
 # One image for each service. Those that compute alike share the layer of what they need from others:
 #   docker build --target projector -t eigenscan/projector .
-# Targets: router, scan-ingest, projector, tracker, mapbuilder, recorder, simulator.
+# Targets: router, scan-ingest, projector, tracker, mapbuilder, ros-bridge, recorder, simulator.
 # A service takes its settings from flags (docker run IMAGE --site hospital), EIGENSCAN_* variables or a mounted TOML file.
 
 # --- what builds and installs; it is in no image ---
@@ -15,7 +15,7 @@ FROM tools AS own
 COPY . /src
 WORKDIR /src
 RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./geometry ./eigenspace ./runtime ./services/* ./cli \
- && for service in router scan-ingest projector tracker mapbuilder recorder; do \
+ && for service in router scan-ingest projector tracker mapbuilder ros-bridge recorder; do \
       set -- /wheels/eigenscan_schemas-* /wheels/eigenscan_geometry-* /wheels/eigenscan_eigenspace-* /wheels/eigenscan_runtime-*; \
       own=/wheels/eigenscan_$(echo $service | tr - _)-*; [ $service = router ] || set -- "$@" $own; \
       /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/$service "$@"; \
@@ -66,6 +66,10 @@ ENTRYPOINT ["eigenscan-tracker"]
 FROM numeric AS mapbuilder
 COPY --from=own /own/mapbuilder /opt/own
 ENTRYPOINT ["eigenscan-mapbuilder"]
+
+FROM numeric AS ros-bridge
+COPY --from=own /own/ros-bridge /opt/own
+ENTRYPOINT ["eigenscan-ros-bridge"]
 
 # the whole command but for what draws: a simulated robot, or docker run --entrypoint eigenscan IMAGE evaluate ...
 FROM numeric AS simulator

@@ -17,6 +17,7 @@ from urllib.request import urlopen
 import pytest
 import yaml
 from eigenscan.geometry.pose import between, from_message, from_pose3
+from eigenscan.ros_bridge import cdr
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.recording import is_complete, read
@@ -30,7 +31,16 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 ROOT = Path(__file__).parents[2]
 BASE = "python:3.11-slim-bookworm"
 MAKE_BASE = ROOT.parent / "shared/tools/make-base-image"
-SERVICES = ("router", "mapbuilder", "recorder", "scan-ingest", "projector", "tracker", "simulator")
+SERVICES = (
+    "router",
+    "mapbuilder",
+    "recorder",
+    "scan-ingest",
+    "projector",
+    "tracker",
+    "ros-bridge",
+    "simulator",
+)
 STOP_S = 10.0
 
 pytestmark = [
@@ -80,9 +90,11 @@ class Stack:
             "EIGENSCAN_PORT": str(self.port),
             "EIGENSCAN_VIEWER_PORT": str(self.viewer_port),
             "EIGENSCAN_DATA_PORT": str(self.data_port),
+            # here the site's own router stands for the one of a robot with ROS 2
+            "EIGENSCAN_ROS_ROUTER": "tcp/router:7447",
         }
         ran = subprocess.run(
-            [*_compose_command(), "-p", self.project, "--profile", "demo", *arguments],
+            [*_compose_command(), "-p", self.project, "--profile", "demo", "--profile", "ros2", *arguments],
             cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=1800,
         )  # fmt: skip
         assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
@@ -118,14 +130,19 @@ def stack() -> Iterator[Stack]:
 
 
 @pytest.fixture(scope="module")
-def bus(stack: Stack, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
-    """A client of the router's published port."""
+def client(stack: Stack, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The configuration of a client of the router's published port."""
     config = tmp_path_factory.mktemp("zenoh") / "client.json5"
     config.write_text(
         f"{{mode: 'client', connect: {{endpoints: ['tcp/127.0.0.1:{stack.port}'], timeout_ms: -1}},"
         " scouting: {multicast: {enabled: false}}}"
     )
-    with Bus(open_session(config)) as bus:
+    return config
+
+
+@pytest.fixture(scope="module")
+def bus(client: Path) -> Iterator[Bus]:
+    with Bus(open_session(client)) as bus:
         yield bus
 
 
@@ -185,6 +202,14 @@ def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
         elif isinstance(message, PoseEstimate) and nanoseconds(message.timestamp) in truths:
             claimed = message.state == STATE_LOCALIZED
             right = right + 1 if claimed and _is_right(message, truths[nanoseconds(message.timestamp)]) else 0
+
+
+def test_ros_2_hears_of_the_pose(stack: Stack, client: Path) -> None:
+    heard: list[bytes] = []
+    with open_session(client) as session:
+        session.declare_subscriber("0/amcl_pose/**", lambda sample: heard.append(sample.payload.to_bytes()))
+        _until(lambda: bool(heard), 60, "no /amcl_pose")
+    assert cdr.decode(cdr.POSE_WITH_COVARIANCE, heard[-1]).header.frame_id == "map"
 
 
 def test_no_message_comes_twice_by_two_ways(stack: Stack, bus: Bus) -> None:

@@ -201,8 +201,8 @@ class Node:
             bus.listen_all(hears, f"{settings.site}/**", self._inbox)
         else:
             bus.listen(hears, address, self._inbox, self._remember(hears))
-        self._port.open(self._inbox)
         bus.announce(settings.site, self.service, settings.instance)
+        self._port.open(self._inbox)
         return bus
 
     def _remember(self, hears: Sequence[Channel]) -> list[Arrival]:

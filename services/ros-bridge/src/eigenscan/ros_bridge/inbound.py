@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.pose import covariance_to_message, to_message, to_pose3
-from eigenscan.geometry.transforms import is_place, rotation_matrix
+from eigenscan.geometry.transforms import FARTHEST
 from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import Relocation
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+SHORTEST = 1e-6
+"""Of a quaternion: ROS nodes that know no orientation say zeros."""
 _PLANAR = np.array([0, 1, 5])
 """x, y and yaw among ROS's x, y, z, roll, pitch, yaw."""
 
@@ -73,13 +75,17 @@ def relocation(body: Any) -> Relocation | None:
     return message
 
 
-def pose_on_plane(pose: Any) -> NDArray[np.float64] | None:
-    """x, y, yaw (3,) of a Pose, height and tilt left out; None where it is none."""
-    position, turn = pose.position, pose.orientation
-    rotation = rotation_matrix((turn.x, turn.y, turn.z, turn.w))
-    if rotation is None or not is_place((position.x, position.y)):
+def pose_on_plane(pose: Any) -> tuple[float, float, float] | None:
+    """x, y, yaw of a Pose, height and tilt left out; None where it is none.
+
+    In plain floats: odometry comes far more often than scans.
+    """
+    at, q = pose.position, pose.orientation
+    norm = math.hypot(q.x, q.y, q.z, q.w)
+    if not (SHORTEST < norm < FARTHEST and math.hypot(at.x, at.y) < FARTHEST):
         return None
-    return np.array([position.x, position.y, math.atan2(rotation[1, 0], rotation[0, 0])])
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+    return at.x, at.y, yaw
 
 
 def stated_covariance(values: Any) -> list[float]:

@@ -23,6 +23,7 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import encode, encoding
 from google.protobuf.wrappers_pb2 import BytesValue
 
+_THIS_MACHINE = ("localhost", "127.0.0.1", "[::1]")
 HEARTBEAT_S = 1.0
 """After what is said once on a transient local topic: who lost it asks again."""
 
@@ -40,7 +41,10 @@ class RosPort:
         self._session: zenoh.Session | None = None
 
     def open(self, inbox: Inbox) -> None:
-        """Connects, declares all endpoints, then shows them in ROS 2's graph. Raises ContractError."""
+        """Connects, declares all endpoints, then shows them in ROS 2's graph. Raises ContractError.
+
+        Waits for a router that is on another machine.
+        """
         session = self._session = _open(self._settings)
         dialect = _dialect(self._settings, str(session.zid()))
         for endpoint in self._endpoints:
@@ -156,10 +160,11 @@ def _dialect(settings: RosBridgeSettings, session: str) -> Dialect:
 def _open(settings: RosBridgeSettings) -> zenoh.Session:
     if settings.ros_zenoh:
         return open_session(settings.ros_zenoh)
+    host = settings.ros_router.partition("/")[2].rpartition(":")[0]
     config = {
-        "mode": "peer",
-        # as rmw_zenoh's own sessions: those on this machine, met at the robot's router
-        "listen": {"endpoints": ["tcp/localhost:0"]},
+        # ROS nodes listen on their own machine only: from another one all goes through the router
+        "mode": "peer" if host in _THIS_MACHINE else "client",
+        "listen": {"endpoints": {"peer": ["tcp/localhost:0"]}},
         "connect": {"endpoints": [settings.ros_router], "exit_on_failure": False, "timeout_ms": -1},
         "scouting": {"multicast": {"enabled": False}},
         "timestamping": {"enabled": True},
