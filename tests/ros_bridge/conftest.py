@@ -133,7 +133,7 @@ def start(network: Network) -> Iterator[Callable[..., Bridge]]:
     started: list[Bridge] = []
     stack = ExitStack()
 
-    def start(*flags: str) -> Bridge:
+    def start(*flags: str, ros_router: str = network.endpoint) -> Bridge:
         site = f"test-{uuid.uuid4().hex[:12]}"
         ear = stack.enter_context(Ear.on(network, site))
         command = [
@@ -145,7 +145,7 @@ def start(network: Network) -> Iterator[Callable[..., Bridge]]:
             "--zenoh",
             str(network.leaf),
         ]
-        process = subprocess.Popen([*command, "--ros-router", network.endpoint, *flags])
+        process = subprocess.Popen([*command, "--ros-router", ros_router, *flags])
         bridge = Bridge(site, process, ear)
         started.append(bridge)
         eventually(ear.health, "the bridge's health")
