@@ -16,7 +16,7 @@ from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import compose, from_pose3
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.inbound import header_stamp, pose_on_plane
+from eigenscan.ros_bridge.inbound import header_stamp, on_plane
 from eigenscan.schemas.channels import HEALTH, MAP, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
@@ -109,7 +109,11 @@ def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, rob
     eventually(lambda: poses and transforms and maps, "pose, transform and map")
     errors = []
     for message in poses:
-        truth, pose = stage.pose_at(header_stamp(message.header)), pose_on_plane(message.pose.pose)
+        stated = message.pose.pose
+        truth, pose = (
+            stage.pose_at(header_stamp(message.header)),
+            on_plane(stated.position, stated.orientation),
+        )
         assert pose is not None
         errors.append(np.hypot(*(pose - truth)[:2]))
     assert len(poses) > 0.5 * SECONDS * stage.scenario.lidar.rate

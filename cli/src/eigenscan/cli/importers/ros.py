@@ -13,15 +13,10 @@ from typing import Any
 
 import numpy as np
 from eigenscan.cli.importers.bag import Bag, BagMessage
-from eigenscan.cli.importers.log import (
-    RECORDER_LAG_NS,
-    LogOptions,
-    in_order,
-    odometry,
-    raw_scan,
-)
-from eigenscan.cli.importers.ros_survey import MOVES, Lidar, Plan, frame_name, header_stamp, survey_bag
-from eigenscan.geometry.transforms import is_place, rotation_matrix
+from eigenscan.cli.importers.log import RECORDER_LAG_NS, LogOptions, in_order, odometry, place
+from eigenscan.cli.importers.ros_survey import MOVES, Lidar, Plan, survey_bag
+from eigenscan.ros_bridge.inbound import frame_name, header_stamp, on_plane, raw_scan, stated_covariance
+from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from numpy.typing import NDArray
 
@@ -84,34 +79,20 @@ class RosLog:
         return None
 
     def _scan(self, body: Any, lidar: Lidar, time: int) -> Envelope:
-        increment = float(body.angle_increment)
-        if increment == 0.0 and len(body.ranges) > 1:
-            increment = (float(body.angle_max) - float(body.angle_min)) / (len(body.ranges) - 1)
-        return raw_scan(
-            self._options,
-            lidar.name,
-            time,
-            lidar.mount,
-            upside_down=lidar.upside_down,
-            frame_id=frame_name(body.header.frame_id),
-            angle_min=float(body.angle_min),
-            angle_increment=increment,
-            range_min=float(body.range_min),
-            range_max=float(body.range_max),
-            ranges=np.asarray(body.ranges, dtype=np.float32).tolist(),
-        )
+        message = raw_scan(body, time, lidar.mount, lidar.upside_down)
+        place(self._options, lidar.name, message)
+        address = {"site": self._options.site, "robot": self._options.robot, "lidar": lidar.name}
+        return Envelope(SCAN_RAW, address, message)
 
     def _odometry(
         self, position: Any, orientation: Any, time: int, covariance: NDArray[np.float64] | None = None
     ) -> Iterator[Envelope]:
-        rotation = rotation_matrix((orientation.x, orientation.y, orientation.z, orientation.w))
-        if rotation is None or not is_place((position.x, position.y)):
+        pose = on_plane(position, orientation)
+        if pose is None:
             self.counters["odometry_not_finite"] += 1
             return
-        pose = (position.x, position.y, float(np.arctan2(rotation[1, 0], rotation[0, 0])))
-        stated = covariance is not None and np.isfinite(covariance).all() and np.any(covariance)
-        kept = np.asarray(covariance, dtype=np.float64).tolist() if stated else []
-        yield odometry(self._options, time, pose, pose_covariance=kept)
+        stated = [] if covariance is None else stated_covariance(covariance)
+        yield odometry(self._options, time, pose, pose_covariance=stated)
 
     def _odometry_of_transforms(self, message: BagMessage, plan: Plan) -> Iterator[Envelope]:
         for item in message.message.transforms:

@@ -12,6 +12,7 @@ import numpy as np
 from eigenscan.cli.importers.bag import LASER_SCAN, MULTI_ECHO, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
 from eigenscan.cli.importers.log import LogError, LogOptions
 from eigenscan.geometry.transforms import TransformTree, planar
+from eigenscan.ros_bridge.inbound import frame_name, header_stamp, lidar_names
 from numpy.typing import NDArray
 
 CLOCKS_APART_NS = 1_000_000_000
@@ -189,30 +190,6 @@ def _trusted(offsets: dict[str, int | None]) -> dict[str, int]:
     if agree and len(stamped) == len(offsets):
         return stamped
     return {topic: offset for topic, offset in stamped.items() if abs(offset) <= CLOCKS_APART_NS}
-
-
-def lidar_names(topics: list[str]) -> dict[str, str]:
-    """A name for each topic, one key chunk: `/front/laser/scan` is `front_laser`, `/scan` is `scan`."""
-    names: dict[str, str] = {}
-    for topic in topics:
-        parts = [part for part in re.split(r"[/*$#?@\s]+", topic) if part]
-        if len(parts) > 1 and parts[-1] in ("scan", "laser_scan"):
-            parts.pop()
-        name = "_".join(parts) or "lidar"
-        while name in names.values():
-            name += "_"
-        names[topic] = name
-    return names
-
-
-def frame_name(name: str) -> str:
-    """A frame's name without the slash that old logs put before it."""
-    return name.lstrip("/")
-
-
-def header_stamp(header: Any) -> int:
-    """Stamp, ns."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
 def _offset(header: Any, recorded: int) -> int | None:

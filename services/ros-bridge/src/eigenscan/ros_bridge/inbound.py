@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import ArrayLike
 
-SHORTEST = 1e-6
+_SHORTEST = 1e-6
 """Of a quaternion: ROS nodes that know no orientation say zeros."""
 _PLANAR = np.array([0, 1, 5])
 """x, y and yaw among ROS's x, y, z, roll, pitch, yaw."""
@@ -43,7 +43,7 @@ def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawSc
 
 def odometry(body: Any) -> Odometry | None:
     """Of an Odometry; None where its pose is none."""
-    pose = pose_on_plane(body.pose.pose)
+    pose = on_plane(body.pose.pose.position, body.pose.pose.orientation)
     if pose is None:
         return None
     linear, angular = body.twist.twist.linear, body.twist.twist.angular
@@ -60,7 +60,7 @@ def odometry(body: Any) -> Odometry | None:
 
 def relocation(body: Any) -> Relocation | None:
     """Of a PoseWithCovarianceStamped that an operator clicked; None where its pose is none."""
-    pose = pose_on_plane(body.pose.pose)
+    pose = on_plane(body.pose.pose.position, body.pose.pose.orientation)
     if pose is None:
         return None
     message = Relocation(
@@ -75,14 +75,14 @@ def relocation(body: Any) -> Relocation | None:
     return message
 
 
-def pose_on_plane(pose: Any) -> tuple[float, float, float] | None:
-    """x, y, yaw of a Pose, height and tilt left out; None where it is none.
+def on_plane(position: Any, orientation: Any) -> tuple[float, float, float] | None:
+    """x, y, yaw of a point and a quaternion, height and tilt left out; None where they are no pose.
 
     In plain floats: odometry comes far more often than scans.
     """
-    at, q = pose.position, pose.orientation
+    at, q = position, orientation
     norm = math.hypot(q.x, q.y, q.z, q.w)
-    if not (SHORTEST < norm < FARTHEST and math.hypot(at.x, at.y) < FARTHEST):
+    if not (_SHORTEST < norm < FARTHEST and math.hypot(at.x, at.y) < FARTHEST):
         return None
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
     return at.x, at.y, yaw
