@@ -1,7 +1,7 @@
 """One scan, no prior: how often the projector's first pose is right, and what it costs.
 
     .venv/bin/python benchmarks/single_scan.py [--datasets FOLDER] [--only intel] [--scans 100]
-        [--spacing 0.5] [--occlude 0.3] [--foreign] [--exhaustive] [--stages] [--json OUT]
+        [--spacing 0.5] [--error 0] [--occlude 0.3] [--foreign] [--exhaustive] [--stages] [--json OUT]
 
 `--foreign` adds the scans of the other buildings to each map, none of which may look like home. `--stages`
 tells in what share of the scans each stage of the search still had the right pose. The datasets are not part
@@ -245,6 +245,7 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--scans", type=int, default=100)
     parser.add_argument("--spacing", type=float, default=0.5)
+    parser.add_argument("--error", type=float, default=0.0, help="m, of adaptive positions")
     parser.add_argument("--occlude", type=float, default=0.0)
     parser.add_argument("--foreign", action="store_true")
     parser.add_argument("--exhaustive", action="store_true")
@@ -256,7 +257,8 @@ def main() -> None:
         if options.only not in case.name:
             continue
         site = build_site(
-            read_map(options.datasets / case.folder / "map.yaml"), Plan(spacing=options.spacing)
+            read_map(options.datasets / case.folder / "map.yaml"),
+            Plan(spacing=options.spacing, error=options.error),
         )
         core = projector(site)
         chosen = samples(options.datasets, case, options.scans)

@@ -34,6 +34,9 @@ def build(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder to write the models to")],
     spacing: Annotated[float, typer.Option(min=0.05, max=5.0, help="m between positions")] = 0.5,
+    error: Annotated[
+        float, typer.Option(min=0.0, max=20.0, help="m; closer where panoramas interpolate worse; 0: nowhere")
+    ] = 0.0,
     step: Annotated[float, typer.Option(min=0.1, max=10.0, help="degrees between beams")] = 0.5,
     clearance: Annotated[float, typer.Option(min=0.0, max=5.0, help="m from a position to a wall")] = 0.15,
     margin: Annotated[float, typer.Option(min=0.0, max=10.0, help="m that regions overlap")] = 1.0,
@@ -91,6 +94,7 @@ def build(
 
     plan = Plan(
         spacing=spacing,
+        error=error,
         step=math.radians(step),
         clearance=clearance,
         range_max=range_max,
@@ -180,6 +184,7 @@ def _summarize(
         "free_area_m2": message.free_area_m2,
         "positions": layout.held,
         "spacing_m": spacing,
+        "within_error": None if math.isnan(layout.within) else layout.within,
         "components": components,
         "wire_bytes": wire_bytes,
         "build_s": seconds,
@@ -187,10 +192,18 @@ def _summarize(
         "model": str(folder),
         "picture": str(folder / PICTURE),
     }
+    apart = f"{spacing:g} m apart"
+    if not math.isnan(layout.within):
+        apart += f" at the closest, the error is kept at {layout.within:.1%} of the places between"
     rows = {
         "regions": str(len(pieces)) + (f", {found} of them finished before" if found else ""),
         "free area": f"{message.free_area_m2:.0f} m²",
-        "positions": f"{layout.held}, {spacing:g} m apart ({shared} with the regions' overlap)",
+        "positions": f"{layout.held} ({shared} with the regions' overlap), {apart}",
+        **(
+            {}
+            if math.isnan(layout.within)
+            else {"bound held": f"at {layout.within:.1%} of the places between"}
+        ),
         "components": f"{min(components)} to {max(components)} a region",
         "on the wire": f"{wire_bytes / 1e6:.1f} MB",
         "built in": f"{seconds:.1f} s",

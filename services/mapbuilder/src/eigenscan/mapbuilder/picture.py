@@ -51,7 +51,7 @@ def _name(pen: ImageDraw.ImageDraw, view: Backdrop, area: Area) -> None:
     (place,) = view.pixels(points[nearest : nearest + 1])
     pen.text(
         place,
-        f"{area.name}\n{len(points) * area.positions.spacing**2:.0f} m2",
+        f"{area.name}\n{area.size:.0f} m2",
         fill=(0, 0, 0),
         font=ImageFont.load_default(15),
         anchor="mm",
@@ -62,9 +62,8 @@ def _name(pen: ImageDraw.ImageDraw, view: Backdrop, area: Area) -> None:
 
 
 def _legend(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> None:
-    spacing = areas[0].positions.spacing if areas else 0.0
     view.legend(
         pen,
         f"{len(areas)} regions, {view.grid.free_area:.0f} m2 free; each colour is one region with its "
-        f"overlap,\neach dot a position with its panorama, {spacing:g} m apart",
+        f"overlap,\neach dot a position with its panorama",
     )

@@ -15,6 +15,8 @@ class Plan:
     """How a map becomes models. Lengths in m, angles in rad."""
 
     spacing: float = 0.5
+    error: float = 0.0
+    """Closer than `spacing` where panoramas cannot be interpolated so well, m, rms; 0: nowhere."""
     step: float = float(np.deg2rad(0.5))
     clearance: float = 0.15
     range_max: float = 80.0

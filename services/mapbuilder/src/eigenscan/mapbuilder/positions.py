@@ -61,8 +61,14 @@ def free_positions(grid: GridMap, spacing: float, clearance: float) -> Positions
     high = np.ceil(corners.max(axis=0) / spacing).astype(np.int64)
     x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     index = np.column_stack([x.ravel(), y.ravel()])
-    place = standable(grid, clearance)
-    column, row = np.floor(grid.to_grid(index * spacing)).astype(np.int64).T
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    inside[inside] = place[row[inside], column[inside]]
+    inside = stands(grid, standable(grid, clearance), index * spacing)
     return Positions(index[inside].astype(np.int32), np.zeros(2), spacing)
+
+
+def stands(grid: GridMap, place: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which map-frame points (K, 2) lie on cells of `place` (H, W)."""
+    height, width = place.shape
+    column, row = np.floor(grid.to_grid(points)).astype(np.int64).T
+    inside: NDArray[np.bool_] = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    inside[inside] = place[row[inside], column[inside]]
+    return inside

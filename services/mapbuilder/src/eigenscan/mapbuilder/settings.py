@@ -23,6 +23,9 @@ class MapbuilderSettings(ServiceSettings):
     model: Path | None = Field(None, description="folder of models that were built before, instead of map")
     frame_id: str = Field("map", min_length=1, description="name of the map frame in what is published")
     spacing: float = Field(0.5, ge=0.05, le=5.0, description="m, between positions of the grid")
+    error: float = Field(
+        0.0, ge=0.0, le=20.0, description="m, closer where panoramas interpolate worse; 0: nowhere"
+    )
     step: float = Field(0.5, ge=0.1, le=10.0, description="deg, between beams of a panorama")
     clearance: float = Field(0.15, ge=0.0, le=5.0, description="m, of a position from the nearest wall")
     range_max: float = Field(80.0, gt=0.0, le=130.0, description="m, walls farther than this are not seen")
@@ -59,6 +62,7 @@ class MapbuilderSettings(ServiceSettings):
 
         return Plan(
             spacing=self.spacing,
+            error=self.error,
             step=math.radians(self.step),
             clearance=self.clearance,
             range_max=self.range_max,

@@ -30,16 +30,17 @@ Built = TypeVar("Built")
 
 @dataclass(frozen=True)
 class Area:
-    """A region that is to be built: its name, its positions and its outline (K, 2), m, map frame."""
+    """A region that is to be built: name, positions, outline (K, 2), m, map frame, and area, m^2."""
 
     name: str
     positions: Positions
     outline: NDArray[np.float64]
+    size: float
 
     def key(self, map_version: str, plan: Plan) -> str:
         """SHA-256, hex, of all that its model is made of."""
-        # how regions were found and who builds them makes no difference to one that is given
-        how = replace(plan, threads=1, division=type(plan.division)())
+        # how regions and positions were found and who builds them makes no difference to what is given
+        how = replace(plan, threads=1, error=0.0, division=type(plan.division)())
         digest = hashlib.sha256(repr((map_version, how, self.name, self.positions.spacing)).encode())
         for array in (self.positions.origin, self.positions.index, self.outline):
             digest.update(np.ascontiguousarray(array).tobytes())

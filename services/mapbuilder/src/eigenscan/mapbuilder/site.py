@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import ModelError, RegionModel
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.adaptive import adaptive_positions
 from eigenscan.mapbuilder.drawn import divide_as_drawn
 from eigenscan.mapbuilder.geojson import GivenRegion, RegionsError
 from eigenscan.mapbuilder.plan import Plan
@@ -31,13 +33,15 @@ class Layout:
     positions: Positions
     regions: Regions
     names: dict[int, str]
+    within: float = math.nan
+    """Share of the places between positions where `plan.error` holds; NaN where none was asked for."""
 
     @cached_property
     def areas(self) -> tuple[Area, ...]:
         """What is to be built, by the regions' names."""
         inside = self.regions.members(self.positions.points)
         areas = [
-            Area(name, self.positions.at(inside[n]), self.regions.outline(n))
+            Area(name, self.positions.at(inside[n]), self.regions.outline(n), self.regions.area(n))
             for n, name in self.names.items()
         ]
         return tuple(sorted(areas, key=lambda area: area.name))
@@ -53,7 +57,11 @@ def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Lay
 
     Raises ModelError where no position is free, RegionsError where a drawn region holds none.
     """
-    positions = free_positions(grid, plan.spacing, plan.clearance)
+    within = math.nan
+    if plan.error:
+        positions, within = adaptive_positions(grid, plan)
+    else:
+        positions = free_positions(grid, plan.spacing, plan.clearance)
     if not len(positions.index):
         raise ModelError(
             f"no free position {plan.clearance} m from the walls on a grid of {plan.spacing} m: "
@@ -69,7 +77,7 @@ def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Lay
         )
     digits = max(2, len(str(len(inhabited))))
     found = {n: f"r{k:0{digits}}" for k, n in enumerate(inhabited, 1)}
-    return Layout(positions, regions, {n: region.name for n, region in enumerate(drawn)} or found)
+    return Layout(positions, regions, {n: region.name for n, region in enumerate(drawn)} or found, within)
 
 
 def build_site(
