@@ -17,6 +17,7 @@ from eigenscan.cli.frame import FailedError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from eigenscan.eigenspace.floors import Floor
     from eigenscan.eigenspace.pieces import Piece, Pieces
     from eigenscan.geometry.gridmap import GridMap
     from eigenscan.mapbuilder.cluster import Workers
@@ -26,10 +27,12 @@ if TYPE_CHECKING:
 
 
 def build(
-    map_file: Annotated[
-        Path,
+    map_files: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="MAP", help="map_server yaml, floor plan (.dxf, .svg) or image", show_default=False
+            metavar="MAP...",
+            help="map_server yaml, floor plan (.dxf, .svg) or image; several: the floors of one site",
+            show_default=False,
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder to write the models to")],
@@ -68,6 +71,7 @@ def build(
 
     A floor plan's walls are its lines; what they enclose is free, doorways up to 1.2 m notwithstanding.
     Regions are found, or taken from GeoJSON: polygons in the map frame, m, property "name".
+    Several maps are floors: one set, each floor named by its file.
     What is finished is kept in MODEL.pieces until all is: the same command goes on after a break.
     --workers and --scheduler are for large sites: pip install 'eigenscan[cluster]'.
 
@@ -78,6 +82,7 @@ def build(
       eigenscan build MAP.yaml -o MODEL --regions ROOMS.geojson
       eigenscan build plan.dxf -o MODEL --layer WALLS
       eigenscan build plan.svg -o MODEL --metres-per-unit 0.01
+      eigenscan build ground.yaml first.yaml -o MODEL
       eigenscan build CAMPUS.yaml -o MODEL --scheduler tcp://10.0.0.5:8786
       eigenscan run --map MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
@@ -87,6 +92,7 @@ def build(
     from eigenscan.eigenspace.pieces import Pieces
     from eigenscan.mapbuilder.cluster import Workers
     from eigenscan.mapbuilder.drawn import outlines
+    from eigenscan.mapbuilder.floors import name_by_floor
     from eigenscan.mapbuilder.geojson import read_regions, to_geojson
     from eigenscan.mapbuilder.picture import draw_regions
     from eigenscan.mapbuilder.regions import Division
@@ -111,9 +117,12 @@ def build(
     prepare(json_file)
     drawn = read_regions(regions) if regions else ()
     began = time.perf_counter()
-    grid = read_plan(map_file, PlanOptions(metres_per_unit, layer or ()))
+    options = PlanOptions(metres_per_unit, layer or ())
+    grid, floors = _stacked([(path.stem, read_plan(path, options)) for path in map_files])
     with Pieces(out) as pieces:
-        layout = _lay_out(grid, plan, drawn, map_file, regions)
+        layout = _lay_out(grid, plan, drawn, map_files, regions)
+        if floors and not drawn:
+            layout = name_by_floor(layout, floors)
         built = _build(grid, plan, layout, pieces, engine)
         message = pieces.publish(
             built[0],
@@ -121,12 +130,19 @@ def build(
             frame_id,
             draw_regions(grid, layout.areas),
             to_geojson(outlines(layout.regions, layout.names), frame_id),
+            floors,
         )
     _summarize(message, layout, built, out, time.perf_counter() - began, json_file)
 
 
+def _stacked(maps: Sequence[tuple[str, GridMap]]) -> tuple[GridMap, tuple[Floor, ...]]:
+    from eigenscan.mapbuilder.floors import stack
+
+    return stack(maps) if len(maps) > 1 else (maps[0][1], ())
+
+
 def _lay_out(
-    grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion], map_file: Path, regions: Path | None
+    grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion], map_files: Sequence[Path], regions: Path | None
 ) -> Layout:
     from eigenscan.eigenspace.model import ModelError
     from eigenscan.mapbuilder.geojson import RegionsError
@@ -137,7 +153,7 @@ def _lay_out(
     except RegionsError as error:
         raise UsageError(f"{regions}: {error}") from error
     except ModelError as error:
-        raise UsageError(f"{map_file}: {error}") from error
+        raise UsageError(f"{', '.join(map(str, map_files))}: {error}") from error
 
 
 def _build(
@@ -181,6 +197,7 @@ def _summarize(
     figures = {
         "regions": len(pieces),
         "regions_finished_before": found,
+        "floors": [floor.name for floor in message.floors],
         "free_area_m2": message.free_area_m2,
         "positions": layout.held,
         "spacing_m": spacing,
@@ -197,6 +214,7 @@ def _summarize(
         apart += f" at the closest, the error is kept at {layout.within:.1%} of the places between"
     rows = {
         "regions": str(len(pieces)) + (f", {found} of them finished before" if found else ""),
+        **({"floors": ", ".join(floor.name for floor in message.floors)} if message.floors else {}),
         "free area": f"{message.free_area_m2:.0f} m²",
         "positions": f"{layout.held} ({shared} with the regions' overlap), {apart}",
         **(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from eigenscan.eigenspace.floors import floor_of
 from eigenscan.eigenspace.folder import SiteModel, read_models
 from eigenscan.geometry.gridmap import GridMap, read_image, read_map, to_message
 from eigenscan.geometry.pose import to_pose3
@@ -23,7 +24,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,6 +94,14 @@ class Localizer:
         said = [*self._tracker.handle(found), *self._tracker.finish()]
         (estimate,) = (each.open(PoseEstimate) for each in said if each.channel is POSE)
         return Estimate.of(estimate)
+
+    def floor(self, pose: ArrayLike) -> tuple[str, NDArray[np.float64]] | None:
+        """Of a pose (3,) that was found: the name of its floor, and the pose in that floor's own map frame.
+
+        None where the models have no floors, or it is on none.
+        """
+        found = floor_of(self.site.floors, pose)
+        return None if found is None else (found.name, found.own(pose))
 
     def forget(self) -> None:
         """Tracks anew, from nothing."""

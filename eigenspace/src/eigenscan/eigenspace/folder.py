@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eigenscan.eigenspace.model import ModelError, RegionModel, model_set, set_version
+from eigenscan.eigenspace.floors import Floor
+from eigenscan.eigenspace.model import ModelError, RegionModel, set_of, set_version
 from eigenscan.eigenspace.region_file import pack_region, read_region
 from eigenscan.eigenspace.versions import MANIFEST, replace
 from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
@@ -33,15 +34,22 @@ LAYOUT = 1
 
 @dataclass(frozen=True)
 class SiteModel:
-    """A map and the models of its regions; a set belongs together."""
+    """A map and the models of its regions; a set belongs together. `floors`: none where it is one map."""
 
     grid: GridMap
     frame_id: str
     regions: tuple[RegionModel, ...]
+    floors: tuple[Floor, ...] = ()
 
     def to_message(self) -> model_pb2.ModelSet:
         """The set as the contract says it."""
-        return model_set(self.regions, self.grid.version, self.frame_id, self.grid.free_area)
+        return set_of(
+            [model.entry for model in self.regions],
+            self.grid.version,
+            self.frame_id,
+            self.grid.free_area,
+            [floor.to_message() for floor in self.floors],
+        )
 
 
 def write_models(
@@ -122,6 +130,7 @@ def _manifest(message: model_pb2.ModelSet) -> dict[str, Any]:
         "frame_id": message.frame_id,
         "map_version": message.map_version,
         "free_area_m2": message.free_area_m2,
+        "floors": [Floor.from_message(floor).to_json() for floor in message.floors],
         "regions": [
             {"region": entry.region, "version": entry.version, "wire_bytes": entry.size}
             for entry in message.entries
@@ -144,7 +153,11 @@ def read_models(folder: Path) -> SiteModel:
     regions = tuple(read_region(folder / REGIONS / f"{e['region']}.npz", e["version"]) for e in entries)
     if set_version(grid.version, [model.version for model in regions]) != manifest["version"]:
         raise ModelError(f"{folder / MAP}: is not the map that the models were built from: build again")
-    return SiteModel(grid, manifest["frame_id"], regions)
+    try:
+        floors = tuple(Floor.from_json(said) for said in manifest.get("floors", []))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{folder / MANIFEST}: floors: {error}: build again") from error
+    return SiteModel(grid, manifest["frame_id"], regions, floors)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:

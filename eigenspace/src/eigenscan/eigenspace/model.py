@@ -144,15 +144,20 @@ def model_set(
 
 
 def set_of(
-    entries: Sequence[model_pb2.ModelSet.Entry], map_version: str, frame_id: str, free_area_m2: float
+    entries: Sequence[model_pb2.ModelSet.Entry],
+    map_version: str,
+    frame_id: str,
+    free_area_m2: float,
+    floors: Sequence[model_pb2.ModelSet.Floor] = (),
 ) -> model_pb2.ModelSet:
-    """The set of the models that `entries` name, and their map."""
+    """The set of the models that `entries` name, and their map with its floors."""
     return model_pb2.ModelSet(
         version=set_version(map_version, [entry.version for entry in entries]),
         frame_id=frame_id,
         map_version=map_version,
         entries=entries,
         free_area_m2=free_area_m2,
+        floors=floors,
     )
 
 

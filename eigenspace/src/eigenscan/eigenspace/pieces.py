@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +16,7 @@ from typing import IO
 from zipfile import BadZipFile
 
 import numpy as np
+from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.folder import check_place, publish
 from eigenscan.eigenspace.model import ModelError, set_of
 from eigenscan.eigenspace.region_file import read_region
@@ -91,10 +92,12 @@ class Pieces:
         frame_id: str,
         picture: bytes | None,
         outlines: str | None,
+        floors: Sequence[Floor] = (),
     ) -> ModelSet:
         """The pieces by their regions' names as the model folder, in one step. Raises ModelError."""
         entries = [piece.entry for _, piece in sorted(pieces.items())]
-        message = set_of(entries, grid.version, frame_id, grid.free_area)
+        apart = [floor.to_message() for floor in floors]
+        message = set_of(entries, grid.version, frame_id, grid.free_area, apart)
 
         def put(regions: Path) -> None:
             for name, piece in pieces.items():

@@ -1,5 +1,6 @@
 import datetime
 
+from eigenscan.schemas import geometry_pb2 as _geometry_pb2
 from google.protobuf import timestamp_pb2 as _timestamp_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
@@ -66,7 +67,7 @@ class Sensor(_message.Message):
     def __init__(self, angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., beams: _Optional[int] = ..., range_max: _Optional[float] = ...) -> None: ...
 
 class ModelSet(_message.Message):
-    __slots__ = ("timestamp", "version", "frame_id", "map_version", "entries", "free_area_m2")
+    __slots__ = ("timestamp", "version", "frame_id", "map_version", "entries", "free_area_m2", "floors")
     class Entry(_message.Message):
         __slots__ = ("region", "version", "size")
         REGION_FIELD_NUMBER: _ClassVar[int]
@@ -76,16 +77,29 @@ class ModelSet(_message.Message):
         version: str
         size: int
         def __init__(self, region: _Optional[str] = ..., version: _Optional[str] = ..., size: _Optional[int] = ...) -> None: ...
+    class Floor(_message.Message):
+        __slots__ = ("name", "origin", "outline_x", "outline_y")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        ORIGIN_FIELD_NUMBER: _ClassVar[int]
+        OUTLINE_X_FIELD_NUMBER: _ClassVar[int]
+        OUTLINE_Y_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        origin: _geometry_pb2.Pose2
+        outline_x: _containers.RepeatedScalarFieldContainer[float]
+        outline_y: _containers.RepeatedScalarFieldContainer[float]
+        def __init__(self, name: _Optional[str] = ..., origin: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., outline_x: _Optional[_Iterable[float]] = ..., outline_y: _Optional[_Iterable[float]] = ...) -> None: ...
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     ENTRIES_FIELD_NUMBER: _ClassVar[int]
     FREE_AREA_M2_FIELD_NUMBER: _ClassVar[int]
+    FLOORS_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     version: str
     frame_id: str
     map_version: str
     entries: _containers.RepeatedCompositeFieldContainer[ModelSet.Entry]
     free_area_m2: float
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., version: _Optional[str] = ..., frame_id: _Optional[str] = ..., map_version: _Optional[str] = ..., entries: _Optional[_Iterable[_Union[ModelSet.Entry, _Mapping]]] = ..., free_area_m2: _Optional[float] = ...) -> None: ...
+    floors: _containers.RepeatedCompositeFieldContainer[ModelSet.Floor]
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., version: _Optional[str] = ..., frame_id: _Optional[str] = ..., map_version: _Optional[str] = ..., entries: _Optional[_Iterable[_Union[ModelSet.Entry, _Mapping]]] = ..., free_area_m2: _Optional[float] = ..., floors: _Optional[_Iterable[_Union[ModelSet.Floor, _Mapping]]] = ...) -> None: ...
