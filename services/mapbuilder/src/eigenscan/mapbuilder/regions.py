@@ -67,10 +67,6 @@ class Regions:
             found.append(np.sort(order[band][inside]))
         return found
 
-    def area(self, region: int) -> float:
-        """Area of the region (from 0) with its overlap, m^2."""
-        return float(np.count_nonzero(self.reach[region][0])) * (self.block * self.grid.resolution) ** 2
-
     def outline(self, region: int) -> NDArray[np.float64]:
         """Map-frame outline (K, 2), m, of the region (from 0) with its overlap; its largest loop."""
         mask, top, left = self.reach[region]

@@ -30,12 +30,17 @@ Built = TypeVar("Built")
 
 @dataclass(frozen=True)
 class Area:
-    """A region that is to be built: name, positions, outline (K, 2), m, map frame, and area, m^2."""
+    """A region that is to be built: its name, its positions and its outline (K, 2), m, map frame."""
 
     name: str
     positions: Positions
     outline: NDArray[np.float64]
-    size: float
+
+    @property
+    def size(self) -> float:
+        """Area in the outline, furniture and all, m^2."""
+        x, y = self.outline.T
+        return 0.5 * abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1)))
 
     def key(self, map_version: str, plan: Plan) -> str:
         """SHA-256, hex, of all that its model is made of."""

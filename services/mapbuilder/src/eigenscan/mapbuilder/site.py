@@ -41,7 +41,7 @@ class Layout:
         """What is to be built, by the regions' names."""
         inside = self.regions.members(self.positions.points)
         areas = [
-            Area(name, self.positions.at(inside[n]), self.regions.outline(n), self.regions.area(n))
+            Area(name, self.positions.at(inside[n]), self.regions.outline(n))
             for n, name in self.names.items()
         ]
         return tuple(sorted(areas, key=lambda area: area.name))

@@ -28,7 +28,7 @@ def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
     spacing = site.regions[0].spacing
     old, new = (free_positions(g, spacing, plan.clearance).index for g in (site.grid, grid))
     work = _Rebuild(plan, RayCaster.of(site.grid), RayCaster.of(grid), _without(old, new), _without(new, old))
-    return SiteModel(grid, site.frame_id, tuple(work.after(model) for model in site.regions))
+    return replace(site, grid=grid, regions=tuple(work.after(model) for model in site.regions))
 
 
 @dataclass(frozen=True)
