@@ -29,6 +29,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode
 from eigenscan.tracker.settings import TrackerSettings
+from rerun.chunk import RrdReader
 
 from tests.replay.conftest import SECONDS, Command, Run, changed, drive
 
@@ -106,12 +107,45 @@ def test_one_changed_bit_is_shown_with_its_path_stamp_and_both_values(
     _, _, shown = ended.out.partition("first difference: ")
     assert shown.startswith(f"pose {at(stamp_of(pose))} on site/robot/robot/pose\n")
     assert shown.splitlines()[2].split()[:3] == ["pose.x", str(nudged), str(x)]
-    assert len(shown.splitlines()) == 3
+    assert len(shown.splitlines()) == 4  # the last tells where both sides are drawn
     assert eigenscan(*command, "--tolerant").code == 0
     ignoring = eigenscan(*command, "--ignore", "pose.pose.x")
     assert ignoring.code == 0
     assert "not judged: pose.pose.x" in ignoring.out
     assert eigenscan(*command, "--ignore", "pose.pose.y").code == 1
+
+
+def test_both_sides_of_a_difference_are_drawn_on_the_map(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    pose = only(run.messages, POSE)[40]
+    x = pose.envelope.open(PoseEstimate).pose.x
+    path = run.write(tmp_path / "a.mcap", swap(run.messages, pose, with_message(pose, pose__x=x + 2.0)))
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    picture = tmp_path / "a.tracker.rrd"
+    assert ended.code == 1
+    assert ended.out.endswith(f"both sides: {picture}\n")
+    chunks = [chunk for chunk in RrdReader(str(picture)).stream() if not chunk.is_static]
+    drawn = {chunk.entity_path for chunk in chunks}
+    for side in ("recorded", "replayed"):
+        assert {f"/world/robot/{side}/pose", f"/world/robot/{side}/tracks"} <= drawn
+    apart = {}
+    for chunk in chunks:
+        if chunk.entity_path == "/apart/robot":
+            batch = chunk.to_record_batch()
+            values = batch.column("Scalars:scalars").to_pylist()
+            stamps = [time.value for time in batch.column("time")]
+            apart |= {stamp: value for stamp, (value,) in zip(stamps, values, strict=True)}
+    assert apart.pop(stamp_of(pose)) == pytest.approx(2.0)
+    assert apart
+    assert set(apart.values()) == {0.0}
+
+
+def test_what_is_the_same_leaves_no_picture(recording: Path, eigenscan: Command, tmp_path: Path) -> None:
+    picture = tmp_path / "b.rrd"
+    ended = eigenscan("replay", recording, "--service", "tracker", "--compare", "--rrd", picture)
+    assert ended.code == 0, ended.err
+    assert not picture.exists()
 
 
 def test_tolerance_has_an_end(run: Run, eigenscan: Command, tmp_path: Path) -> None:

@@ -58,6 +58,8 @@ def test_each_recording_and_service_is_a_test(
     }
     assert kinds == {("altered.mcap", "tracker"): "failure", ("broken.mcap", "recording"): "error"}
     (failure,) = root.iter("failure")
+    assert (failure.text or "").splitlines()[-1] == f"both sides: {folder / 'altered.tracker.rrd'}"
+    assert (folder / "altered.tracker.rrd").stat().st_size > 1000
     assert failure.get("message") == "pose: 1 different, 0 missing, 0 too many"
     assert "first difference: pose" in (failure.text or "")
     assert "confidence" in (failure.text or "")

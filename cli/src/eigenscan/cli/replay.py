@@ -82,6 +82,10 @@ def replay(
         list[str] | None, typer.Option(help="with --compare: CHANNEL.FIELD not to judge; repeat for more")
     ] = None,
     least: Annotated[int, typer.Option(min=1, help="with --compare: messages that must be compared")] = 10,
+    rrd: Annotated[
+        Path | None,
+        typer.Option(help="with --compare: Rerun file of a difference; FILE.SERVICE.rrd beside FILE without"),
+    ] = None,
 ) -> None:
     """Play a recording onto Zenoh: raw scans and odometry, or what is asked for.
 
@@ -109,10 +113,11 @@ def replay(
                 strict=strict,
                 ignored=ignore or (),
                 least=least,
+                rrd=rrd,
             )
         )
         return
-    if compare or out or model or changes or tolerant or strict or ignore:
+    if compare or out or model or changes or tolerant or strict or ignore or rrd:
         raise UsageError("--compare and what goes with it: give --service NAME as well")
     from eigenscan.cli.playback.cast import Cast
     from eigenscan.cli.playback.controls import controls

@@ -66,10 +66,7 @@ def view(
 
 
 def _draw(recording: Path, stretch: tuple[float, float], settings: RecorderSettings) -> None:
-    """Draws what lies between two seconds of a recording, with a progress bar.
-
-    Reads and draws message by message: what it takes does not grow with the recording.
-    """
+    """Draws what lies between two seconds of a recording, message by message, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
     from rich.console import Console

@@ -31,6 +31,7 @@ class Request:
     strict: bool
     ignored: Sequence[str]
     least: int
+    rrd: Path | None = None
 
 
 def process_replay(request: Request) -> None:
@@ -42,7 +43,7 @@ def process_replay(request: Request) -> None:
     from eigenscan.cli.process_replay.report import report, summary
     from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES
     from eigenscan.cli.process_replay.survey import survey
-    from eigenscan.cli.process_replay.trial import Trial, run
+    from eigenscan.cli.process_replay.trial import Trial, picture, picture_beside, run
 
     if request.service not in CHOICES:
         raise UsageError(f"--service {request.service}: there are {', '.join(CHOICES)}")
@@ -67,6 +68,9 @@ def process_replay(request: Request) -> None:
         outcome = run(trial, found, moved)
     typer.echo(report(outcome))
     if request.compare and outcome.comparison.problems:
+        target = request.rrd or picture_beside(request.file, request.service)
+        if picture(trial, outcome, report(outcome), target):
+            typer.echo(f"both sides: {target}")
         raise FailedError(f"{request.file}: {summary(outcome)}")
     if request.compare:
         typer.echo(f"the same: {summary(outcome)}")

@@ -15,7 +15,7 @@ from eigenscan.cli.process_replay.reference import SUFFIX, Reference, open_besid
 from eigenscan.cli.process_replay.report import report, summary
 from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES, PIPELINE, said_by
 from eigenscan.cli.process_replay.survey import Survey, survey
-from eigenscan.cli.process_replay.trial import Trial, run
+from eigenscan.cli.process_replay.trial import Trial, picture, picture_beside, run
 
 PASSED, DIFFERENT, BAD = "same", "different", "bad input"
 
@@ -68,13 +68,17 @@ def judge(recording: Path, plan: Plan) -> Iterator[Case]:
         kept = reference if reference and choice in reference.choices else None
         terms = Terms(plan.tolerant, unjudged={} if kept else ARRIVAL, least=plan.least)
         try:
-            outcome = run(Trial(CHOICES[choice], terms, reference=kept), found)
+            trial = Trial(CHOICES[choice], terms, reference=kept)
+            outcome = run(trial, found)
         except Exception as error:
             yield _bad(recording, choice, error)
             continue
         result = DIFFERENT if outcome.comparison.problems else PASSED
         made = f"\nreference made with {kept.made_with}" if kept else ""
-        yield Case(recording, choice, result, summary(outcome), report(outcome) + made, outcome.took_s)
+        text, target = report(outcome) + made, picture_beside(recording, choice)
+        if result == DIFFERENT and picture(trial, outcome, text, target):
+            text += f"\nboth sides: {target}"
+        yield Case(recording, choice, result, summary(outcome), text, outcome.took_s)
 
 
 def update(recording: Path, plan: Plan) -> Case:

@@ -55,17 +55,45 @@ def run(trial: Trial, survey: Survey, moved: Callable[[int], None] = lambda _tim
     before = time.perf_counter()
     instances = cast(survey, trial.services, trial.changes)
     spans = trial.reference.spans if trial.reference else survey.spans
-    channels = said_by(trial.services)
-    comparison = Comparison(channels, spans, trial.terms)
+    comparison = Comparison(said_by(trial.services), spans, trial.terms)
     heard = Counter[Channel]()
-    events = play(survey, trial.services, instances, trial.models, moved)
-    if trial.reference:
-        events = _beside(trial.reference, channels, events)
+    events = _events(trial, survey, instances, moved)
     for event in _written(trial.out, events) if trial.out else events:
         heard[event.envelope.channel] += event.side is Side.HEARD
         comparison.take(event)
     comparison.finish()
     return Outcome(survey, instances, comparison, heard, time.perf_counter() - before)
+
+
+def _events(
+    trial: Trial, survey: Survey, instances: Sequence[Instance], moved: Callable[[int], None]
+) -> Iterator[Event]:
+    events = play(survey, trial.services, instances, trial.models, moved)
+    return _beside(trial.reference, said_by(trial.services), events) if trial.reference else events
+
+
+def picture_beside(recording: Path, choice: str) -> Path:
+    """Where the picture of a difference lies."""
+    return recording.with_name(f"{recording.stem}.{choice}.rrd")
+
+
+def picture(trial: Trial, outcome: Outcome, report: str, target: Path) -> bool:
+    """Draws both sides around the first difference into a Rerun file, by a second replay.
+
+    False where there is no difference to draw, or `target` cannot be written.
+    """
+    first, survey = outcome.comparison.first, outcome.survey
+    if first is None:
+        return False
+    from eigenscan.cli.process_replay.picture import draw
+
+    instances = cast(survey, trial.services, trial.changes)
+    events = _events(trial, survey, instances, lambda _time: None)
+    try:
+        draw(target, events, trial.models or survey.latched.values(), first.stamp, report)
+    except OSError:
+        return False
+    return True
 
 
 def _beside(reference: Reference, channels: Sequence[Channel], events: Iterable[Event]) -> Iterator[Event]:

@@ -92,12 +92,12 @@ def _map(extent: Extent | None) -> rrb.Spatial3DView:
         name="Where (map, north up)",
         background=UNKNOWN_FLOOR,
         line_grid=False,
-        eye_controls=_eye(extent),
+        eye_controls=eye(extent),
         overrides={"world/regions": rrb.EntityBehavior(visible=False)},
     )
 
 
-def _eye(extent: Extent | None) -> rrb.EyeControls3D | None:
+def eye(extent: Extent | None) -> rrb.EyeControls3D | None:
     """Straight above the middle, high enough to see all of the map."""
     if extent is None:
         return None
