@@ -135,7 +135,7 @@ def _blueprint(floor: Floor) -> rrb.Blueprint:
         eye_controls=eye(floor.extent),
     )
     return rrb.Blueprint(
-        rrb.Horizontal(where, evidence, column_shares=[3, 2]),
+        rrb.Horizontal(where, evidence, column_shares=[7, 4]),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
