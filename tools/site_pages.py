@@ -8,8 +8,7 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-PAGES = (".md",)
-PICTURES = (".png", ".svg")
+PAGE = ".md"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -22,14 +21,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text=True,
         check=True,
     )
-    for file in list(files.documentation_pages()) + list(files.media_files()):
+    for file in [each for each in files if each.src_dir == config.docs_dir]:
         files.remove(file)
     pages = []
     for name in sorted(filter(None, listed.stdout.split("\0"))):
         if not (root / name).is_file() or name.startswith("."):
             continue
         files.append(File.generated(config, name, abs_src_path=str(root / name)))
-        if name.endswith(PAGES):
+        if name.endswith(PAGE):
             pages.append(name)
     known = str(config.nav)
     if more := [page for page in pages if f"'{page}'" not in known]:
