@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from eigenscan.cli.fleet.view import FleetView
     from prometheus_client.core import GaugeMetricFamily, Metric
 
+UPDATE_S = 0.2
+
 
 def metrics(
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
@@ -41,14 +43,16 @@ def metrics(
     wake = Wake()
     with wake.on_signals(), FleetView(connect(zenoh), site) as view:
         registry = CollectorRegistry()
-        registry.register(SiteCollector(view))
+        collector = SiteCollector(view)
+        registry.register(collector)
         try:
             server, _ = start_http_server(port, host, registry)
         except OSError as error:
             raise UsageError(f"--port {port}: cannot listen on {host}: {error.strerror}") from error
         typer.echo(f"http://{host}:{server.server_port}/metrics")
         while not wake.stopping:
-            wake.wait(1.0)
+            wake.wait(UPDATE_S)
+            collector.update()
         server.shutdown()
 
 
@@ -59,10 +63,14 @@ class SiteCollector:
         self._view = view
         self._lock = threading.Lock()
 
+    def update(self) -> None:
+        """Takes in what was heard: ages count from then."""
+        with self._lock:
+            self._view.update()
+
     def collect(self) -> Iterator[Metric]:
         """All metrics, of this moment."""
-        with self._lock:  # two may scrape at once
-            self._view.update()
+        with self._lock:
             return iter([*self._robots(), *self._services()])
 
     def _robots(self) -> Iterator[Metric]:

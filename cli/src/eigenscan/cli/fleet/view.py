@@ -103,7 +103,7 @@ class FleetView:
         self._tokens.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
     def update(self) -> None:
-        """Takes in what was heard."""
+        """Takes in what was heard; ages count from here, so call it often."""
         while self._tokens:
             key, there = self._tokens.pop(0)
             _, _, name, instance, contract = key.split("/")
