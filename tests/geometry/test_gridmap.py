@@ -76,6 +76,8 @@ def test_raw_holds_occupancy_itself(tmp_path):
         ({"origin": "[0, 0, .inf]"}, "origin"),
         ({"mode": "binary"}, "mode = 'binary'"),
         ({"occupied_thresh": "high"}, "occupied_thresh"),
+        ({"negate": "maybe"}, "negate = 'maybe': give 0 or 1"),
+        ({"free_thresh": 0.7}, "free_thresh = 0.7 is above occupied_thresh = 0.65"),
         ({"image": "none.pgm"}, "none.pgm cannot be read"),
         ({"negate": 1, "free_thresh": 0.0}, "no free cell"),
     ],

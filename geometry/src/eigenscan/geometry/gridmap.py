@@ -123,11 +123,15 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     file = path.parent / meta["image"]
     try:
         with Image.open(file) as image:
+            if image.mode.startswith(("I", "F")):
+                raise MapError(f"{path}: image {file} has more than 8 bits a pixel: save it with 8")
             bands = image.getbands()
             pixels = np.asarray(
                 image.convert("RGBA" if "A" in bands or "transparency" in image.info else "RGB")
             )
-    except (UnidentifiedImageError, OSError, ValueError) as error:
+    except MapError:
+        raise
+    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
         raise MapError(f"{path}: image {file} cannot be read: {error}") from error
     grey = pixels[..., :3].mean(axis=-1)
     mode = meta.get("mode", "trinary")
@@ -137,10 +141,16 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
         known = grey <= OCCUPIED
         occupied, free = known & (grey >= 50), known & (grey < 50)
     else:
-        occupancy = grey / 255.0 if meta.get("negate", 0) else 1.0 - grey / 255.0
-        occupied = occupancy > _number(path, meta, "occupied_thresh", 0.65)
-        free = occupancy < _number(path, meta, "free_thresh", 0.196)
-        if mode == "trinary" and not meta.get("negate", 0) and np.any(grey > _SAVED_UNKNOWN):
+        negate = meta.get("negate", 0)
+        if negate not in (0, 1):
+            raise MapError(f"{path}: negate = {negate!r}: give 0 or 1")
+        above = _number(path, meta, "occupied_thresh", 0.65)
+        below = _number(path, meta, "free_thresh", 0.196)
+        if below > above:
+            raise MapError(f"{path}: free_thresh = {below} is above occupied_thresh = {above}: swap them")
+        occupancy = grey / 255.0 if negate else 1.0 - grey / 255.0
+        occupied, free = occupancy > above, occupancy < below
+        if mode == "trinary" and not negate and np.any(grey > _SAVED_UNKNOWN):
             free &= grey != _SAVED_UNKNOWN
         if mode == "scale" and pixels.shape[-1] == 4:
             transparent = pixels[..., 3] == 0
