@@ -16,6 +16,7 @@ PROGRAMS = Path(sys.executable).parent
 ODD_INGEST = Path(__file__).parent / "odd_ingest.py"
 AT_ONCE = 5
 """Runs mostly wait for their drive."""
+ODD_RECORDER = Path(__file__).parent / "odd_recorder.py"
 OURS = ("scan-ingest", "projector", "tracker", "mapbuilder")
 
 # fault: the checks that must fail for it, and words that one of them must say
@@ -33,6 +34,14 @@ FAULTS = {
     "slow": (["latency"], "asked for 30 ms"),
     "miscounts": (["counted"], "counter undecodable grew by 0, not by 12"),
     "deaf-to-sigterm": (["stops"], "SIGTERM does not end it"),
+}
+# of the odd recorder: the check that must fail, and words that it must say
+RECORDING_FAULTS = {
+    "no-past": ("kept", "that was said before its start, 1 are lost"),
+    "loses-some": ("kept", "are lost, changed or out of order"),
+    "changes-poses": ("kept", "/pose: of "),
+    "arrival-as-stamp": ("times", "the stamp is "),
+    "never-flushes": ("crash", "after a kill: "),
 }
 
 
@@ -72,13 +81,19 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ended]:
     for fault in ("none", *FAULTS):
         limit = ("--latency", 0.03) if fault == "slow" else patient
         runs[fault] = ("scan-ingest", [sys.executable, ODD_INGEST, fault], *limit)
+    runs["recorder"] = (
+        *("recorder", [PROGRAMS / "eigenscan-recorder", "--mcap", "{recording}", "--rotate-mb", "0.05"]),
+        *patient,
+    )
+    for fault in ("none", *RECORDING_FAULTS):
+        runs[f"recorder {fault}"] = ("recorder", [sys.executable, ODD_RECORDER, fault])
     with ThreadPoolExecutor(AT_ONCE) as pool:
         futures = {name: pool.submit(conform, folder, name, *run) for name, run in runs.items()}
     return {name: future.result() for name, future in futures.items()}
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", [*OURS, "none"])
+@pytest.mark.parametrize("name", [*OURS, "recorder", "none", "recorder none"])
 def test_what_is_right_conforms(ended: dict[str, Ended], name: str) -> None:
     run = ended[name]
     assert run.code == 0, run.out + run.err
@@ -86,6 +101,25 @@ def test_what_is_right_conforms(ended: dict[str, Ended], name: str) -> None:
     assert "FAILED" not in run.out
     assert [check for check, (result, _) in run.checks.items() if result == "ok"], run.out
     assert len(run.checks) >= 11
+
+
+def test_our_recorder_was_seen_to_rotate(ended: dict[str, Ended]) -> None:
+    result, words = ended["recorder"].checks["rotation"]
+    assert result == "ok", words
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("fault", RECORDING_FAULTS)
+def test_a_wrong_recorder_fails_at_that_clause_alone(ended: dict[str, Ended], fault: str) -> None:
+    check, words = RECORDING_FAULTS[fault]
+    run = ended[f"recorder {fault}"]
+    assert run.code == 1, run.out + run.err
+    failed = {name: said for name, (result, said) in run.checks.items() if result == "FAILED"}
+    assert check in failed, run.out
+    assert failed.keys() <= {check, "crash"}, run.out
+    assert words in failed[check]
+    (line,) = [line for line in run.out.splitlines() if words in line and f" {check} " in line]
+    assert line.endswith("[docs/contract.md, Recordings]")
 
 
 @pytest.mark.timeout(600)
@@ -115,7 +149,11 @@ def test_what_is_right_otherwise_fails_at_nothing_else(ended: dict[str, Ended]) 
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("nothing", "--", "true"), 2, "nothing: there are scan-ingest, projector, tracker, mapbuilder"),
+        (
+            ("nothing", "--", "true"),
+            2,
+            "nothing: there are scan-ingest, projector, tracker, mapbuilder, recorder",
+        ),
         (("tracker", "--", "no-such-program"), 2, "no-such-program: is no program that can be started"),
         (("tracker", "--", "false"), 1, "does not conform to tracker: presence"),
     ],

@@ -14,7 +14,7 @@ from eigenscan.cli.frame import FailedError, UsageError
 
 
 def conform(
-    service: Annotated[str, typer.Argument(help="scan-ingest, projector, tracker or mapbuilder")],
+    service: Annotated[str, typer.Argument(help="scan-ingest, projector, tracker, mapbuilder or recorder")],
     command: Annotated[list[str], typer.Argument(help="after --: the program and its arguments")],
     latency: Annotated[
         float, typer.Option(min=0.001, help="s within which 95 % of the answers must come")
@@ -28,14 +28,16 @@ def conform(
 ) -> None:
     """Start any program in a service's place, play it the contract's vectors over Zenoh, and judge it.
 
-    The program is told where it is by {zenoh}, {endpoint}, {site}, {robot}, {instance} (and {map} for a
-    mapbuilder) in its arguments, and by the same names as EIGENSCAN_ZENOH and so on in its environment.
+    The program is told where it is by {zenoh}, {endpoint}, {site}, {robot}, {instance} (a mapbuilder also by
+    {map}, a recorder by {recording}, a folder) in its arguments, and by the same names as EIGENSCAN_ZENOH and
+    so on in its environment.
     Exit code 0: it conforms, 1: it does not, 2: it cannot be started. Checks rest on docs/contract.md.
 
     \b
     Examples:
       eigenscan conform tracker -- eigenscan-tracker
       eigenscan conform projector --json result.json -- python my_projector.py
+      eigenscan conform recorder -- eigenscan-recorder --mcap {recording}
       eigenscan conform scan-ingest -- ./my-ingest --connect {endpoint} --site {site} --robot {robot}
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.conformance import vectors
@@ -43,6 +45,7 @@ def conform(
     from eigenscan.cli.conformance.check import FAILED
     from eigenscan.cli.conformance.checks import judge
     from eigenscan.cli.conformance.profiles import PROFILES
+    from eigenscan.cli.conformance.recording import judge_killed, judge_whole
     from eigenscan.cli.conformance.report import figures, junit, report
     from eigenscan.cli.conformance.trial import Observed, Terms, Trial
     from eigenscan.cli.launch.network import open_hub
@@ -59,12 +62,20 @@ def conform(
         session, others = open_hub(Path(place))
         (endpoint,) = json.loads(others.read_text(encoding="utf-8"))["connect"]["endpoints"]
         told = {"zenoh": str(others), "endpoint": endpoint, **address, "instance": seen.instance}
-        if profile.asks is None:
+        if profile.records:
+            told["recording"] = str(Path(place) / "ended")
+        elif profile.asks is None:
             told["map"] = str(vectors.folder() / vectors.MAP_FILE)
         trial = Trial(session, others, seen, Terms(start_s=start, speed=speed))
         trial.prepare()
         with Candidate(command, told, Path(place) / "log.txt") as candidate:
             trial.run(candidate)
+        if profile.records:
+            seen.kept = judge_whole(Path(place) / "ended", seen.said)
+            again = told | {"recording": str(Path(place) / "killed")}
+            with Candidate(command, again, Path(place) / "killed.txt") as candidate:
+                killed = trial.kill(candidate)
+            seen.kept.append(judge_killed(Path(place) / "killed", seen.said, killed))
     checks = judge(seen, latency)
     if wants_words(json_file):
         typer.echo(report(seen, checks))

@@ -50,8 +50,7 @@ class Candidate:
         trace: TracebackType | None,
     ) -> None:
         if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
+            self.kill()
 
     @property
     def lives(self) -> bool:
@@ -69,6 +68,11 @@ class Candidate:
         """The end of what it wrote."""
         text = self.log.read_text(encoding="utf-8", errors="replace")
         return [line for line in text.splitlines() if line.strip()][-LAST_LINES:]
+
+    def kill(self) -> None:
+        """Ends it without warning."""
+        self._process.kill()
+        self._process.wait()
 
     def terminate(self) -> tuple[int | None, float]:
         """Sends SIGTERM; exit code, None where it had to be killed, and the seconds that it took."""

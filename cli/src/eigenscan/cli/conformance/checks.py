@@ -24,6 +24,9 @@ HEALTH_GAP_S = 2.5
 
 def judge(seen: Observed, latency_s: float) -> list[Check]:
     """All checks. `latency_s` is what 95 % of the answers may take."""
+    if seen.profile.records:
+        parts = (_presence, travelling, _survives)
+        return [*(one for part in parts for one in part(seen)), *seen.kept, _stops(seen)]
     checks = [one for part in _PARTS for one in part(seen)] + [_latency(seen, latency_s), _stops(seen)]
     if seen.heard:
         return checks
@@ -160,22 +163,10 @@ def _bad_input(seen: Observed) -> Iterator[Check]:
     if seen.profile.asks is None:
         yield skipped("bad input", clause, f"a {seen.profile.name} hears nothing")
         return
+    yield from _survives(seen)
     if seen.ended_early:
-        yield Check("bad input", clause, FAILED, seen.ended_early)
-        yield Check("counted", "Health", FAILED, "it is gone")
         yield Check("recovers", clause, FAILED, "it is gone")
         return
-    yield Check(
-        "bad input",
-        clause,
-        PASSED,
-        f"lives through {seen.undecodable} samples that do not decode, and others",
-    )
-    counted = seen.counted - seen.counted_before
-    short = [f"counter undecodable grew by {counted}, not by {seen.undecodable}"]
-    yield check(
-        "counted", "Health", short if counted < seen.undecodable else [], f"{counted} counted as undecodable"
-    )
     answered = {one.stamp for one in seen.heard if one.channel in seen.profile.answers}
     left = [stamp for _, stamp in seen.asked_again if stamp not in answered]
     silent = [f"{len(left)} of {len(seen.asked_again)} {_asked(seen)} after the nonsense get no answer"]
@@ -183,11 +174,29 @@ def _bad_input(seen: Observed) -> Iterator[Check]:
     yield check("recovers", clause, silent if left or not seen.asked_again else [], words)
 
 
+def _survives(seen: Observed) -> Iterator[Check]:
+    """Whether it lives through bad input, and counts it."""
+    clause = "Samples"
+    if seen.ended_early:
+        yield Check("bad input", clause, FAILED, seen.ended_early)
+        yield Check("counted", "Health", FAILED, "it is gone")
+        return
+    lives = f"lives through {seen.undecodable} samples that do not decode, and others"
+    yield Check("bad input", clause, PASSED, lives)
+    counted = seen.counted - seen.counted_before
+    short = [f"counter undecodable grew by {counted}, not by {seen.undecodable}"]
+    yield check(
+        "counted", "Health", short if counted < seen.undecodable else [], f"{counted} counted as undecodable"
+    )
+
+
 def _asked(seen: Observed) -> str:
     return seen.profile.asks.name if seen.profile.asks else ""
 
 
 def _numbers(seen: Observed) -> Iterator[Check]:
+    if seen.profile.numbers is None:
+        return
     problems, words = seen.profile.numbers(seen.heard, seen.vectors)
     if not problems and words.startswith("0 "):
         problems = ["nothing that it says can be compared with the reference"]

@@ -9,6 +9,7 @@ from eigenscan.cli.conformance.agreement import model_numbers, pose_numbers, pro
 from eigenscan.cli.conformance.hearing import Heard
 from eigenscan.cli.conformance.vectors import DRIVE, LIDARS, Vectors
 from eigenscan.schemas.channels import (
+    CHANNELS,
     HYPOTHESES,
     MAP,
     MODEL,
@@ -43,7 +44,10 @@ class Profile:
     """The channels of these answers, each with the stamp of what it answers."""
     reference: tuple[Channel, ...]
     """Channels that its numbers are compared with."""
-    numbers: Numbers
+    numbers: Numbers | None
+    """None for what says nothing that could be compared."""
+    records: bool = False
+    """Whether it keeps all that it hears in files."""
 
     @property
     def latched(self) -> tuple[Channel, ...]:
@@ -76,5 +80,6 @@ PROFILES: dict[str, Profile] = {
             pose_numbers,
         ),
         Profile("mapbuilder", DRIVE, (), (MAP, MODEL, MODEL_SET), None, (), (MAP, MODEL_SET), model_numbers),
+        Profile("recorder", DRIVE, CHANNELS, (), None, (), (), None, records=True),
     )
 }

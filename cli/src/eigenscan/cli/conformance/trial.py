@@ -11,8 +11,10 @@ from pathlib import Path
 import zenoh
 from eigenscan.cli.conformance.bad_input import bad_samples
 from eigenscan.cli.conformance.candidate import Candidate
+from eigenscan.cli.conformance.check import Check
 from eigenscan.cli.conformance.hearing import Ear, Heard, alive_key
 from eigenscan.cli.conformance.profiles import Profile
+from eigenscan.cli.conformance.recording import Said
 from eigenscan.cli.conformance.vectors import Vectors
 from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.simulation.live import publish
@@ -33,6 +35,8 @@ BETWEEN_BAD_S = 0.05
 TOKEN_S = 3.0
 """What token, or health, may come after the other."""
 COUNTED_S = 5.0
+TAKEN_IN_S = 1.0
+"""What a recorder gets to take in the last messages before it is ended."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,10 @@ class Observed:
     """Version of the set of models that was said while it ran."""
     joined: dict[str, tuple[Channel, bytes]] = field(default_factory=dict)
     """What one who came late got of latched channels, by key."""
+    said: list[Said] = field(default_factory=list)
+    """What it could hear, but for nonsense."""
+    kept: list[Check] = field(default_factory=list)
+    """Of a recorder: what is found in its files."""
     stopped: tuple[int | None, float] | None = None
     stopped_at: float = 0.0
     last_lines: list[str] = field(default_factory=list)
@@ -100,7 +108,7 @@ class Trial:
         """Says what a late joiner has to fetch."""
         self._bus.offer(self._seen.profile.latched, self._seen.address)
         for envelope in self._seen.vectors.latched:
-            self._bus.say(envelope)
+            self._say(envelope)
 
     def run(self, candidate: Candidate) -> Observed:
         """Everything, from the candidate's start to its end."""
@@ -108,7 +116,12 @@ class Trial:
         seen.started_at = time.monotonic()
         before, after = seen.vectors.parts(FIRST_SHARE)
         self._await_start(candidate)
-        if seen.profile.asks is None:
+        if seen.profile.records and candidate.lives:
+            self._play(before, candidate, "the first part of the drive")
+            self._say_nonsense(candidate)
+            self._play(after, candidate, "the rest of the drive")
+            time.sleep(TAKEN_IN_S)
+        elif seen.profile.asks is None:
             self._join_late()
         elif candidate.lives:
             self._play(before, candidate, "the first part of the drive")
@@ -124,8 +137,20 @@ class Trial:
         elif not seen.ended_early:
             seen.ended_early = candidate.obituary
         seen.heard, seen.tokens, seen.last_lines = self._ear.heard(), self._ear.tokens(), candidate.last_lines
-        self._bus.close()
+        if not seen.profile.records:
+            self._bus.close()
         return seen
+
+    def kill(self, candidate: Candidate) -> int:
+        """Plays a drive to a recorder that was started anew, and kills it; when, ns since the epoch."""
+        known = len(self._ear.heard())
+        self._ear.wait_for(lambda: len(self._ear.heard()) > known or not candidate.lives, self._terms.start_s)
+        self._seen.said = []
+        self._play(self._seen.vectors.parts(FIRST_SHARE)[0], candidate, "the drive before a kill")
+        candidate.kill()
+        killed = time.time_ns()
+        self._bus.close()
+        return killed
 
     def _await_start(self, candidate: Candidate) -> None:
         """Until it says that it lacks nothing that it could have; or holds a token and is silent."""
@@ -163,6 +188,10 @@ class Trial:
             if seen.undecodable:
                 seen.asked_again.add(question)
         self._newest[envelope.key] = envelope
+        self._say(envelope)
+
+    def _say(self, envelope: Envelope) -> None:
+        self._seen.said.append(Said(envelope, time.time_ns()))
         self._bus.say(envelope)
 
     def _settle(self, candidate: Candidate) -> None:
