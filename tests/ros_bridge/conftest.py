@@ -33,7 +33,7 @@ from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
 T = TypeVar("T")
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """What a step may take on a machine that is busy."""
 ALONE = {
     "scouting": {"multicast": {"enabled": False}},

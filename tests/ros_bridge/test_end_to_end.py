@@ -1,8 +1,9 @@
-"""A simulated robot that speaks ROS 2 only is localized by `eigenscan run --ros2`, and told so in ROS 2."""
+"""A simulated robot that speaks ROS 2 only is localized by `eigenscan run --ros2`, on its own /map."""
 
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,16 +14,19 @@ import pytest
 from eigenscan.cli.simulation.live import publish
 from eigenscan.cli.simulation.stage import Scenario, Stage
 from eigenscan.cli.simulation.world import office
-from eigenscan.geometry.gridmap import write_map
+from eigenscan.geometry.gridmap import from_message
+from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import compose, from_pose3
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.inbound import header_stamp, on_plane
+from eigenscan.ros_bridge.outbound import occupancy_grid
 from eigenscan.schemas.channels import HEALTH, MAP, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from zenoh_ros2_sdk import get_topic_info
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 from tests.ros_bridge.conftest import Ear, Network, Robot, eventually, fields
@@ -59,14 +63,30 @@ class RosDriver:
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Stage:
-    grid = office().render()
-    write_map(grid, tmp_path / "map.yaml")
-    return Stage(grid, Scenario(seconds=SECONDS, people=2))
+def stage() -> Stage:
+    return Stage(office().render(), Scenario(seconds=SECONDS, people=2))
 
 
 @pytest.fixture
-def ear(network: Network, robot: Robot, stage: Stage, tmp_path: Path) -> Iterator[Ear]:
+def map_server(robot: Robot, stage: Stage) -> Iterator[None]:
+    """Says the robot's map again and again: the SDK keeps nothing for who comes late."""
+    publisher = robot.publisher("/map", cdr.OCCUPANCY_GRID)
+    body = cdr.decode(cdr.OCCUPANCY_GRID, occupancy_grid(to_grid(stage.grid, "map")))
+    ended = threading.Event()
+
+    def say() -> None:
+        while not ended.wait(0.5):
+            publisher.publish(**fields(body))
+
+    thread = threading.Thread(target=say)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
+
+
+@pytest.fixture
+def ear(network: Network, robot: Robot, map_server: None, tmp_path: Path) -> Iterator[Ear]:
     """What the running pipeline says."""
     site = f"test-{uuid4().hex[:12]}"
     command = [
@@ -74,8 +94,6 @@ def ear(network: Network, robot: Robot, stage: Stage, tmp_path: Path) -> Iterato
         "-m",
         "eigenscan.cli.main",
         "run",
-        "--map",
-        tmp_path / "map.yaml",
         "--site",
         site,
     ]
@@ -87,7 +105,8 @@ def ear(network: Network, robot: Robot, stage: Stage, tmp_path: Path) -> Iterato
             [str(part) for part in command], env=network.environment | environment
         ) as process:
             try:
-                eventually(lambda: _ready(ear), "the pipeline")
+                eventually(lambda: process.poll() is not None or _ready(ear), "the pipeline")
+                assert process.poll() is None
                 yield ear
             finally:
                 process.send_signal(signal.SIGINT)
@@ -103,10 +122,9 @@ def _ready(ear: Ear) -> bool:
 def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, robot: Robot) -> None:
     poses = robot.subscribe("/amcl_pose", cdr.POSE_WITH_COVARIANCE, qos=LATCHED)
     transforms = robot.subscribe("/tf", cdr.TRANSFORMS)
-    maps = robot.subscribe("/map", cdr.OCCUPANCY_GRID, qos=LATCHED)
     stage.epoch = time.time_ns()
     publish(stage.messages(), RosDriver(robot).say)
-    eventually(lambda: poses and transforms and maps, "pose, transform and map")
+    eventually(lambda: poses and transforms, "pose and transform")
     errors = []
     for message in poses:
         stated = message.pose.pose
@@ -126,8 +144,9 @@ def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, rob
     at = stage.pose_at(header_stamp(item.header) - 100_000_000)
     tick = int(np.argmin(np.abs(stage.poses[:, :2] - at[:2]).sum(axis=1)))
     assert np.hypot(*(compose(anchor, stage.odometry[tick]) - at)[:2]) < 0.2
-    grid = ear.of(MAP, Grid)[0]
-    assert (maps[0].info.width * maps[0].info.height, maps[0].info.width) == (
-        len(grid.data),
-        grid.column_count,
-    )
+    # the map is the robot's; the bridge does not say it once more
+    grid = from_message(ear.of(MAP, Grid)[0])
+    assert np.array_equal(grid.cells, stage.grid.cells)
+    info = get_topic_info("/map", domain_id=robot.domain, router_port=robot.port)
+    assert info is not None
+    assert info.publisher_count == 1

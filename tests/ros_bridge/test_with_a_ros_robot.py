@@ -1,5 +1,6 @@
 """The bridge over a real Zenoh router, with a ROS 2 robot that is an independent program (see conftest)."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
@@ -8,10 +9,14 @@ import numpy as np
 import pytest
 from eigenscan.cli.importers.bag import BagMessage
 from eigenscan.cli.importers.ros2 import Ros2Bag
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
 from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge.inbound import grid_map
+from eigenscan.ros_bridge.outbound import occupancy_grid, pose_with_covariance
+from eigenscan.ros_bridge.robot_map import take_map
+from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -32,6 +37,7 @@ from tests.ros_bridge.test_cdr import BAG
 Start = Callable[..., Bridge]
 LATCHED = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=10)
 TOPICS = {"/scan": cdr.LASER_SCAN, "/odom": cdr.ODOMETRY, "/tf_static": cdr.TRANSFORMS}
+ORIGIN = np.array([-1.0, 2.0, 0.5])
 TIME = 1_700_000_000_250_000_000
 
 
@@ -134,12 +140,50 @@ def test_who_comes_late_gets_the_map(bridge: Bridge, robot: Robot) -> None:
     assert (maps[0].info.width, maps[0].info.height) == (6, 4)
 
 
+def test_the_robots_own_map_is_taken(robot: Robot, network: Network) -> None:
+    """As of a map_server, or of SLAM, whose cells are how probably they are occupied."""
+    flags = {"ros_router": network.endpoint, "domain": robot.domain}
+    settings = RosBridgeSettings.model_validate(flags)
+    with pytest.raises(MapError, match=f"no map on /map of domain {robot.domain}"):
+        take_map(settings, 0.5)
+    cells = np.array([[0, 19, 50], [65, 100, -1]], dtype=np.int8)
+    body = cdr.decode(
+        cdr.OCCUPANCY_GRID, occupancy_grid(to_grid(GridMap(np.zeros((2, 3), np.uint8), 0.05, ORIGIN), "map"))
+    )
+    body.data = cells.ravel()
+    publisher = robot.publisher("/map", cdr.OCCUPANCY_GRID)
+    ended = threading.Event()
+
+    def say() -> None:
+        while not ended.wait(0.1):
+            publisher.publish(**fields(body))
+
+    server = threading.Thread(target=say)
+    server.start()
+    try:
+        grid = take_map(settings, 30.0)
+    finally:
+        ended.set()
+        server.join()
+    assert grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [OCCUPIED, OCCUPIED, UNKNOWN]]
+    assert grid.origin == pytest.approx(ORIGIN)
+    assert grid.resolution == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("field", "value"), [("width", 7), ("resolution", 0.0), ("resolution", np.nan)])
+def test_a_grid_that_is_no_map_is_refused(field: str, value: float) -> None:
+    grid = GridMap(np.zeros((2, 3), np.uint8), 0.05, ORIGIN)
+    body = cdr.decode(cdr.OCCUPANCY_GRID, occupancy_grid(to_grid(grid, "map")))
+    setattr(body.info, field, value)
+    with pytest.raises(MapError, match="expected a map"):
+        grid_map(body)
+
+
 def test_tf_static_said_before_the_bridge_came_is_heard(start: Start, robot: Robot, network: Network) -> None:
     """As robot_state_publisher does: said once, kept for who comes."""
     import zenoh
     from eigenscan.ros_bridge.endpoints import endpoints
     from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
-    from eigenscan.ros_bridge.settings import RosBridgeSettings
 
     from tests.ros_bridge.test_core import MOUNT, scan
 
@@ -180,8 +224,6 @@ def test_an_operator_and_a_behaviour_tree_can_relocate(bridge: Bridge, robot: Ro
     )
     eventually(lambda: _matched([clicks]), "the bridge's subscription")
     pose = PoseEstimate(timestamp=stamp(TIME), frame_id="map", pose=to_message((4.0, 5.0, 1.0)))
-    from eigenscan.ros_bridge.outbound import pose_with_covariance
-
     clicks.publish(**fields(cdr.decode(cdr.POSE_WITH_COVARIANCE, pose_with_covariance(pose))))
     (clicked,) = eventually(lambda: bridge.ear.of(RELOCATION, Relocation), "the click")
     assert (clicked.pose.x, clicked.pose.y) == (4.0, 5.0)

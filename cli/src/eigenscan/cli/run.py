@@ -10,11 +10,19 @@ import typer
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
+MAP_S = 30.0
+"""What a robot's own map may take to come."""
+
 
 def run(
     map_or_model: Annotated[
-        Path, typer.Option("--map", help="map_server yaml, or a model folder from `eigenscan build`")
-    ],
+        Path | None,
+        typer.Option(
+            "--map",
+            help="map_server yaml, or a model folder from `eigenscan build`; with --ros2 the robot's own "
+            "/map without it",
+        ),
+    ] = None,
     robot: Annotated[str, typer.Option(help="name of the robot, a chunk of its keys")] = DEFAULT_ROBOT,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     zenoh: Annotated[
@@ -43,26 +51,49 @@ def run(
     Examples:
       eigenscan run --map MAP.yaml --robot r17
       eigenscan run --map MAP.yaml --robot r17 --ros2 rmw_zenoh
+      eigenscan run --ros2 rmw_zenoh
       eigenscan run --map MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
     """  # noqa: D301 - \b keeps the lines apart in --help
-    if not map_or_model.exists():
-        raise UsageError(f"--map {map_or_model}: is not there: give a map_server yaml or a model folder")
+    if map_or_model is None and ros2 is None:
+        raise UsageError(
+            "--map: give a map_server yaml or a model folder; only with --ros2 the robot has one"
+        )
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
+
+    folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
+    ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
+    if map_or_model is None and ros2_flags:
+        map_or_model = _take_map(ros2_flags, folder / "map.yaml")
+        ros2_flags += ["--map", ""]  # the robot says its map itself
+    assert map_or_model is not None
+    flags, mcap = _model_flags(map_or_model), folder / "mcap"
+    attend(Pipeline(site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags), folder)
+
+
+def _model_flags(map_or_model: Path) -> list[str]:
+    """The mapbuilder's. What is given is read here as well: that tells at once what is wrong with it."""
     from eigenscan.eigenspace.folder import read_models
     from eigenscan.geometry.gridmap import read_map
 
-    # read here as well: it tells at once what is wrong with them
+    if not map_or_model.exists():
+        raise UsageError(f"--map {map_or_model}: is not there: give a map_server yaml or a model folder")
     if map_or_model.is_dir():
         read_models(map_or_model)
-        model_flags = ["--model", str(map_or_model)]
-    else:
-        read_map(map_or_model)
-        model_flags = ["--map", str(map_or_model)]
-    folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
-    ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
-    mcap = folder / "mcap"
-    attend(
-        Pipeline(site, robot, model_flags, zenoh, mcap, rrd=None, viewer=viewer, ros2_flags=ros2_flags),
-        folder,
-    )
+        return ["--model", str(map_or_model)]
+    read_map(map_or_model)
+    return ["--map", str(map_or_model)]
+
+
+def _take_map(ros2_flags: list[str], path: Path) -> Path:
+    """Writes the robot's own map to `path`. Raises MapError where it says none."""
+    from eigenscan.geometry.gridmap import write_map
+    from eigenscan.ros_bridge.robot_map import take_map
+    from eigenscan.ros_bridge.settings import RosBridgeSettings
+    from eigenscan.runtime.settings import load
+
+    typer.echo(f"waiting for the robot's /map, at most {MAP_S:.0f} s", err=True)
+    grid = take_map(load(RosBridgeSettings, "ros-bridge", ros2_flags), MAP_S)
+    write_map(grid, path)
+    typer.echo(f"took it: {path}", err=True)
+    return path

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
 from eigenscan.geometry.pose import covariance_to_message, to_message, to_pose3
 from eigenscan.geometry.transforms import FARTHEST
 from eigenscan.schemas.envelope import stamp
@@ -17,6 +18,8 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import ArrayLike
 
+OCCUPIED_FROM, FREE_BELOW = 65, 20
+"""%, as map_server's defaults (occupied_thresh 0.65, free_thresh 0.196); between them nothing is known."""
 _SHORTEST = 1e-6
 """Of a quaternion: ROS nodes that know no orientation say zeros."""
 _PLANAR = np.array([0, 1, 5])
@@ -73,6 +76,20 @@ def relocation(body: Any) -> Relocation | None:
         planar = np.reshape(stated, (6, 6))[np.ix_(_PLANAR, _PLANAR)]
         message.covariance.CopyFrom(covariance_to_message(planar))
     return message
+
+
+def grid_map(body: Any) -> GridMap:
+    """Of an OccupancyGrid, by map_server's thresholds. Raises MapError where it is no map."""
+    width, height, resolution = int(body.info.width), int(body.info.height), float(body.info.resolution)
+    origin = on_plane(body.info.origin.position, body.info.origin.orientation)
+    values = np.asarray(body.data)
+    if origin is None or not 0.0 < resolution < 10.0 or width < 1 or values.size != width * height:
+        raise MapError(f"{values.size} cells of {resolution:g} m for {width} x {height}: expected a map")
+    # -1 is unknown
+    cells = np.where(
+        values >= OCCUPIED_FROM, OCCUPIED, np.where((values >= 0) & (values < FREE_BELOW), FREE, UNKNOWN)
+    )
+    return GridMap(cells.astype(np.uint8).reshape(height, width), resolution, np.array(origin))
 
 
 def on_plane(position: Any, orientation: Any) -> tuple[float, float, float] | None:

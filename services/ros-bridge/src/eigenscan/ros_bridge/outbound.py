@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from eigenscan.geometry.gridmap import from_message
+from eigenscan.geometry.gridmap import UNKNOWN, from_message
 from eigenscan.geometry.pose import quaternion
 from eigenscan.ros_bridge.cdr import (
     OCCUPANCY_GRID,
@@ -21,9 +21,6 @@ from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
-
-UNKNOWN = 255
-"""Of a cell of the contract's grid; -1 in ROS. The other values are the same."""
 
 
 def pose_with_covariance(estimate: PoseEstimate) -> bytes:
@@ -62,6 +59,7 @@ def particle_cloud(tracks: Tracks) -> bytes:
 def occupancy_grid(grid: Grid) -> bytes:
     """OccupancyGrid of a map. Raises MapError where the grid is none of the contract's."""
     area = from_message(grid)
+    # unknown is -1 in ROS; the other values are the same
     cells = np.where(area.cells == UNKNOWN, -1, area.cells.astype(np.int16)).astype(np.int8)
     height, width = area.cells.shape
     x, y, theta = area.origin.tolist()

@@ -1,9 +1,8 @@
-"""The bridge's second Zenoh session, towards ROS 2."""
+"""The bridge's endpoints in ROS 2, on its second Zenoh session."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import time
 from collections.abc import Iterable
 from typing import Any
@@ -13,17 +12,14 @@ from eigenscan.ros_bridge.cdr import EMPTY_REPLY
 from eigenscan.ros_bridge.channels import ROS_HEARD, ROS_SAID
 from eigenscan.ros_bridge.dialect import Dialect
 from eigenscan.ros_bridge.endpoints import Endpoint, Role, endpoints
-from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
-from eigenscan.ros_bridge.ros2dds import Ros2Dds
+from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.runtime.inbox import Inbox
-from eigenscan.runtime.session import open_session
-from eigenscan.schemas.channels import Channel, ContractError
+from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import encode, encoding
 from google.protobuf.wrappers_pb2 import BytesValue
 
-_THIS_MACHINE = ("localhost", "127.0.0.1", "[::1]")
 HEARTBEAT_S = 1.0
 """After what is said once on a transient local topic: who lost it asks again."""
 
@@ -45,14 +41,14 @@ class RosPort:
 
         Waits for a router that is on another machine.
         """
-        session = self._session = _open(self._settings)
-        dialect = _dialect(self._settings, str(session.zid()))
+        session = self._session = open_towards_ros(self._settings)
+        dialect = dialect_of(self._settings, session)
         for endpoint in self._endpoints:
             key = dialect.key(endpoint)
             if endpoint.role is Role.PUBLISHER:
                 self._publishers[endpoint.chunk] = _Publisher(session, dialect, endpoint)
             elif endpoint.role is Role.SUBSCRIPTION:
-                self._declared.append(_subscribe(session, key, endpoint, _Intake(endpoint, inbox)))
+                self._declared.append(subscribe(session, key, endpoint, _Intake(endpoint, inbox).on_sample))
             else:
                 answer = _Answer(key, _Intake(endpoint, inbox), dialect)
                 self._declared.append(session.declare_queryable(key, answer.on_query, complete=True))
@@ -132,44 +128,3 @@ class _Answer:
         with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
             reply = self._dialect.reply_attachment(beside, time.time_ns())
             query.reply(self._key, EMPTY_REPLY, attachment=reply)
-
-
-def _subscribe(session: zenoh.Session, key: str, endpoint: Endpoint, intake: _Intake) -> Any:
-    # on /tf its own messages would come back
-    remote = zenoh.Locality.REMOTE
-    if not endpoint.qos.transient_local:
-        return session.declare_subscriber(key, intake.on_sample, allowed_origin=remote)
-    return zenoh.ext.declare_advanced_subscriber(
-        session,
-        key,
-        intake.on_sample,
-        allowed_origin=remote,
-        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=endpoint.qos.depth),
-        recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-        subscriber_detection=True,
-    )
-
-
-def _dialect(settings: RosBridgeSettings, session: str) -> Dialect:
-    if settings.dialect == "ros2dds":
-        return Ros2Dds(session)
-    hashed = settings.dialect == "rmw_zenoh"
-    return RmwZenoh(settings.domain, settings.namespace, session, hashed=hashed)
-
-
-def _open(settings: RosBridgeSettings) -> zenoh.Session:
-    if settings.ros_zenoh:
-        return open_session(settings.ros_zenoh)
-    host = settings.ros_router.partition("/")[2].rpartition(":")[0]
-    config = {
-        # ROS nodes listen on their own machine only: from another one all goes through the router
-        "mode": "peer" if host in _THIS_MACHINE else "client",
-        "listen": {"endpoints": {"peer": ["tcp/localhost:0"]}},
-        "connect": {"endpoints": [settings.ros_router], "exit_on_failure": False, "timeout_ms": -1},
-        "scouting": {"multicast": {"enabled": False}},
-        "timestamping": {"enabled": True},
-    }
-    try:
-        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-    except zenoh.ZError as error:
-        raise ContractError(f"ros_router = {settings.ros_router!r}: no Zenoh session: {error}") from error

@@ -1,0 +1,42 @@
+"""The map that a robot already has: a map_server's, or what its SLAM has made so far."""
+
+from __future__ import annotations
+
+import queue
+
+from eigenscan.geometry.gridmap import GridMap, MapError
+from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge.endpoints import Endpoint, Qos, Role, qualified
+from eigenscan.ros_bridge.inbound import grid_map
+from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
+from eigenscan.ros_bridge.settings import RosBridgeSettings
+
+
+def take_map(settings: RosBridgeSettings, patience_s: float) -> GridMap:
+    """The robot's OccupancyGrid, waited for at most so long.
+
+    Raises MapError where none comes, or it is none; ContractError where no session opens.
+    """
+    name = qualified(settings.namespace, settings.map)
+    endpoint = Endpoint(name, cdr.OCCUPANCY_GRID, Role.SUBSCRIPTION, Qos(1, transient_local=True))
+    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    with open_towards_ros(settings, patience_s) as session:
+        subscriber = subscribe(
+            session,
+            dialect_of(settings, session).key(endpoint),
+            endpoint,
+            lambda sample: heard.put(sample.payload.to_bytes()),
+        )
+        try:
+            data = heard.get(timeout=patience_s)
+        except queue.Empty:
+            raise MapError(
+                f"no map on {name} of domain {settings.domain} for {patience_s:g} s: does a map_server run, "
+                f"and the Zenoh router at {settings.ros_zenoh or settings.ros_router}?"
+            ) from None
+        finally:
+            subscriber.undeclare()
+    try:
+        return grid_map(cdr.decode(cdr.OCCUPANCY_GRID, data))
+    except (cdr.CdrError, MapError) as error:
+        raise MapError(f"{name}: {error}") from error

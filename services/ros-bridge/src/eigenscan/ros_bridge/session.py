@@ -1,0 +1,74 @@
+"""Zenoh towards ROS 2: the session, its dialect, subscriptions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from eigenscan.ros_bridge.dialect import Dialect
+from eigenscan.ros_bridge.endpoints import Endpoint
+from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
+from eigenscan.ros_bridge.ros2dds import Ros2Dds
+from eigenscan.ros_bridge.settings import RosBridgeSettings
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import ContractError
+
+_THIS_MACHINE = ("localhost", "127.0.0.1", "[::1]")
+
+
+def subscribe(
+    session: zenoh.Session, key: str, endpoint: Endpoint, on_sample: Callable[[zenoh.Sample], None]
+) -> Any:
+    """Subscriber of a topic; of a transient local one also hears what was said before it came."""
+    # on /tf its own messages would come back
+    remote = zenoh.Locality.REMOTE
+    if not endpoint.qos.transient_local:
+        return session.declare_subscriber(key, on_sample, allowed_origin=remote)
+    return zenoh.ext.declare_advanced_subscriber(
+        session,
+        key,
+        on_sample,
+        allowed_origin=remote,
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=endpoint.qos.depth),
+        recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        subscriber_detection=True,
+    )
+
+
+def dialect_of(settings: RosBridgeSettings, session: zenoh.Session) -> Dialect:
+    """How the robot speaks, for what is declared on `session`."""
+    zid = str(session.zid())
+    if settings.dialect == "ros2dds":
+        return Ros2Dds(zid)
+    hashed = settings.dialect == "rmw_zenoh"
+    return RmwZenoh(settings.domain, settings.namespace, zid, hashed=hashed)
+
+
+def open_towards_ros(settings: RosBridgeSettings, patience_s: float | None = None) -> zenoh.Session:
+    """A peer of the ROS nodes on this machine; the client of a router that is on another.
+
+    That router is waited for, for ever unless a patience is given. Raises ContractError where none opens.
+    """
+    if settings.ros_zenoh:
+        return open_session(settings.ros_zenoh)
+    host = settings.ros_router.partition("/")[2].rpartition(":")[0]
+    mode = "peer" if host in _THIS_MACHINE else "client"
+    patient = mode == "peer" or patience_s is None
+    config = {
+        # ROS nodes listen on their own machine only: from another one all goes through the router
+        "mode": mode,
+        "listen": {"endpoints": {"peer": ["tcp/localhost:0"]}},
+        "connect": {
+            "endpoints": [settings.ros_router],
+            "exit_on_failure": not patient,
+            "timeout_ms": -1 if patient else round(1e3 * (patience_s or 0.0)),
+        },
+        "scouting": {"multicast": {"enabled": False}},
+        "timestamping": {"enabled": True},
+    }
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as error:
+        raise ContractError(f"ros_router = {settings.ros_router!r}: no Zenoh session: {error}") from error
