@@ -104,3 +104,12 @@ def test_the_shell_completes(tmp_path: Path, typed: str, word: int, offered: str
     command = [str(Path(sys.executable).with_name("eigenscan"))]
     said = subprocess.run(command, env=os.environ | shell, capture_output=True, text=True, check=False)
     assert said.stdout.split() == [offered]
+
+
+def test_every_heading_of_the_help_is_of_commands_that_there_are(tmp_path: Path) -> None:
+    from eigenscan.cli.main import HEADINGS
+
+    assert {name for names in HEADINGS.values() for name in names} <= set(COMMANDS)
+    listing = _run("--help", cwd=tmp_path).stdout
+    assert [heading for heading in HEADINGS if f"\n{heading}:\n" in listing] == list(HEADINGS)
+    assert all(listing.count(f"\n  {name} ") == 1 for name in COMMANDS)

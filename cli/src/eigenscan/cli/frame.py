@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
@@ -42,8 +42,12 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
+def lazy_group(
+    commands: Mapping[str, tuple[str, str]], headings: Mapping[str, Sequence[str]] | None = None
+) -> type[TyperGroup]:
     """Group over name -> (`module:function`, one line of help); a module is imported when it is used.
+
+    `headings`: names that the help lists together; the others come last.
 
     In place of a function a module's table of that form makes a group, whose help is the module's docstring.
     """
@@ -74,8 +78,13 @@ def lazy_group(commands: Mapping[str, tuple[str, str]]) -> type[TyperGroup]:
             return typer.main.get_command(single)
 
         def format_commands(self, _ctx: Any, formatter: Any) -> None:
-            with formatter.section("Commands"):
-                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+            named = {name for names in (headings or {}).values() for name in names}
+            rest = "Others" if named else "Commands"
+            listed = {**(headings or {}), rest: [name for name in commands if name not in named]}
+            for heading, names in listed.items():
+                if names:
+                    with formatter.section(heading):
+                        formatter.write_dl([(name, commands[name][1]) for name in names])
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args[0] not in commands:

@@ -13,7 +13,10 @@ COMMANDS = {
     "build": ("eigenscan.cli.build:build", "build the models of a map, into a folder"),
     "models": ("eigenscan.cli.models:models", "list the versions of a model folder, go back to one"),
     "map": ("eigenscan.cli.map_log:map_log", "make a map of a log, with odometry or without"),
-    "import": ("eigenscan.cli.import_log:import_log", "turn a CARMEN log or a ROS bag into a recording"),
+    "import": (
+        "eigenscan.cli.import_log:import_log",
+        "turn a CARMEN log, a ROS bag or a CSV into a recording",
+    ),
     "evaluate": ("eigenscan.cli.evaluate:evaluate", "judge the pipeline on a log with a reference"),
     "replay": ("eigenscan.cli.replay:replay", "play a recording onto Zenoh, or into one service to compare"),
     "replay-test": (
@@ -29,9 +32,18 @@ COMMANDS = {
 }
 """Name: `module:function` and one line of help. A module is imported when its command is used."""
 
+HEADINGS = {
+    "Start here": ("demo", "run"),
+    "Maps": ("map", "build", "models"),
+    "Logs and recordings": ("import", "simulate", "evaluate", "replay", "view", "repair"),
+    "A site": ("fleet", "doctor"),
+    "Changes to the services": ("replay-test", "conform"),
+}
+"""What is listed together in the help; what is not named here comes last."""
+
 app = typer.Typer(
     name="eigenscan",
-    cls=lazy_group(COMMANDS),
+    cls=lazy_group(COMMANDS, HEADINGS),
     help="Tells a robot with a 2D lidar where it is, from nothing.",
     epilog="Exit codes: 0 done, 1 ran and failed, 2 wrong usage or bad input, 130 ended by Ctrl-C. "
     "Start with: eigenscan demo. More on one command: eigenscan demo --help",
