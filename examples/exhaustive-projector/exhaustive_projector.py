@@ -45,7 +45,7 @@ class Projector:
         self._scans: deque[zenoh.Sample] = deque(maxlen=WAITING_SCANS)
         self._latched: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
         self._newest: dict[str, zenoh.Timestamp] = {}
-        self.news = threading.Event()
+        self.news, self.over = threading.Event(), threading.Event()
         self._declared = [session.declare_subscriber(f"{site}/robot/{robot}/scan/*", self._on_scan)]
         for channel, keys in (
             ("map", f"{site}/map"),
@@ -84,11 +84,11 @@ class Projector:
         self.news.set()
 
     def work(self) -> None:
-        """Takes all that has come: models first, then each scan."""
+        """Takes all that has come, models first, then each scan; until it is over, however much waits."""
         self.news.clear()
         while not self._latched.empty():
             self._take_latched(self._latched.get())
-        while self._scans:
+        while self._scans and not self.over.is_set():
             sample = self._scans.popleft()
             scan = self._decode(sample, Scan)
             if scan:
@@ -204,13 +204,12 @@ def listed(found: Found, mount: np.ndarray, regions: list[str]) -> list[Hypothes
 
 def main() -> None:
     """Runs until SIGTERM or SIGINT."""
-    over = threading.Event()
     path = os.environ.get("EIGENSCAN_ZENOH")
     session = zenoh.open(zenoh.Config.from_file(path) if path else zenoh.Config())
     projector = Projector(session)
 
     def stop(*_: object) -> None:
-        over.set()
+        projector.over.set()
         projector.news.set()
 
     signal.signal(signal.SIGTERM, stop)
@@ -219,12 +218,12 @@ def main() -> None:
     def tell() -> None:
         while True:
             projector.tell_health()
-            if over.wait(1.0):
+            if projector.over.wait(1.0):
                 return
 
     teller = threading.Thread(target=tell)
     teller.start()
-    while not over.is_set():
+    while not projector.over.is_set():
         if projector.news.wait(0.2):
             projector.work()
     teller.join()

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from eigenscan.runtime.recording import is_complete, read
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import HEALTH, POSE, TRUTH
 from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.schemas.wire import decode
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -42,6 +43,9 @@ SERVICES = (
     "simulator",
 )
 STOP_S = 10.0
+EXHAUSTIVE = ROOT / "examples/exhaustive-projector/docker-compose.yml"
+RUST_INGEST = ROOT / "examples/scan-ingest-rust"
+RUST_TARGET = ROOT / "out/rust"
 
 pytestmark = [
     pytest.mark.docker,
@@ -83,7 +87,8 @@ class Stack:
     viewer_port: int
     data_port: int
 
-    def compose(self, *arguments: str) -> str:
+    def compose(self, *arguments: str, over: Sequence[Path] = ()) -> str:
+        """Runs docker-compose; `over` are files that change docker-compose.yml."""
         environment = {
             "EIGENSCAN_IMAGES": self.project,
             "EIGENSCAN_SITE": self.site,
@@ -92,9 +97,12 @@ class Stack:
             "EIGENSCAN_DATA_PORT": str(self.data_port),
             # here the site's own router stands for the one of a robot with ROS 2
             "EIGENSCAN_ROS_ROUTER": "tcp/router:7447",
+            "EIGENSCAN_RUST": str(RUST_TARGET / "release"),
         }
+        files = [word for file in (ROOT / "docker-compose.yml", *over) for word in ("-f", str(file))]
         ran = subprocess.run(
-            [*_compose_command(), "-p", self.project, "--profile", "demo", "--profile", "ros2", *arguments],
+            [*_compose_command(), *files, "-p", self.project]
+            + ["--profile", "demo", "--profile", "ros2", *arguments],
             cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=1800,
         )  # fmt: skip
         assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
@@ -127,6 +135,7 @@ def stack() -> Iterator[Stack]:
     finally:
         print(stack.compose("logs", "--no-color", "--tail", "40"))
         stack.compose("down", "-v", "--rmi", "all", "--remove-orphans", "-t", "5")
+        subprocess.run(["docker", "rmi", f"{name}/exhaustive-projector"], check=False, capture_output=True)
 
 
 @pytest.fixture(scope="module")
@@ -187,11 +196,12 @@ def _is_right(estimate: PoseEstimate, truth: PoseInFrame) -> bool:
     return math.hypot(x, y) < 0.5 and abs(turn) < math.radians(10)
 
 
-def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
+def _await_right_claims(stack: Stack, bus: Bus, claims: int) -> None:
+    """Waits for so many right claims in a row, from now on."""
     inbox, truths, right = Inbox(), dict[int, PoseInFrame](), 0
     bus.listen([POSE, TRUTH], {"site": stack.site}, inbox)
     end = time.monotonic() + 120
-    while right < 10:  # claims in a row
+    while right < claims:
         assert time.monotonic() < end, f"not found among {len(truths)} scans"
         arrival = inbox.take(1.0)
         if arrival is None:
@@ -202,6 +212,10 @@ def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
         elif isinstance(message, PoseEstimate) and nanoseconds(message.timestamp) in truths:
             claimed = message.state == STATE_LOCALIZED
             right = right + 1 if claimed and _is_right(message, truths[nanoseconds(message.timestamp)]) else 0
+
+
+def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
+    _await_right_claims(stack, bus, 10)
 
 
 def test_ros_2_hears_of_the_pose(stack: Stack, client: Path) -> None:
@@ -267,6 +281,39 @@ def test_the_robot_goes_on_without_the_site(stack: Stack, bus: Bus) -> None:
     bus.listen([POSE], {"site": stack.site}, inbox)
     stack.compose("start", "router")
     assert inbox.take(60.0) is not None, "no pose came to the site after the router was back"
+
+
+def _settings_told(stack: Stack, bus: Bus, service: str) -> dict[str, object]:
+    """What a service says of itself, from now on."""
+    inbox = Inbox()
+    bus.listen([HEALTH], {"site": stack.site, "service": service}, inbox)
+    arrival = inbox.take(30.0)
+    assert arrival is not None, f"{service} is silent"
+    health = decode(HEALTH, arrival.payload, arrival.encoding)
+    assert isinstance(health, Health)
+    return dict(json.loads(health.settings))
+
+
+def _swap(stack: Stack, bus: Bus, service: str, over: Path) -> None:
+    """A stranger takes a service's place; the robot, lost with the tracker's memory, is found again."""
+    ours = _settings_told(stack, bus, service)
+    before = stack.container(service)
+    stack.compose("up", "-d", "--no-deps", "--build", service, over=[over])
+    assert stack.container(service) != before
+    _until(lambda: _settings_told(stack, bus, service).keys() != ours.keys(), 60, f"{service} is still ours")
+    stack.compose("restart", "-t", "5", "tracker")
+    _await_right_claims(stack, bus, 10)
+
+
+def test_a_projector_of_another_kind_takes_the_place_of_ours(stack: Stack, bus: Bus) -> None:
+    _swap(stack, bus, "projector", EXHAUSTIVE)
+
+
+@pytest.mark.rust
+def test_the_scan_ingest_in_rust_takes_the_place_of_ours(stack: Stack, bus: Bus) -> None:
+    build = ["cargo", "build", "--release", "--target-dir", str(RUST_TARGET)]
+    subprocess.run(build, cwd=RUST_INGEST, check=True)
+    _swap(stack, bus, "scan-ingest", RUST_INGEST / "docker-compose.yml")
 
 
 def test_it_goes_down_clean_and_leaves_a_whole_recording(stack: Stack, tmp_path: Path) -> None:
