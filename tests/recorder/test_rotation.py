@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -13,9 +14,11 @@ from typing import Any
 import pytest
 from eigenscan.recorder.files import Limits
 from eigenscan.recorder.mcap_sink import McapSink
-from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import MAP, POSE
+from eigenscan.runtime.recording import read, read_metadata
+from eigenscan.schemas.channels import HEALTH, MAP, MODEL_SET, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -66,6 +69,27 @@ def test_the_next_file_begins_when_one_is_full_and_explains_itself(tmp_path: Pat
         if limits.file_bytes:
             assert file.stat().st_size < 2 * limits.file_bytes
     assert sorted(number for file in files for number in numbers(file)) == list(range(1, COUNT + 1))
+
+
+def test_each_file_tells_who_ran_with_which_settings_on_which_models(tmp_path: Path) -> None:
+    clock = Clock()
+    sink = McapSink(tmp_path, "s", clock, 0.5, {}, Limits(file_ns=5 * S))
+    entries = [ModelSet.Entry(region="hall", version="h1")]
+    sink.write(Envelope(MODEL_SET, {"site": "s"}, ModelSet(version="v1", map_version="m1", entries=entries)))
+    for settings in ('{"trust": 0.2}', '{"trust": 0.3}'):
+        health = Health(service="tracker", instance="r17", package_version="1.2.3", settings=settings)
+        address = {"site": "s", "service": "tracker", "instance": "r17"}
+        for _ in range(5):
+            clock.now += S
+            sink.write(Envelope(HEALTH, address, health))
+    sink.close()
+    first, *_, last = sorted(tmp_path.glob("*.mcap"))
+    for path, trust in ((first, 0.2), (last, 0.3)):
+        found = read_metadata(path)
+        told = json.loads(found["services"]["tracker/r17"])
+        assert (told["version"], json.loads(told["settings"])) == ("1.2.3", {"trust": trust})
+        models = json.loads(found["models"]["s/models"])
+        assert models == {"version": "v1", "map": "m1", "regions": {"hall": "h1"}}
 
 
 def test_a_folder_reads_as_one_recording(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from eigenscan.schemas.channels import (
     MODEL_SET,
     OBSTACLES,
     POSE,
+    RELOCATION,
     SCAN,
     SCAN_RAW,
     TRACKS,
@@ -40,6 +41,7 @@ from eigenscan.schemas.tracking_pb2 import (
     STATE_LOCALIZED,
     STATE_LOST,
     PoseEstimate,
+    Relocation,
     Track,
     Tracks,
 )
@@ -140,6 +142,7 @@ class Site:
             ),
         )
         if self._count % 10 == 0:
+            yield self._say(RELOCATION, Relocation(timestamp=stamp(at), pose=to_message(true)))
             yield self._say(HEALTH, Health(timestamp=stamp(at), service="tracker", status=Health.STATUS_OK))
         self._count += 1
 

@@ -80,9 +80,11 @@ class RecordingWriter:
         """
         self._writer.flush()  # type: ignore[no-untyped-call]
 
-    def close(self) -> None:
-        """Writes the index and closes the file."""
+    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        """Writes metadata that is known only now, and the index, and closes the file."""
         if not self._file.closed:
+            for name, entries in (metadata or {}).items():
+                self._writer.add_metadata(name, dict(entries))
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
 

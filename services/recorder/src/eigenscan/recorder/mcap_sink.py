@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from time import perf_counter
 
+from eigenscan.recorder.about import About
 from eigenscan.recorder.files import Files, Limits
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.envelope import Envelope, nanoseconds
@@ -29,7 +30,7 @@ class McapSink:
     older than `flush_s` is in the hands of the operating system. A file that reaches its limits is closed,
     and the next one begun; where all take too much the oldest go. Where the disk fails, messages are counted
     as lost, and every RETRY_S a new file is tried. Each file starts with the newest latched messages, so that
-    it explains itself.
+    it explains itself, and ends with what services told of themselves, as metadata.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class McapSink:
         self._files = Files(target, site)
         self._flush_ns = int(flush_s * 1e9)
         self._latched: dict[str, Envelope] = {}
+        self._about = About()
         self._counts: Counter[str] = Counter()
         self._problem = ""
         self._retry_at = 0
@@ -84,13 +86,14 @@ class McapSink:
             self._fail(error, now)
         if heard.channel.qos.latched:
             self._latched[heard.key] = heard
+        self._about.hear(heard)
         self._note_pace(perf_counter() - before)
 
     def close(self) -> None:
         """Writes the index."""
         if self._writer is not None:
             try:
-                self._writer.close()
+                self._writer.close(self._about.metadata)
             except OSError as error:
                 self._fail(error, self._clock())
             self._writer = None
@@ -125,7 +128,7 @@ class McapSink:
     def _rotated(self, now: int) -> RecordingWriter | None:
         """The file in use, or the next one where that has reached its limits."""
         if self._writer and self._limits.is_full(self._writer.size, now - self._opened_at):
-            self._writer.close()
+            self._writer.close(self._about.metadata)
             return self._begin(now)
         return self._writer
 

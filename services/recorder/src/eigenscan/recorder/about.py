@@ -1,0 +1,37 @@
+"""What a file tells of the site that it was recorded at: who ran, with which settings, on which models."""
+
+from __future__ import annotations
+
+import json
+
+from eigenscan.schemas.channels import HEALTH, MODEL_SET
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
+
+Metadata = dict[str, dict[str, str]]
+
+
+class About:
+    """Keeps the newest word of each service instance on itself, and of each site's models."""
+
+    def __init__(self) -> None:
+        self._services: dict[str, str] = {}
+        self._models: dict[str, str] = {}
+
+    def hear(self, heard: Envelope) -> None:
+        """Takes what belongs here, from any message."""
+        if heard.channel is HEALTH:
+            health = heard.open(Health)
+            told = {"version": health.package_version, "settings": health.settings}
+            self._services[f"{health.service}/{health.instance}"] = json.dumps(told)
+        elif heard.channel is MODEL_SET:
+            models = heard.open(ModelSet)
+            regions = {entry.region: entry.version for entry in models.entries}
+            told = {"version": models.version, "map": models.map_version}
+            self._models[heard.key] = json.dumps(told | {"regions": regions})
+
+    @property
+    def metadata(self) -> Metadata:
+        """`services`, by SERVICE/INSTANCE: version and settings; `models`, by key: versions. JSON each."""
+        return {"services": dict(self._services), "models": dict(self._models)}
