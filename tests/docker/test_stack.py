@@ -42,6 +42,7 @@ SERVICES = (
     "ros-bridge",
     "simulator",
 )
+PROFILES = ("--profile", "demo", "--profile", "ros2")
 STOP_S = 10.0
 EXHAUSTIVE = ROOT / "examples/exhaustive-projector/docker-compose.yml"
 RUST_INGEST = ROOT / "examples/scan-ingest-rust"
@@ -101,8 +102,7 @@ class Stack:
         }
         files = [word for file in (ROOT / "docker-compose.yml", *over) for word in ("-f", str(file))]
         ran = subprocess.run(
-            [*_compose_command(), *files, "-p", self.project]
-            + ["--profile", "demo", "--profile", "ros2", *arguments],
+            [*_compose_command(), *files, "-p", self.project, *PROFILES, *arguments],
             cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=1800,
         )  # fmt: skip
         assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
