@@ -81,12 +81,10 @@ def test_a_model_folder_an_image_and_the_yaml_are_the_same_map(
     Image.fromarray(grey[::-1].astype(np.uint8)).save(tmp_path / "floor.png")
     scan, _ = read_log(drive / "drive.mcap")[0]
     expected = localizer.localize(scan).poses
-    x, y, theta = STAGE.grid.origin.tolist()
-    for other in (
-        Localizer.from_map(tmp_path / "model"),
-        Localizer.from_image(tmp_path / "floor.png", STAGE.grid.resolution, (x, y, theta)),
-    ):
-        assert np.array_equal(other.localize(scan).poses, expected)
+    assert np.array_equal(Localizer.from_map(tmp_path / "model").localize(scan).poses, expected)
+    drawn = Localizer.from_map(tmp_path / "floor.png", metres_per_unit=STAGE.grid.resolution)
+    # an image's frame begins at its corner
+    assert np.allclose(drawn.localize(scan).poses[0], expected[0] - STAGE.grid.origin, atol=0.01)
 
 
 def test_an_upside_down_lidar_is_turned(localizer: Localizer, drive: Path) -> None:
@@ -135,8 +133,11 @@ def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:
 
 
 def test_an_image_needs_a_scale(tmp_path: Path) -> None:
+    (tmp_path / "floor.png").write_bytes(b"")
+    with pytest.raises(MapError, match="--metres-per-unit"):
+        Localizer.from_map(tmp_path / "floor.png")
     with pytest.raises(MapError, match="metres per pixel"):
-        Localizer.from_image(tmp_path / "floor.png", 0.0)
+        Localizer.from_map(tmp_path / "floor.png", metres_per_unit=0.0)
 
 
 def test_the_plot_shows_the_scan_on_the_walls(localizer: Localizer, drive: Path) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from eigenscan.cli.plans import PlanOptions, read_plan
 from eigenscan.eigenspace.floors import floor_of
 from eigenscan.eigenspace.folder import SiteModel, read_models
-from eigenscan.geometry.gridmap import GridMap, read_image, read_map, to_message
+from eigenscan.geometry.gridmap import GridMap, to_message
 from eigenscan.geometry.pose import to_pose3
 from eigenscan.localize.answers import Estimate, Hypotheses
 from eigenscan.localize.scan import Scan, ScanError
@@ -46,27 +48,22 @@ class Localizer:
         self._newest: int | None = None
 
     @classmethod
-    def from_map(cls, path: str | os.PathLike[str]) -> Localizer:
-        """Of a map_server yaml, whose models are built now, or of a folder that `eigenscan build` wrote.
-
-        Raises MapError or ModelError, both ValueError, naming the file, the field and the fix.
-        """
-        place = Path(path)
-        return cls(read_models(place)) if place.is_dir() else cls.from_grid(read_map(place))
-
-    @classmethod
-    def from_image(
+    def from_map(
         cls,
         path: str | os.PathLike[str],
-        metres_per_pixel: float,
-        origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        metres_per_unit: float | None = None,
+        layers: Collection[str] = (),
     ) -> Localizer:
-        """Of a drawn map: black is wall, white is free, grey is unknown.
+        """Of a map, whose models are built now, or of a folder that `eigenscan build` wrote.
 
-        `origin`: pose of the image's lower left corner in the map frame, m, m, rad.
-        Raises MapError, ModelError.
+        A map is a map_server yaml, an image (black wall, white floor, grey unknown; give the m a pixel), or a
+        floor plan, DXF or SVG, whose walls are on `layers`. Raises MapError or ModelError, both ValueError,
+        naming the file, the field and the fix.
         """
-        return cls.from_grid(read_image(Path(path), metres_per_pixel, origin))
+        place = Path(path)
+        if place.is_dir():
+            return cls(read_models(place))
+        return cls.from_grid(read_plan(place, PlanOptions(metres_per_unit, layers)))
 
     @classmethod
     def from_grid(cls, grid: GridMap) -> Localizer:

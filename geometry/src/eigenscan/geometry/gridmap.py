@@ -99,15 +99,15 @@ def read_map(path: Path) -> GridMap:
     return GridMap(np.ascontiguousarray(cells[::-1]), resolution, np.array(origin, dtype=np.float64))
 
 
-def read_image(path: Path, metres_per_pixel: float, origin: ArrayLike = (0.0, 0.0, 0.0)) -> GridMap:
+def read_image(path: Path, metres_per_pixel: float) -> GridMap:
     """Map of an image alone, read as map_server reads it: black is occupied, white free, grey unknown.
 
-    `origin` (3,): pose of the lower left corner, m, m, rad. Raises MapError.
+    Its frame begins at the lower left corner. Raises MapError.
     """
     if not 0 < metres_per_pixel < 10:
         raise MapError(f"{path}: {metres_per_pixel} metres per pixel: give a scale such as 0.05")
     cells = _cells(path, {"image": path.name})
-    return GridMap(np.ascontiguousarray(cells[::-1]), metres_per_pixel, np.array(origin, dtype=np.float64))
+    return GridMap(np.ascontiguousarray(cells[::-1]), metres_per_pixel, np.zeros(3))
 
 
 def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) -> float:
