@@ -90,6 +90,16 @@ def test_a_projector_that_starts_without_the_site_has_the_models_it_heard(
 
 
 @pytest.mark.dataset
+def test_a_second_mapbuilder_stands_in_for_the_first(models: Path, house: House) -> None:
+    for instance in ("first", "standby"):
+        house.start("mapbuilder", "--model", models, "--instance", instance, alias=instance)
+    house.kill("first")
+    house.start("projector")
+    (version,) = {message.version for message in house.ear.of(MODEL_SET, MODEL_SET.message)}
+    house.until("projector", lambda health: health.detail == f"model {version[:12]}", "has models")
+
+
+@pytest.mark.dataset
 def test_each_service_may_be_killed_and_started_again(drive: Drive, models: Path, house: House) -> None:
     start_all(house, models)
     scans = iter(scans_of(drive, 150))
