@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -18,6 +19,41 @@ FLOOD = 2.0
 """So many times faster than it should may a robot speak: what waited for the link comes in a burst."""
 LARGEST_BYTES = 1_000_000
 """Of one message from a robot: a raw scan has some tens of kilobytes."""
+
+ROBOT_SETTINGS = """\
+# Settings of this robot's services; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
+site = {site}
+robot = {robot}
+zenoh = "{installed}/service.json5"
+log_format = "json"
+
+[router]
+zenoh = "{installed}/router.json5"
+end_on_change = true  # whatever keeps it up starts it with the new one
+
+[projector]
+keep = "/var/cache/eigenscan/models"  # to start with where the site is cut off
+"""
+SITE_SETTINGS = """\
+# Settings of the site's services; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
+site = {site}
+instance = "site"
+log_format = "json"
+
+[router]
+zenoh = "{installed}/router.json5"
+end_on_change = true  # whatever keeps it up starts it with the new one
+
+[mapbuilder]
+zenoh = "{installed}/mapbuilder.json5"
+map = "{installed}/maps/map.yaml"
+
+[recorder]
+zenoh = "{installed}/recorder.json5"
+mcap = "/var/lib/eigenscan/recordings"
+budget_mb = 20000  # MB; beyond it the oldest recordings are deleted
+viewer_port = 9090  # the live picture, on 127.0.0.1 only
+"""
 
 _NO_SCOUTING = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
 _PATIENT = {"timeout_ms": -1, "exit_on_failure": False}
@@ -76,6 +112,16 @@ def robot_service() -> dict[str, Any]:
 def site_service(name: str, router: str = "localhost") -> dict[str, Any]:
     """A service of the site, or an operator's tool, with the certificate `name`."""
     return _client(_endpoint(router)) | {"transport": {"link": {"tls": _tls(name, "connect")}}}
+
+
+def settings(site: str, robot: str | None = None) -> str:
+    """eigenscan.toml of a robot, or of the site."""
+    template = ROBOT_SETTINGS if robot else SITE_SETTINGS
+    return template.format(
+        site=json.dumps(site, ensure_ascii=False),
+        robot=json.dumps(robot, ensure_ascii=False),
+        installed=INSTALLED,
+    )
 
 
 def _limits(

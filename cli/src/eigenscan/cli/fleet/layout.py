@@ -124,7 +124,7 @@ def checked(content: Mapping[str, Any], source: str) -> Fleet:
 def begin(folder: Path, site: str, addresses: Sequence[str]) -> None:
     """Writes fleet.toml of a new fleet."""
     text = TEMPLATE.format(site=json.dumps(site), addresses=json.dumps(list(addresses)))
-    (folder / "fleet.toml").write_text(text, encoding="utf-8")
+    _begin(folder / "fleet.toml", text)
 
 
 def robots(folder: Path) -> tuple[str, ...]:
@@ -160,6 +160,8 @@ def configure(folder: Path) -> None:
             configuration.robot_router(fleet.site, name, fleet.air_of(name), fleet.addresses[0]),
         )
         _write(own / "service.json5", configuration.robot_service())
+        _begin(own / "eigenscan.toml", configuration.settings(fleet.site, name))
+    _begin(folder / "site" / "eigenscan.toml", configuration.settings(fleet.site))
     _write(
         folder / "site" / "router.json5",
         configuration.site_router(
@@ -193,6 +195,12 @@ def revoke(folder: Path, name: str) -> Path:
         shutil.rmtree(held.parent)
     configure(folder)
     return kept
+
+
+def _begin(path: Path, content: str) -> None:
+    """Writes what is its owner's to edit from then on."""
+    if not path.exists():
+        path.write_text(content, encoding="utf-8")
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

@@ -1,0 +1,55 @@
+"""Images of this session: built once, gone at its end."""
+
+import os
+import shutil
+import subprocess
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+BASE = "python:3.11-slim-bookworm"
+MAKE_BASE = ROOT.parent / "shared/tools/make-base-image"
+GIVEN = os.environ.get("EIGENSCAN_TEST_IMAGES")
+"""Prefix of images that are there already, for who works on these tests."""
+
+
+def compose_command() -> list[str]:
+    plugin = subprocess.run(["docker", "compose", "version"], capture_output=True, check=False)
+    return ["docker", "compose"] if plugin.returncode == 0 else ["docker-compose"]
+
+
+def compose(
+    *arguments: str, environment: dict[str, str], files: tuple[str, ...] = ("docker-compose.yml",)
+) -> str:
+    """Output of docker-compose in the repository. Fails where it does."""
+    named = [word for file in files for word in ("-f", file)]
+    ran = subprocess.run(
+        [*compose_command(), *named, *arguments],
+        cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=1800,
+    )  # fmt: skip
+    assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
+    return ran.stdout
+
+
+@pytest.fixture(scope="session")
+def images() -> Iterator[str]:
+    """Prefix of the images of all services."""
+    if GIVEN:
+        yield GIVEN
+        return
+    assert shutil.which("docker")
+    has_base = subprocess.run(["docker", "image", "inspect", BASE], capture_output=True, check=False)
+    if has_base.returncode and subprocess.run(["docker", "pull", "-q", BASE], check=False).returncode:
+        subprocess.run([MAKE_BASE], check=True, timeout=900)
+    prefix = f"eigenscan-images-{uuid.uuid4().hex[:8]}"
+    try:
+        compose("--profile", "demo", "build", environment={"EIGENSCAN_IMAGES": prefix})
+        yield prefix
+    finally:
+        listed = subprocess.run(
+            ["docker", "images", "-q", f"{prefix}/*"], capture_output=True, text=True, check=False
+        )
+        subprocess.run(["docker", "rmi", "-f", *listed.stdout.split()], capture_output=True, check=False)
