@@ -172,6 +172,14 @@ def test_a_bad_variable_is_named(
         assert part in str(error.value)
 
 
+def test_a_bad_robot_is_one_fault_only() -> None:
+    """The instance, which would be named after it, is not spoken of."""
+    with pytest.raises(SettingsError) as error:
+        _load("--robot", "a/b")
+    assert str(error.value).startswith("--robot = 'a/b': must be one chunk")
+    assert "instance" not in str(error.value)
+
+
 def test_an_unknown_or_shortened_flag_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     for flag in ("--spacnig", "--spac"):
         with pytest.raises(SystemExit) as end:

@@ -98,7 +98,9 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
     try:
         return kind.model_validate({name: entry.value for name, entry in given.items()})
     except ValidationError as error:
-        raise SettingsError("; ".join(_explain(problem, given) for problem in error.errors())) from error
+        # what could not be derived from a bad value is no fault of its own
+        faults = [each for each in error.errors() if each["type"] != "default_factory_not_called"]
+        raise SettingsError("; ".join(_explain(fault, given) for fault in faults)) from error
 
 
 def _explain(problem: ErrorDetails, given: dict[str, _Given]) -> str:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
+import structlog
 import zenoh
 from eigenscan.ros_bridge.dialect import Dialect
 from eigenscan.ros_bridge.endpoints import Endpoint
@@ -55,6 +56,8 @@ def open_towards_ros(settings: RosBridgeSettings, patience_s: float | None = Non
         return open_session(settings.ros_zenoh)
     host = settings.ros_router.partition("/")[2].rpartition(":")[0]
     mode = "peer" if host in _THIS_MACHINE else "client"
+    if mode == "client":
+        structlog.get_logger().info("waiting_for_router", ros_router=settings.ros_router)
     patient = mode == "peer" or patience_s is None
     config = {
         # ROS nodes listen on their own machine only: from another one all goes through the router
