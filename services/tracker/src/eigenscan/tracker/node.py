@@ -19,4 +19,8 @@ def main() -> None:
 def _make_core(settings: TrackerSettings) -> TrackerCore:
     from eigenscan.tracker.core import TrackerCore  # it takes its time, and neighbours are found meanwhile
 
-    return TrackerCore(settings)
+    if settings.last_pose is None:
+        return TrackerCore(settings)
+    from eigenscan.tracker.last_pose import RememberingTracker
+
+    return RememberingTracker(settings, settings.last_pose)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from eigenscan.runtime.settings import ServiceSettings
@@ -65,3 +66,9 @@ class TrackerSettings(ServiceSettings):
     )
     released_below: float = Field(0.7, ge=0, le=1, description="confidence at which the claim is withdrawn")
     history: int = Field(100, ge=0, description="poses kept of each track's trajectory")
+    last_pose: Path | None = Field(
+        None, description="folder for the last claimed pose of each robot, to begin there after a restart"
+    )
+    last_pose_age: float = Field(
+        60.0, ge=0, description="s, by the clock, after which it is not used any more"
+    )
