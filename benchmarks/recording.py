@@ -1,9 +1,10 @@
 """What recording many robots costs: drops, share of a core, bytes a scan beside the raw size and zstd of it.
 
-    python benchmarks/recording.py [--robots 50] [--rate 10] [--beams 361] [--seconds 20] [--json OUT]
+    python benchmarks/recording.py [--robots 50] [--rate 10] [--beams 361] [--seconds 20] [--kills 20]
 
 A recorder process on loopback TCP; raw scans of a simulated robot, which all robots say, each from another
-moment on, with noise of their own and in whole millimetres, as lidars have it.
+moment on, with noise of their own and in whole millimetres, as lidars have it. Then recorders that are killed
+at random moments: what is lost is what was said, at 250 Hz, after the last message in the file.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ from eigenscan.cli.simulation.world import office
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import HEALTH, SCAN_RAW
+from eigenscan.schemas.channels import HEALTH, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import decode, encode
 
 SITE = "benchmark"
@@ -43,6 +45,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="scans a second of each")
     parser.add_argument("--beams", type=int, default=361)
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     scenario = Scenario(seconds=SIMULATED_S, lidar=Lidar(beams=given.beams, rate=given.rate))
@@ -50,6 +53,13 @@ def main() -> None:
     scans = [t.envelope.open(RawScan) for t in stage.messages() if t.envelope.channel is SCAN_RAW]
     with tempfile.TemporaryDirectory() as folder:
         figures = measure(Path(folder), scans, given.robots, given.rate, given.seconds)
+    random = np.random.default_rng(1)
+    lost = []
+    for _ in range(given.kills):
+        with tempfile.TemporaryDirectory() as folder:
+            lost.append(lost_by_a_kill(Path(folder), float(random.uniform(1.0, 3.0))))
+    if lost:
+        figures |= {"kills": len(lost), "lost_s_median": float(np.median(lost)), "lost_s_worst": max(lost)}
     for name, value in figures.items():
         print(f"{name:32} {value:12.2f}")
     if given.json:
@@ -59,11 +69,10 @@ def main() -> None:
 def measure(folder: Path, scans: list[RawScan], robots: int, rate: float, seconds: float) -> dict[str, float]:
     session, others = open_hub(folder)
     recording = folder / "site.mcap"
-    command = [sys.executable, "-m", "eigenscan.recorder.node", "--site", SITE, "--zenoh", str(others)]
-    with Bus(session) as bus, (folder / "log").open("wb") as log:
+    with Bus(session) as bus:
         inbox = Inbox()
         bus.listen([HEALTH], {"site": SITE}, inbox)
-        recorder = subprocess.Popen([*command, "--mcap", str(recording)], stdout=log, stderr=log)
+        recorder = start(recording, others)
         try:
             await_health(inbox, READY_S)
             before, began = cpu_s(recorder.pid), time.monotonic()
@@ -89,6 +98,32 @@ def measure(folder: Path, scans: list[RawScan], robots: int, rate: float, second
         "bytes_a_scan_raw": sum(map(len, payloads)) / max(len(kept), 1),
         "bytes_a_scan_zstd_of_all": len(zstandard.compress(b"".join(payloads))) / max(len(kept), 1),
     }
+
+
+def start(recording: Path, zenoh: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "eigenscan.recorder.node", "--site", SITE, "--zenoh", str(zenoh)]
+    with recording.with_suffix(".log").open("wb") as log:
+        return subprocess.Popen([*command, "--mcap", str(recording)], stdout=log, stderr=log)
+
+
+def lost_by_a_kill(folder: Path, after_s: float) -> float:
+    """Seconds before the kill from which nothing is in the file. Raises where it cannot be read."""
+    session, others = open_hub(folder)
+    recording, address = folder / "site.mcap", {"site": SITE, "robot": "r1"}
+    with Bus(session) as bus:
+        inbox = Inbox()
+        bus.listen([HEALTH], {"site": SITE}, inbox)
+        recorder = start(recording, others)
+        await_health(inbox, READY_S)
+        end = time.monotonic() + after_s
+        while time.monotonic() < end:
+            bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(time.time_ns()))))
+            time.sleep(0.004)
+        recorder.kill()
+        killed = time.time_ns()
+        recorder.wait()
+    kept = [record.publish_time for record in read(recording) if record.envelope.channel is POSE]
+    return (killed - max(kept, default=killed - int(after_s * 1e9))) * 1e-9
 
 
 def publish(bus: Bus, scans: list[RawScan], robots: int, rate: float, seconds: float) -> int:
