@@ -2,6 +2,8 @@
 
 import json
 import stat
+import subprocess
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -9,6 +11,12 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.recorder.settings import RecorderSettings
+from eigenscan.runtime.router import RouterSettings
+from eigenscan.runtime.settings import load
+from eigenscan.tracker.settings import TrackerSettings
 
 from tests.fleet.conftest import run
 
@@ -160,3 +168,30 @@ def test_addresses_of_ip_version_6(tmp_path: Path) -> None:
     assert run("certify", "--site", "s", "--address", "fd00::5", "--robot", "r", "-o", folder).exit_code == 0
     connect = json.loads((folder / "robots/r/router.json5").read_text())["connect"]
     assert connect["endpoints"] == ["tls/[fd00::5]:7447"]
+
+
+def test_what_is_to_be_installed_is_named(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.modules['cryptography'] = None\n"
+        f"from eigenscan.cli.main import app; app(['fleet', 'configure', '-o', {str(tmp_path)!r}])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.strip().endswith("certificates need cryptography: pip install 'eigenscan[fleet]'")
+
+
+def test_the_settings_it_writes_are_those_of_the_services_and_stay_their_owners(folder: Path) -> None:
+    robot, site = folder / "robots/r17/eigenscan.toml", folder / "site/eigenscan.toml"
+    tracker = load(TrackerSettings, "tracker", ["--config", str(robot)])
+    assert (tracker.site, tracker.robot, tracker.instance) == ("hospital", "r17", "r17")
+    assert tracker.zenoh == Path("/etc/eigenscan/service.json5")
+    assert load(ProjectorSettings, "projector", ["--config", str(robot)]).keep
+    assert load(RouterSettings, "router", ["--config", str(robot)]).end_on_change
+    assert load(RouterSettings, "router", ["--config", str(site)]).zenoh == Path(
+        "/etc/eigenscan/router.json5"
+    )
+    assert load(RecorderSettings, "recorder", ["--config", str(site)]).robot == "*"
+    assert load(MapbuilderSettings, "mapbuilder", ["--config", str(site)]).instance == "site"
+    robot.write_text(robot.read_text() + "\n[tracker]\n")
+    assert run("configure", "-o", folder).exit_code == 0
+    assert robot.read_text().endswith("[tracker]\n")

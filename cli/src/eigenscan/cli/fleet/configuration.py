@@ -20,30 +20,27 @@ FLOOD = 2.0
 LARGEST_BYTES = 1_000_000
 """Of one message from a robot: a raw scan has some tens of kilobytes."""
 
-ROBOT_SETTINGS = """\
-# Settings of this robot's services; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
+SETTINGS = """\
+# Settings of the services here; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
 site = {site}
-robot = {robot}
-zenoh = "{installed}/service.json5"
 log_format = "json"
-
+{names}
 [router]
 zenoh = "{installed}/router.json5"
 end_on_change = true  # whatever keeps it up starts it with the new one
-
+{services}"""
+ROBOT_NAMES = """\
+robot = {robot}
+zenoh = "{installed}/service.json5"
+"""
+ROBOT_SERVICES = """
 [projector]
 keep = "/var/cache/eigenscan/models"  # to start with where the site is cut off
 """
-SITE_SETTINGS = """\
-# Settings of the site's services; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
-site = {site}
+SITE_NAMES = """\
 instance = "site"
-log_format = "json"
-
-[router]
-zenoh = "{installed}/router.json5"
-end_on_change = true  # whatever keeps it up starts it with the new one
-
+"""
+SITE_SERVICES = """
 [mapbuilder]
 zenoh = "{installed}/mapbuilder.json5"
 map = "{installed}/maps/map.yaml"
@@ -116,12 +113,10 @@ def site_service(name: str, router: str = "localhost") -> dict[str, Any]:
 
 def settings(site: str, robot: str | None = None) -> str:
     """eigenscan.toml of a robot, or of the site."""
-    template = ROBOT_SETTINGS if robot else SITE_SETTINGS
-    return template.format(
-        site=json.dumps(site, ensure_ascii=False),
-        robot=json.dumps(robot, ensure_ascii=False),
-        installed=INSTALLED,
-    )
+    names, services = (ROBOT_NAMES, ROBOT_SERVICES) if robot else (SITE_NAMES, SITE_SERVICES)
+    text = SETTINGS.replace("{names}", names).replace("{services}", services)
+    quoted = {"site": json.dumps(site, ensure_ascii=False), "robot": json.dumps(robot, ensure_ascii=False)}
+    return text.format(installed=INSTALLED, **quoted)
 
 
 def _limits(
