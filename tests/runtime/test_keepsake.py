@@ -16,14 +16,14 @@ def test_another_process_reads_what_was_heard_in_that_order(tmp_path: Path) -> N
     first = Keepsake(tmp_path / "new/folder")
     for sample in [*heard, heard[1]]:  # the newest again is no news
         first.put(sample)
-    assert list(Keepsake(tmp_path / "new/folder").read()) == heard
+    assert list(Keepsake(tmp_path / "new/folder").read("site")) == heard
 
 
 def test_of_each_key_the_newest_two_stay(tmp_path: Path) -> None:
     for payload in (b"1", b"2", b"3", b"1"):  # a process each
         Keepsake(tmp_path).put(model("hall", payload))
     Keepsake(tmp_path).put(model("room", b"1"))
-    assert [(one.key, one.payload) for one in Keepsake(tmp_path).read()] == [
+    assert [(one.key, one.payload) for one in Keepsake(tmp_path).read("site")] == [
         ("site/model/hall", b"3"),
         ("site/model/hall", b"1"),
         ("site/model/room", b"1"),
@@ -39,8 +39,13 @@ def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
     (tmp_path / "partial").write_bytes(b"half")
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / first.name.replace("site", "elsewhere%2Fsite")).write_bytes(b"x\n")
-    assert [one.payload for one in Keepsake(tmp_path).read()] == [b"2"]
+    assert [one.payload for one in Keepsake(tmp_path).read("site")] == [b"2"]
     assert (tmp_path / "notes.txt").exists()
+
+
+def test_a_robot_that_came_from_another_site_does_not_take_its_models_for_this_ones(tmp_path: Path) -> None:
+    Keepsake(tmp_path).put(model("hall", b"1"))
+    assert not list(Keepsake(tmp_path).read("other"))
 
 
 def test_a_folder_that_cannot_be_is_an_error(tmp_path: Path) -> None:

@@ -59,14 +59,16 @@ class Keepsake:
             self._kept[kept.key].append(kept)
         self._next = found[-1].number + 1 if found else 0
 
-    def read(self) -> Iterator[Arrival]:
-        """All samples, oldest first; a file that is damaged or of no channel is passed over."""
+    def read(self, site: str) -> Iterator[Arrival]:
+        """All samples of a site, oldest first; a file that is damaged or of no channel is passed over."""
         everything = [kept for history in self._kept.values() for kept in history]
         for kept in sorted(everything, key=lambda kept: kept.number):
-            channel = find(kept.key)
+            found = find(kept.key)
             encoding, _, payload = kept.path.read_bytes().partition(b"\n")
-            if channel is not None and digest(payload).hex() == kept.digest:
-                yield Arrival(channel[0], kept.key, payload, encoding.decode(errors="replace"))
+            if found is None or found[1]["site"] != site:
+                continue
+            if digest(payload).hex() == kept.digest:
+                yield Arrival(found[0], kept.key, payload, encoding.decode(errors="replace"))
 
     def put(self, sample: Arrival) -> None:
         """Keeps a sample, unless it is the newest of its key already. Raises OSError."""

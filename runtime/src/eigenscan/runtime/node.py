@@ -210,7 +210,7 @@ class Node:
         if self.settings.keep is None:
             return []
         self._keepsake = Keepsake(self.settings.keep)
-        known = [sample for sample in self._keepsake.read() if sample.channel in hears]
+        known = [sample for sample in self._keepsake.read(self.settings.site) if sample.channel in hears]
         for sample in known:
             self._inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
         return known
