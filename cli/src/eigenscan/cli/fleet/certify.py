@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from eigenscan.cli.frame import UsageError
 
 if TYPE_CHECKING:
     from eigenscan.cli.fleet.authority import Authority
+    from eigenscan.cli.fleet.layout import Fleet
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 
@@ -36,21 +38,9 @@ def certify(
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.fleet import layout
     from eigenscan.cli.fleet.authority import Authority
-    from eigenscan.cli.frame import UsageError
 
-    names, settings = robot or [], folder / "fleet.toml"
-    is_new = not settings.exists()
-    if is_new and (site is None or not address):
-        raise UsageError("a new fleet needs --site NAME and --address HOST, where robots reach its router")
-    if not is_new and (site is not None or address):
-        raise UsageError(f"--site, --address: {settings} has them; change them there")
-    wanted = {"site": site, "addresses": address} if is_new else layout.read(folder).model_dump()
-    fleet = layout.checked(wanted | {"robots": {name: {} for name in names}}, "--site, --address, --robot")
-    for name in names:
-        if name in layout.robots(folder) or names.count(name) > 1:
-            raise UsageError(
-                f"--robot {name}: has a certificate; for a new one: eigenscan fleet revoke {name} -o {folder}"
-            )
+    names, is_new = robot or [], not (folder / "fleet.toml").exists()
+    fleet = _planned(folder, site, address or [], names)
     if is_new:
         Authority.create(fleet.site).save(folder / "authority")
         layout.begin(folder, fleet.site, fleet.addresses)
@@ -64,6 +54,29 @@ def certify(
     typer.echo(f"{folder / 'operator'}: {layout.INSTALLED} of who looks after the fleet")
     for name in names:
         typer.echo(f"{folder / 'robots' / name}: {layout.INSTALLED} of {name}")
+
+
+def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Sequence[str]) -> Fleet:
+    """The fleet that is there or is to be, with new robots. Raises UsageError before anything is written."""
+    from eigenscan.cli.fleet import layout
+
+    settings = folder / "fleet.toml"
+    if not settings.exists():
+        if site is None or not addresses:
+            raise UsageError(
+                "a new fleet needs --site NAME and --address HOST, where robots reach its router"
+            )
+        wanted = {"site": site, "addresses": addresses}
+    elif site is not None or addresses:
+        raise UsageError(f"--site, --address: {settings} has them; change them there")
+    else:
+        wanted = layout.read(folder).model_dump()
+    for name in names:
+        if name in layout.robots(folder) or names.count(name) > 1:
+            raise UsageError(
+                f"--robot {name}: has a certificate; for a new one: eigenscan fleet revoke {name} -o {folder}"
+            )
+    return layout.checked(wanted | {"robots": {name: {} for name in names}}, "--site, --address, --robot")
 
 
 def _certify_site(authority: Authority, folder: Path, addresses: Sequence[str], days: int) -> None:
