@@ -121,9 +121,15 @@ def test_a_build_that_was_killed_goes_on_and_nothing_half_is_ever_there(office, 
     assert one == other
 
 
-def test_two_workers_build_the_same_models(office, tmp_path):
+@pytest.mark.parametrize("where", ["here", "cluster"])
+def test_two_workers_build_the_same_models(office, tmp_path, where):
     write_map(office, tmp_path / "map.yaml")
-    result = build(tmp_path / "map.yaml", "-o", tmp_path / "model", "--step", "2", "--workers", "2")
+    flags = [tmp_path / "map.yaml", "-o", tmp_path / "model", "--step", "2"]
+    if where == "here":
+        result = build(*flags, "--workers", "2")
+    else:
+        with Workers(2) as workers:
+            result = build(*flags, "--scheduler", workers.client.scheduler.address)
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
     expected = build_site(office, QUICK).to_message()

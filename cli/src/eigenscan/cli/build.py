@@ -211,7 +211,7 @@ def _summarize(
     }
     apart = f"{spacing:g} m apart"
     if not math.isnan(layout.within):
-        apart += f" at the closest, the error is kept at {layout.within:.1%} of the places between"
+        apart += " at the closest"
     rows = {
         "regions": str(len(pieces)) + (f", {found} of them finished before" if found else ""),
         **({"floors": ", ".join(floor.name for floor in message.floors)} if message.floors else {}),

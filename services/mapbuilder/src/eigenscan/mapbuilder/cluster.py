@@ -74,8 +74,13 @@ class Workers(AbstractContextManager["Workers"]):
     @property
     def count(self) -> int:
         """Shards that are built at a time."""
+        return sum(self.client.nthreads().values())
+
+    @property
+    def client(self) -> Client:
+        """The connection, between enter and exit."""
         assert self._client is not None
-        return sum(self._client.nthreads().values())
+        return self._client
 
     def build(
         self, caster: RayCaster, plan: Plan, waiting: Sequence[Shard]
@@ -83,8 +88,7 @@ class Workers(AbstractContextManager["Workers"]):
         """Engine, as of `sharded`. Raises ClusterError where a worker cannot build."""
         from distributed import as_completed
 
-        assert self._client is not None
-        client = self._client
+        client = self.client
         there = client.scatter(caster, broadcast=True)
         single = replace(plan, threads=1)
         numbered, under_way = enumerate(waiting), dict[Any, int]()

@@ -44,7 +44,8 @@ def build_pieces(
     They are those that build_site gives, whatever the engine, which is this process's threads by default.
     """
     progress("regions", 0.0)
-    keys = {area.name: area.key(grid.version, plan) for area in layout.areas}
+    version = grid.version
+    keys = {area.name: area.key(version, plan) for area in layout.areas}
     ready = {name: piece for name, key in keys.items() if (piece := pieces.find(key))}
     found = len(ready)
     missing = [area for area in layout.areas if area.name not in ready]
