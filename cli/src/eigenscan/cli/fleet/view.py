@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,6 +22,9 @@ from eigenscan.schemas.wire import decode
 ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
 """What each robot needs, on it or for all robots at once (robot *)."""
 
+OFFSETS = 10
+"""Words by which a clock is judged: on a busy machine or link some are late."""
+
 
 @dataclass
 class Service:
@@ -33,8 +37,13 @@ class Service:
     health: Health | None = None
     first: Health | None = None
     heard_at: float = 0.0
-    clock_offset_s: float | None = None
-    """How far its clock is before ours; what the newest message took on its way is in it."""
+    offsets: deque[float] = field(default_factory=lambda: deque(maxlen=OFFSETS))
+    """How far the stamps of its latest words were before our clock, s."""
+
+    @property
+    def clock_offset_s(self) -> float | None:
+        """How far its clock is before ours, by the word that was quickest on its way."""
+        return min(self.offsets, key=abs, default=None)
 
     @property
     def robot(self) -> str:
@@ -125,7 +134,7 @@ class FleetView:
             robot.pose, robot.heard_at = message, now
         elif isinstance(message, Health):
             service = self._service(address["service"], address["instance"])
-            service.clock_offset_s = (nanoseconds(message.timestamp) - wall) * 1e-9
+            service.offsets.append((nanoseconds(message.timestamp) - wall) * 1e-9)
             service.first = service.first or message
             service.health, service.heard_at = message, now
 
