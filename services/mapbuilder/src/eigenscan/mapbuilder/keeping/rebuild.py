@@ -22,24 +22,29 @@ Index = NDArray[np.int32]
 def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
     """The models of `grid`, a map with the same cells as the site's, in the site's regions.
 
-    Positions that the change covers are left out, those that it frees join the regions of their neighbours,
+    Positions that the change covers are left out, those that it frees join the regions of the nearest ones,
     and panoramas that do not see it stay bit for bit. A region that it covers whole stays as it is.
     """
     spacing = site.regions[0].spacing
     old, new = (free_positions(g, spacing, plan.clearance).index for g in (site.grid, grid))
-    work = _Rebuild(plan, RayCaster.of(site.grid), RayCaster.of(grid), _without(old, new), _without(new, old))
+    given = _without(new, old)
+    nearest = _distance(np.concatenate([model.index for model in site.regions]), given)
+    work = _Rebuild(plan, RayCaster.of(site.grid), RayCaster.of(grid), _without(old, new), given, nearest)
     return replace(site, grid=grid, regions=tuple(work.after(model) for model in site.regions))
 
 
 @dataclass(frozen=True)
 class _Rebuild:
-    """The maps of before and now, and the grid positions (n, 2) that the change took and gave."""
+    """The maps of before and now, the grid positions (n, 2) that the change took and gave, and how far from
+    the nearest that there was each that was given is.
+    """
 
     plan: Plan
     before: RayCaster
     now: RayCaster
     taken: Index
     given: Index
+    nearest: NDArray[np.float64]
 
     def after(self, model: RegionModel) -> RegionModel:
         """The model itself where nothing that it holds is different."""
@@ -49,7 +54,7 @@ class _Rebuild:
         kept, ranges = model.index[stays], model.ranges[stays]
         now = self._ranges(self.now, model, kept)
         changed = (self._ranges(self.before, model, kept) != now).any(axis=1)
-        joining = _without(_reached(model.index, self.given), model.index)
+        joining = _without(self.given[_distance(model.index, self.given) <= self.nearest], model.index)
         if stays.all() and not changed.any() and not len(joining):
             return model
         ranges = np.where(changed[:, None], now, ranges)
@@ -66,14 +71,10 @@ class _Rebuild:
         return quantize(cast, model.range_unit)
 
 
-def _reached(start: Index, given: Index) -> Index:
-    """Those of `given` that a way over neighbours leads to from `start`."""
-    left, found, front = given, [given[:0]], start
-    while len(left) and len(front):
-        beside = np.isfinite(KDTree(front).query(left, p=np.inf, distance_upper_bound=1.5)[0])
-        front, left = left[beside], left[~beside]
-        found.append(front)
-    return np.concatenate(found)
+def _distance(index: Index, to: Index) -> NDArray[np.float64]:
+    """Distance (m,) of each row of `to` (m, 2) from the nearest row of `index`."""
+    found: NDArray[np.float64] = KDTree(index).query(to)[0]
+    return found
 
 
 def _among(index: Index, others: Index) -> NDArray[np.bool_]:
