@@ -52,7 +52,7 @@ def test_a_cabinet_that_went_leaves_free_ground(hall):
     (place,) = change.places()
     assert not place.is_new
     assert place.centre == pytest.approx((2.6, 4.7), abs=0.06)
-    assert place.extent == pytest.approx(1.2, abs=0.06)
+    assert place.sides == pytest.approx((1.2, 0.6), abs=0.06)
 
 
 def test_a_cabinet_that_came_is_a_wall_around_what_nobody_knows(hall):

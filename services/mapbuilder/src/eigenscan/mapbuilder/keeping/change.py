@@ -13,6 +13,8 @@ TOLERANCE = 0.15
 """m from a mapped wall within which what is struck is that wall."""
 SMALLEST = 0.2
 """m, the longer side of the smallest thing that is a change."""
+NEAR = 0.5
+"""m between pieces of one thing, for people."""
 DEEPEST = 1.0
 """m beyond what was removed that unknown ground is opened: the inside of a cabinet, not the next building."""
 POCKET_M2 = 2.0
@@ -24,11 +26,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Place:
-    """One thing that changed: its centre, map frame, and its longer side, m."""
+    """One thing that changed: its centre in the map frame, and its sides along the grid's axes, m."""
 
     is_new: bool
     centre: tuple[float, float]
-    extent: float
+    sides: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,16 @@ class Change:
         return bool(self.new.any() or self.gone.any())
 
     def places(self) -> list[Place]:
-        """The things that are new, then those that are gone."""
+        """The things that are new, then those that are gone; pieces less than NEAR apart are one."""
         found = []
+        reach = round(NEAR / 2 / self.grid.resolution)
         for is_new, cells in ((True, self.new), (False, self.gone)):
-            for rows, columns in find_objects(label(cells, structure=_EIGHT)[0]):
+            parts, _ = label(_grown(cells, reach), structure=_EIGHT)
+            for rows, columns in find_objects(np.where(cells, parts, 0)):
                 low, high = np.array([columns.start, rows.start]), np.array([columns.stop, rows.stop])
                 x, y = self.grid.to_map((low + high) / 2).tolist()
-                found.append(Place(is_new, (x, y), float((high - low).max()) * self.grid.resolution))
+                width, height = ((high - low) * self.grid.resolution).tolist()
+                found.append(Place(is_new, (x, y), (width, height)))
         return found
 
 

@@ -64,6 +64,7 @@ class Custodian:
         change = self._keeper.hear(heard)
         if change is not None:
             self._counts["visits"] += 1
+            self._problem = ""
             self._try(lambda: self._decide(change))
         if change is not None or self._keeper.counts["looks_counted"] - self._saved >= SAVE_EVERY:
             self.save()
@@ -90,14 +91,13 @@ class Custodian:
                 self._counts["changes_published"] += 1
 
     def _propose(self, change: Change) -> None:
-        from eigenscan.mapbuilder.keeping.picture import (
-            draw_change,
-        )  # what builds and draws is loaded when needed
+        # what builds and draws is loaded when it is needed
+        from eigenscan.mapbuilder.keeping.picture import draw_change
         from eigenscan.mapbuilder.keeping.rebuild import rebuild
 
         fresh = rebuild(self._site, change.grid, self._settings.plan)
         version, words = fresh.to_message().version, self._words(change)
-        picture = draw_change(self._site.grid, change, words)
+        picture = draw_change(self._site.grid, change, f"red is new, blue is gone: {words}")
         self._store.propose(fresh, self._about(change, fresh), picture)
         self._proposed = change.grid.version
         self._counts["changes_proposed"] += 1
@@ -109,7 +109,7 @@ class Custodian:
     def _words(self, change: Change) -> str:
         places = change.places()
         new = sum(place.is_new for place in places)
-        return f"{new} new and {len(places) - new} gone on {self._settings.visits} visits in a row"
+        return f"{new} new, {len(places) - new} gone on {self._settings.visits} visits in a row"
 
     def _about(self, change: Change, fresh: SiteModel) -> dict[str, Any]:
         before = {model.region: model.version for model in self._site.regions}
@@ -122,17 +122,16 @@ class Custodian:
                     "what": "new" if place.is_new else "gone",
                     "x": round(place.centre[0], 2),
                     "y": round(place.centre[1], 2),
-                    "extent_m": round(place.extent, 2),
+                    "sides_m": [round(side, 2) for side in place.sides],
                 }
                 for place in change.places()
             ],
         }
 
     def _try(self, work: Callable[[], None]) -> None:
-        """A full disk must not end the service: the evidence is still there at the next visit."""
+        """A full disk must not end the service: the evidence is still there at the end of the next visit."""
         try:
             work()
-            self._problem = ""
         except (ModelError, OSError) as error:
             self._problem = f"map is not kept: {error}"
             self._counts["keeping_failed"] += 1

@@ -1,4 +1,4 @@
-"""A picture of a change, for people: what is new in red, what is gone in blue, each ringed."""
+"""A picture of a change, for people: what is new in red, what is gone in blue, each framed."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from eigenscan.mapbuilder.keeping.change import Change, Place
 from PIL import ImageDraw, ImageFont
 
 NEW, GONE = (205, 20, 20), (25, 70, 220)
+AROUND = 12
+"""Pixels between a thing and its frame."""
 
 
 def draw_change(grid: GridMap, change: Change, note: str) -> bytes:
@@ -25,23 +27,23 @@ def draw_change(grid: GridMap, change: Change, note: str) -> bytes:
         for (x0, y1), (x1, y0) in zip(low, high, strict=True):
             pen.rectangle((x0, y0, max(x1 - 1, x0), max(y1 - 1, y0)), fill=colour)
     for place in change.places():
-        _ring(pen, view, place, NEW if place.is_new else GONE)
+        _frame(pen, view, place, NEW if place.is_new else GONE)
     view.legend(pen, note)
     file = BytesIO()
     image.convert("RGB").save(file, format="PNG", optimize=True)
     return file.getvalue()
 
 
-def _ring(pen: ImageDraw.ImageDraw, view: Backdrop, place: Place, colour: tuple[int, int, int]) -> None:
+def _frame(pen: ImageDraw.ImageDraw, view: Backdrop, place: Place, colour: tuple[int, int, int]) -> None:
     ((x, y),) = view.pixels(np.array([place.centre]))
-    radius = max(24.0, 0.75 * place.extent * view.scale / view.grid.resolution)
-    pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=3)
+    wide, high = (side * view.scale / view.grid.resolution / 2 + AROUND for side in place.sides)
+    pen.rounded_rectangle((x - wide, y - high, x + wide, y + high), AROUND, outline=colour, width=3)
     pen.text(
-        (x, y - radius - 4),
+        (x, y + high + 4),
         "new" if place.is_new else "gone",
         fill=colour,
-        font=ImageFont.load_default(18),
-        anchor="mb",
-        stroke_width=2,
+        font=ImageFont.load_default(22),
+        anchor="mt",
+        stroke_width=4,
         stroke_fill=(255, 255, 255),
     )
