@@ -1,5 +1,6 @@
 """A cupboard moves, and robots drive by: processes, a killed mapbuilder, an operator who accepts."""
 
+import itertools
 import subprocess
 import threading
 import time
@@ -12,7 +13,7 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
-from eigenscan.schemas.channels import HYPOTHESES, MODEL, MODEL_SET, SCAN
+from eigenscan.schemas.channels import HYPOTHESES, MODEL, MODEL_SET, POSE, SCAN
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
@@ -22,9 +23,9 @@ from eigenscan.schemas.scan_pb2 import Scan
 from tests.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
 from tests.system.house import PROGRAMS, House
 
-AT_ONCE_S = 0.01
-LIVE_S, LIVE = 0.1, 200
-"""s between two scans; scans and poses."""
+AT_ONCE = 100
+"""Messages, so that the inbox holds them."""
+LIVE_S = 0.1
 
 
 @pytest.fixture
@@ -38,24 +39,34 @@ def patrol(house: House, number: int) -> list[Envelope]:
     return list(Patrol(number).messages(MOVED, number * VISIT_S, site=house.site))
 
 
-def say(house: House, messages: list[Envelope], every_s: float) -> None:
+def count_of(house: House, version: str) -> int:
+    """Answers from the models of that version."""
+    return sum(answer.model_version == version for answer in house.ear.of(HYPOTHESES, Hypotheses))
+
+
+def drive(house: House, scans: list[int], stop: threading.Event) -> None:
+    """At the pace of a lidar, until told to stop; `scans`: the stamps of what was said."""
     with Bus(open_session(house.config)) as bus:
-        for envelope in messages:
-            bus.say(envelope)
-            if envelope.channel is SCAN:
-                time.sleep(every_s)
+        for number in itertools.count(6):
+            for envelope in Patrol(number).messages(MOVED, number * VISIT_S, site=house.site):
+                if stop.is_set():
+                    return
+                bus.say(envelope)
+                if envelope.channel is SCAN:
+                    scans.append(nanoseconds(envelope.open(Scan).timestamp))
+                    time.sleep(LIVE_S)
 
 
-def counted(house: House, more_than: int = 0) -> int:
-    """Looks that the mapbuilder counted, once they are more than that and no more come."""
-    seen = [-1]
-
-    def settled(health: Health) -> bool:
-        count = health.counters["looks_counted"]
-        same, seen[0] = count == seen[0], count
-        return count > more_than and same
-
-    return house.until("mapbuilder", settled, "has counted looks").counters["looks_counted"]
+def tell(house: House, messages: list[Envelope], heard: int) -> int:
+    """As fast as the mapbuilder hears, who has heard so many poses; gives how many it has then."""
+    with Bus(open_session(house.config)) as bus:
+        for first in range(0, len(messages), AT_ONCE):
+            part = messages[first : first + AT_ONCE]
+            for envelope in part:
+                bus.say(envelope)
+            heard += sum(envelope.channel is POSE for envelope in part)
+            house.until("mapbuilder", lambda health: health.counters["heard_pose"] >= heard, "has heard all")  # noqa: B023
+    return heard
 
 
 def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
@@ -63,15 +74,13 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
 ) -> None:
     before = read_models(model).to_message()
     house.start("mapbuilder", "--model", model)
-    say(house, patrol(house, 0), AT_ONCE_S)
-    first = counted(house)
-    say(house, patrol(house, 1), AT_ONCE_S)
-    counted(house, first)
+    tell(house, patrol(house, 1), tell(house, patrol(house, 0), 0))
     # of the visit that runs only what was saved is kept; the one before must be
     house.kill("mapbuilder")
     house.start("mapbuilder", "--model", model)
+    heard = 0
     for number in range(2, 6):
-        say(house, patrol(house, number), AT_ONCE_S)
+        heard = tell(house, patrol(house, number), heard)
     health = house.until("mapbuilder", lambda health: "proposed as" in health.detail, "proposes a version")
     assert health.status == Health.STATUS_OK
     assert f"eigenscan models accept {model}" in health.detail
@@ -82,16 +91,18 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
     house.start("projector", "--robot", "r1")
     house.until("projector", lambda health: health.status == Health.STATUS_OK, "has models")
     told = len(house.ear.of(MODEL, RegionModel))
-    drive = patrol(house, 6)[:LIVE]
-    robot = threading.Thread(target=say, args=(house, drive, LIVE_S))
+    scans, stop = list[int](), threading.Event()
+    robot = threading.Thread(target=drive, args=(house, scans, stop))
     robot.start()
-    house.ear.wait_for(lambda _: len(house.ear.of(HYPOTHESES, Hypotheses)) > 10, "hypotheses")
-    accept = [PROGRAMS / "eigenscan", "models", "accept", model]
-    assert subprocess.run(accept, check=False, capture_output=True).returncode == 0
-    robot.join()
-    after = read_models(model).to_message()
-
-    scans = [nanoseconds(one.open(Scan).timestamp) for one in drive if one.channel is SCAN]
+    try:
+        house.ear.wait_for(lambda _: len(house.ear.of(HYPOTHESES, Hypotheses)) > 10, "hypotheses")
+        accept = [PROGRAMS / "eigenscan", "models", "accept", model]
+        assert subprocess.run(accept, check=False, capture_output=True).returncode == 0
+        after = read_models(model).to_message()
+        house.ear.wait_for(lambda _: count_of(house, after.version) > 10, "answers from the new models")
+    finally:
+        stop.set()
+        robot.join()
     house.ear.wait_for(lambda _: len(house.ear.of(HYPOTHESES, Hypotheses)) >= len(scans), "all answers")
     answers = house.ear.of(HYPOTHESES, Hypotheses)
     assert [nanoseconds(answer.timestamp) for answer in answers] == scans

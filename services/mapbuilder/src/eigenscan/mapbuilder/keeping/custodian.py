@@ -29,6 +29,7 @@ class Custodian:
         self._saved = 0
         self._problem = ""
         self._note = ""
+        self._site = site
         self._keeper = self._adopt(site)
 
     @property
@@ -52,7 +53,7 @@ class Custodian:
             self._publish = False
         self._proposed = self._note = ""
         self._try(self._store.withdraw)
-        if self._keeper.fits(site.grid):
+        if self._keeper.fits(site.grid) and site.frame_id == self._site.frame_id:
             self._site = site
             self._keeper.trust(site.grid)
         else:
@@ -76,9 +77,8 @@ class Custodian:
 
     def _adopt(self, site: SiteModel) -> Keeper:
         self._site, self._saved = site, 0
-        return Keeper(
-            site.grid, self._store.load(site.grid, self._settings.visit * 60.0), self._settings.visits
-        )
+        evidence = self._store.load(site.grid, self._settings.visit * 60.0)
+        return Keeper(site.grid, evidence, self._settings.visits, site.frame_id)
 
     def _decide(self, change: Change) -> None:
         if not change:

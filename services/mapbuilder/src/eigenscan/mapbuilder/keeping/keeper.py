@@ -20,10 +20,10 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 class Keeper:
     """Hears scans and poses of all robots of a site; says what has changed at the end of a visit."""
 
-    def __init__(self, grid: GridMap, evidence: Evidence, visits: int) -> None:
+    def __init__(self, grid: GridMap, evidence: Evidence, visits: int, frame_id: str = "map") -> None:
         self.evidence = evidence
         self.counts: Counter[str] = Counter()
-        self._visits = visits
+        self._visits, self._frame_id = visits, frame_id
         self._witnesses: dict[tuple[str, str], Witness] = {}
         self.trust(grid)
 
@@ -48,6 +48,9 @@ class Keeper:
             looks = witness.hear_scan(scan, judge)
         elif heard.channel is POSE:
             pose = heard.open(PoseEstimate)
+            if pose.frame_id != self._frame_id:
+                self.counts["poses_of_another_frame"] += 1
+                return None
             for (name, _), witness in self._witnesses.items():
                 if name == robot:
                     looks += witness.hear_pose(pose, judge)

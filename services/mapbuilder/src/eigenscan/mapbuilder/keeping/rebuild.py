@@ -73,8 +73,7 @@ class _Rebuild:
 
 def _distance(index: Index, to: Index) -> NDArray[np.float64]:
     """Distance (m,) of each row of `to` (m, 2) from the nearest row of `index`."""
-    found: NDArray[np.float64] = KDTree(index).query(to)[0]
-    return found
+    return np.asarray(KDTree(index).query(to)[0], dtype=np.float64)
 
 
 def _among(index: Index, others: Index) -> NDArray[np.bool_]:
