@@ -5,8 +5,12 @@
 A track is begun at each hypothesis of a scan that is worth it, and followed by the true motion to the scan
 half a metre or half a radian on. There it has a hypothesis of some log-likelihood L, by some nats ahead of
 the next place, or none. The table is ln p(that | the track was right) / p(that | it was wrong); the
-tracker's own figures (services/tracker, evidence.py) stand beside it. The datasets are not part of the
-project; by default they are looked for beside it.
+tracker's own figures (services/tracker, evidence.py) stand beside it.
+
+Then how often more hypotheses of a list go on in a later one as the robot moved than as if it had moved
+backwards, and the other way round: what tells the sign of the way (services/tracker, direction.py).
+
+The datasets are not part of the project; by default they are looked for beside it.
 """
 
 import argparse
@@ -29,6 +33,8 @@ from eigenscan.geometry.pose import between, compose
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.tracker.continuity import going_on
+from eigenscan.tracker.direction import NEAR_M, NEAR_RAD, REACH_M
 from eigenscan.tracker.evidence import EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
@@ -133,6 +139,29 @@ def hiding(windows: list[list[Answer]]) -> dict[str, float]:
     }
 
 
+def signs(windows: list[list[Answer]]) -> dict[str, float]:
+    """How often lists some way apart speak for the true direction of that way, against it, or not at all."""
+    for_it = against = total = 0
+    for scans in windows:
+        for start, seen in reaching(scans):
+            moved = between(start.truth, seen.truth)
+            true, back = (
+                going_on(compose(start.poses, moved * sign), seen.poses, NEAR_M, NEAR_RAD)
+                for sign in (np.ones(3), np.array([-1.0, -1.0, 1.0]))
+            )
+            for_it, against, total = for_it + (true > back), against + (true == 0 < back), total + 1
+    return {"sign_right": for_it / max(total, 1), "sign_wrong": against / max(total, 1)}
+
+
+def reaching(scans: list[Answer]) -> Iterator[tuple[Answer, Answer]]:
+    """One stretch after the other that reaches far enough ahead or back."""
+    start = next(iter(scans), None)
+    for seen in scans:
+        if abs(between(start.truth, seen.truth)[0]) >= REACH_M:
+            yield start, seen
+            start = seen
+
+
 def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
     shape = (len(LIKELIHOODS) - 1, len(AHEAD) - 1)
     true, false = Counts(np.zeros(shape)), Counts(np.zeros(shape))
@@ -141,20 +170,25 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
     half = 0.5  # of a track, so that an empty cell is not infinite
     ratio = np.log((true.listed + half) / true.total) - np.log((false.listed + half) / false.total)
     ratio[true.listed + false.listed < 10] = np.nan
-    return {
-        "case": case,
-        "right_tracks": true.total,
-        "wrong_tracks": false.total,
-        "ratio": ratio.tolist(),
-        "missed": float(
-            np.log((true.missed + half) / true.total) - np.log((false.missed + half) / false.total)
-        ),
-    } | hiding(windows)
+    return (
+        {
+            "case": case,
+            "right_tracks": true.total,
+            "wrong_tracks": false.total,
+            "ratio": ratio.tolist(),
+            "missed": float(
+                np.log((true.missed + half) / true.total) - np.log((false.missed + half) / false.total)
+            ),
+        }
+        | hiding(windows)
+        | signs(windows)
+    )
 
 
 def show(row: dict[str, Any]) -> None:
     print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks, {row['wrong_tracks']:.0f} wrong ones")
     print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
+    print(f"the way's sign: right {row['sign_right']:.1%}, wrong {row['sign_wrong']:.1%} of the stretches")
     print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))
     for low, ratios in zip(LIKELIHOODS[:-1], row["ratio"], strict=True):
         print(

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from eigenscan.geometry.pose import compose
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.branching import at_least, births, branch
 from eigenscan.tracker.covariance import log_volume
@@ -109,6 +110,18 @@ class Belief:
         if moved.breaks > 0:
             self._release(np.full(len(self.tracks), 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)))
         self._return(happened(RETURN_RATE * abs(moved.seconds)))
+
+    def take_back(self, moved: Motion) -> None:
+        """Sets tracks back that odometry alone carried along `moved`, whose way was the other way round.
+
+        Of those that a hypothesis confirmed on that way only the rest of it is set back.
+        """
+        alone = np.clip(self.tracks.unchecked[:, 0] / max(moved.way, 1e-9), 0.0, 1.0)
+        cos, sin = np.cos(moved.delta[2]), np.sin(moved.delta[2])
+        x, y = moved.delta[0], moved.delta[1]
+        # the increment as seen from its end
+        way = np.array([cos * x + sin * y, cos * y - sin * x, 0.0])
+        self.tracks = replace(self.tracks, x=compose(self.tracks.x, -2.0 * alone[:, None] * way))
 
     def _release(self, share: Array) -> None:
         """Moves `share` (n,) of the tracks' mass to "none"."""

@@ -42,15 +42,23 @@ def goes_on(before: Array, after: Array, moved: Motion) -> bool | None:
         return None
     expected = compose(before[:COMPARED], np.asarray(moved.delta))
     near, turned = NEAR_M + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
-    return bool(_any_near(expected, after, near, turned))
+    return going_on(expected, after, near, turned) > 0
 
 
-@njit("b1(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)  # pragma: no cover - compiled
-def _any_near(expected: Array, found: Array, near: float, turned: float) -> bool:
-    """Whether any of `found` (k, 3) is within `near` m and `turned` rad of any of `expected` (n, 3)."""
+def going_on(expected: Array, found: Array, near: float, turned: float) -> int:
+    """How many of `expected` (n, 3) have one of `found` (k, 3) within `near` m and `turned` rad."""
+    return int(_count_near(expected, found, near, turned))
+
+
+@njit("i8(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)  # pragma: no cover - compiled
+def _count_near(expected: Array, found: Array, near: float, turned: float) -> int:
+    count = 0
     for i in range(len(expected)):
         for k in range(len(found)):
+            if abs(found[k, 0] - expected[i, 0]) > near:
+                continue  # most are far away
             x, y, turn = apart(found[k], expected[i])
             if hypot(x, y) <= near and abs(turn) <= turned:
-                return True
-    return False
+                count += 1
+                break
+    return count

@@ -11,6 +11,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.confidence import Verdict, judge, next_state
 from eigenscan.tracker.continuity import UNNOTICED, goes_on
+from eigenscan.tracker.direction import Direction
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
@@ -79,6 +80,7 @@ class RobotTracker:
         self._histories: dict[int, deque[Array]] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
+        self._direction = Direction()
         self._hint: Hint | None = None
 
     def relocate(self, hint: Hint | None) -> None:
@@ -119,7 +121,11 @@ class RobotTracker:
             self._counts["hypotheses_late"] += 1
             seen = self._brought_forward(seen, belief.stamp)
         elif belief.stamp is not None:
-            belief.predict(self._motion(belief.stamp, seen.stamp))
+            belief.predict(self._direction.applied(self._motion(belief.stamp, seen.stamp)))
+            mistaken = self._direction.hear(seen.source, seen.stamp, seen.poses, self._motion)
+            if mistaken is not None:
+                self._counts["odometry_sign_turned"] += 1
+                belief.take_back(mistaken)
         belief.stamp = seen.stamp
         belief.forget_innovations()
         if seen.usable:
