@@ -13,6 +13,11 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from hypothesis import settings
+
+# a busy machine is not a wrong answer
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 TRUST = TrackerSettings().trust
 """Likelihoods here are as the tracker takes them, after its exponent."""

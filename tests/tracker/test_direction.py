@@ -11,7 +11,7 @@ from eigenscan.tracker.direction import Direction
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.tracks import begin
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 STEP = np.array([0.06, 0.0, 0.03])
@@ -47,7 +47,6 @@ def heard(said: list[np.ndarray]) -> tuple[list[bool], list[Motion]]:
     return states, mistaken
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.5, 0.9]))
 def test_the_sign_follows_the_lists_and_back_again(seed: int, persist: float) -> None:
     drive = [STEP] * 20 + [BACK] * 20 + [STEP] * 20

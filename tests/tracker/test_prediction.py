@@ -9,13 +9,12 @@ from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import displacement_growth, motion_noise, predict
 from eigenscan.tracker.settings import TrackerSettings
 from filterpy.kalman import KalmanFilter
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 SETTINGS = TrackerSettings()
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10_000))
 def test_it_is_filterpys_prediction(seed: int) -> None:
     rng = np.random.default_rng(seed)
