@@ -131,7 +131,7 @@ def test_words_on_standard_input_do_the_same(recording: Path, house: House) -> N
 
 
 def test_where_the_words_end_it_plays_on(recording: Path, house: House) -> None:
-    done = replay(recording, house, "--commands", "--speed", 50, "--only", "odometry", lines="pause\n")
+    done = replay(recording, house, "--commands", "--speed", 10, "--only", "odometry", lines="pause\n")
     assert done.returncode == 0, done.stderr
     house.ear.wait_for(lambda heard: len(odometry(heard)) == LENGTH_S * RATE_HZ, "all of it")
 

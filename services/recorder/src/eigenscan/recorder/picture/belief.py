@@ -23,7 +23,8 @@ def probabilities(log_likelihoods: Array, unlisted: float) -> Array:
     highest = weights.max(initial=-np.inf)
     if not np.isfinite(highest):
         return np.zeros(len(log_likelihoods))
-    shares = np.exp(weights - highest)
+    with np.errstate(over="ignore"):  # so far below the highest is no share at all
+        shares = np.exp(weights - highest)
     share: Array = shares[:-1] / shares.sum()
     return share
 
