@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+COMPARED = 30
+"""Hypotheses of a list, likeliest first."""
 REACH_M = 0.15
 """Way ahead or back between two lists that are compared: three times what a hypothesis jitters by."""
 STEP_M = 0.05
@@ -63,9 +65,11 @@ class Direction:
             moved = motion(before, stamp)
             if abs(moved.delta[0]) >= REACH_M:
                 weight = min(motion(lists[-1][0], stamp).way / REACH_M, 1.0)
-                mistaken = self._weigh(moved, weight * MATCH * _for_reversed(earlier, poses, moved))
+                mistaken = self._weigh(
+                    moved, weight * MATCH * _for_reversed(earlier, poses[:COMPARED], moved)
+                )
                 break
-        lists.append((stamp, poses))
+        lists.append((stamp, poses[:COMPARED]))
         return mistaken
 
     def _weigh(self, moved: Motion, gained: float) -> Motion | None:
