@@ -107,7 +107,7 @@ def test_a_look_marks_the_cells_on_its_beams_and_no_others(x, y, theta, turn, se
     grid = GridMap(np.zeros((90, 110), np.uint8), 0.05, np.array([0.3, -0.2, turn]))
     rng = np.random.default_rng(seed)
     look = Look(0, np.array([x, y, theta]), rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.05, 6.0, 40))
-    found = mark(look, grid)
+    found = mark(look, grid, rng.random(40) < 0.5)
     struck, crossed = np.zeros(grid.cells.shape, bool), np.zeros(grid.cells.shape, bool)
     struck[found.part], crossed[found.part] = found.struck, found.crossed
     assert not (struck & crossed).any()

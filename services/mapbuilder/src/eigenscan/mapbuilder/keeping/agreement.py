@@ -6,9 +6,12 @@ import numpy as np
 from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.keeping.change import TOLERANCE
-from eigenscan.mapbuilder.keeping.look import Look
+from eigenscan.mapbuilder.keeping.look import MARGIN, Look
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+ASIDE = np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.1], [0.0, -0.1]])
+"""m that a pose may be off: what a look from there would explain contradicts nothing."""
 LONGEST_ERROR = 0.5
 """m between a beam and what the map foretells, beyond which it ends at another wall than the one foretold."""
 
@@ -22,6 +25,13 @@ class Agreement:
         # a disc rather than a square: a pose that is turned must not agree along the diagonals
         row, column = np.ogrid[-reach : reach + 1, -reach : reach + 1]
         self._near = binary_dilation(grid.cells == OCCUPIED, row**2 + column**2 <= reach**2)
+
+    def contradicts(self, look: Look) -> NDArray[np.bool_]:
+        """Which beams (B,) went through a wall, even if the pose is a little off: no beam that grazes one."""
+        poses = np.repeat(look.pose[None], len(ASIDE), axis=0)
+        poses[:, :2] += ASIDE
+        foretold = self._caster.cast(poses, look.bearings, look.ranges)
+        return np.asarray((foretold < look.ranges - 2 * MARGIN).all(axis=0))
 
     def share(self, look: Look) -> float:
         """Share of the beams that end at the wall that the map foretells; 0 where there is no beam."""

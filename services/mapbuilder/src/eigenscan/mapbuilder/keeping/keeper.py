@@ -59,5 +59,5 @@ class Keeper:
 
     def _count(self, look: Look) -> bool:
         ended = self.evidence.turn_to(look.stamp)
-        self.evidence.add(mark(look, self._grid))
+        self.evidence.add(mark(look, self._grid, self._agreement.contradicts(look)))
         return ended

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.carving import Carving
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.geometry.pose import transform
 from numpy.typing import NDArray
 
@@ -41,13 +41,18 @@ class Marks:
     crossed: NDArray[np.bool_]
 
 
-def mark(look: Look, grid: GridMap) -> Marks:
-    """What the look says of the grid's cells. A cell that any beam struck was not looked through."""
+def mark(look: Look, grid: GridMap, through: NDArray[np.bool_]) -> Marks:
+    """What the look says of the grid's cells. A cell that any beam struck was not looked through.
+
+    `through` (B,): beams that may tell of mapped walls that they went through them.
+    """
     place = grid.to_grid(look.pose[:2])
     ends = grid.to_grid(look.points())
     before = grid.to_grid(look.points(np.maximum(look.ranges - MARGIN, 0.0)))
     carving = Carving.around(np.concatenate([ends, place[None]]), 1.0)
-    carving.add(place, before)
+    carving.add(place, before[through])
+    pierced = (carving.passes + carving.hits) > 0
+    carving.add(place, before[~through])
     crossed = (carving.passes + carving.hits) > 0
     struck = np.zeros_like(crossed)
     column, row = np.floor(ends - carving.low).astype(np.int64).T
@@ -58,4 +63,5 @@ def mark(look: Look, grid: GridMap) -> Marks:
     part, inner = (
         (slice(r0, r1), slice(c0, c1)) for (r0, c0), (r1, c1) in ((low, high), (low - corner, high - corner))
     )
-    return Marks(part, struck[inner], (crossed & ~struck)[inner])
+    seen = np.where(grid.cells[part] == OCCUPIED, pierced[inner], crossed[inner])
+    return Marks(part, struck[inner], seen & ~struck[inner])
