@@ -85,7 +85,6 @@ class Site:
         yield self._say(MODEL, self._model())
         yield self._say(MODEL_SET, ModelSet(timestamp=stamp(first), version="abc", frame_id="map"))
         yield self._say(TRANSFORM, FrameTransform(timestamp=stamp(first), parent_frame_id="map"))
-        yield self._say(RELOCATION, Relocation(timestamp=stamp(first), frame_id="map"))
         for timed in timeline:
             yield timed.envelope
             if timed.envelope.channel == SCAN_RAW:
