@@ -137,12 +137,13 @@ def _untimely(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
 
 def _rotation(files: Mapping[Path, Sequence[Raw]], latched: Sequence[Said]) -> Check:
     name, keys = "rotation", {one.envelope.key for one in latched}
-    later = list(files.items())[1:]
-    if not later:
+    if len(files) < 2:
         return skipped(name, CLAUSE, "one file: its command asks for no rotation that this run would reach")
-    problems = []
-    for path, raws in later:
+    problems, heard = [], set[str]()  # a file may begin before all of them have come
+    for path, raws in files.items():
         first = {raw[1].topic for raw in raws[: len(keys)]}
-        if not keys <= first:
-            problems.append(f"{path.name} does not begin with {sorted(keys - first)[0]}")
-    return check(name, CLAUSE, problems, f"each of {len(later)} further files begins with map and models")
+        if missing := heard - first:
+            problems.append(f"{path.name} does not begin with {min(missing)}")
+        heard |= keys & {raw[1].topic for raw in raws}
+    words = f"each of {len(files) - 1} further files begins with map and models"
+    return check(name, CLAUSE, problems, words)
