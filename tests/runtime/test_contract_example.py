@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[2] / "docs/contract.md"
 
 
 def test_the_example_hears_a_pose(net: Any, buses: Callable[[], Bus]) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = re.findall(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     code = code.replace('"site/', f'"{net.site}/').replace(
         "zenoh.Config()", f"zenoh.Config.from_file({str(net.leaf)!r})"
     )

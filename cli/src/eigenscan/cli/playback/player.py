@@ -78,9 +78,12 @@ class Player:
         return None if self._paused else self._metronome.rest(timed.time)
 
     def _owes_a_look(self) -> bool:
-        """Whether commands were not asked for since a while, for there was no time to wait."""
+        """Whether commands were not asked for since a while, for there was no time to wait.
+
+        Not before the message of a step: the command after it would take its place.
+        """
         now = time.monotonic()
-        if now - self._looked_at < LOOK_S:
+        if self._stepping or now - self._looked_at < LOOK_S:
             return False
         self._looked_at = now
         return True
