@@ -51,9 +51,12 @@ class Wake:
             self.stop()
 
         before = {number: signal.signal(number, handler) for number in (signal.SIGTERM, signal.SIGINT)}
+        # a signal just before `select` would otherwise be dealt with only after it
+        woken = signal.set_wakeup_fd(self._write.fileno(), warn_on_full_buffer=False)
         try:
             yield
         finally:
+            signal.set_wakeup_fd(woken)
             for number, previous in before.items():
                 signal.signal(number, previous)
 
