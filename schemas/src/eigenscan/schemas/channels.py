@@ -93,9 +93,17 @@ class Channel:
     said_by: tuple[Role, ...] = (Role.ROBOT,)
 
     @property
+    def to_one_robot(self) -> bool:
+        """Whether the site says it to a robot, on the robot's own key."""
+        return "robot" in self.fields and any(role is not Role.ROBOT for role in self.said_by)
+
+    @property
     def heard_by(self) -> tuple[Role, ...]:
-        """Who may hear it through the site's router: the site hears all, a robot what no robot says."""
-        return tuple(role for role in Role if role is not Role.ROBOT or Role.ROBOT not in self.said_by)
+        """Who may hear it through the site's router: the site hears all; a robot what no robot says, and what
+        the site says to it alone.
+        """
+        robots = Role.ROBOT not in self.said_by or self.to_one_robot
+        return tuple(role for role in Role if role is not Role.ROBOT or robots)
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -213,6 +221,7 @@ RELOCATION = Channel(
     Relocation,
     Qos(Priority.INTERACTIVE_HIGH, block=True, express=True),
     "where the robot is, or that it may be anywhere, from somebody who knows, for the tracker",
+    (Role.ROBOT, Role.OPERATOR),
 )
 MAP = Channel(
     "map",

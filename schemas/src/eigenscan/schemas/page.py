@@ -77,7 +77,7 @@ def _air(channel: Channel) -> tuple[str, ...]:
         f"`{channel.name}`",
         ", ".join(role.value for role in channel.said_by),
         ", ".join(role.value for role in channel.heard_by),
-        limit if hz else "stays on the robot",
+        (limit if hz else "stays on the robot") + ("; from the site: all" if channel.to_one_robot else ""),
     )
 
 

@@ -1,0 +1,68 @@
+"""Groups of robots: names and patterns, joined by commas, such as `a-*,b-7`; `*` is every robot.
+
+A `*` within a name stands for any characters, none included. A service that serves a group serves each robot
+that fits from when it first speaks; nothing is to be told or started again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+
+from eigenscan.schemas.channels import Channel, ContractError, is_chunk
+
+EVERY = "*"
+
+
+@lru_cache(maxsize=64)
+def patterns(group: str) -> tuple[str, ...]:
+    """The names and patterns of a group. Raises ContractError where one cannot be a robot's name."""
+    found = tuple(re.sub(r"\*+", "*", part.strip()) for part in group.split(","))
+    for part in found:
+        if not is_chunk(part.replace("*", "x")):
+            raise ContractError(
+                f"{part!r} is no robot: a name is not empty and has no blanks and none of / $ # ? @; "
+                "* stands for any characters, commas join several, such as a-*,b-7"
+            )
+    return found
+
+
+def is_one(group: str) -> bool:
+    """True where the group is one robot by its name."""
+    found = patterns(group)
+    return len(found) == 1 and "*" not in found[0]
+
+
+def holds(group: str, robot: str) -> bool:
+    """Whether a robot belongs to a group."""
+    return bool(_matcher(group).fullmatch(robot))
+
+
+@lru_cache(maxsize=64)
+def _matcher(group: str) -> re.Pattern[str]:
+    return re.compile("|".join(".*".join(map(re.escape, part.split("*"))) for part in patterns(group)))
+
+
+def selectors(channel: Channel, address: Mapping[str, str]) -> tuple[str, ...]:
+    """Key expressions for all keys of a channel that fit `address`, whose robot may be a group."""
+    if "robot" not in channel.fields or address.get("robot", EVERY) == EVERY:
+        return (channel.selector({**address, "robot": EVERY}),)
+    given = {name: address.get(name, "*") for name in channel.fields}
+    return tuple(
+        channel.selector({**given, "robot": part})
+        if part == EVERY or is_chunk(part)
+        # within a chunk Zenoh writes $* for any characters
+        else channel.selector({**given, "robot": "*"}).replace(
+            "/robot/*", f"/robot/{part.replace('*', '$*')}", 1
+        )
+        for part in patterns(address["robot"])
+    )
+
+
+def instance_name(group: str) -> str:
+    """What an instance that serves a group is called by default: the robot's name; 0 for every robot.
+
+    A pattern's * becomes a +, which a key may hold.
+    """
+    return "0" if group == EVERY else ",".join(patterns(group)).replace("*", "+")
