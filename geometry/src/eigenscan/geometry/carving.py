@@ -38,7 +38,8 @@ class Carving:
         """Counts rays from `viewpoints` (2,) or (K, 2) to the walls at `ends` (K, 2), m, all on the grid."""
         to = np.ascontiguousarray((np.asarray(ends, dtype=np.float64) - self.low) / self.resolution)
         start = (np.asarray(viewpoints, dtype=np.float64) - self.low) / self.resolution
-        _count(self.hits, self.passes, np.ascontiguousarray(np.broadcast_to(start, to.shape)), to)
+        # always an array of its own: one signature, compiled once
+        _count(self.hits, self.passes, np.broadcast_to(start, to.shape).copy(), to)
 
     def to_map(self, share: float = 0.25, least_hits: int = 2) -> GridMap:
         """OCCUPIED from `share` of the rays and `least_hits` on; else FREE where looked through, or UNKNOWN.

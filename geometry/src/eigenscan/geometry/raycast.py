@@ -74,11 +74,12 @@ class RayCaster:
         """
         pose = np.atleast_2d(np.asarray(poses, dtype=np.float64))
         angles = np.atleast_1d(np.asarray(bearings, dtype=np.float64))
-        starts = np.column_stack([self.to_cells(pose[:, :2]), pose[:, 2] - self.grid.origin[2]])
+        starts = np.empty(pose.shape)
+        starts[:, :2] = self.to_cells(pose[:, :2])
+        starts[:, 2] = pose[:, 2] - self.grid.origin[2]
         resolution = self.grid.resolution
-        limits = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(range_max, dtype=np.float64) / resolution, angles.shape)
-        )
+        limits = np.empty(angles.shape)
+        limits[:] = np.asarray(range_max, dtype=np.float64) / resolution
         out: NDArray[np.float32] = _cast(self.leap, starts, angles, limits, resolution)
         return out
 
@@ -175,5 +176,6 @@ def _stop_at(leap: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np
     height, width = leap.shape
     column, row = np.floor(points).astype(np.int64).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    values = leap[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    row, column = np.minimum(np.maximum(row, 0), height - 1), np.minimum(np.maximum(column, 0), width - 1)
+    values = leap[row, column]
     return np.where(inside, values, DARK).astype(np.uint8)
