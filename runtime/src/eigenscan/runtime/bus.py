@@ -19,6 +19,7 @@ from typing import Any
 import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.keepsake import DIGEST_BYTES, digest
+from eigenscan.runtime.lately import Lately
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,
@@ -29,6 +30,7 @@ from eigenscan.schemas.channels import (
     find,
 )
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.group import selectors
 from eigenscan.schemas.wire import encode, encoding
 
 LATCHED_TIMEOUT_S = 120.0
@@ -46,9 +48,12 @@ _PRIORITY = {priority: getattr(zenoh.Priority, priority.name) for priority in Pr
 class Bus:
     """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, *, prompt: bool = False) -> None:
+        """`prompt`: what is heard comes in the session's own thread, which is quicker by a thread's turn."""
         self._session = session
-        self._publishers: dict[str, Any] = {}
+        self._prompt = prompt
+        self._idle: list[Any] = []
+        self._publishers: Lately[str, Any] = Lately(self._idle.append)
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
         self._lock = threading.Lock()
         self._declared: list[Any] = []
@@ -84,9 +89,8 @@ class Bus:
         """Answers queries for the newest samples of the latched ones among `channels`."""
         for channel in channels:
             if channel.qos.latched:
-                self._declared.append(
-                    self._session.declare_queryable(channel.selector(address), self._answer)
-                )
+                for selector in selectors(channel, address):
+                    self._declared.append(self._session.declare_queryable(selector, self._answer))
                 self._declare_token(
                     LATCHED_TEMPLATE.format(
                         site=address["site"], channel=channel.name, session=self._session.zid()
@@ -120,15 +124,17 @@ class Bus:
     ) -> None:
         """Fills `inbox` from all keys of `channels` that fit `address`; latched ones also from the past.
 
+        The robot in `address` may be a group.
+
         `known` samples, oldest first, need not come again.
         """
         known = list(known)
         for channel in channels:
             intake = _Intake([channel], inbox, known)
-            selector = channel.selector(address)
-            self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
-            if channel.qos.latched:
-                self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
+            for selector in selectors(channel, address):
+                self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
+                if channel.qos.latched:
+                    self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
 
     def listen_all(self, channels: Sequence[Channel], selector: str, inbox: Inbox) -> None:
         """Fills `inbox` from every key that `selector` matches; each sample goes to its own channel.
@@ -186,10 +192,11 @@ class Bus:
             if channel.qos.latched:
                 stamp = self._session.new_timestamp()
                 self._latched[key] = (channel, payload, stamp)
-            publisher = self._publishers.get(key)
-            if publisher is None:
-                publisher = self._publishers[key] = self._publisher(channel, key)
+            publisher = self._publishers.use(key, lambda: self._publisher(channel, key))
+            idle = [self._idle.pop() for _ in range(len(self._idle))]
         publisher.put(payload, timestamp=stamp)
+        for one in idle:  # of robots that are gone
+            one.undeclare()
 
     def wait_for_listener(self, key: str, timeout: float) -> bool:
         """Waits until somebody subscribes to `key`, at most `timeout` seconds; False where nobody did."""
@@ -217,9 +224,9 @@ class Bus:
     def close(self) -> None:
         """Undeclares everything, then closes the session. What another thread says after that fails."""
         with self._lock:
-            declared = [*self._declared, *self._publishers.values()]
+            declared = [*self._declared, *(publisher for _, publisher in self._publishers.items())]
             self._declared.clear()
-            self._publishers.clear()
+            self._publishers = Lately()
         for one in declared:
             with contextlib.suppress(zenoh.ZError):  # the link may be gone already
                 one.undeclare()

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from eigenscan.runtime.settings import SettingsError
@@ -79,7 +80,7 @@ class Monitor:
                 "contract": str(CONTRACT_VERSION),
             }
         )
-        self.handling = Histogram(
+        self._handling = Histogram(
             "eigenscan_handling_seconds",
             "time in the core per message",
             ["channel"],
@@ -93,6 +94,9 @@ class Monitor:
             registry=self._registry,
             buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 60),
         )
+        # to look a label up costs as much as to count
+        self._handling_of = lru_cache(maxsize=None)(self._handling.labels)
+        self._lag_of = lru_cache(maxsize=None)(self._lag.labels)
         self._server: ThreadingHTTPServer | None = None
 
     def turn(self, condition: Condition) -> bool:
@@ -101,9 +105,13 @@ class Monitor:
         before, self._condition = self._condition, condition
         return (before.status, before.detail) != (condition.status, condition.detail)
 
+    def handled(self, channel: str, seconds: float) -> None:
+        """Notes how long the core took for a message."""
+        self._handling_of(channel).observe(seconds)
+
     def dealt_with(self, channel: str, stamp_ns: int) -> None:
         """Notes how old a message is when the core is done with it."""
-        self._lag.labels(channel).observe(time.time() - stamp_ns * 1e-9)
+        self._lag_of(channel).observe(time.time() - stamp_ns * 1e-9)
 
     def hear_twin(self) -> None:
         """Notes that another process speaks under this one's name."""

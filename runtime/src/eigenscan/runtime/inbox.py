@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from eigenscan.schemas.channels import Channel
@@ -33,6 +34,8 @@ class Inbox:
         self._next = 0
         self._closed = False
         self._ready = threading.Condition()
+        self.on_put: Callable[[], None] | None = None
+        """Called behind each sample, in its thread; then nobody is woken who takes."""
         self._dropped: Counter[str] = Counter()
 
     def put(self, channel: Channel, key: str, payload: bytes, encoding: str) -> None:
@@ -45,7 +48,10 @@ class Inbox:
             orders.append(self._next)
             self._waiting[self._next] = Arrival(channel, key, payload, encoding)
             self._next += 1
-            self._ready.notify()
+            if self.on_put is None:
+                self._ready.notify()
+        if self.on_put is not None:
+            self.on_put()
 
     def take(self, timeout: float) -> Arrival | None:
         """Oldest sample, or None after `timeout` seconds without one, or when closed."""
@@ -59,6 +65,11 @@ class Inbox:
             if not orders:
                 del self._orders[arrival.key]
             return arrival
+
+    def wait_until_closed(self, timeout: float) -> None:
+        """Waits, at most `timeout` seconds."""
+        with self._ready:
+            self._ready.wait_for(lambda: self._closed, timeout)
 
     def drop(self, reason: str) -> None:
         """Counts a sample that was not taken in."""

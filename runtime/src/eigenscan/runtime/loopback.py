@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
+from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Core, Envelope
 from eigenscan.schemas.wire import decode, encode
 
@@ -18,6 +19,7 @@ class Loopback:
 
     def __init__(self, cores: Sequence[Core]) -> None:
         self._cores = list(cores)
+        self._hearers: dict[str, list[Core]] = {}
 
     def start(self) -> list[Envelope]:
         """Starts the cores; gives all that was said."""
@@ -36,8 +38,14 @@ class Loopback:
         while waiting:
             envelope = waiting.popleft()
             yield envelope
-            hearers = [core for core in self._cores if envelope.channel in core.hears]
+            hearers = self._hearers_of(envelope.channel)
             payload = encode(envelope.message) if hearers else b""
             for core in hearers:
                 message = decode(envelope.channel, payload)
                 waiting.extend(core.handle(Envelope(envelope.channel, envelope.address, message)))
+
+    def _hearers_of(self, channel: Channel) -> list[Core]:
+        known = self._hearers.get(channel.name)
+        if known is None:
+            known = self._hearers[channel.name] = [core for core in self._cores if channel in core.hears]
+        return known

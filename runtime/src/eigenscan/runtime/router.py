@@ -10,9 +10,9 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-import structlog
 import zenoh
 from eigenscan.runtime import node
+from eigenscan.runtime.logs import logger
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Envelope
@@ -55,7 +55,7 @@ class RouterCore:
 
 def _end_on_change(path: Path) -> None:
     """Ends this process, in good order, once `path` holds another configuration that Zenoh can read."""
-    log = structlog.get_logger(service="router")
+    log = logger()
     seen = path.read_bytes()
     while True:
         time.sleep(LOOK_EVERY_S)

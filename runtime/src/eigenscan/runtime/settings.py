@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import itertools
 import json
 import os
 import sys
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
+from eigenscan.schemas.group import EVERY, instance_name, patterns
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
@@ -39,9 +41,13 @@ class ServiceSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     site: str = Field(DEFAULT_SITE, description="site name, first chunk of every key")
-    robot: str = Field(DEFAULT_ROBOT, description="robot to serve; * serves every robot of the site")
+    robot: str = Field(
+        DEFAULT_ROBOT,
+        description="robot to serve, or several: names and patterns with commas between, such as a-*,b-7; "
+        "* serves every robot of the site",
+    )
     instance: str = Field(
-        default_factory=lambda given: "0" if given.get("robot", "*") == "*" else given["robot"],
+        default_factory=lambda given: instance_name(given.get("robot", EVERY)),
         description="name of this instance among those of its service; the robot's name without it",
     )
     zenoh: Path | None = Field(None, description="Zenoh configuration, JSON5; without it an embedded peer")
@@ -69,11 +75,25 @@ class ServiceSettings(BaseModel):
         """What the core's answers may depend on, as JSON: all but how the process itself is run."""
         return self.model_dump_json(exclude=_OF_THE_PROCESS)
 
-    @field_validator("site", "robot", "instance")
+    @field_validator("site", "instance")
     @classmethod
-    def _one_chunk(cls, value: str, info: Any) -> str:
-        if not is_chunk(value) and not (value == "*" and info.field_name == "robot"):
+    def _one_chunk(cls, value: str) -> str:
+        if not is_chunk(value):
             raise ValueError("must be one chunk of a key: not empty, no blanks, none of / * $ # ? @")
+        return value
+
+    @field_validator("robot")
+    @classmethod
+    def _each_robot_once(cls, value: str) -> str:
+        """Two of its patterns that fit the same robot would hear each of its messages twice."""
+        pairs = list(itertools.combinations(patterns(value), 2))
+        if pairs:
+            from zenoh import KeyExpr
+
+            for one, other in pairs:
+                first, second = (KeyExpr.autocanonize(part.replace("*", "$*")) for part in (one, other))
+                if first.intersects(second):
+                    raise ValueError(f"{one} and {other} fit the same robots: name each robot once")
         return value
 
 

@@ -37,6 +37,11 @@ class Contents:
         """The keys of one channel."""
         return [key for key in self.counts if channel.parse(key)]
 
+    def stretch(self, begin_s: float, end_s: float | None) -> tuple[int, int]:
+        """Log times, ns, of two seconds from the start; the end is that of the recording at the latest."""
+        begin = self.begin + int(begin_s * 1e9)
+        return begin, self.end if end_s is None else min(self.end, self.begin + int(end_s * 1e9))
+
     def add(self, topic: str, count: int) -> None:
         """Counts messages on a topic."""
         (self.counts if find(topic) else self.foreign)[topic] += count

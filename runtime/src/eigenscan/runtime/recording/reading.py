@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from eigenscan.runtime.recording.contents import contents
-from eigenscan.runtime.recording.files import Raw, is_indexed, messages, opened, parts
-from eigenscan.schemas.channels import CONTRACT_VERSION, find
+from eigenscan.runtime.recording.files import is_indexed, messages, opened, parts
+from eigenscan.schemas.channels import CONTRACT_VERSION, Channel, find
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import decode, encode
 from mcap.reader import make_reader
-from mcap.records import Channel, Schema
+from mcap.records import Channel as McapChannel
+from mcap.records import Message, Schema
 
 
 @dataclass(frozen=True)
@@ -72,39 +73,47 @@ def _merged(files: list[Path], begin: int) -> Iterator[Record]:
 def _read_file(path: Path, begin: int) -> Iterator[Record]:
     with opened(path) as file:
         early = _latched_topics(path) if begin else ()
-        held: dict[str, Raw] = {}
-        for raw in messages(file, begin, early):
-            _, channel, message = raw
-            found = find(channel.topic)
-            if found is None:
+        held: dict[str, _Found] = {}
+        for schema, channel, message in messages(file, begin, early):
+            own = find(channel.topic)
+            if own is None:
                 continue
+            found = _Found(*own, _declared(schema, channel), message)
             if message.log_time >= begin:
                 yield from _records(held)
-                yield _record(raw)
-            elif found[0].qos.latched:
+                yield found.record()
+            elif found.channel.qos.latched:
                 held.pop(channel.topic, None)  # so that the order stays that of time
-                held[channel.topic] = raw
+                held[channel.topic] = found
         yield from _records(held)
 
 
-def _records(held: dict[str, Raw]) -> Iterator[Record]:
+@dataclass(frozen=True)
+class _Found:
+    """A message on one of our keys, not decoded yet: models are dear."""
+
+    channel: Channel
+    address: Mapping[str, str]
+    encoding: str
+    message: Message
+
+    def record(self) -> Record:
+        """Raises ContractError where the message is not of its channel's schema."""
+        own = self.message
+        payload = decode(self.channel, own.data, self.encoding)
+        return Record(
+            Envelope(self.channel, self.address, payload), own.log_time, own.publish_time, len(own.data)
+        )
+
+
+def _records(held: dict[str, _Found]) -> Iterator[Record]:
     """The records of what is held, which is empty after it."""
-    for raw in held.values():
-        yield _record(raw)
+    for found in held.values():
+        yield found.record()
     held.clear()
 
 
-def _record(raw: Raw) -> Record:
-    schema, channel, message = raw
-    found = find(channel.topic)
-    assert found is not None
-    payload = decode(found[0], message.data, _declared(schema, channel))
-    return Record(
-        Envelope(found[0], found[1], payload), message.log_time, message.publish_time, len(message.data)
-    )
-
-
-def _declared(schema: Schema | None, channel: Channel) -> str:
+def _declared(schema: Schema | None, channel: McapChannel) -> str:
     """Encoding that the file declares for a channel, as it would read over Zenoh."""
     contract = channel.metadata.get("contract", str(CONTRACT_VERSION))
     return f"application/{channel.message_encoding};{schema.name}/{contract}" if schema else ""

@@ -1,0 +1,42 @@
+"""What a service counts, and what it sets aside with a warning."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from typing import Any
+
+from eigenscan.runtime.logs import Logger
+
+WARNING_PERIOD_S = 1.0
+"""Of one reason: a sensor gone mad must not fill the log."""
+
+
+class Tally:
+    """Counters by name, and warnings about what is counted."""
+
+    def __init__(self, log: Logger) -> None:
+        self.counts: Counter[str] = Counter()
+        self._log = log
+        self._warned_at: dict[str, float] = {}
+
+    def set_aside(
+        self, reason: str, key: str, error: BaseException | None = None, *, trace: bool = False
+    ) -> None:
+        """Counts what could not be dealt with, and warns of it; `trace`: with the error's own."""
+        self.counts[reason] += 1
+        self.warn(
+            reason,
+            key=key,
+            error=str(error) if error else "",
+            count=self.counts[reason],
+            exc_info=error if trace else None,
+        )
+
+    def warn(self, reason: str, **context: Any) -> None:
+        """Logs a warning, at most once in WARNING_PERIOD_S for each reason."""
+        now = time.monotonic()
+        if now - self._warned_at.get(reason, -math.inf) >= WARNING_PERIOD_S:
+            self._warned_at[reason] = now
+            self._log.warning(reason, **context)

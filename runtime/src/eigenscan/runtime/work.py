@@ -1,0 +1,124 @@
+"""A core at work: what waits is decoded and handed to it, what it answers is said, its condition is told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+
+from eigenscan.runtime.health import WAITING, Monitor
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.tally import Tally
+from eigenscan.runtime.wake import Wake
+from eigenscan.schemas.channels import ContractError
+from eigenscan.schemas.envelope import Condition, Core, Envelope, nanoseconds
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.wire import decode
+
+CONDITION_PERIOD_S = 0.25
+
+
+class Work:
+    """One core, from its first message to its last. One that it fails on is counted and logged, not fatal."""
+
+    def __init__(
+        self,
+        core: Core,
+        inbox: Inbox,
+        say: Callable[[Envelope], None],
+        keep: Callable[[Arrival], None],
+        monitor: Monitor,
+        tally: Tally,
+        wake: Wake,
+        *,
+        prompt: bool = False,
+    ) -> None:
+        """`keep` is given what is latched, `wake` says when to stop.
+
+        `prompt`: takes each message in the thread that brings it.
+        """
+        self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
+        self._monitor, self._tally, self._wake, self._prompt = monitor, tally, wake, prompt
+        self._turn = threading.Lock()
+        """Held by the thread that the core works in."""
+
+    def begin(self) -> None:
+        """Says what the core has to say at first."""
+        self._say(self._core.start())
+
+    def run(self) -> None:
+        """Works until it is to stop, then says what the core holds back."""
+        if self._prompt:
+            self._inbox.on_put = self._work_off
+        due = 0.0
+        while not self._wake.stopping:
+            if time.monotonic() >= due:
+                with self._turn:
+                    changed = self._monitor.turn(self._condition())
+                if changed:
+                    self._wake.set()
+                due = time.monotonic() + CONDITION_PERIOD_S
+            if self._prompt:
+                self._work_off()  # what came while the condition was asked for
+                self._inbox.wait_until_closed(CONDITION_PERIOD_S)
+            elif arrival := self._inbox.take(CONDITION_PERIOD_S):
+                self._handle(arrival)
+        try:
+            with self._turn:
+                self._say(self._core.finish())
+        except Exception as error:
+            self._tally.set_aside("finish_failed", "", error, trace=True)
+
+    def _work_off(self) -> None:
+        """Handles what waits, in this thread; unless another is at it, which then takes this as well."""
+        while len(self._inbox) and self._turn.acquire(blocking=False):
+            try:
+                while arrival := self._inbox.take(0.0):
+                    self._handle(arrival)
+            finally:
+                self._turn.release()
+
+    def _handle(self, arrival: Arrival) -> None:
+        channel = arrival.channel
+        address = channel.parse(arrival.key)
+        if address is None:
+            self._tally.set_aside("foreign_key", arrival.key)
+            return
+        try:
+            message = decode(channel, arrival.payload, arrival.encoding)
+        except ContractError as error:
+            self._tally.set_aside("undecodable", arrival.key, error)
+            return
+        self._tally.counts[f"heard_{channel.name}"] += 1
+        began = time.perf_counter()
+        try:
+            self._say(self._core.handle(Envelope(channel, address, message)))
+        except Exception as error:
+            # the shell outlives a fault of the core: the next scan may be fine
+            if not self._wake.stopping:
+                self._tally.set_aside("core_failed", arrival.key, error, trace=True)
+        self._monitor.handled(channel.name, time.perf_counter() - began)
+        if channel.qos.latched:
+            self._keep(arrival)
+        if channel.qos.rate_hz:  # what has a rate has a stamp
+            self._monitor.dealt_with(channel.name, nanoseconds(message.timestamp))  # type: ignore[attr-defined]
+
+    def _say(self, envelopes: Iterable[Envelope]) -> None:
+        for envelope in envelopes:
+            self._say_one(envelope)
+            self._tally.counts[f"said_{envelope.channel.name}"] += 1
+
+    def _condition(self) -> Condition:
+        counters = dict(self._tally.counts)
+        dropped = self._inbox.dropped
+        if dropped.get("foreign_key", 0) > counters.get("foreign_key", 0):
+            self._tally.counts["foreign_key"] = counters["foreign_key"] = dropped["foreign_key"]
+            self._tally.warn("foreign_key", count=dropped["foreign_key"])
+        counters |= {f"dropped_{name}": count for name, count in dropped.items()}
+        counters[WAITING] = len(self._inbox)
+        try:
+            own = self._core.condition()
+        except Exception as error:
+            self._tally.set_aside("core_failed", "", error, trace=True)
+            return Condition(Health.STATUS_DEGRADED, f"the core cannot tell its condition: {error}", counters)
+        return Condition(own.status, own.detail, dict(own.counters) | counters)
