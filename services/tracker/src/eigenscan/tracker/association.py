@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
-from eigenscan.tracker.symmetric import apart, determinant, inverse, plus, square, triangle
+from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
+from eigenscan.tracker.symmetric import apart
 from numba import njit
 from numpy.typing import NDArray
 

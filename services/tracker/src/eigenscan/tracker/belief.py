@@ -17,9 +17,18 @@ from eigenscan.geometry.pose import compose
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.branching import at_least, births, branch
 from eigenscan.tracker.covariance import log_volume
-from eigenscan.tracker.evidence import Merit, present_evidence
+from eigenscan.tracker.evidence import (
+    SHOWN_YET_MISSED,
+    SHOWS,
+    Merit,
+    present_evidence,
+    share_twins,
+    slipped,
+    twins_of,
+)
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.planar import inverse
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -39,6 +48,8 @@ MOST_DECAY = 5.0
 """However long the silence, a little of the mass stays where it was."""
 BREAK_SHARE = 0.5
 """Mass that leaves the tracks where odometry or the scans jump: a reset, a cover, or carried away."""
+MISSES = 0.2
+"""Of the poses that the map shows, how many one list leaves out and the next one from there may have."""
 
 
 @dataclass
@@ -47,6 +58,33 @@ class Elsewhere:
 
     log_weight: float
     area: float = 0.0
+    searched: dict[int, float] = field(default_factory=dict)
+    """Share of the mass that a list of each source has left out: it is hidden, or not there."""
+
+    def log_density(self, source: int, share: Share) -> float:
+        """Ln of the mass density that a list may find: what was not searched yet, or comes out of hiding."""
+        findable = 1.0 - self.searched.get(source, 0.0) + self._emerging(source, share)
+        return self.log_weight + float(np.log(findable / (self.area * 2.0 * np.pi)))
+
+    def search(self, source: int, share: Share) -> None:
+        """A list was of it: what is not in the list is hidden, and what came out of hiding is not there."""
+        if share.in_part:
+            return
+        self.log_weight += float(np.log1p(np.expm1(SHOWN_YET_MISSED) * self._emerging(source, share)))
+        left = (1.0 - self.searched.get(source, 0.0)) * (1.0 - (1.0 - MISSES) * share.novelty)
+        self.searched[source] = 1.0 - left
+
+    def take(self, mass: float) -> None:
+        """Adds mass that no list was of yet."""
+        if mass <= 0.0:
+            return
+        before = self.log_weight
+        self.log_weight = float(np.logaddexp(before, np.log(mass)))
+        stayed = float(np.exp(before - self.log_weight))
+        self.searched = {source: searched * stayed for source, searched in self.searched.items()}
+
+    def _emerging(self, source: int, share: Share) -> float:
+        return self.searched.get(source, 0.0) * float(-np.expm1(-SHOWS * share.progress))
 
 
 @dataclass
@@ -117,11 +155,9 @@ class Belief:
         Of those that a hypothesis confirmed on that way only the rest of it is set back.
         """
         alone = np.clip(self.tracks.unchecked[:, 0] / max(moved.way, 1e-9), 0.0, 1.0)
-        cos, sin = np.cos(moved.delta[2]), np.sin(moved.delta[2])
-        x, y = moved.delta[0], moved.delta[1]
-        # the increment as seen from its end
-        way = np.array([cos * x + sin * y, cos * y - sin * x, 0.0])
-        self.tracks = replace(self.tracks, x=compose(self.tracks.x, -2.0 * alone[:, None] * way))
+        x, y, _ = inverse(moved.delta)
+        back = np.array([x, y, 0.0])
+        self.tracks = replace(self.tracks, x=compose(self.tracks.x, 2.0 * alone[:, None] * back))
 
     def _release(self, share: Array) -> None:
         """Moves `share` (n,) of the tracks' mass to "none"."""
@@ -131,20 +167,25 @@ class Belief:
         areas = np.array([part.area for part in self.elsewhere[1:]])
         shares = np.append(OFF_MAP_SHARE, (1.0 - OFF_MAP_SHARE) * areas / areas.sum())
         for part, part_share in zip(self.elsewhere, shares, strict=True):
-            _pour(part, freed * float(part_share))
+            part.take(freed * float(part_share))
         self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
 
     def _leave(self, share: float) -> None:
         """Moves `share` of the tracks' mass off the map, where nothing shows them any more."""
-        _pour(self.elsewhere[0], share * float(np.exp(self.tracks.log_weight).sum()))
+        self.elsewhere[0].take(share * float(np.exp(self.tracks.log_weight).sum()))
         self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
 
     def _break_off(self, source: int) -> None:
         """The sensor was covered or uncovered, or the robot carried away: the tracks start a new place."""
         self._release(np.full(len(self.tracks), BREAK_SHARE))
+        for part in self.elsewhere:
+            part.searched.pop(source, None)
         evidence = self.tracks.evidence.copy()
         evidence[:, source] = 0.0
-        self.tracks = replace(self.tracks, evidence=evidence, hidden=np.full(len(self.tracks), 0.5))
+        count = len(self.tracks)
+        self.tracks = replace(
+            self.tracks, evidence=evidence, hidden=np.full(count, 0.5), twin=np.zeros(count)
+        )
 
     def _return(self, share: float) -> None:
         """Moves `share` of the mass off the map back onto it."""
@@ -154,7 +195,7 @@ class Belief:
         back = share * np.exp(off.log_weight)
         total = sum(part.area for part in inside)
         for part in inside:
-            _pour(part, float(back * part.area / total))
+            part.take(float(back * part.area / total))
         off.log_weight += float(np.log1p(-share))
 
     def observe(self, seen: Observation, share: Share) -> None:
@@ -173,15 +214,17 @@ class Belief:
         merit = Merit.of(seen)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         part = self.elsewhere[frame]
-        places = log_volume(seen.covariances)
-        alone = merit.alone + places + part.log_weight - np.log(part.area * 2.0 * np.pi)
+        carried = merit.alone + log_volume(seen.covariances) + part.log_density(source, share)
+        alone = np.logaddexp(carried, slipped(old, seen, merit, pairs))
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), source, share)
         grown = at_least(grown, len(old), pairs, alone)
-        k, log_weight = births(grown, seen, pairs, alone, merit.alone + places)
+        k, log_weight = births(grown, seen, pairs, alone)
         evidence = np.zeros((len(k), len(self.sources)))
         evidence[:, source] = merit.foretold[k]
-        new = begin(seen.poses[k], seen.covariances[k], log_weight, evidence, frame, seen.stamp)
-        self.tracks = join([*others, grown, new])
+        twin = twins_of(merit.foretold[k])
+        new = begin(seen.poses[k], seen.covariances[k], log_weight, twin, evidence, frame, seen.stamp)
+        self.tracks = share_twins(join([*others, grown, new]))
+        part.search(source, share)
         self.normalise()
 
     def _by_frame(self, frame: int) -> tuple[Tracks, list[Tracks]]:
@@ -214,9 +257,3 @@ class Belief:
 def happened(expected: float) -> float:
     """Probability that what is expected so often has happened at least once; never quite sure."""
     return float(-np.expm1(-min(expected, MOST_DECAY)))
-
-
-def _pour(part: Elsewhere, mass: float) -> None:
-    """Adds mass to a part."""
-    if mass > 0.0:
-        part.log_weight = float(np.logaddexp(part.log_weight, np.log(mass)))

@@ -10,7 +10,13 @@ from dataclasses import replace
 import numpy as np
 from eigenscan.tracker.association import Pairs, crowding
 from eigenscan.tracker.covariance import determinant, fuse
-from eigenscan.tracker.evidence import SHOWN_YET_MISSED, hide_and_show, slipped_density, surprise
+from eigenscan.tracker.evidence import (
+    SHOWN_YET_MISSED,
+    explained_by_twins,
+    hide_and_show,
+    surprise,
+    twins_go_on,
+)
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks
@@ -41,10 +47,13 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
     evidence[:, source] *= np.exp(-share.progress)
     gained = share.novelty * (total - evidence[:, source])
     evidence[:, source] += gained
+    explained, of_others, twin = explained_by_twins(twins_go_on(old.twin, share.progress), gained)
     hidden = hide_and_show(old.hidden, share.progress)
     with np.errstate(divide="ignore"):
-        shown, unseen = old.log_weight + np.log1p(-hidden) + gained, old.log_weight + np.log(hidden)
-    log_weight = shown[origin] + share.novelty * fit - preference[origin]
+        shown = old.log_weight + np.log1p(-hidden) + gained - explained
+        unseen = old.log_weight + np.log(hidden) + of_others - explained
+    part = share.novelty * fit - preference[origin]
+    log_weight = shown[origin] + part
     log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
     hidden_share = np.zeros(len(origin))
     hidden_share[:count] = np.exp(unseen - log_weight[:count])
@@ -54,6 +63,7 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
         branches,
         log_weight=log_weight,
         hidden=hidden_share,
+        twin=twin[origin] * np.exp(part),
         evidence=evidence[origin],
         id=id_,
         parent=parent,
@@ -90,19 +100,15 @@ def at_least(grown: Tracks, alone: int, pairs: Pairs, log_mass: Array) -> Tracks
     return replace(grown, log_weight=log_weight)
 
 
-def births(
-    tracks: Tracks, seen: Observation, pairs: Pairs, alone: Array, worth: Array
-) -> tuple[Index, Array]:
+def births(tracks: Tracks, seen: Observation, pairs: Pairs, log_mass: Array) -> tuple[Index, Array]:
     """Hypotheses (n,) outside of all gates that begin tracks, and these tracks' masses as logarithms (n,).
 
-    The robot was carried there, or its wheels slipped. `alone` (k,): ln of the mass that no track holds,
-    there; `worth` (k,): ln of mass per density of mass.
+    `log_mass` (k,): what each hypothesis has by itself, of robots that were carried there or slipped.
     """
     free = np.ones(len(seen.poses), dtype=bool)
     free[pairs.hypothesis] = False
     k = np.flatnonzero(free)
-    x, C = seen.poses[k], seen.covariances[k]
-    log_weight = np.logaddexp(alone[k], worth[k] + slipped_density(tracks, x, C))
+    x, C, log_weight = seen.poses[k], seen.covariances[k], log_mass[k]
     # those that could not live through this scan are not begun
     heaviest = max(tracks.log_weight.max(initial=-np.inf), log_weight.max(initial=-np.inf))
     alive = log_weight > heaviest + LEAST_BORN

@@ -58,13 +58,14 @@ class Direction:
         lists = self._lists.setdefault(source, deque(maxlen=16))
         while lists and not 0 <= stamp - lists[0][0] <= LONGEST_NS:
             lists.popleft()
-        if lists and motion(lists[-1][0], stamp).way < STEP_M:
+        way = motion(lists[-1][0], stamp).way if lists else STEP_M
+        if way < STEP_M:
             return None
         mistaken = None
         for before, earlier in reversed(lists):
             moved = motion(before, stamp)
             if abs(moved.delta[0]) >= REACH_M:
-                weight = min(motion(lists[-1][0], stamp).way / REACH_M, 1.0)
+                weight = min(way / REACH_M, 1.0)
                 mistaken = self._weigh(
                     moved, weight * MATCH * _for_reversed(earlier, poses[:COMPARED], moved)
                 )

@@ -8,14 +8,15 @@ map shows little of the room, the projector misses it for metres, and then for e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from eigenscan.tracker.association import Pairs
-from eigenscan.tracker.covariance import log_density, residual
+from eigenscan.tracker.covariance import log_density, log_volume, residual
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
+from scipy.special import expit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -85,6 +86,46 @@ def hide_and_show(hidden: Array, progress: float) -> Array:
     return result
 
 
+TWINS, ENDS = 0.015, 0.35
+"""Of the wrong tracks those that the building shows as it would show right ones; over the way that makes a
+scan new evidence, how many of these it ceases to.
+
+Rounded from what three buildings have in common: benchmarks/evidence.py.
+"""
+
+
+def twins_of(foretold: Array) -> Array:
+    """How many (k,) of the wrong tracks that such hypotheses begin are twins; `foretold` as in `Merit`."""
+    result: Array = expit(np.log(TWINS / (1.0 - TWINS)) + foretold)
+    return result
+
+
+def twins_go_on(twin: Array, progress: float) -> Array:
+    """Twins (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    stay = np.exp(-ENDS * progress)
+    none = max(1.0 - float(twin.sum()), 0.0)
+    result: Array = twin * stay + none * TWINS * (1.0 - stay)
+    return result
+
+
+def share_twins(tracks: Tracks) -> Tracks:
+    """The same tracks, of which at most one is a twin."""
+    return replace(tracks, twin=tracks.twin / max(float(tracks.twin.sum()), 1.0))
+
+
+def explained_by_twins(twin: Array, gained: Array) -> tuple[float, Array, Array]:
+    """How much likelier a scan is, in nats, for who knows of twins, where no shown track (n,) is right.
+
+    Then the same (n,) where it is known of each track that it is no twin, and the twins (n,) after the scan.
+    Of a twin it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
+    """
+    none = max(1.0 - float(twin.sum()), 1e-12)
+    odds = twin * np.exp(gained)
+    total = none + float(odds.sum())
+    others = (total - odds) / (1.0 - twin).clip(min=1e-12)
+    return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
+
+
 SLIPS = 0.02
 """Of the tracks, how many odometry has misled by more than its noise since they were last confirmed."""
 SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, 0.1, 1.0
@@ -105,8 +146,13 @@ def present_evidence(tracks: Tracks) -> Array:
     return result
 
 
-def slipped_density(tracks: Tracks, y: Array, R: Array) -> Array:
-    """Ln of the mass density at poses (k, 3), (k, 3, 3) that tracks hold for their wheels having slipped."""
+def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Array:
+    """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
+
+    A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby says no more than how
+    much oftener a right track gets one than a wrong track does.
+    """
+    y, R = seen.poses, seen.covariances
     log_mass = tracks.log_weight - present_evidence(tracks)
     heavy = log_mass > LEAST_MASS
     if not heavy.any() or not len(y):
@@ -115,7 +161,11 @@ def slipped_density(tracks: Tracks, y: Array, R: Array) -> Array:
     spread = tracks.C[heavy] + np.eye(3) * (sigma**2)[:, None, :]
     total = spread[:, None] + R[None]
     density = log_density(residual(y[None], tracks.x[heavy][:, None]), total)
-    result: Array = np.logaddexp.reduce(np.log(SLIPS) + log_mass[heavy][:, None] + density, axis=0)
+    beyond = np.ones((len(tracks), len(y)), dtype=bool)
+    beyond[pairs.track, pairs.hypothesis] = False
+    worth = np.minimum(merit.foretold, merit.alone + log_volume(R) + density)
+    from_each = np.where(beyond[heavy], log_mass[heavy][:, None] + worth, -np.inf)
+    result: Array = np.log(SLIPS) + np.logaddexp.reduce(from_each, axis=0)
     return result
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from eigenscan.schemas.channels import POSE, RELOCATION
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.geometry_pb2 import Covariance3
+from eigenscan.schemas.group import holds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
@@ -40,7 +41,7 @@ class RememberingTracker(TrackerCore):
             except DecodeError:
                 continue  # the machine went down while it was written
             age = time.time() - nanoseconds(last.timestamp) * 1e-9
-            if self._told.robot in ("*", robot) and 0.0 <= age <= self._told.last_pose_age:
+            if holds(self._told.robot, robot) and 0.0 <= age <= self._told.last_pose_age:
                 self._grow(last.covariance, age)
                 yield Envelope(RELOCATION, {"site": self._told.site, "robot": robot}, last)
 

@@ -72,6 +72,7 @@ class OdometryTrail:
     def __init__(self, gate: VelocityGate) -> None:
         self._gate = gate
         self._samples: list[Sample] = []
+        self._asked: dict[int, Sample] = {}
         self._past_in_row = 0
 
     @property
@@ -87,6 +88,7 @@ class OdometryTrail:
         """
         if not all(isfinite(value) and abs(value) < FARTHEST for value in pose):
             return "odometry_not_finite"
+        self._asked.clear()
         last = self.newest
         if last is None:
             self._samples.append(Sample(stamp, pose, pose))
@@ -148,6 +150,12 @@ class OdometryTrail:
         """
         if not self._samples:
             return None
+        known = self._asked.get(stamp)
+        if known is None:
+            known = self._asked[stamp] = self._found(stamp)
+        return known
+
+    def _found(self, stamp: int) -> Sample:
         index = bisect_left(self._samples, stamp, key=lambda sample: sample.stamp)
         if index == len(self._samples):
             last = self._samples[-1]

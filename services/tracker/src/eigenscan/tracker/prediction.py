@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.pose import compose
+from eigenscan.geometry.symmetric import MATRICES, plus, put, triangle
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.symmetric import plus, put, triangle, turned
-from numba import guvectorize
+from eigenscan.tracker.symmetric import ROWS, turned
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -35,17 +36,22 @@ def motion_noise(moved: Motion, settings: TrackerSettings) -> Array:
 def predict(x: Array, C: Array, moved: Motion, settings: TrackerSettings) -> tuple[Array, Array]:
     """Poses (n, 3) and covariances (n, 3, 3) after a motion."""
     delta, Q = np.array(moved.delta), motion_noise(moved, settings)
-    return compose(x, delta), _grown(x[:, 2], C, delta, Q)
+    return compose(x, delta), _grown(x, C, delta, Q)
 
 
-@guvectorize(["(f8, f8[:,:], f8[:], f8[:,:], f8[:,:])"], "(),(n,n),(n),(n,n)->(n,n)", cache=True)
-def _grown(
-    heading: float, C: Array, delta: Array, Q: Array, out: Array
-) -> None:  # pragma: no cover - compiled
-    """F C F' + G Q G' of one pose: F its derivatives by the pose before, G by the increment."""
-    cos, sin = np.cos(heading), np.sin(heading)
-    # F is the identity but for these two, in the heading's column; G is the rotation
-    u, v = -sin * delta[0] - cos * delta[1], cos * delta[0] - sin * delta[1]
-    a, b, c, d, e, f = triangle(C)
-    carried = (a + 2 * u * c + u * u * f, b + u * e + v * c + u * v * f, c + u * f, d + 2 * v * e + v * v * f)
-    put(plus((*carried, e + v * f, f), turned(triangle(Q), cos, sin)), out)
+_GROWN = types.float64[:, :, ::1](ROWS, MATRICES, types.float64[::1], types.float64[:, ::1])
+
+
+@njit(_GROWN, cache=True)  # pragma: no cover - compiled
+def _grown(x: Array, C: Array, delta: Array, Q: Array) -> Array:
+    """F C F' + G Q G' of each pose: F its derivatives by the pose before, G by the increment."""
+    out = np.empty((len(x), 3, 3))
+    for i in range(len(x)):
+        cos, sin = np.cos(x[i, 2]), np.sin(x[i, 2])
+        # F is the identity but for these two, in the heading's column; G is the rotation
+        u, v = -sin * delta[0] - cos * delta[1], cos * delta[0] - sin * delta[1]
+        a, b, c, d, e, f = triangle(C[i])
+        of_x = a + 2 * u * c + u * u * f, b + u * e + v * c + u * v * f, c + u * f
+        of_y = d + 2 * v * e + v * v * f, e + v * f
+        put(plus((*of_x, *of_y, f), turned(triangle(Q), cos, sin)), out[i])
+    return out

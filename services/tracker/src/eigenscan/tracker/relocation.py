@@ -62,7 +62,7 @@ def heed(belief: Belief, hint: Hint, seen: Observation, moved: Motion) -> None:
     belief.source_index(seen.source)
     x, C = predict(hint.pose[None], hint.covariance[None], moved, belief.settings)
     evidence = np.zeros((1, len(belief.sources)))
-    track = begin(x, limit_sigma(C), np.log([BELIEVED]), evidence, frame, seen.stamp)
+    track = begin(x, limit_sigma(C), np.log([BELIEVED]), np.zeros(1), evidence, frame, seen.stamp)
     unseen = replace(track, observations=np.zeros(1, dtype=np.intp))
     for part in belief.elsewhere:
         part.log_weight += float(np.log1p(-BELIEVED))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.confidence import Verdict, judge, next_state
@@ -32,7 +33,7 @@ STANDING_RATE = 0.02
 """1/s, how fast scans from one place count anew: people pass, noise changes."""
 BLIND_RATE = 0.5
 """1/s, the same where nobody knows whether the robot moves."""
-HISTORY_STEP = np.array([0.1, 0.1, 0.17])
+HISTORY_STEP = (0.1, 0.1, 0.17)
 """m, m, rad between two kept poses of a trajectory."""
 
 
@@ -43,7 +44,7 @@ class Estimate:
     stamp: int
     frame: str
     tracks: Tracks
-    histories: Mapping[int, tuple[Array, ...]]
+    histories: Mapping[int, tuple[Pose2, ...]]
     verdict: Verdict
     state: State
     none_probability: float
@@ -77,7 +78,7 @@ class RobotTracker:
         kind = Sequences if self._settings.method == "paper" else Belief
         self.belief = kind(self._settings)
         self.state: State = STATE_LOST
-        self._histories: dict[int, deque[Array]] = {}
+        self._histories: dict[int, deque[Pose2]] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
         self._direction = Direction()
@@ -191,12 +192,15 @@ class RobotTracker:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
         tracks, kept = self.belief.tracks, self._settings.history
         before, self._histories = self._histories, {}
-        for id_, parent, pose in zip(tracks.id.tolist(), tracks.parent.tolist(), tracks.x, strict=True):
+        for id_, parent, pose in zip(
+            tracks.id.tolist(), tracks.parent.tolist(), tracks.x.tolist(), strict=True
+        ):
             past = before.get(id_)
             if past is None:
                 past = deque(before.get(parent, ()), maxlen=kept)
-            if not past or (np.abs(pose - past[-1]) > HISTORY_STEP).any():
-                past.append(pose)
+            if not past or _is_a_step(past[-1], pose):
+                x, y, theta = pose
+                past.append(Pose2(x=x, y=y, theta=theta))
             self._histories[id_] = past
 
     def _conclude(self, seen: Observation) -> Estimate:
@@ -229,3 +233,8 @@ class RobotTracker:
         if self.state == STATE_LOCALIZED:
             self._anchor = compose(pose, inverse(odometry.chained))
         return compose(pose, inverse(odometry.raw))
+
+
+def _is_a_step(last: Pose2, pose: Pose) -> bool:
+    x, y, theta = HISTORY_STEP
+    return abs(pose[0] - last.x) > x or abs(pose[1] - last.y) > y or abs(pose[2] - last.theta) > theta

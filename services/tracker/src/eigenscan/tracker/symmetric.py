@@ -1,7 +1,6 @@
-"""Symmetric 3 by 3 matrices in bulk, compiled: numpy takes longer to start than a scan's few hundred take.
+"""Poses and their covariances in bulk, compiled, on `eigenscan.geometry.symmetric`.
 
-Inside, a matrix is its upper triangle row by row, six numbers, so that nothing is put in memory. What ends in
-`_each` takes arrays of any leading shape, as numpy's own functions do, and is compiled when it is imported.
+What ends in `_each` takes n rows or matrices, and is compiled when it is imported.
 """
 
 from __future__ import annotations
@@ -9,74 +8,28 @@ from __future__ import annotations
 from math import pi
 
 import numpy as np
-from numba import guvectorize, njit
+from eigenscan.geometry.symmetric import (
+    MATRICES,
+    NUMBERS,
+    Column,
+    Triangle,
+    determinant,
+    inverse,
+    plus,
+    put,
+    square,
+    times,
+    triangle,
+)
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Triangle = tuple[float, float, float, float, float, float]
-Column = tuple[float, float, float]
+ROWS = types.Array(types.float64, 2, "A", readonly=True)
+WEIGHTS = types.Array(types.float64, 1, "A", readonly=True)
 
 
-@njit(cache=True)  # pragma: no cover - compiled
-def triangle(m: Array) -> Triangle:
-    """Upper triangle of (3, 3)."""
-    return m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
-
-
-@njit(cache=True)  # pragma: no cover - compiled
-def put(m: Triangle, out: Array) -> None:
-    """Writes a matrix to `out` (3, 3)."""
-    out[0, 0], out[0, 1], out[0, 2] = m[0], m[1], m[2]
-    out[1, 0], out[1, 1], out[1, 2] = m[1], m[3], m[4]
-    out[2, 0], out[2, 1], out[2, 2] = m[2], m[4], m[5]
-
-
-@njit(cache=True)  # pragma: no cover - compiled
-def plus(m: Triangle, n: Triangle) -> Triangle:
-    """Sum."""
-    return m[0] + n[0], m[1] + n[1], m[2] + n[2], m[3] + n[3], m[4] + n[4], m[5] + n[5]
-
-
-@njit(cache=True)  # pragma: no cover - compiled
-def determinant(m: Triangle) -> float:
-    """Determinant, along the first row."""
-    a, b, c, d, e, f = m
-    return a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
-
-
-@njit(cache=True, error_model="numpy")  # pragma: no cover - compiled
-def inverse(m: Triangle) -> Triangle:
-    """Inverse by the adjugate."""
-    a, b, c, d, e, f = m
-    scale = 1.0 / determinant(m)
-    return (
-        (d * f - e * e) * scale,
-        (c * e - b * f) * scale,
-        (b * e - c * d) * scale,
-        (a * f - c * c) * scale,
-        (b * c - a * e) * scale,
-        (a * d - b * b) * scale,
-    )
-
-
-@njit(cache=True)  # pragma: no cover - compiled
-def times(m: Triangle, v: Column) -> Column:
-    """Matrix times column."""
-    return (
-        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
-        m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
-        m[2] * v[0] + m[4] * v[1] + m[5] * v[2],
-    )
-
-
-@njit(cache=True)  # pragma: no cover - compiled
-def square(m: Triangle, v: Column) -> float:
-    """Squared length of a column under a matrix: v' m v."""
-    x, y, z = times(m, v)
-    return x * v[0] + y * v[1] + z * v[2]
-
-
-@njit(cache=True)  # pragma: no cover - compiled
+@njit()  # pragma: no cover - compiled
 def turned(m: Triangle, cos: float, sin: float) -> Triangle:
     """Covariance of x, y, theta in a frame that is turned back by an angle."""
     a, b, c, d, e, f = m
@@ -90,7 +43,7 @@ def turned(m: Triangle, cos: float, sin: float) -> Triangle:
     )
 
 
-@njit(cache=True)  # pragma: no cover - compiled
+@njit()  # pragma: no cover - compiled
 def apart(y: Array, x: Array) -> Column:
     """Pose `y` (3,) minus pose `x` (3,), the heading by the shortest turn."""
     turn = (y[2] - x[2] + pi) % (2.0 * pi) - pi
@@ -98,39 +51,77 @@ def apart(y: Array, x: Array) -> Column:
     return y[0] - x[0], y[1] - x[1], turn if turn < pi else -pi
 
 
-@guvectorize(["(f8[:,:], f8[:])"], "(n,n)->()", cache=True)  # pragma: no cover - compiled
-def determinant_each(m: Array, out: Array) -> None:
-    """Determinants of (..., 3, 3)."""
-    out[0] = determinant(triangle(m))
+@njit(types.float64[:, ::1](ROWS, ROWS), cache=True)  # pragma: no cover - compiled
+def apart_each(y: Array, x: Array) -> Array:
+    """Poses (n, 3) minus poses (n, 3)."""
+    out = np.empty((len(y), 3))
+    for i in range(len(y)):
+        out[i, 0], out[i, 1], out[i, 2] = apart(y[i], x[i])
+    return out
 
 
-@guvectorize(["(f8[:,:], f8[:,:])"], "(n,n)->(n,n)", cache=True)  # pragma: no cover - compiled
-def inverse_each(m: Array, out: Array) -> None:
-    """Inverses of (..., 3, 3)."""
-    put(inverse(triangle(m)), out)
+@njit(NUMBERS(ROWS, MATRICES), cache=True)  # pragma: no cover - compiled
+def mahalanobis_squared_each(delta: Array, covariance: Array) -> Array:
+    """Squared Mahalanobis lengths of (n, 3) under (n, 3, 3)."""
+    out = np.empty(len(delta))
+    for i in range(len(delta)):
+        out[i] = square(inverse(triangle(covariance[i])), (delta[i, 0], delta[i, 1], delta[i, 2]))
+    return out
 
 
-@guvectorize(["(f8[:], f8[:], f8[:])"], "(n),(n)->(n)", cache=True)  # pragma: no cover - compiled
-def apart_each(y: Array, x: Array, out: Array) -> None:
-    """Poses (..., 3) minus poses (..., 3)."""
-    out[0], out[1], out[2] = apart(y, x)
-
-
-@guvectorize(["(f8[:], f8[:,:], f8[:])"], "(n),(n,n)->()", cache=True)  # pragma: no cover - compiled
-def mahalanobis_squared_each(delta: Array, covariance: Array, out: Array) -> None:
-    """Squared Mahalanobis lengths of (..., 3) under (..., 3, 3)."""
-    out[0] = square(inverse(triangle(covariance)), (delta[0], delta[1], delta[2]))
-
-
-@guvectorize(  # pragma: no cover - compiled
-    ["(f8[:], f8[:,:], f8[:], f8[:,:], f8[:], f8[:,:])"], "(n),(n,n),(n),(n,n)->(n),(n,n)", cache=True
+@njit(  # pragma: no cover - compiled
+    types.Tuple((types.float64[:, ::1], types.float64[:, :, ::1]))(ROWS, MATRICES, ROWS, MATRICES),
+    cache=True,
 )
-def fuse_each(x: Array, C: Array, y: Array, R: Array, fused_x: Array, fused_C: Array) -> None:
-    """Kalman updates in information form: poses (..., 3) and covariances (..., 3, 3)."""
-    information = inverse(triangle(R))
-    fused = inverse(plus(inverse(triangle(C)), information))
-    step = times(fused, times(information, apart(y, x)))
-    fused_x[0], fused_x[1] = x[0] + step[0], x[1] + step[1]
-    turned = (x[2] + step[2] + pi) % (2.0 * pi) - pi
-    fused_x[2] = turned if turned < pi else -pi
-    put(fused, fused_C)
+def fuse_each(x: Array, C: Array, y: Array, R: Array) -> tuple[Array, Array]:
+    """Kalman updates in information form: poses (n, 3) and covariances (n, 3, 3)."""
+    fused_x, fused_C = np.empty((len(x), 3)), np.empty((len(x), 3, 3))
+    for i in range(len(x)):
+        information = inverse(triangle(R[i]))
+        fused = inverse(plus(inverse(triangle(C[i])), information))
+        step = times(fused, times(information, apart(y[i], x[i])))
+        turn = (x[i, 2] + step[2] + pi) % (2.0 * pi) - pi
+        fused_x[i, 0], fused_x[i, 1] = x[i, 0] + step[0], x[i, 1] + step[1]
+        fused_x[i, 2] = turn if turn < pi else -pi
+        put(fused, fused_C[i])
+    return fused_x, fused_C
+
+
+@njit(types.boolean[::1](MATRICES), cache=True)  # pragma: no cover - compiled
+def is_covariance_each(m: Array) -> NDArray[np.bool_]:
+    """Which of (n, 3, 3) are finite, symmetric and positive definite (by their leading minors)."""
+    out = np.empty(len(m), dtype=np.bool_)
+    for i in range(len(m)):
+        finite, largest, skew = True, 0.0, 0.0
+        for j in range(3):
+            for k in range(3):
+                finite = finite and np.isfinite(m[i, j, k])
+                largest = max(largest, abs(m[i, j, k]))
+                skew = max(skew, abs(m[i, j, k] - m[i, k, j]))
+        a, b, _, d, _, _ = own = triangle(m[i])
+        positive = a > 0.0 and a * d - b * b > 0.0 and determinant(own) > 0.0
+        out[i] = finite and skew <= 1e-9 * largest and positive
+    return out
+
+
+@njit(  # pragma: no cover - compiled
+    types.Tuple((NUMBERS, types.float64[:, ::1]))(ROWS, MATRICES, WEIGHTS), cache=True
+)
+def moments_of(x: Array, C: Array, weight: Array) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3, 3) of a mixture of Gaussians (n, 3), (n, 3, 3) around its heaviest."""
+    centre, total = x[np.argmax(weight)], weight.sum()
+    shift, mean, covariance = np.zeros(3), np.empty(3), np.zeros((3, 3))
+    for i in range(len(x)):
+        delta = apart(x[i], centre)
+        for j in range(3):
+            shift[j] += weight[i] / total * delta[j]
+    for i in range(len(x)):
+        share, delta = weight[i] / total, apart(x[i], centre)
+        for j in range(3):
+            for k in range(j, 3):
+                covariance[j, k] += share * (C[i, j, k] + (delta[j] - shift[j]) * (delta[k] - shift[k]))
+                covariance[k, j] = covariance[j, k]
+    mean[0], mean[1] = centre[0] + shift[0], centre[1] + shift[1]
+    turned = (centre[2] + shift[2] + pi) % (2.0 * pi) - pi
+    mean[2] = turned if turned < pi else -pi
+    return mean, covariance

@@ -15,7 +15,8 @@ Index = NDArray[np.intp]
 class Tracks:
     """n Gaussian tracks: poses x (n, 3), covariances C (n, 3, 3), masses as logarithms (n,).
 
-    `hidden` (n,): share of a track's mass in which the projector does not show its pose. `evidence`
+    `hidden` (n,): share of a track's mass in which the projector does not show its pose. `twin` (n,):
+    probability that the track, were it wrong, would be shown as a right one is. `evidence`
     (n, sources): what each source's scans from the present place said for a track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
@@ -25,6 +26,7 @@ class Tracks:
     C: Array
     log_weight: Array
     hidden: Array
+    twin: Array
     evidence: Array
     unchecked: Array
     nis: Array
@@ -60,6 +62,7 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros((0, 3, 3)),
         np.zeros(0),
         np.zeros(0),
+        np.zeros(0),
         np.zeros((0, sources)),
         np.zeros((0, 2)),
         np.zeros(0),
@@ -71,7 +74,9 @@ def no_tracks(sources: int) -> Tracks:
     )
 
 
-def begin(x: Array, C: Array, log_weight: Array, evidence: Array, frame: int, stamp: int) -> Tracks:
+def begin(
+    x: Array, C: Array, log_weight: Array, twin: Array, evidence: Array, frame: int, stamp: int
+) -> Tracks:
     """New tracks (n,), yet without a number, each from one hypothesis; `evidence` (n, sources)."""
     none = np.zeros(len(x), dtype=np.intp)
     return Tracks(
@@ -79,6 +84,7 @@ def begin(x: Array, C: Array, log_weight: Array, evidence: Array, frame: int, st
         C,
         log_weight,
         np.zeros(len(x)),
+        twin,
         evidence,
         np.zeros((len(x), 2)),
         np.full(len(x), np.nan),

@@ -65,6 +65,7 @@ def _merge(tracks: Tracks, groups: list[Index]) -> Tracks:
         shown = weight * (1.0 - tracks.hidden[group])
         if shown.sum() > 0.0:
             result.evidence[row] = shown @ tracks.evidence[group] / shown.sum()
+        result.twin[row] = tracks.twin[group].sum()
         result.hidden[row] = weight @ tracks.hidden[group] / weight.sum()
         result.log_weight[row] = np.logaddexp.reduce(tracks.log_weight[group])
     return result
