@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.observation import ANALYSIS_TURN, windows_at
+from eigenscan.projector.observation import windows_at
 from eigenscan.projector.site import SensorView
 from numba import njit
 from numpy.typing import NDArray
@@ -22,9 +22,8 @@ def coordinates(
     A panorama that is there costs a fifth of casting the rays of the pose itself.
     """
     position = np.asarray(lattice.tree.query(poses[:, :2])[1])
-    window = windows_at(poses[:, 2], angle_min)
-    beams = np.arange(view.spaces.vectors.shape[-1])
-    ranges = lattice.panoramas[position[:, None], (window[:, None] + beams) % ANALYSIS_TURN]
+    ranges = np.empty((len(poses), view.spaces.vectors.shape[-1]), dtype=np.float32)
+    _look_up(lattice.panoramas, position, windows_at(poses[:, 2], angle_min), ranges)
     found = np.empty((len(poses), view.spaces.vectors.shape[1]), dtype=np.float32)
     _project(view.embedding(ranges), view.spaces.mean, view.spaces.vectors, region, found)
     return found
@@ -48,3 +47,19 @@ def _project(
                 for j in range(beams):
                     total += (channels[f, i, j] - mean[r, f]) * vectors[r, m, f, j]
             out[i, m] = total
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _look_up(
+    panoramas: NDArray[np.float32],
+    position: NDArray[np.int64],
+    window: NDArray[np.int64],
+    out: NDArray[np.float32],
+) -> None:
+    """Ranges (n, J) from `window` (n,) on of the panoramas (P, N) of positions (n,)."""
+    turn = panoramas.shape[1]
+    for i in range(len(position)):
+        k = window[i]
+        for j in range(out.shape[1]):
+            out[i, j] = panoramas[position[i], k]
+            k = k + 1 if k + 1 < turn else 0

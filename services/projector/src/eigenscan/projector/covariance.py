@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.symmetric import inverse_each
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -13,6 +14,7 @@ INDEPENDENCE = 0.25
 """Independent points per point: neighbours err alike."""
 PRIOR = np.diag([0.25, 0.25, np.deg2rad(5.0)]) ** 2
 """Where the walls do not hold a pose (along a hallway), the grid that it started from does."""
+_HELD = np.linalg.inv(PRIOR)
 FLOOR = np.diag([0.03, 0.03, np.deg2rad(1.0)]) ** 2
 """No pose is surer than this: the map's own error."""
 
@@ -20,5 +22,6 @@ FLOOR = np.diag([0.03, 0.03, np.deg2rad(1.0)]) ** 2
 def pose_covariances(information: Array) -> Array:
     """Covariances (n, 3, 3) of poses from J'WJ (n, 3, 3) of their points' distances."""
     certain = information * (INDEPENDENCE / POINT_SIGMA**2)
-    covariance: Array = np.linalg.inv(certain + np.linalg.inv(PRIOR)) + FLOOR
-    return covariance
+    covariances: Array = inverse_each(certain + _HELD)
+    covariances += FLOOR
+    return covariances

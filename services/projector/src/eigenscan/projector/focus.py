@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.geometry.pose import covariance_from_message
+from eigenscan.runtime.lately import Lately
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from numpy.typing import NDArray
@@ -48,6 +49,14 @@ class Reach:
         return np.asarray(np.hypot(across, along) <= self.radius)
 
 
+@dataclass(frozen=True)
+class _Known:
+    """What is known of one robot: its poses, and by lidar when the whole site was searched, and with what."""
+
+    poses: deque[tuple[int, PoseEstimate]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    full: dict[str, tuple[int, float]] = field(default_factory=dict)
+
+
 class Focus:
     """Poses heard of each robot, and when each of its lidars last searched the whole site.
 
@@ -56,28 +65,28 @@ class Focus:
     """
 
     def __init__(self) -> None:
-        self._poses: dict[str, deque[tuple[int, PoseEstimate]]] = {}
-        self._full: dict[tuple[str, str], tuple[int, float]] = {}
+        self._robots: Lately[str, _Known] = Lately()
 
     def hear(self, robot: str, estimate: PoseEstimate) -> None:
         """Takes a pose."""
-        known = self._poses.setdefault(robot, deque(maxlen=_REMEMBERED))
-        known.append((nanoseconds(estimate.timestamp), estimate))
+        known = self._robots.use(robot, _Known)
+        known.poses.append((nanoseconds(estimate.timestamp), estimate))
 
     def searched_whole(self, robot: str, lidar: str, stamp: int, ordinary: float) -> None:
         """Remembers a search of the whole site, and what support an ordinary place of it had."""
-        self._full[robot, lidar] = stamp, ordinary
+        self._robots.use(robot, _Known).full[lidar] = stamp, ordinary
 
     def ordinary(self, robot: str, lidar: str) -> float:
         """Support of an ordinary place at the last search of the whole site."""
-        return self._full[robot, lidar][1]
+        return self._robots.use(robot, _Known).full[lidar][1]
 
     def reach(self, robot: str, lidar: str, stamp: int, frame_id: str) -> Reach | None:
         """Where the robot can be at `stamp`, ns; None where the whole site is to be searched."""
-        last, _ = self._full.get((robot, lidar), (0, 0.0))
+        robot_known = self._robots.use(robot, _Known)
+        last, _ = robot_known.full.get(lidar, (0, 0.0))
         if not 0 <= stamp - last < FULL_EVERY:
             return None
-        known = [(at, e) for at, e in self._poses.get(robot, ()) if SETTLED <= stamp - at <= STALE]
+        known = [(at, e) for at, e in robot_known.poses if SETTLED <= stamp - at <= STALE]
         if not known:
             return None
         at, newest = max(known, key=lambda each: each[0])

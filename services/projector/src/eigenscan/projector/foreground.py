@@ -7,6 +7,7 @@ without them; where poses are weighed beam by beam they count again.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 JUMP_M = 0.3
@@ -21,20 +22,23 @@ def foreground(ranges: NDArray[np.float32], step: float) -> NDArray[np.bool_]:
     A thing is a run of beams without a jump; it stands free where the beams on both of its sides end farther.
     Empty beams end farther than any. At the ends of the field of view nothing is known to stand free.
     """
-    near = np.where(np.isnan(ranges), np.inf, ranges).astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        difference = np.diff(near)
-    # between two empty beams there is no jump
-    jumps = np.flatnonzero(np.abs(np.nan_to_num(difference, nan=0.0)) > JUMP_M) + 1
-    if len(jumps) < 2:
-        return np.zeros(len(ranges), dtype=bool)
-    first, after = jumps[:-1], jumps[1:]
-    falls = difference[first - 1] < 0
-    rises = difference[after - 1] > 0
-    # as wide as its beams reach, at its farther end
-    width = (after - first) * step * np.maximum(near[first], near[after - 1])
-    free = np.zeros(len(ranges) + 1, dtype=np.int64)
-    chosen = falls & rises & (width < WIDEST_M)
-    np.add.at(free, first[chosen], 1)
-    np.add.at(free, after[chosen], -1)
-    return np.cumsum(free[:-1]) > 0
+    free = np.zeros(len(ranges), dtype=bool)
+    _mark(ranges, step, free)
+    return free
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _mark(ranges: NDArray[np.float32], step: float, free: NDArray[np.bool_]) -> None:
+    first, falls, before = -1, False, np.inf
+    for j in range(len(ranges)):
+        near = np.inf if np.isnan(ranges[j]) else float(ranges[j])
+        difference = near - before
+        # between two empty beams, infinity less infinity, there is no jump; nor at the first beam
+        if j > 0 and abs(difference) > JUMP_M:
+            if first >= 0 and falls and difference > 0:
+                # as wide as its beams reach, at its farther end
+                farther = max(float(ranges[first]), before)
+                if (j - first) * step * farther < WIDEST_M:
+                    free[first:j] = True
+            first, falls = j, difference < 0
+        before = near

@@ -8,7 +8,7 @@ places that merely look similar.
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import compose, inverse
+from eigenscan.geometry.pose import compose
 from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
@@ -45,7 +45,7 @@ def support(
     `seen` (B,) are finite ranges along `bearings` (B,), `predicted` (n, B) the map's, +inf where no wall is
     in sight. A beam is explained that ends within `margin`, m, of the predicted wall. Beams count `by_reach`.
     """
-    local = np.ascontiguousarray(compose(inverse(field.origin), poses))
+    local = np.ascontiguousarray(compose(field.map_in_field, poses))
     out = np.empty((2, len(local)))
     share = by_reach(seen) / max(len(seen), 1)
     _support(field.cells, field.cell, local, bearings, seen, share, predicted, margin, out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
@@ -30,7 +31,7 @@ class Observation:
     coarse: NDArray[np.float32]
     bearings: NDArray[np.float64]
 
-    @property
+    @cached_property
     def used(self) -> NDArray[np.bool_]:
         """Beams (J,) of the analysis grid that came back."""
         return np.isfinite(self.coarse)
@@ -40,7 +41,7 @@ class Observation:
         used = np.flatnonzero(self.used)
         return used[:: max(1, -(-len(used) // most))]
 
-    @property
+    @cached_property
     def points(self) -> NDArray[np.float64]:
         """End points (n, 2) of the beams that came back, m, sensor frame."""
         r = self.coarse[self.used].astype(np.float64)
@@ -85,11 +86,20 @@ def observe(scan: Scan) -> Observation:
         raise ValueError(f"range_max = {scan.range_max} m")
     ranges = np.array(scan.ranges, dtype=np.float32)
     sensor = Sensor(scan.angle_min, step, beams, scan.range_max)
-    grid = coarse_sensor(sensor)
+    nearest, outside, bearings = _analysis_grid(sensor)
+    coarse = ranges[nearest]
+    coarse[outside] = np.nan
+    coarse[coarse < NEAREST] = np.nan
+    return Observation(sensor, ranges, coarse, bearings)
+
+
+@lru_cache(maxsize=64)
+def _analysis_grid(sensor: Sensor) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Of each beam (J,) of the analysis grid the sensor's nearest, whether there is none, its bearing."""
+    grid, step = coarse_sensor(sensor), sensor.angle_increment
     offset = np.arange(grid.beams) * grid.angle_increment
     nearest = np.rint(offset / step).astype(np.int64)
-    inside = nearest < beams
-    coarse = np.where(inside, ranges[np.minimum(nearest, beams - 1)], np.nan).astype(np.float32)
-    coarse[coarse < NEAREST] = np.nan
-    bearings = np.where(inside, nearest, offset / step) * step + scan.angle_min
-    return Observation(sensor, ranges, coarse, bearings)
+    outside = nearest >= sensor.beams
+    bearings = np.where(outside, offset / step, nearest) * step + sensor.angle_min
+    bearings.flags.writeable = False  # shared by all scans of the sensor
+    return np.minimum(nearest, sensor.beams - 1), outside, bearings

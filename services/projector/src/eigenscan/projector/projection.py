@@ -142,14 +142,18 @@ def _verified(
     once = matches.by_row()
     rows, offset = once.rows, once.offsets
     home = view.row_position[rows].astype(np.int64)
-    turned = np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
-    window = (view.row_window[rows].astype(np.int64) + turned) % ANALYSIS_TURN
+    window = view.row_window[rows].astype(np.int64)
+    between = bool(offset.any())
+    if between:
+        window += np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
+        window %= ANALYSIS_TURN
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
     position, window, cost = verify(
         view.windows, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
     )
     poses = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
-    poses[:, :2] += offset[:, :2] * (position == home)[:, None]
+    if between:
+        poses[:, :2] += offset[:, :2] * (position == home)[:, None]
     witness("associated", poses)
     best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
     witness("verified", poses[best])

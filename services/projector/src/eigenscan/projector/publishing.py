@@ -123,8 +123,10 @@ def obstacles_message(
 def to_base(poses: Array, covariances: Array, mount: Array) -> tuple[Array, Array]:
     """Base poses (n, 3) and covariances (n, 3, 3) of sensor poses on a robot with `mount` (3,)."""
     base = compose(poses, inverse(mount))
-    J = np.tile(np.eye(3), (len(poses), 1, 1))
     # the base swings about the sensor: d base / d theta is perpendicular to the arm between them
-    J[:, 0, 2] = -(base[:, 1] - poses[:, 1])
-    J[:, 1, 2] = base[:, 0] - poses[:, 0]
-    return base, J @ covariances @ J.transpose(0, 2, 1)
+    swing = np.zeros((len(poses), 3))
+    swing[:, 0] = -(base[:, 1] - poses[:, 1])
+    swing[:, 1] = base[:, 0] - poses[:, 0]
+    # J C J', where J is the identity and the swing in its last column
+    rows = covariances + swing[:, :, None] * covariances[:, 2:, :]
+    return base, rows + rows[:, :, 2:] * swing[:, None, :]

@@ -48,10 +48,10 @@ def verify(
     """
     cap = _cap(range_max)
     empty_counts = 0.0 < range_max <= RANGE_CAP
-    weight = np.isfinite(coarse).astype(np.float32)
-    weight[np.isinf(coarse)] = EMPTY_WEIGHT if empty_counts else 0.0
-    scan = np.minimum(np.nan_to_num(coarse, nan=0.0, posinf=cap), cap).astype(np.float32)
-    weight[np.isfinite(coarse)] = by_reach(scan[np.isfinite(coarse)])
+    finite, empty = np.isfinite(coarse), np.isinf(coarse)
+    weight = np.where(empty, np.float32(EMPTY_WEIGHT if empty_counts else 0.0), np.float32(0.0))
+    scan = np.where(finite | empty, np.minimum(coarse, np.float32(cap)), np.float32(0.0))
+    weight[finite] = by_reach(scan[finite])
     best_position, best_heading = position.copy(), heading.copy()
     cost = np.empty(len(position), dtype=np.float32)
     _turn(windows, best_position, best_heading, scan, weight, cost)
@@ -75,7 +75,7 @@ def foreseen(
     Half a grid cell off: what costs nothing, for what needs no more. +inf where `windows` is clipped.
     """
     apart = poses[:, :2] - lattice.positions[home]
-    column, row = np.clip(np.rint(apart / lattice.spacing).astype(np.int64), -1, 1).T
+    column, row = np.minimum(np.maximum(np.rint(apart / lattice.spacing), -1), 1).astype(np.int64).T
     there = lattice.neighbours[home, 3 * (column + 1) + row + 1]
     position = np.where(there < 0, home, there)
     window = windows_at(poses[:, 2], angle_min)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
@@ -48,9 +49,14 @@ class WallField:
             slope[:, [0, -1]] = 0.0
         return cls(_pack(distance, by_column, by_row), cell, np.asarray(field.origin, dtype=np.float64))
 
+    @cached_property
+    def map_in_field(self) -> NDArray[np.float64]:
+        """The map frame's pose (3,) in the grid's."""
+        return inverse(self.origin)
+
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Distance (n,) of map-frame points (n, 2) from the nearest wall, m, at most about REACH."""
-        local = transform(inverse(self.origin), points) / self.cell + 1.0
+        local = transform(self.map_in_field, points) / self.cell + 1.0
         found: NDArray[np.float32] = _distances(self.cells, self.cell, local)
         return found
 

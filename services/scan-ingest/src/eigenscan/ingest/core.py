@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.ingest.normalize import FARTHEST, Ranges, ScanError, Sweep, limit, orient, resample
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
+from eigenscan.runtime.lately import Lately
 from eigenscan.schemas.channels import SCAN, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -17,7 +18,6 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 RECENT = 50
-MAX_LIDARS = 4096
 
 
 @dataclass
@@ -39,8 +39,8 @@ class ScanIngestCore:
     def __init__(self, settings: ScanIngestSettings) -> None:
         self._settings = settings
         self._step = None if settings.angle_step is None else math.radians(settings.angle_step)
-        self._lidars: dict[tuple[str, str], _Lidar] = {}
-        self._counts: Counter[str] = Counter(heard=0, published=0)
+        self._lidars: Lately[tuple[str, str], _Lidar] = Lately()
+        self._counts: Counter[str] = Counter(heard=0, published=0, lidars=0)
         self._recent: deque[str] = deque(maxlen=RECENT)
 
     def start(self) -> Iterable[Envelope]:
@@ -66,7 +66,7 @@ class ScanIngestCore:
 
     def condition(self) -> Condition:
         """DEGRADED where most of the latest scans were set aside."""
-        counters = dict(self._counts) | {"lidars": len(self._lidars)}
+        counters = dict(self._counts)
         if not self._recent:
             return Condition(Health.STATUS_WAITING, "no scan heard yet", counters)
         reasons = Counter(reason for reason in self._recent if reason)
@@ -83,7 +83,7 @@ class ScanIngestCore:
 
     def _normalize(self, heard: Envelope) -> Scan:
         raw = heard.open(RawScan)
-        lidar = self._lidar(heard.address["robot"], heard.address["lidar"])
+        lidar = self._lidars.use((heard.address["robot"], heard.address["lidar"]), self._new_lidar)
         stamp = nanoseconds(raw.timestamp)
         self._check_order(lidar, stamp)
         mount, upside_down = self._mount(heard.address["lidar"], raw)
@@ -108,13 +108,9 @@ class ScanIngestCore:
         lidar.newest, lidar.late, lidar.published = stamp, 0, lidar.published + 1
         return scan
 
-    def _lidar(self, robot: str, name: str) -> _Lidar:
-        lidar = self._lidars.get((robot, name))
-        if lidar is None:
-            if len(self._lidars) >= MAX_LIDARS:
-                raise ScanError("too_many_lidars")
-            lidar = self._lidars[robot, name] = _Lidar()
-        return lidar
+    def _new_lidar(self) -> _Lidar:
+        self._counts["lidars"] += 1
+        return _Lidar()
 
     def _check_order(self, lidar: _Lidar, stamp: int) -> None:
         """Raises ScanError for a stamp that is not after the newest.

@@ -1,32 +1,39 @@
-"""The associations by name."""
+"""The associations by name, each imported where it is asked for: the names alone are settings, and quick."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from eigenscan.projector.association.cells import CellTable
-from eigenscan.projector.association.manifold import Association, Sheets
-from eigenscan.projector.association.surfaces import Surfaces
-from eigenscan.projector.association.sweep import SweepTable
-from eigenscan.projector.association.tetrahedra import Tetrahedra
-from eigenscan.projector.association.tree import Trees
-from eigenscan.projector.association.triangles import Triangles
+if TYPE_CHECKING:
+    from eigenscan.projector.association.manifold import Association, Sheets
 
 Kind = Literal["sweep", "cells", "tree", "connectivity", "triangles", "tetrahedra"]
-
-_OF_POINTS: dict[Kind, Callable[[list[Sheets]], Association]] = {
-    "sweep": SweepTable.of,
-    "cells": CellTable.of,
-    "tree": Trees.of,
-    "connectivity": Surfaces.of,
-}
-_OF_VOLUMES: dict[Kind, Callable[[list[Sheets], float], Association]] = {
-    "triangles": Triangles.of,
-    "tetrahedra": Tetrahedra.of,
-}
 
 
 def association(kind: Kind, regions: list[Sheets], margin: float) -> Association:
     """The association `kind` with the sheets of all regions; `margin` as of Tetrahedra and Triangles."""
-    return _OF_VOLUMES[kind](regions, margin) if kind in _OF_VOLUMES else _OF_POINTS[kind](regions)
+    match kind:
+        case "sweep":
+            from eigenscan.projector.association.sweep import SweepTable
+
+            return SweepTable.of(regions)
+        case "cells":
+            from eigenscan.projector.association.cells import CellTable
+
+            return CellTable.of(regions)
+        case "tree":
+            from eigenscan.projector.association.tree import Trees
+
+            return Trees.of(regions)
+        case "connectivity":
+            from eigenscan.projector.association.surfaces import Surfaces
+
+            return Surfaces.of(regions)
+        case "triangles":
+            from eigenscan.projector.association.triangles import Triangles
+
+            return Triangles.of(regions, margin)
+        case "tetrahedra":
+            from eigenscan.projector.association.tetrahedra import Tetrahedra
+
+            return Tetrahedra.of(regions, margin)

@@ -88,10 +88,12 @@ class Matches:
     def by_row(self) -> Matches:
         """Each pose once, by its first match, in the order of the rows."""
         # sorting numbers takes a fifth of the time of sorting their places
-        count = max(len(self.rows), 1)
-        order = np.sort(self.rows * count + np.arange(len(self.rows))) % count
-        rows = self.rows[order]
-        return self.take(order[np.diff(rows, prepend=-1) > 0])
+        bits = len(self.rows).bit_length()
+        keys = np.sort((self.rows << bits) | np.arange(len(self.rows)))
+        rows = keys >> bits
+        first = np.ones(len(rows), dtype=bool)
+        np.not_equal(rows[1:], rows[:-1], out=first[1:])
+        return self.take((keys & ((1 << bits) - 1))[first])
 
 
 class Association(Protocol):
