@@ -13,6 +13,7 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import HEALTH, MAP, MODEL, MODEL_SET, POSE, SCAN, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
 
 if TYPE_CHECKING:
     from eigenscan.mapbuilder.keeping.custodian import Custodian
@@ -35,6 +36,7 @@ class MapbuilderCore:
     ) -> None:
         self._settings, self._source, self._store = settings, source, store
         self._site: SiteModel | None = None
+        self._version = ""
         self._said: dict[str, str] = {}
         self._counts: Counter[str] = Counter()
         self._unreadable = ""
@@ -85,8 +87,7 @@ class MapbuilderCore:
         problem = self._unreadable or (custodian.problem if custodian else "")
         if problem:
             return Condition(Health.STATUS_DEGRADED, problem, counters)
-        version = self._site.to_message().version[:12]
-        detail = f"{counters['regions']} regions, version {version}"
+        detail = f"{counters['regions']} regions, version {self._version[:12]}"
         note = custodian.note if custodian else ""
         return Condition(Health.STATUS_OK, f"{detail}; {note}" if note else detail, counters)
 
@@ -115,7 +116,7 @@ class MapbuilderCore:
             if self._said.get(model.region) != model.version:
                 self._said[model.region] = model.version
                 yield said
-        self._site = site
+        self._site, self._version = site, whole.open(ModelSet).version
         yield whole
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from eigenscan.geometry.gridmap import read_map
-from eigenscan.mapbuilder.core import MapbuilderCore
-from eigenscan.mapbuilder.keeping.store import Store
+from typing import TYPE_CHECKING
+
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.runtime.node import main as run
 from eigenscan.runtime.settings import SettingsError
 
+if TYPE_CHECKING:
+    from eigenscan.mapbuilder.core import MapbuilderCore
+
 
 def make_core(settings: MapbuilderSettings) -> MapbuilderCore:
     """The core over a map, or over a model folder that it follows."""
+    from eigenscan.geometry.gridmap import read_map  # these take their time: neighbours are found meanwhile
+    from eigenscan.mapbuilder.core import MapbuilderCore
+    from eigenscan.mapbuilder.keeping.store import Store
+
     if settings.model is not None:
         store = Store(settings.model)
         if settings.changes in ("propose", "publish") and not store.is_writable:

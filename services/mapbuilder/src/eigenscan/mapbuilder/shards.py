@@ -56,13 +56,16 @@ Shard = Sequence[Area]
 
 
 def shards(areas: Sequence[Area], most: int = CAST_AT_ONCE) -> list[Shard]:
-    """Neighbouring areas together: halved across the longer side until they have `most` positions."""
-    if len(areas) <= 1 or sum(len(area.positions.index) for area in areas) <= most:
+    """Neighbouring areas together: halved, by positions, across the longer side until they have `most`."""
+    sizes = np.array([len(area.positions.index) for area in areas])
+    if len(areas) <= 1 or sizes.sum() <= most:
         return [areas] if areas else []
     middles = np.array([area.positions.points.mean(axis=0) for area in areas])
     axis = int(np.argmax(np.ptp(middles, axis=0)))
     order = np.argsort(middles[:, axis], kind="stable")
-    half = len(order) // 2
+    # halves of equal work, so that workers end at the same time; none is empty
+    behind = np.cumsum(sizes[order])
+    half = 1 + int(np.argmin(np.abs(behind[:-1] - behind[-1] / 2)))
     return [
         shard for part in (order[:half], order[half:]) for shard in shards([areas[i] for i in part], most)
     ]

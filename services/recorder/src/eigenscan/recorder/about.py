@@ -18,18 +18,26 @@ class About:
     def __init__(self) -> None:
         self._services: dict[str, str] = {}
         self._models: dict[str, str] = {}
+        self._speaking: set[str] = set()
 
     def hear(self, heard: Envelope) -> None:
         """Takes what belongs here, from any message."""
         if heard.channel is HEALTH:
             health = heard.open(Health)
             told = {"version": health.package_version, "settings": health.settings}
-            self._services[f"{health.service}/{health.instance}"] = json.dumps(told)
+            who = f"{health.service}/{health.instance}"
+            self._services[who] = json.dumps(told)
+            self._speaking.add(who)
         elif heard.channel is MODEL_SET:
             models = heard.open(ModelSet)
             regions = {entry.region: entry.version for entry in models.entries}
             told = {"version": models.version, "map": models.map_version}
             self._models[heard.key] = json.dumps(told | {"regions": regions})
+
+    def begin_file(self) -> None:
+        """Forgets who did not speak since the last call: robots come and go."""
+        self._services = {who: told for who, told in self._services.items() if who in self._speaking}
+        self._speaking.clear()
 
     @property
     def metadata(self) -> Metadata:

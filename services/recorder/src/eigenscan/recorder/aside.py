@@ -7,8 +7,8 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping
 
-import structlog
 from eigenscan.recorder.sink import Sink
+from eigenscan.runtime.logs import logger
 from eigenscan.schemas.envelope import Envelope
 
 WAITING = 4096
@@ -74,7 +74,7 @@ class Aside:
                 self._counts["undrawable"] += 1
                 if type(error) not in self._known:
                     self._known.add(type(error))
-                    structlog.get_logger().warning("undrawable", key=heard.key, exc_info=error)
+                    logger().warning("undrawable", key=heard.key, exc_info=error)
 
     def _take(self) -> Envelope | None:
         """The next message, latched ones first; None at the end."""

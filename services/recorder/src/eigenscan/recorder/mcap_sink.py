@@ -51,9 +51,9 @@ class McapSink:
         self._counts: Counter[str] = Counter()
         self._problem = ""
         self._retry_at = 0
+        self._pending = 0
         self._flushed_at = clock()
-        self._writer: RecordingWriter | None = self._open()
-        self._writer.flush()
+        self._writer: RecordingWriter | None = self._begin(self._flushed_at)
 
     @property
     def path(self) -> Path | None:
@@ -67,22 +67,21 @@ class McapSink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """`mcap_written`, `_lost`, `_files`, `_deleted`; of writes `mcap_slow` and `mcap_slowest_ms`."""
+        """`mcap_written` (flushed), `_lost`, `_files`, `_deleted`; of writes `_slow` and `_slowest_ms`."""
         return self._counts
 
     def write(self, heard: Envelope) -> None:
         """Adds a message: log time is now, publish time the message's own stamp."""
         now, before = self._clock(), perf_counter()
         try:
+            self._pending += 1
             writer = self._rotated(now) if self._writer else self._reopen(now)
             if writer is None:
-                self._counts["mcap_lost"] += 1
+                self._settle("mcap_lost")
             else:
                 writer.write(heard, now, _published(heard) or now)
-                self._counts["mcap_written"] += 1
                 self._flush(writer, now)
         except OSError as error:
-            self._counts["mcap_lost"] += 1
             self._fail(error, now)
         if heard.channel.qos.latched:
             self._latched[heard.key] = heard
@@ -94,6 +93,7 @@ class McapSink:
         if self._writer is not None:
             try:
                 self._writer.close(self._about.metadata)
+                self._settle("mcap_written")
             except OSError as error:
                 self._fail(error, self._clock())
             self._writer = None
@@ -102,6 +102,12 @@ class McapSink:
         if now - self._flushed_at >= self._flush_ns:
             self._flushed_at = now
             writer.flush()
+            self._settle("mcap_written")
+
+    def _settle(self, what: str, but: int = 0) -> None:
+        """Counts what came since the last flush, `but` the newest: until then a full disk may lose it."""
+        self._counts[what] += self._pending - but
+        self._pending = but
 
     def _note_pace(self, took_s: float) -> None:
         self._counts["mcap_slow"] += took_s > SLOW_S
@@ -112,23 +118,18 @@ class McapSink:
             f"mcap: {self.path or self._files.target}: {error.strerror}: free space or change mcap"
         )
         self._retry_at = now + int(RETRY_S * 1e9)
+        self._settle("mcap_lost")
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
-
-    def _open(self) -> RecordingWriter:
-        self._opened_at = self._clock()
-        path = self._files.unused(self._opened_at)
-        self._counts["mcap_files"] += 1
-        writer = RecordingWriter(path, self._metadata)
-        if self._limits.total_bytes is not None:
-            self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes, kept=path)
-        return writer
 
     def _rotated(self, now: int) -> RecordingWriter | None:
         """The file in use, or the next one where that has reached its limits."""
         if self._writer and self._limits.is_full(self._writer.size, now - self._opened_at):
             self._writer.close(self._about.metadata)
+            self._settle("mcap_written", but=1)
+            self._writer = None
+            self._about.begin_file()
             return self._begin(now)
         return self._writer
 
@@ -137,11 +138,23 @@ class McapSink:
         return None if now < self._retry_at else self._begin(now)
 
     def _begin(self, now: int) -> RecordingWriter:
-        writer = self._writer = self._open()
-        for held in self._latched.values():
-            writer.write(held, now, _published(held) or now)
-        writer.flush()
-        self._problem = ""
+        """The next file; no trace of it where there is no room for what is latched."""
+        path = self._files.unused(now)
+        if self._limits.total_bytes is not None:
+            self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes, kept=path)
+        writer: RecordingWriter | None = None
+        try:
+            writer = RecordingWriter(path, self._metadata)
+            for held in self._latched.values():
+                writer.write(held, now, _published(held) or now)
+            writer.flush()
+        except OSError:
+            if writer is not None:
+                writer.abandon()
+            path.unlink(missing_ok=True)
+            raise
+        self._writer, self._opened_at, self._problem = writer, now, ""
+        self._counts["mcap_files"] += 1
         return writer
 
 

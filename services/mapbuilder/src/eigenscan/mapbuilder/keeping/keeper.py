@@ -11,6 +11,7 @@ from eigenscan.mapbuilder.keeping.change import Change, find_change
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 from eigenscan.mapbuilder.keeping.look import Look, mark
 from eigenscan.mapbuilder.keeping.witness import Witness
+from eigenscan.runtime.lately import Lately
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
@@ -24,7 +25,8 @@ class Keeper:
         self.evidence = evidence
         self.counts: Counter[str] = Counter()
         self._visits, self._frame_id = visits, frame_id
-        self._witnesses: dict[tuple[str, str], Witness] = {}
+        self._witnesses: Lately[str, dict[str, Witness]] = Lately()
+        """By robot, then lidar."""
         self.trust(grid)
 
     def trust(self, grid: GridMap) -> None:
@@ -43,17 +45,17 @@ class Keeper:
         looks: list[Look] = []
         if heard.channel is SCAN:
             scan = heard.open(Scan)
-            key = (robot, heard.address["lidar"])
-            witness = self._witnesses.setdefault(key, Witness(self.counts))
-            looks = witness.hear_scan(scan, judge)
+            witnesses, lidar = self._witnesses.use(robot, dict), heard.address["lidar"]
+            if lidar not in witnesses:
+                witnesses[lidar] = Witness(self.counts)
+            looks = witnesses[lidar].hear_scan(scan, judge)
         elif heard.channel is POSE:
             pose = heard.open(PoseEstimate)
             if pose.frame_id != self._frame_id:
                 self.counts["poses_of_another_frame"] += 1
                 return None
-            for (name, _), witness in self._witnesses.items():
-                if name == robot:
-                    looks += witness.hear_pose(pose, judge)
+            for witness in self._witnesses.use(robot, dict).values():
+                looks += witness.hear_pose(pose, judge)
         ended = [self._count(look) for look in looks]
         return find_change(self._grid, self.evidence.run, self._visits) if any(ended) else None
 
