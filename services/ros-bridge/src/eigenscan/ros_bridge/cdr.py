@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from rosbags.interfaces import Nodetype
+from eigenscan.ros_bridge.service_types import SERVICES, request_and_response, service_hash
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -16,12 +16,18 @@ POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 PARTICLE = "nav2_msgs/msg/Particle"
 PARTICLE_CLOUD = "nav2_msgs/msg/ParticleCloud"
-EMPTY_SERVICE = "std_srvs/srv/Empty"
+BOND = "bond/msg/Status"
 
-EMPTY_REPLY = bytes([0, 1, 0, 0, 0])
-"""Little-endian CDR of a message without fields: IDL has no empty structures, so it holds one byte."""
+EMPTY_RESPONSE = bytes([0, 1, 0, 0, 0])
+"""Little-endian CDR of a message without fields: one byte stands in for them."""
 
-_SERVICE_EVENT = "service_msgs/msg/ServiceEventInfo"
+_TEXTS = {
+    PARTICLE: "geometry_msgs/Pose pose\nfloat64 weight\n",
+    PARTICLE_CLOUD: "std_msgs/Header header\nnav2_msgs/Particle[] particles\n",
+    BOND: "std_msgs/Header header\nstring id\nstring instance_id\nbool active\n"
+    "float32 heartbeat_timeout\nfloat32 heartbeat_period\n",
+}
+"""Those that the library lacks."""
 
 
 class CdrError(ValueError):
@@ -31,10 +37,10 @@ class CdrError(ValueError):
 @cache
 def _store() -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg("geometry_msgs/Pose pose\nfloat64 weight\n", PARTICLE))
-    store.register(
-        get_types_from_msg("std_msgs/Header header\nnav2_msgs/Particle[] particles\n", PARTICLE_CLOUD)
-    )
+    for name, text in _TEXTS.items():
+        store.register(get_types_from_msg(text, name))
+    for kind in SERVICES:
+        store.register(request_and_response(kind))
     return store
 
 
@@ -64,44 +70,5 @@ def dds_name(kind: str) -> str:
 
 @cache
 def type_hash(kind: str) -> str:
-    """REP 2011's hash of a message's type, or of an empty service's, such as `RIHS01_64c1…`."""
-    if kind == EMPTY_SERVICE:
-        return _empty_service_hash(kind)
-    return str(_store().hash_rihs01(kind))
-
-
-def _empty_service_hash(kind: str) -> str:
-    """A service is hashed as a message of its request, its response and an event."""
-    byte = (Nodetype.BASE, ("uint8", 0))
-    request, response, event = f"{kind}_Request", f"{kind}_Response", f"{kind}_Event"
-
-    def named(name: str) -> Any:
-        return (Nodetype.NAME, name)
-
-    def at_most_one(name: str) -> Any:
-        return (Nodetype.SEQUENCE, (named(name), 1))
-
-    types: dict[str, Any] = {
-        _SERVICE_EVENT: [
-            ("event_type", byte),
-            ("stamp", named("builtin_interfaces/msg/Time")),
-            # the library has it as char, which in ROS 2 is another name of uint8
-            ("client_gid", (Nodetype.ARRAY, (byte, 16))),
-            ("sequence_number", (Nodetype.BASE, ("int64", 0))),
-        ],
-        request: [("structure_needs_at_least_one_member", byte)],
-        response: [("structure_needs_at_least_one_member", byte)],
-        event: [
-            ("info", named(_SERVICE_EVENT)),
-            ("request", at_most_one(request)),
-            ("response", at_most_one(response)),
-        ],
-        kind: [
-            ("request_message", named(request)),
-            ("response_message", named(response)),
-            ("event_message", named(event)),
-        ],
-    }
-    store = get_typestore(Stores.ROS2_HUMBLE)  # a later one refuses another _SERVICE_EVENT
-    store.register({name: ([], fields) for name, fields in types.items()})
-    return str(store.hash_rihs01(kind))
+    """REP 2011's hash of a message's or a service's type, such as `RIHS01_64c1…`."""
+    return service_hash(kind) if kind in SERVICES else str(_store().hash_rihs01(kind))

@@ -1,4 +1,4 @@
-"""ROS 2's messages as the bridge's core hears and says them: CDR bytes, by the topic's name."""
+"""ROS 2's messages as the bridge's core hears and says them: CDR bytes, by the name of topic or service."""
 
 from __future__ import annotations
 
@@ -6,4 +6,10 @@ from eigenscan.schemas.channels import Channel, Qos
 from google.protobuf.wrappers_pb2 import BytesValue
 
 ROS_HEARD = Channel("ros_heard", "heard/{endpoint}", BytesValue, Qos(depth=1024), "what ROS says")
+ROS_ASKED = Channel(
+    "ros_asked", "asked/{endpoint}/{number}", BytesValue, Qos(depth=64), "a request to a service"
+)
+ROS_ANSWERED = Channel(
+    "ros_answered", "answered/{endpoint}/{number}", BytesValue, about="its response; empty: there is none"
+)
 ROS_SAID = Channel("ros_said", "said/{endpoint}", BytesValue, about="what is said to ROS")

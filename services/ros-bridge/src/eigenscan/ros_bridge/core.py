@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any
 
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.channels import ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
 from eigenscan.ros_bridge.endpoints import Endpoint, endpoints
-from eigenscan.ros_bridge.inbound import frame_name, header_stamp, lidar_names, odometry, raw_scan, relocation
+from eigenscan.ros_bridge.inbound import (
+    frame_name,
+    header_stamp,
+    lidar_names,
+    odometry,
+    odometry_of_tf,
+    raw_scan,
+    relocation,
+)
+from eigenscan.ros_bridge.lifecycle import Lifecycle
 from eigenscan.ros_bridge.mounts import MountError, Mounts
 from eigenscan.ros_bridge.outbound import occupancy_grid, particle_cloud, pose_with_covariance, transforms
+from eigenscan.ros_bridge.service_types import SET_INITIAL_POSE
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import (
     MAP,
@@ -28,25 +40,33 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from google.protobuf.wrappers_pb2 import BytesValue
 
-Hearer = Callable[[bytes], Iterator[Envelope]]
+Hearer = Callable[[bytes], Iterable[Envelope]]
+Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
+"""From a request to its response, and what is said because of it."""
 
 
 class RosBridgeCore:
     """One robot's bridge. What it hears of ROS and says to it are CDR bytes, by endpoint."""
 
-    hears: tuple[Channel, ...] = (ROS_HEARD, POSE, TRACKS, TRANSFORM, MAP)
-    says: tuple[Channel, ...] = (ROS_SAID, SCAN_RAW, ODOMETRY, RELOCATION)
+    hears: tuple[Channel, ...] = (ROS_HEARD, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP)
+    says: tuple[Channel, ...] = (ROS_SAID, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
 
     def __init__(self, settings: RosBridgeSettings) -> None:
         self._address = {"site": settings.site, "robot": settings.robot}
         self._ahead = round(settings.transform_tolerance * 1e9)
         self._ends = endpoints(settings)
-        self._mounts = Mounts(settings.base_frame, settings.mounts_from_tf, self._ends.odometry is not None)
+        self._odom_frame = frame_name(settings.odom_frame) if settings.tf else ""
+        self._odometry_in_tf = False
+        has_odometry = self._ends.odometry is not None or self._odom_frame != ""
+        self._mounts = Mounts(settings.base_frame, settings.mounts_from_tf, has_odometry)
+        self._lifecycle = Lifecycle(settings.lifecycle)
         self._counts: Counter[str] = Counter()
         self._lacks = "no scan yet on " + ", ".join(scan.name for scan in self._ends.scans)
         self._hearers = dict(self._make_hearers())
+        self._answerers = dict(self._make_answerers())
 
     def start(self) -> Iterable[Envelope]:
         """Nothing is said unasked."""
@@ -58,6 +78,8 @@ class RosBridgeCore:
             if heard.channel is ROS_HEARD:
                 data = heard.open(BytesValue).value
                 return list(self._hearers[heard.address["endpoint"]](data))
+            if heard.channel is ROS_ASKED:
+                return self._answer(heard)
             return list(self._tell_ros(heard))
         except cdr.CdrError:
             self._counts["set_aside_not_cdr"] += 1
@@ -70,9 +92,12 @@ class RosBridgeCore:
         return ()
 
     def condition(self) -> Condition:
-        """Waiting until scans come through, with what they lack."""
-        status = Health.STATUS_WAITING if self._lacks else Health.STATUS_OK
-        return Condition(status, self._lacks, dict(self._counts))
+        """Waiting until scans come through, with what they lack, and while a lifecycle manager says so."""
+        lacks = self._lacks
+        if not self._lifecycle.active:
+            lacks = f"says no pose: a lifecycle manager has it {self._lifecycle.state}"
+        status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
+        return Condition(status, lacks, dict(self._counts))
 
     def _make_hearers(self) -> Iterator[tuple[str, Hearer]]:
         names = lidar_names([scan.name for scan in self._ends.scans])
@@ -83,10 +108,22 @@ class RosBridgeCore:
             (self._ends.transforms, self._hear_transforms),
             (self._ends.static_transforms, self._hear_transforms),
             (self._ends.initial_pose, self._hear_initial_pose),
-            (self._ends.global_localization, self._hear_global_localization),
+            (self._ends.bond, self._hear_bond),
         ):
             if endpoint:
                 yield endpoint.chunk, hearer
+
+    def _make_answerers(self) -> Iterator[tuple[str, Answerer]]:
+        ends = self._ends
+        if ends.set_initial_pose:
+            yield ends.set_initial_pose.chunk, self._set_initial_pose
+        if ends.global_localization:
+            anywhere = Envelope(RELOCATION, self._address, Relocation())
+            yield ends.global_localization.chunk, lambda _request: (cdr.EMPTY_RESPONSE, [anywhere])
+        if ends.nomotion_update:
+            yield ends.nomotion_update.chunk, lambda _request: (cdr.EMPTY_RESPONSE, [])
+        for end in ends.lifecycle:
+            yield end.chunk, partial(self._answer_lifecycle, end.kind)
 
     def _scan_hearer(self, endpoint: Endpoint, lidar: str) -> Hearer:
         def hear(data: bytes) -> Iterator[Envelope]:
@@ -104,30 +141,71 @@ class RosBridgeCore:
         return hear
 
     def _hear_odometry(self, data: bytes) -> Iterator[Envelope]:
+        if self._odometry_in_tf:  # two tellers of one odometry need not agree
+            return
         message = odometry(cdr.decode(cdr.ODOMETRY, data))
         if message is None:
             self._counts["set_aside_odometry_not_a_pose"] += 1
             return
-        self._mounts.hear_base(message.body_frame_id)
-        yield Envelope(ODOMETRY, self._address, message)
+        yield self._moved(message)
 
     def _hear_transforms(self, data: bytes) -> Iterator[Envelope]:
-        self._mounts.hear(cdr.decode(cdr.TRANSFORMS, data).transforms)
-        yield from ()
+        transforms = cdr.decode(cdr.TRANSFORMS, data).transforms
+        self._mounts.hear(transforms)
+        for item in transforms:
+            if self._odom_frame and frame_name(item.header.frame_id) == self._odom_frame:
+                message = odometry_of_tf(item)
+                if message is None:
+                    self._counts["set_aside_odometry_not_a_pose"] += 1
+                    continue
+                self._odometry_in_tf = True
+                yield self._moved(message)
 
-    def _hear_initial_pose(self, data: bytes) -> Iterator[Envelope]:
-        message = relocation(cdr.decode(cdr.POSE_WITH_COVARIANCE, data))
+    def _moved(self, message: Odometry) -> Envelope:
+        self._mounts.hear_base(message.body_frame_id)
+        return Envelope(ODOMETRY, self._address, message)
+
+    def _hear_initial_pose(self, data: bytes) -> Iterable[Envelope]:
+        return self._relocated(cdr.decode(cdr.POSE_WITH_COVARIANCE, data))
+
+    def _relocated(self, pose: Any) -> list[Envelope]:
+        message = relocation(pose)
         if message is None:
             self._counts["set_aside_initial_pose_not_a_pose"] += 1
-            return
-        yield Envelope(RELOCATION, self._address, message)
+            return []
+        return [Envelope(RELOCATION, self._address, message)]
 
-    def _hear_global_localization(self, _data: bytes) -> Iterator[Envelope]:
-        yield Envelope(RELOCATION, self._address, Relocation())
+    def _hear_bond(self, data: bytes) -> Iterator[Envelope]:
+        beat = self._lifecycle.beat(data)
+        if beat and self._ends.bond_said:
+            yield _said(self._ends.bond_said, beat)
+
+    def _answer(self, asked: Envelope) -> list[Envelope]:
+        """Always answers: who asks would wait for ever."""
+        answerer = self._answerers[asked.address["endpoint"]]
+        because: Iterable[Envelope] = ()
+        try:
+            response, because = answerer(asked.open(BytesValue).value)
+        except cdr.CdrError:
+            self._counts["set_aside_not_cdr"] += 1
+            response = b""
+        return [Envelope(ROS_ANSWERED, asked.address, BytesValue(value=response)), *because]
+
+    def _set_initial_pose(self, request: bytes) -> tuple[bytes, Iterable[Envelope]]:
+        body = cdr.decode(f"{SET_INITIAL_POSE}_Request", request)
+        return cdr.EMPTY_RESPONSE, self._relocated(body.pose)
+
+    def _answer_lifecycle(self, kind: str, request: bytes) -> tuple[bytes, Iterable[Envelope]]:
+        return self._lifecycle.answer(kind, request), ()
 
     def _tell_ros(self, heard: Envelope) -> Iterator[Envelope]:
         ends = self._ends
-        if heard.channel is POSE and ends.pose:
+        if heard.channel is MAP:
+            if ends.map:
+                yield _said(ends.map, occupancy_grid(heard.open(Grid)))
+        elif not self._lifecycle.active:
+            return
+        elif heard.channel is POSE and ends.pose:
             estimate = heard.open(PoseEstimate)
             if estimate.state == STATE_LOCALIZED:
                 yield _said(ends.pose, pose_with_covariance(estimate))
@@ -135,8 +213,6 @@ class RosBridgeCore:
             yield _said(ends.map_to_odom, transforms(heard.open(FrameTransform), self._ahead))
         elif heard.channel is TRACKS and ends.particles:
             yield _said(ends.particles, particle_cloud(heard.open(Tracks)))
-        elif heard.channel is MAP and ends.map:
-            yield _said(ends.map, occupancy_grid(heard.open(Grid)))
 
 
 def _said(endpoint: Endpoint, data: bytes) -> Envelope:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from eigenscan.ros_bridge.cdr import (
-    EMPTY_SERVICE,
+    BOND,
     LASER_SCAN,
     OCCUPANCY_GRID,
     ODOMETRY,
@@ -15,7 +15,18 @@ from eigenscan.ros_bridge.cdr import (
     POSE_WITH_COVARIANCE,
     TRANSFORMS,
 )
+from eigenscan.ros_bridge.service_types import (
+    AVAILABLE_STATES,
+    AVAILABLE_TRANSITIONS,
+    CHANGE_STATE,
+    EMPTY_SERVICE,
+    GET_STATE,
+    SET_INITIAL_POSE,
+)
 from eigenscan.ros_bridge.settings import RosBridgeSettings
+
+NODE = "eigenscan"
+"""The bridge's own name in ROS 2's graph."""
 
 
 class Role(Enum):
@@ -43,6 +54,7 @@ class Endpoint:
     kind: str
     role: Role
     qos: Qos
+    node: str = NODE
 
     @property
     def chunk(self) -> str:
@@ -54,6 +66,12 @@ _SENSOR = Qos(5, reliable=False)
 _LATCHED = Qos(1, transient_local=True)
 _TF = Qos(100)
 _COMMAND = Qos(10)
+_LIFECYCLE = (
+    ("get_state", GET_STATE),
+    ("change_state", CHANGE_STATE),
+    ("get_available_states", AVAILABLE_STATES),
+    ("get_available_transitions", AVAILABLE_TRANSITIONS),
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +83,13 @@ class Endpoints:
     transforms: Endpoint | None
     static_transforms: Endpoint | None
     initial_pose: Endpoint | None
+    set_initial_pose: Endpoint | None
     global_localization: Endpoint | None
+    nomotion_update: Endpoint | None
+    lifecycle: tuple[Endpoint, ...]
+    """Services of the lifecycle node that the bridge stands for."""
+    bond: Endpoint | None
+    bond_said: Endpoint | None
     pose: Endpoint | None
     map_to_odom: Endpoint | None
     particles: Endpoint | None
@@ -76,13 +100,15 @@ class Endpoints:
         for endpoint in vars(self).values():
             if isinstance(endpoint, Endpoint):
                 yield endpoint
+        yield from self.lifecycle
 
 
 def endpoints(settings: RosBridgeSettings) -> Endpoints:
     """What `settings` ask for."""
+    node = settings.lifecycle
 
-    def at(name: str, kind: str, role: Role, qos: Qos) -> Endpoint | None:
-        return Endpoint(qualified(settings.namespace, name), kind, role, qos) if name else None
+    def at(name: str, kind: str, role: Role, qos: Qos, of: str = NODE) -> Endpoint | None:
+        return Endpoint(qualified(settings.namespace, name), kind, role, qos, of) if name else None
 
     def heard(name: str, kind: str, qos: Qos) -> Endpoint | None:
         return at(name, kind, Role.SUBSCRIPTION, qos)
@@ -90,20 +116,32 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
     def said(name: str, kind: str, qos: Qos) -> Endpoint | None:
         return at(name, kind, Role.PUBLISHER, qos)
 
+    def service(name: str, kind: str) -> Endpoint | None:
+        return at(name, kind, Role.SERVICE, _COMMAND)
+
+    def bond(role: Role) -> Endpoint | None:
+        return at("bond" if node else "", BOND, role, _COMMAND, node)
+
+    lifecycle = [at(f"{node}/{name}", kind, Role.SERVICE, _COMMAND, node) for name, kind in _LIFECYCLE]
     scans = [heard(name, LASER_SCAN, _SENSOR) for name in settings.scan]
     return Endpoints(
         scans=tuple(scan for scan in scans if scan),
         odometry=heard(settings.odom, ODOMETRY, _COMMAND),
-        transforms=heard(settings.tf, TRANSFORMS, _TF) if settings.mounts_from_tf else None,
+        transforms=heard(settings.tf, TRANSFORMS, _TF),
         static_transforms=(
             heard(settings.tf_static, TRANSFORMS, Qos(100, transient_local=True))
             if settings.mounts_from_tf
             else None
         ),
         initial_pose=heard(settings.initial_pose, POSE_WITH_COVARIANCE, _COMMAND),
-        global_localization=at(settings.global_localization, EMPTY_SERVICE, Role.SERVICE, _COMMAND),
+        set_initial_pose=service(settings.set_initial_pose, SET_INITIAL_POSE),
+        global_localization=service(settings.global_localization, EMPTY_SERVICE),
+        nomotion_update=service(settings.nomotion_update, EMPTY_SERVICE),
+        lifecycle=tuple(each for each in lifecycle if each and node),
+        bond=bond(Role.SUBSCRIPTION),
+        bond_said=bond(Role.PUBLISHER),
         pose=said(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),
-        map_to_odom=said(settings.tf, TRANSFORMS, _TF),
+        map_to_odom=said(settings.tf if settings.tf_broadcast else "", TRANSFORMS, _TF),
         particles=said(settings.particles, PARTICLE_CLOUD, _SENSOR),
         map=said(settings.map, OCCUPANCY_GRID, _LATCHED),
     )

@@ -61,6 +61,19 @@ def odometry(body: Any) -> Odometry | None:
     )
 
 
+def odometry_of_tf(item: Any) -> Odometry | None:
+    """Of a TransformStamped from the odometry's frame to the robot's base; None where it is no pose."""
+    pose = on_plane(item.transform.translation, item.transform.rotation)
+    if pose is None:
+        return None
+    return Odometry(
+        timestamp=stamp(header_stamp(item.header)),
+        frame_id=frame_name(item.header.frame_id),
+        body_frame_id=frame_name(item.child_frame_id),
+        pose=to_pose3(pose),
+    )
+
+
 def relocation(body: Any) -> Relocation | None:
     """Of a PoseWithCovarianceStamped that an operator clicked; None where its pose is none."""
     pose = on_plane(body.pose.pose.position, body.pose.pose.orientation)

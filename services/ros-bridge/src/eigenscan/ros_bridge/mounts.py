@@ -27,6 +27,7 @@ class Mounts:
     """The mounts of one robot. The first transform of each frame counts: lidars do not move on their base."""
 
     def __init__(self, base_frame: str | None, from_tf: bool, has_odometry: bool) -> None:
+        self._given = base_frame is not None or not has_odometry
         self._base = base_frame if has_odometry or base_frame else DEFAULT_BASE
         self._from_tf = from_tf
         self._tree = TransformTree()
@@ -34,8 +35,9 @@ class Mounts:
 
     def hear_base(self, frame: str) -> None:
         """The frame that odometry moves; it is the base unless the settings name another."""
-        if self._base is None:
+        if not self._given and self._base != (frame or DEFAULT_BASE):
             self._base = frame or DEFAULT_BASE
+            self._known.clear()
 
     def hear(self, transforms: Any) -> None:
         """Takes a TFMessage."""
@@ -54,7 +56,9 @@ class Mounts:
 
     def _find(self, frame: str) -> Mount:
         if self._base is None:
-            raise MountError("no_base", "no odometry yet, whose child frame is the robot's base")
+            raise MountError(
+                "no_base", "no odometry yet, in tf or on its topic, whose child is the robot's base"
+            )
         matrix = np.eye(4) if frame == self._base else self._tree.between(self._base, frame)
         if matrix is None:
             raise MountError(

@@ -10,7 +10,7 @@ from eigenscan.runtime.node import main as run
 
 def main() -> None:
     """Entry point of `eigenscan-ros-bridge`."""
-    run("ros-bridge", RosBridgeSettings, RosBridgeCore, make_port=RosPort)
+    run("ros-bridge", RosBridgeSettings, RosBridgeCore, make_port=RosPort, prompt=True)
 
 
 if __name__ == "__main__":

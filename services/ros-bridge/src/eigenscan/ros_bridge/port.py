@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
+from collections import OrderedDict
 from collections.abc import Iterable
 from typing import Any
 
 import zenoh
-from eigenscan.ros_bridge.cdr import EMPTY_REPLY
-from eigenscan.ros_bridge.channels import ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
 from eigenscan.ros_bridge.dialect import Dialect
 from eigenscan.ros_bridge.endpoints import Endpoint, Role, endpoints
 from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
@@ -22,17 +23,20 @@ from google.protobuf.wrappers_pb2 import BytesValue
 
 HEARTBEAT_S = 1.0
 """After what is said once on a transient local topic: who lost it asks again."""
+PATIENT_REQUESTS = 64
+"""More than these at a time to one service are not waited for."""
 
 
 class RosPort:
-    """Says and hears ROS 2's endpoints in one dialect; answers the services."""
+    """Says and hears ROS 2's endpoints in one dialect."""
 
-    channels: tuple[Channel, ...] = (ROS_HEARD, ROS_SAID)
+    channels: tuple[Channel, ...] = (ROS_HEARD, ROS_SAID, ROS_ASKED, ROS_ANSWERED)
 
     def __init__(self, settings: RosBridgeSettings) -> None:
         self._settings = settings
         self._endpoints = list(endpoints(settings))
         self._publishers: dict[str, _Publisher] = {}
+        self._services: dict[str, _Service] = {}
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
 
@@ -50,14 +54,18 @@ class RosPort:
             elif endpoint.role is Role.SUBSCRIPTION:
                 self._declared.append(subscribe(session, key, endpoint, _Intake(endpoint, inbox).on_sample))
             else:
-                answer = _Answer(key, _Intake(endpoint, inbox), dialect)
-                self._declared.append(session.declare_queryable(key, answer.on_query, complete=True))
+                service = self._services[endpoint.chunk] = _Service(key, endpoint, inbox, dialect)
+                self._declared.append(session.declare_queryable(key, service.on_query, complete=True))
         liveliness = session.liveliness()
         self._declared.extend(liveliness.declare_token(key) for key in dialect.tokens(self._endpoints))
 
     def say(self, envelope: Envelope) -> None:
-        """Publishes CDR bytes on the topic that the address names."""
-        self._publishers[envelope.address["endpoint"]].put(envelope.open(BytesValue).value)
+        """Publishes CDR bytes on the topic that the address names, or responds with them to the request."""
+        data, endpoint = envelope.open(BytesValue).value, envelope.address["endpoint"]
+        if envelope.channel is ROS_ANSWERED:
+            self._services[endpoint].respond(int(envelope.address["number"]), data)
+        else:
+            self._publishers[endpoint].put(data)
 
     def close(self) -> None:
         """Takes the endpoints out of ROS 2's graph, the newest first, and closes the session."""
@@ -115,16 +123,33 @@ class _Intake:
             self.put(sample.payload.to_bytes())
 
 
-class _Answer:
-    """Answers a service without fields at once; the request goes to the core."""
+class _Service:
+    """Puts requests into the inbox and holds them until they are answered, the newest only."""
 
-    def __init__(self, key: str, intake: _Intake, dialect: Dialect) -> None:
-        self._key, self._intake, self._dialect = key, intake, dialect
+    def __init__(self, key: str, endpoint: Endpoint, inbox: Inbox, dialect: Dialect) -> None:
+        self._key, self._endpoint, self._inbox, self._dialect = key, endpoint, inbox, dialect
+        self._waiting: OrderedDict[int, zenoh.Query] = OrderedDict()
+        self._number = 0
+        self._lock = threading.Lock()
 
     def on_query(self, query: zenoh.Query) -> None:
+        with self._lock:
+            self._number += 1
+            number = self._number
+            self._waiting[number] = query
+            if len(self._waiting) > PATIENT_REQUESTS:
+                self._waiting.popitem(last=False)[1].drop()  # type: ignore[no-untyped-call]
+        key = ROS_ASKED.key({"endpoint": self._endpoint.chunk, "number": str(number)})
         request = query.payload.to_bytes() if query.payload else b""
+        self._inbox.put(ROS_ASKED, key, encode(BytesValue(value=request)), encoding(ROS_ASKED))
+
+    def respond(self, number: int, response: bytes) -> None:
+        with self._lock:
+            query = self._waiting.pop(number, None)
+        if query is None:
+            return
         beside = query.attachment.to_bytes() if query.attachment else b""
-        self._intake.put(request)
         with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
-            reply = self._dialect.reply_attachment(beside, time.time_ns())
-            query.reply(self._key, EMPTY_REPLY, attachment=reply)
+            if response:
+                attachment = self._dialect.reply_attachment(beside, time.time_ns())
+                query.reply(self._key, response, attachment=attachment)

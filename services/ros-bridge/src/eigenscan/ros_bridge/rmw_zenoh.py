@@ -11,10 +11,8 @@ from collections.abc import Iterable, Iterator
 
 import xxhash
 from eigenscan.ros_bridge.cdr import dds_name, type_hash
-from eigenscan.ros_bridge.endpoints import Endpoint, Qos
+from eigenscan.ros_bridge.endpoints import NODE, Endpoint, Qos
 
-NODE = "eigenscan"
-NODE_ID = 0
 _ATTACHMENT = struct.Struct("<qqB16s")  # number, ns, length of the id, id
 _ID_LENGTH = 16
 _DEFAULT_DEPTH = 42
@@ -23,12 +21,12 @@ _NO_HASH = "TypeHashNotSupported"
 
 
 class RmwZenoh:
-    """One ROS node, `eigenscan`, on one Zenoh session (`session`: its id)."""
+    """The bridge's ROS nodes on one Zenoh session (`session`: its id)."""
 
     def __init__(self, domain: int, namespace: str, session: str, *, hashed: bool = True) -> None:
         self._domain, self._namespace, self._session = domain, namespace, session
         self._hashed = hashed
-        self._ids: dict[str, int] = {}
+        self._ids: dict[str, int] = {NODE: 0}  # of nodes and endpoints
         self._gids: dict[str, bytes] = {}
 
     def key(self, endpoint: Endpoint) -> str:
@@ -36,8 +34,10 @@ class RmwZenoh:
         return f"{self._domain}/{endpoint.name.strip('/')}/{self._type(endpoint.kind)}"
 
     def tokens(self, endpoints: Iterable[Endpoint]) -> Iterator[str]:
-        """One for the node, one for each endpoint."""
-        yield self._token(NODE_ID, "NN")
+        """One for each node, one for each endpoint."""
+        endpoints = list(endpoints)
+        for node in dict.fromkeys([NODE, *(endpoint.node for endpoint in endpoints)]):
+            yield self._token(node, node, "NN")
         for endpoint in endpoints:
             yield self._endpoint_token(endpoint)
 
@@ -56,16 +56,20 @@ class RmwZenoh:
         return _ATTACHMENT.pack(number, time, length, gid)
 
     def _endpoint_token(self, endpoint: Endpoint) -> str:
-        number = self._ids.setdefault(endpoint.chunk + endpoint.role.value, len(self._ids) + 1)
         about = f"{endpoint.chunk}/{self._type(endpoint.kind)}/{qos_chunk(endpoint.qos)}"
-        return f"{self._token(number, endpoint.role.value)}/{about}"
+        own = self._token(endpoint.node, endpoint.chunk + endpoint.role.value, endpoint.role.value)
+        return f"{own}/{about}"
 
     def _type(self, kind: str) -> str:
         return f"{dds_name(kind)}/{type_hash(kind) if self._hashed else _NO_HASH}"
 
-    def _token(self, number: int, kind: str) -> str:
+    def _token(self, node: str, entity: str, kind: str) -> str:
+        numbers = f"{self._number(node)}/{self._number(entity)}"
         namespace = ("/" + self._namespace.strip("/")).replace("/", "%")
-        return f"@ros2_lv/{self._domain}/{self._session}/{NODE_ID}/{number}/{kind}/%/{namespace}/{NODE}"
+        return f"@ros2_lv/{self._domain}/{self._session}/{numbers}/{kind}/%/{namespace}/{node}"
+
+    def _number(self, entity: str) -> int:
+        return self._ids.setdefault(entity, len(self._ids))
 
 
 def qos_chunk(qos: Qos) -> str:

@@ -12,6 +12,7 @@ from eigenscan.ros_bridge.cdr import type_hash
 from eigenscan.ros_bridge.endpoints import Endpoint, Qos, Role
 
 _SLASH = "§"
+_DEFAULT_DEPTH = 1
 
 
 class Ros2Dds:
@@ -44,5 +45,10 @@ class Ros2Dds:
 
 
 def qos_chunk(qos: Qos, kind_hash: str) -> str:
-    """No key; reliability, durability, history and depth by DDS's numbers; user data, as ROS 2 writes it."""
-    return f":{int(qos.reliable)}:{int(qos.transient_local)}:0,{qos.depth}:typehash={kind_hash};"
+    """No key; reliability, durability, history and depth by DDS's numbers, where they are not DDS's defaults.
+
+    Then user data, as ROS 2 writes it.
+    """
+    durability = "1" if qos.transient_local else ""
+    history = "" if qos.depth == _DEFAULT_DEPTH else f"0,{qos.depth}"
+    return f":{int(qos.reliable)}:{durability}:{history}:typehash={kind_hash};"

@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-import structlog
 import zenoh
 from eigenscan.ros_bridge.dialect import Dialect
 from eigenscan.ros_bridge.endpoints import Endpoint
 from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
 from eigenscan.ros_bridge.ros2dds import Ros2Dds
 from eigenscan.ros_bridge.settings import RosBridgeSettings
+from eigenscan.runtime.logs import logger
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import ContractError
 
@@ -23,14 +23,16 @@ def subscribe(
     session: zenoh.Session, key: str, endpoint: Endpoint, on_sample: Callable[[zenoh.Sample], None]
 ) -> Any:
     """Subscriber of a topic; of a transient local one also hears what was said before it came."""
+    # in the session's own thread: a thread's turn less
+    heard = zenoh.handlers.Callback(on_sample, indirect=False)
     # on /tf its own messages would come back
     remote = zenoh.Locality.REMOTE
     if not endpoint.qos.transient_local:
-        return session.declare_subscriber(key, on_sample, allowed_origin=remote)
+        return session.declare_subscriber(key, heard, allowed_origin=remote)
     return zenoh.ext.declare_advanced_subscriber(
         session,
         key,
-        on_sample,
+        heard,
         allowed_origin=remote,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=endpoint.qos.depth),
         recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
@@ -57,7 +59,7 @@ def open_towards_ros(settings: RosBridgeSettings, patience_s: float | None = Non
     host = settings.ros_router.partition("/")[2].rpartition(":")[0]
     mode = "peer" if host in _THIS_MACHINE else "client"
     if mode == "client":
-        structlog.get_logger().info("waiting_for_router", ros_router=settings.ros_router)
+        logger().info("waiting_for_router", ros_router=settings.ros_router)
     patient = mode == "peer" or patience_s is None
     config = {
         # ROS nodes listen on their own machine only: from another one all goes through the router

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.schemas.group import is_one
 from pydantic import Field, field_validator, model_validator
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
@@ -45,20 +46,41 @@ class RosBridgeSettings(ServiceSettings):
         min_length=1,
         description='topics of LaserScan, as JSON: ["front/scan", "rear/scan"] are the lidars front and rear',
     )
-    odom: str = Field("odom", description="topic of Odometry; empty: none")
+    odom: str = Field(
+        "odom", description="topic of Odometry, taken for as long as tf tells no odometry; empty: tf's only"
+    )
+    odom_frame: str = Field(
+        "odom",
+        description="frame in tf whose child is the robot's base: AMCL's odometry; empty: the topic's only",
+    )
     base_frame: str | None = Field(
         None, description="the robot's base in tf; without it the odometry's child"
     )
     mounts_from_tf: bool = Field(
         True, description="a lidar's place on the robot is tf's; false: scan-ingest is told its mounts"
     )
-    tf: str = Field("tf", description="topic of tf, heard for mounts, said map to odom; empty: neither")
+    tf: str = Field(
+        "tf", description="topic of tf, heard for odometry and mounts, said map to odom; empty: neither"
+    )
+    tf_broadcast: bool = Field(True, description="map to odom is said on tf")
     tf_static: str = Field("tf_static", description="topic of tf's static part")
     initial_pose: str = Field(
         "initialpose", description="topic of a pose that an operator clicks; empty: none"
     )
+    set_initial_pose: str = Field(
+        "set_initial_pose", description="service that takes a pose as initial_pose does; empty: none"
+    )
     global_localization: str = Field(
         "reinitialize_global_localization", description="service that makes it search anew; empty: none"
+    )
+    nomotion_update: str = Field(
+        "request_nomotion_update",
+        description="service that is answered; every scan counts anyhow; empty: none",
+    )
+    lifecycle: str = Field(
+        "amcl",
+        description="lifecycle node that it stands for: a lifecycle manager brings it up and keeps a bond "
+        "with it; empty: none",
     )
     pose: str = Field("amcl_pose", description="topic of the pose; empty: not said")
     particles: str = Field("particle_cloud", description="topic of the hypotheses; empty: not said")
@@ -73,6 +95,9 @@ class RosBridgeSettings(ServiceSettings):
     @field_validator(
         "namespace",
         "odom",
+        "set_initial_pose",
+        "nomotion_update",
+        "lifecycle",
         "tf",
         "tf_static",
         "initial_pose",
@@ -95,7 +120,7 @@ class RosBridgeSettings(ServiceSettings):
     @field_validator("robot")
     @classmethod
     def _one_robot(cls, value: str) -> str:
-        if value == "*":
+        if not is_one(value):
             raise ValueError("must be one robot: start a bridge for each, with its namespace or domain")
         return value
 
