@@ -90,7 +90,8 @@ def distance_field(occupied: NDArray[np.bool_], resolution: float) -> NDArray[np
     rows = np.min(
         [columns[:, reach + k : reach + k + width] + d for k, d in zip(steps, squares, strict=True)], axis=0
     )
-    return np.sqrt(np.minimum(rows, FIELD_REACH**2)).astype(np.float32)
+    field: NDArray[np.float32] = np.sqrt(np.minimum(rows, FIELD_REACH**2)).astype(np.float32)
+    return field
 
 
 def locate(building: Building, bearings: Array, ranges: Array) -> Found:
@@ -141,22 +142,25 @@ def _ends(poses: Array, points: Array) -> Array:
 def _support(building: Building, poses: Array, points: Array, width: float) -> Array:
     """Share of the points (B, 2) that lie on walls of that width, softly, for each pose (..., 3)."""
     away = building.field[building.cells(_ends(poses, points))]
-    return np.exp(-0.5 * (away / width) ** 2).mean(axis=-1)
+    support: Array = np.exp(-0.5 * (away / width) ** 2).mean(axis=-1)
+    return support
 
 
 def _climb(building: Building, poses: Array, points: Array, step: float, turn: float, width: float) -> Array:
     """Each pose (n, 3), or the best of its 26 neighbours."""
     around = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    neighbours = poses[:, None, :] + around * np.array([step, step, turn])
+    neighbours: Array = poses[:, None, :] + around * np.array([step, step, turn])
     best = _support(building, neighbours, points, width).argmax(axis=1)
-    return neighbours[np.arange(len(poses)), best]
+    climbed: Array = neighbours[np.arange(len(poses)), best]
+    return climbed
 
 
 def _distinct(poses: Array, scores: Array) -> NDArray[np.int64]:
     """Indices of the best pose of each neighbourhood, best first, at most twice as many as are listed."""
-    left, kept = np.argsort(-scores, kind="stable"), []
+    kept: list[int] = []
+    left = np.argsort(-scores, kind="stable")
     while len(left) and len(kept) < 2 * LISTED:
-        best, left = left[0], left[1:]
+        best, left = int(left[0]), left[1:]
         kept.append(best)
         turn = np.abs((poses[left, 2] - poses[best, 2] + np.pi) % (2.0 * np.pi) - np.pi)
         far = np.hypot(*(poses[left, :2] - poses[best, :2]).T) > APART[0]
@@ -173,14 +177,16 @@ def _through_walls(building: Building, poses: Array, points: Array) -> Array:
     inner = share[..., None] * points[:, None, :]
     blocked = [~building.free[building.cells(_ends(pose, inner.reshape(-1, 2)))] for pose in poses]
     crossed = np.array(blocked).reshape(len(poses), *before_end.shape) & before_end
-    return crossed.any(axis=2).mean(axis=1)
+    share_crossed: Array = crossed.any(axis=2).mean(axis=1)
+    return share_crossed
 
 
 def _log_likelihoods(explained: Array) -> Array:
     """Log odds of each pose against a place that the map does not show: EVIDENCE coins, explained or not."""
     hit = np.log(SEEN_BY_RIGHT / SEEN_BY_CHANCE)
     miss = np.log((1.0 - SEEN_BY_RIGHT) / (1.0 - SEEN_BY_CHANCE))
-    return EVIDENCE * (explained * hit + (1.0 - explained) * miss)
+    nats: Array = EVIDENCE * (explained * hit + (1.0 - explained) * miss)
+    return nats
 
 
 def _covariances(building: Building, poses: Array, points: Array) -> Array:
@@ -208,4 +214,5 @@ def _covariances(building: Building, poses: Array, points: Array) -> Array:
     values, vectors = np.linalg.eigh(held)
     held = np.einsum("kij,kj,klj->kil", vectors, np.maximum(values, 0.0), vectors)
     cell = np.diag([building.resolution, building.resolution, LEVELS[-1][1] + LEVELS[-2][1]]) ** 2
-    return np.linalg.inv(held + np.diag([4.0, 4.0, 25.0])) + cell
+    covariances: Array = np.linalg.inv(held + np.diag([4.0, 4.0, 25.0])) + cell
+    return covariances

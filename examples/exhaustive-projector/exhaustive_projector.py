@@ -13,6 +13,7 @@ import signal
 import threading
 import time
 from collections import Counter, deque
+from typing import TypeVar
 
 import numpy as np
 import zenoh
@@ -25,6 +26,8 @@ from eigenscan.schemas.scan_pb2 import Scan
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.message import DecodeError, Message
 from site_models import SiteModels
+
+M = TypeVar("M", bound=Message)
 
 UNDECLARED = {"", "zenoh/bytes", "application/octet-stream", "application/protobuf"}
 LEAST_BEAMS = 24
@@ -46,7 +49,9 @@ class Projector:
         self._latched: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
         self._newest: dict[str, zenoh.Timestamp] = {}
         self.news, self.over = threading.Event(), threading.Event()
-        self._declared = [session.declare_subscriber(f"{site}/robot/{robot}/scan/*", self._on_scan)]
+        self._declared: list[zenoh.Subscriber[None] | zenoh.LivelinessToken] = [
+            session.declare_subscriber(f"{site}/robot/{robot}/scan/*", self._on_scan)
+        ]
         for channel, keys in (
             ("map", f"{site}/map"),
             ("model", f"{site}/model/*"),
@@ -101,11 +106,13 @@ class Projector:
         kinds = {f"{site}/map": Grid, f"{site}/models": ModelSet}
         message = self._decode(sample, kinds.get(key, RegionModel))
         held = self._newest.get(key)
-        if message and not (held and stamp and stamp <= held):
+        if message is None or (held and stamp and stamp <= held):
+            return
+        if stamp:
             self._newest[key] = stamp
-            self._models.put(message)
+        self._models.put(message)
 
-    def _decode(self, sample: zenoh.Sample, kind: type[Message]) -> Message | None:
+    def _decode(self, sample: zenoh.Sample, kind: type[M]) -> M | None:
         if sample.kind != zenoh.SampleKind.PUT:
             return None
         declared = str(sample.encoding)
@@ -119,7 +126,7 @@ class Projector:
 
     def _project(self, key: str, scan: Scan) -> None:
         ranges = np.array(scan.ranges, dtype=np.float64)
-        bearings = scan.angle_min + np.arange(len(ranges)) * scan.angle_increment
+        bearings = scan.angle_min + np.arange(len(ranges), dtype=np.float64) * scan.angle_increment
         mount = np.array([scan.mount.x, scan.mount.y, scan.mount.theta])
         if self._models.whole is None:
             self._counts["scan_without_model"] += 1
@@ -227,7 +234,7 @@ def main() -> None:
         if projector.news.wait(0.2):
             projector.work()
     teller.join()
-    session.close()
+    session.close()  # type: ignore[no-untyped-call]
 
 
 if __name__ == "__main__":

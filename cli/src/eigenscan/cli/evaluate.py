@@ -18,8 +18,14 @@ PARTS = ("windows", "single-scans", "exhaustive", "memory")
 
 def evaluate(
     log: Annotated[Path, typer.Option(help="log: CARMEN, ROS 1 or ROS 2 bag, MCAP, CSV")],
-    map_file: Annotated[Path, typer.Option("--map", help="map_server yaml")],
-    ground_truth: Annotated[Path, typer.Option(help="reference, TUM: t x y z qx qy qz qw, base in the map")],
+    map_file: Annotated[Path, typer.Option("--map", help="map_server yaml, or a model folder for its map")],
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="reference, TUM: t x y z qx qy qz qw, base in the map; without it a recording's own truth, "
+            "or the drive as a whole"
+        ),
+    ] = None,
     windows: Annotated[
         Path | None,
         typer.Option(
@@ -56,11 +62,14 @@ def evaluate(
 ) -> None:
     """Judge global localization on a log: success, false claims, time to localize, errors, CPU.
 
-    The pipeline never sees the reference. The exit code is 0 when it ran, whatever the figures.
+    The pipeline never sees the reference. Without one, cold starts are compared with the drive taken as a
+    whole: that shows how soon and how often it claims, and whether it agrees with itself, not how accurate it
+    is. The exit code is 0 when it ran, whatever the figures.
     Mounts that a log does not tell: eigenscan import --mount, then evaluate the MCAP.
 
     \b
     Examples:
+      eigenscan evaluate --log LOG.bag --map MAP.yaml
       eigenscan evaluate --log LOG.bag --map MAP.yaml --ground-truth REF.tum
       eigenscan evaluate --log LOG.clf.gz --map MAP.yaml --ground-truth REF.tum --kidnap --json OUT.json
     """  # noqa: D301 - \b keeps the lines apart in --help
@@ -95,6 +104,8 @@ def evaluate(
         prepare(file)
     with Bars() as bars:
         figures = run(task, bars)
+    if figures["log"]["is_cut"]:
+        typer.echo(f"{log}: breaks off, or is damaged: judged as far as it can be read", err=True)
     write_figures(figures, json_file)
     if wants_words(json_file):
         show(figures, f"{log} on {map_file}", Console(width=None if sys.stdout.isatty() else 110))

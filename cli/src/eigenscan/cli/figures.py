@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import IO, Annotated, Any
 
 import typer
 
@@ -41,6 +44,29 @@ def write_figures(figures: Any, target: Path | None) -> None:
         target.write_text(text, encoding="utf-8")
     else:
         typer.echo(text, nl=False)
+
+
+class Events:
+    """What a command meets while it runs, one JSON object a line, each as it comes."""
+
+    def __init__(self, file: IO[str] | None) -> None:
+        self._file = file
+
+    def tell(self, event: str, **values: Any) -> None:
+        """Writes `event` and what belongs to it; finite numbers only."""
+        if self._file is not None:
+            line = json.dumps({"event": event, **values}, allow_nan=False, ensure_ascii=False)
+            print(line, file=self._file, flush=True)
+
+
+@contextmanager
+def events(target: Path | None) -> Iterator[Events]:
+    """Events go to `target`, standard output for `-`, nowhere without one."""
+    if target is None or not wants_words(target):
+        yield Events(sys.stdout if target else None)
+        return
+    with target.open("w", encoding="utf-8") as file:
+        yield Events(file)
 
 
 def say(rows: dict[str, str], target: Path | None) -> None:

@@ -16,6 +16,10 @@ EXIT_USAGE = 2
 """It was asked in a wrong way, or given bad input."""
 
 
+_MISTYPED: Any = typer.BadParameter.__mro__[1]
+"""Typer's own error for what was typed wrongly, which it does not export."""
+
+
 class UsageError(ValueError):
     """What was asked for cannot be done; the message names the option or file and the fix."""
 
@@ -40,6 +44,14 @@ def one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def _typed_wrongly(error: Exception) -> str:
+    """What was wrong with the command line, in one line; empty where nothing was."""
+    if not isinstance(error, _MISTYPED) or type(error).__name__ == "NoArgsIsHelpError":
+        return ""
+    said = " ".join(str(error.format_message()).split()).rstrip(".")
+    return said[:1].lower() + said[1:]
 
 
 def lazy_group(
@@ -102,11 +114,16 @@ def lazy_group(
             try:
                 return super().invoke(ctx)
             except Exception as error:
-                # the frame's own exceptions (usage, Exit, Abort) are for typer
-                if ctx.find_root().params.get("debug") or type(error).__module__.startswith("typer."):
+                if ctx.find_root().params.get("debug"):
                     raise
                 names = [ctx.info_name] if ctx.parent else []
                 command = " ".join(["eigenscan", *filter(None, names), ctx.invoked_subcommand or "?"])
+                if type(error).__module__.startswith("typer."):
+                    if not (mistake := _typed_wrongly(error)):
+                        raise  # the frame's own: Exit, Abort, help
+                    place = command if ctx.invoked_subcommand in commands else command.rpartition(" ")[0]
+                    typer.echo(f"{place}: {mistake}: see {place} --help", err=True)
+                    raise typer.Exit(EXIT_USAGE) from None
                 if isinstance(error, FailedError):
                     typer.echo(f"{command}: {error}", err=True)
                     raise typer.Exit(EXIT_FAILED) from None

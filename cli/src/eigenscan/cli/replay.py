@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
@@ -10,11 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.frame import UsageError
 from eigenscan.cli.process_replay.command import Request, process_replay
 
 if TYPE_CHECKING:
     from eigenscan.cli.playback.player import Score
+    from eigenscan.schemas.envelope import Envelope
 
 
 class Stamps(StrEnum):
@@ -86,6 +89,7 @@ def replay(
         Path | None,
         typer.Option(help="with --compare: Rerun file of a difference; FILE.SERVICE.rrd beside FILE without"),
     ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Play a recording onto Zenoh: raw scans and odometry, or what is asked for.
 
@@ -100,6 +104,7 @@ def replay(
       eigenscan replay drive.mcap --robots 50 --stamps now
       eigenscan replay night.mcap --service tracker --compare
     """  # noqa: D301 - \b keeps the lines apart in --help
+    prepare(json_file)
     if service is not None:
         _refuse_for_service(
             begin=begin, end=end, only=only, everything=everything, site=site, robot=robot, robots=robots,
@@ -114,6 +119,7 @@ def replay(
                 ignored=ignore or (),
                 least=least,
                 rrd=rrd,
+                json_file=json_file,
             )
         )
         return
@@ -141,10 +147,21 @@ def replay(
     clock = time.time_ns if stamps is Stamps.NOW else None
     with Bus(open_session(zenoh)) as bus:
         bus.offer(selection.latched, first.address)
-        if not bus.wait_for_listener(first.key, wait):
+        heard = bus.wait_for_listener(first.key, wait)
+        if not heard:
             typer.echo(f"eigenscan replay: nobody listens to {first.key}", err=True)
+        said: Counter[str] = Counter()
+
+        def say(envelope: Envelope) -> None:
+            bus.say(envelope)
+            said[envelope.channel.name] += 1
+
+        before = time.monotonic()
         with controls(scripted=commands) as told, _progress(score, told.hint) as moved:
-            Player(score, bus.say, told, moved, speed, clock).play()
+            Player(score, say, told, moved, speed, clock).play()
+        took = time.monotonic() - before
+    figures = {"recording": str(file), "heard_by_somebody": heard, "played": dict(said), "took_s": took}
+    write_figures(figures, json_file)
 
 
 def _refuse_for_service(**options: object) -> None:

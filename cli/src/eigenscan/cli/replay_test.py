@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,9 @@ def replay_test(
         bool, typer.Option("--tolerant", help="let small numerical differences pass, as on another machine")
     ] = False,
     least: Annotated[int, typer.Option(min=1, help="messages that a test must compare")] = 10,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=0, help="recordings at a time; 0: one a core; same answers")
+    ] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Replay every recording of a folder into the services of today; they must say what they said then.
@@ -65,7 +69,7 @@ def replay_test(
             cases.append(suite.update(path, plan))
             say(cases[-1])
     else:
-        cases = suite.run_all(files, plan, say)
+        cases = suite.run_all(files, plan, say, jobs or len(os.sched_getaffinity(0)))
     if junit_file:
         junit_file.write_text(suite.junit(cases), encoding="utf-8")
     write_figures([{**vars(case), "recording": str(case.recording)} for case in cases], json_file)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from eigenscan.cli.figures import JsonFile, events, prepare, wants_words
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
@@ -40,12 +41,14 @@ def run(
         Path | None,
         typer.Option("--out", "-o", help="folder for recording and logs; out/run-<time> without it"),
     ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Start all services for your own map and robot; Ctrl-C ends them all.
 
     The robot's driver publishes raw scans on SITE/robot/ROBOT/scan/raw/LIDAR and odometry on
     SITE/robot/ROBOT/odom; the pose comes on SITE/robot/ROBOT/pose. With --ros2 they are the robot's
-    /scan, /odom and /amcl_pose.
+    /scan, /odom and /amcl_pose. --json has a line for each event: ready, state (a change of it), pose (one a
+    second), ended.
 
     \b
     Examples:
@@ -68,7 +71,10 @@ def run(
         ros2_flags += ["--map", ""]  # the robot says its map itself
     assert map_or_model is not None
     flags, mcap = _model_flags(map_or_model), folder / "mcap"
-    attend(Pipeline(site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags), folder)
+    pipeline = Pipeline(site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags)
+    prepare(json_file)
+    with events(json_file) as told:
+        attend(pipeline, folder, told, to_stderr=not wants_words(json_file))
 
 
 def _model_flags(map_or_model: Path) -> list[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.frame import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from eigenscan.cli.simulation.lidar import Lidar
     from eigenscan.cli.simulation.stage import Stage, Timed
     from eigenscan.geometry.gridmap import GridMap
+
+
+CARRIED_M = 0.5
+"""No robot drives that far from one tick to the next."""
 
 
 def simulate(
@@ -56,6 +61,7 @@ def simulate(
     zenoh: Annotated[Path | None, typer.Option(help="with --live: Zenoh configuration, JSON5")] = None,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
+    json_file: JsonFile = None,
 ) -> None:
     """Drive simulated robots through a map: raw scans, odometry that drifts, people, boxes, a kidnap.
 
@@ -77,6 +83,7 @@ def simulate(
     from eigenscan.cli.simulation.stage import Scenario
     from eigenscan.geometry.gridmap import write_map
 
+    prepare(json_file)
     grid = _map(map_file)
     changes = {"beams": beams, "rate": rate, "range_max": range_max, "noise": noise, "missing": missing}
     scenario = Scenario(
@@ -92,14 +99,37 @@ def simulate(
     fleet = Fleet(_with_boxes(grid, boxes, seed), scenario, robots)
     if save_map:
         write_map(grid, save_map)
-    if truth:
-        for stage in fleet.stages:
-            name = f"{truth.stem}-{stage.scenario.robot}{truth.suffix}" if robots > 1 else truth.name
-            _write_truth(stage, truth.with_name(name))
+    truths: dict[str, Path] = {}
+    for stage in fleet.stages if truth else ():
+        assert truth is not None
+        name = f"{truth.stem}-{stage.scenario.robot}{truth.suffix}" if robots > 1 else truth.name
+        truths[stage.scenario.robot] = truth.with_name(name)
+        _write_truth(stage, truths[stage.scenario.robot])
     if out:
         _record(fleet, out, {"seed": str(seed), "map_version": grid.version})
     if live:
         _publish(fleet, seconds / speed, zenoh, speed)
+    figures = {
+        "seed": seed,
+        "seconds": seconds,
+        "map_version": grid.version,
+        "map": str(save_map) if save_map else None,
+        "recording": str(out) if out else None,
+        "robots": {
+            stage.scenario.robot: _driven(stage)
+            | {"truth": str(truths[stage.scenario.robot]) if truth else None}
+            for stage in fleet.stages
+        },
+    }
+    write_figures(figures, json_file)
+
+
+def _driven(stage: Stage) -> dict[str, Any]:
+    """How many scans, and how far; what somebody carried it is no way."""
+    import numpy as np
+
+    steps = np.hypot(*np.diff(stage.poses[:, :2], axis=0).T)
+    return {"scans": len(stage.scan_ticks), "metres": round(float(steps[steps < CARRIED_M].sum()), 3)}
 
 
 def _lidar(model: str, fov: float | None, changes: Mapping[str, Any]) -> Lidar:

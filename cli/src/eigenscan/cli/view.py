@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import UsageError
 from eigenscan.recorder.picture.layout import Layout
 
@@ -33,6 +33,7 @@ def view(
         float, typer.Option(min=0.01, help="pictures a second of the recording's time")
     ] = 10.0,
     port: Annotated[int, typer.Option(min=0, max=65535, help="port of the page; 0 chooses one")] = 0,
+    json_file: JsonFile = None,
 ) -> None:
     """Draw a recording as the recorder draws live traffic, and look at it.
 
@@ -49,23 +50,25 @@ def view(
         raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
     if end is not None and end <= at:
         raise UsageError(f"--to {end:g}: must be after --at {at:g}")
-    stretch = (at, math.inf if end is None else end)
     from eigenscan.recorder.settings import RecorderSettings
+    from eigenscan.recorder.web_viewer import free_port
 
-    if rrd is not None:
-        _draw(recording, stretch, RecorderSettings(rrd=rrd, layout=layout, picture_hz=picture_hz))
-        if is_opened:
-            _open(rrd, port)
-        return
+    prepare(json_file)
+    if is_opened:  # a port that is taken is told before a long recording is drawn
+        port = free_port("--port", HOST, port)
     from tempfile import TemporaryDirectory
 
     with TemporaryDirectory(prefix="eigenscan-view-") as folder:
-        target = Path(folder) / f"{recording.stem}.rrd"
-        _draw(recording, stretch, RecorderSettings(rrd=target, layout=layout, picture_hz=picture_hz))
-        _open(target, port)
+        target = rrd or Path(folder) / f"{recording.stem}.rrd"
+        settings = RecorderSettings(rrd=target, layout=layout, picture_hz=picture_hz)
+        figures = {"picture": str(rrd) if rrd else None} | _draw(recording, (at, end), settings)
+        if is_opened:
+            _open(target, port, figures, json_file)
+        else:
+            write_figures(figures, json_file)
 
 
-def _draw(recording: Path, stretch: tuple[float, float], settings: RecorderSettings) -> None:
+def _draw(recording: Path, stretch: tuple[float, float | None], settings: RecorderSettings) -> dict[str, Any]:
     """Draws what lies between two seconds of a recording, message by message, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
@@ -73,8 +76,7 @@ def _draw(recording: Path, stretch: tuple[float, float], settings: RecorderSetti
     from rich.progress import Progress
 
     found = contents(recording)
-    begin = found.begin + int(stretch[0] * 1e9)
-    end = found.end if math.isinf(stretch[1]) else min(found.end, found.begin + int(stretch[1] * 1e9))
+    begin, end = found.stretch(*stretch)
     if not found.counts:
         raise UsageError(f"{recording}: holds no message of ours: give a file that eigenscan wrote")
     if begin > end:
@@ -91,10 +93,17 @@ def _draw(recording: Path, stretch: tuple[float, float], settings: RecorderSetti
     sink.close()
     if not found.complete:
         typer.echo(f"{recording}: its writer did not close it; drawn as far as it goes", err=True)
+    return {
+        "messages": sink.counters["drawn"],
+        "begin_s": (begin - found.begin) * 1e-9,
+        "end_s": (end - found.begin) * 1e-9,
+        "recording_s": (found.end - found.begin) * 1e-9,
+        "whole": found.complete,
+    }
 
 
-def _open(picture: Path, port: int) -> None:
-    """Serves the viewer with `picture` until Ctrl-C."""
+def _open(picture: Path, port: int, figures: dict[str, Any], json_file: Path | None) -> None:
+    """Writes the figures with the link, and serves the viewer with `picture` until Ctrl-C."""
     import time
     import webbrowser
     from contextlib import suppress
@@ -103,7 +112,9 @@ def _open(picture: Path, port: int) -> None:
 
     page, data = free_port("--port", HOST, port), free_port("data port", HOST, 0)
     with serve_viewer(HOST, page, data, picture) as link:
-        typer.echo(f"viewer: {link}\nCtrl-C ends it")
+        write_figures(figures | {"link": link}, json_file)
+        if wants_words(json_file):
+            typer.echo(f"viewer: {link}\nCtrl-C ends it")
         webbrowser.open(link)
         with suppress(KeyboardInterrupt):
             while True:

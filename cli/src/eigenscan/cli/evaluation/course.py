@@ -10,6 +10,7 @@ import numpy as np
 from eigenscan.cli.evaluation.figures import Figures, finite, windows_figures
 from eigenscan.cli.evaluation.log import Log, read_log
 from eigenscan.cli.evaluation.models import Built, build, gallery_of
+from eigenscan.cli.evaluation.own_reference import RECORDED, WHOLE_DRIVE, recorded_truth, whole_drive
 from eigenscan.cli.evaluation.progress import Bars
 from eigenscan.cli.evaluation.protocols import (
     Bench,
@@ -38,7 +39,8 @@ class Task:
 
     log: Path
     map: Path
-    reference: Path
+    reference: Path | None
+    """TUM; without it the log's own truth, or else the drive taken as a whole."""
     windows: Path | None
     single_scans: Path | None
     kidnap: bool
@@ -53,20 +55,28 @@ class Task:
 
 def evaluate(task: Task, bars: Bars) -> Figures:
     """All figures. Raises EvaluationError, LogError or MapError for bad input."""
-    reference = read_trajectory(task.reference, task.offset_s)
+    reference = (
+        read_trajectory(task.reference, task.offset_s)
+        if task.reference
+        else recorded_truth(task.log, task.options.robot)
+    )
     windows = read_windows(task.windows, task.offset_s) if task.windows else None
     times = read_times(task.single_scans, task.offset_s) if task.single_scans else None
     log = read_log(task.log, task.options, bars.start_share("log"))
-    reference = reference.restamped(log.logged)
-    _check_overlap(task, log, reference)
-    if windows is None:
-        windows = plan_windows(log.scans, reference)
-    if times is None:
-        times = plan_scans(log.scans, reference)
+    if reference is not None:
+        reference = reference.restamped(log.logged)
+        _check_overlap(task, log, reference)
     built = build(task.map, task.spacing, bars.start_share("model"))
     with Workers(task.jobs, built.models, log.beginning) as workers:
+        source = str(task.reference) if task.reference else RECORDED
+        if reference is None:
+            source, reference = WHOLE_DRIVE, whole_drive(task.log, log, workers)
+        if windows is None:
+            windows = plan_windows(log.scans, reference)
+        if times is None:
+            times = plan_scans(log.scans, reference)
         bench = Bench(log, reference, workers, bars.start)
-        return finite(_figures(task, bench, built, windows, times))
+        return finite({"reference": source} | _figures(task, bench, built, windows, times))
 
 
 def _figures(
@@ -76,7 +86,8 @@ def _figures(
     if not windows and "windows" not in task.skip:
         raise EvaluationError(
             f"{task.windows or task.log}: no window holds 3 scans with a reference: check its stamps against "
-            f"{task.reference} ({_span(bench.reference.stamps)}) and the log ({_span(bench.log.scans)})"
+            f"{task.reference or 'the reference'} "
+            f"({_span(bench.reference.stamps)}) and the log ({_span(bench.log.scans)})"
         )
     figures = windows_figures([], []) | {"cpu_ms_per_scan": {"median": None, "p99": None}, "per_window": []}
     if "windows" not in task.skip:
@@ -99,6 +110,7 @@ def _figures(
             "scans": len(bench.log.scans),
             "lidars": bench.log.lidars,
             "odometry": bench.log.odometry,
+            "is_cut": bench.log.is_cut,
             "span_s": float((bench.log.scans.max() - bench.log.scans.min()) / NS),
         },
     }

@@ -32,8 +32,12 @@ class Heard:
 class Log:
     """All scans and odometry of a log; every lidar counts."""
 
-    def __init__(self, heard: list[Heard], logged: Mapping[int, int] | None = None) -> None:
+    def __init__(
+        self, heard: list[Heard], logged: Mapping[int, int] | None = None, *, is_cut: bool = False
+    ) -> None:
         self._heard = heard
+        self.is_cut = is_cut
+        """Whether the file breaks off, or is damaged from some place on."""
         self.logged = logged or {}
         """Stamp as logged, ns, of each scan that was given another one, by that one."""
         self._stamps = np.asarray([h.stamp for h in heard], dtype=np.int64)
@@ -53,6 +57,11 @@ class Log:
     def odometry(self) -> int:
         """Odometry messages in all."""
         return int(np.count_nonzero(~self._is_scan))
+
+    @property
+    def whole(self) -> list[Envelope]:
+        """All of it, in the log's order."""
+        return [heard.envelope for heard in self._heard]
 
     @property
     def beginning(self) -> list[Envelope]:
@@ -92,4 +101,5 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
             heard.append(Heard(stamp_of(envelope), envelope))
             moved(opened.progress)
     moved(1.0)
-    return Log(heard, opened.logged)
+    is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))
+    return Log(heard, opened.logged, is_cut=is_cut)

@@ -159,11 +159,13 @@ def calibration_error(diagram: Sequence[Bin]) -> float | None:
 
 def normalised_errors(offsets: Floats, covariances: Floats) -> Floats:
     """Normalised error squared (n,) of offsets (n, 3); NaN where a covariance (n, 3, 3) is singular."""
+    from filterpy.stats import NEES  # a second to import: only who evaluates waits for it
+
     result = np.full(len(offsets), np.nan)
     sound = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
     sound[sound] = np.linalg.det(covariances[sound]) > 0
-    solved = np.linalg.solve(covariances[sound], offsets[sound][..., None])[..., 0]
-    result[sound] = np.einsum("ni,ni->n", offsets[sound], solved)
+    # of offsets, whose headings are shortest turns already: the difference of two headings is none
+    result[sound] = NEES(offsets[sound], np.zeros((np.count_nonzero(sound), 3)), covariances[sound])
     return result
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from eigenscan.cli.evaluation.exhaustive import Gallery, gallery
 from eigenscan.cli.evaluation.figures import Figures
-from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.eigenspace.folder import MAP, SiteModel
 from eigenscan.geometry.gridmap import read_map
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.settings import MapbuilderSettings
@@ -36,9 +36,12 @@ class Built:
 
 
 def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
-    """Builds the models of a map_server yaml; `moved` hears how far it is. Raises MapError or ModelError."""
+    """Builds the models of a map_server yaml, or anew those of a model folder.
+
+    `moved` hears how far it is. Raises MapError or ModelError.
+    """
     settings = MapbuilderSettings(map=path, spacing=spacing, threads=os.cpu_count() or 1)
-    grid = read_map(path)
+    grid = read_map(path / MAP if path.is_dir() else path)
     before = time.perf_counter()
     site = build_site(grid, settings.plan, lambda _, share: moved(share))
     took = time.perf_counter() - before

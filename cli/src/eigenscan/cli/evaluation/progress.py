@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -20,7 +21,7 @@ REDRAWN_EVERY_S = 0.2
 
 
 class Bars:
-    """Bars on standard error, one below the other. Use it with `with`."""
+    """Bars on standard error, where that is a terminal, one below the other. Use it with `with`."""
 
     def __init__(self) -> None:
         self._progress = Progress(
@@ -31,6 +32,7 @@ class Bars:
             TimeRemainingColumn(),
             console=Console(stderr=True),
             auto_refresh=False,
+            disable=not sys.stderr.isatty(),
         )
         self._drawn = 0.0
 

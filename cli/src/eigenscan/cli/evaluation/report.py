@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from eigenscan.cli.evaluation.figures import Figures
+from eigenscan.cli.evaluation.own_reference import WHOLE_DRIVE
 from rich.console import Console
 from rich.table import Table
 
@@ -22,7 +23,9 @@ def show(figures: Figures, title: str, console: Console) -> None:
 
 def _lines(f: Figures) -> list[tuple[str, str]]:
     reach, error = f["to_localize"], f["error"]
+    own = f["reference"] == WHOLE_DRIVE
     lines = [
+        ("reference", f["reference"] + (": agreement with that, not accuracy" if own else "")),
         (
             "windows",
             f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference, or --limit)",

@@ -8,6 +8,10 @@ Examples:
 
 COMMANDS = {
     "status": ("eigenscan.cli.fleet.status:status", "a live table of all robots of a site"),
+    "relocate": (
+        "eigenscan.cli.fleet.relocate:relocate",
+        "tell a robot where it is, or to search anew",
+    ),
     "metrics": ("eigenscan.cli.fleet.metrics:metrics", "all of that for Prometheus, from one place"),
     "certify": (
         "eigenscan.cli.fleet.certify:certify",

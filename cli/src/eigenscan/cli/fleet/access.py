@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, LATCHED_TEMPLATE, Channel, Role
+from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, LATCHED_TEMPLATE, Channel, Role
 
 EVERY_MESSAGE = [
     "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable",
@@ -66,7 +66,7 @@ class Rights:
 
 
 def of_robot(site: str, robot: str, air: Air) -> Rights:
-    """A robot says its own keys that cross the air, and hears what no robot says."""
+    """A robot says its own keys that cross the air, and hears what the site says to all or to it."""
     says = [one for one in CHANNELS if Role.ROBOT in one.said_by and air[one.name] > 0]
     hears = [one for one in CHANNELS if Role.ROBOT in one.heard_by]
     # its services are instances of the robot's name
@@ -77,7 +77,8 @@ def of_robot(site: str, robot: str, air: Air) -> Rights:
         answers=(),
         shows=(_alive(site, robot),),
         hears=_keys(hears, address),
-        subscribes=_keys(hears, address),
+        # a rule holds for a subscription as it stands: one for all robots brings this robot's
+        subscribes=_keys(hears, {"site": site}),
         asks=_keys([one for one in hears if one.qos.latched], address),
         sees=_tokens(hears, site),
     )
@@ -93,7 +94,7 @@ def of_service(site: str, role: Role) -> Rights:
         site,
         says=_keys(says, address),
         answers=_keys([one for one in says if one.qos.latched], address),
-        shows=(*_tokens(says, site), _alive(site, service=role.value)) if says else (),
+        shows=(*_tokens(says, site), *([_alive(site, service=role.value)] if HEALTH in says else [])),
         hears=_keys(hears, {"site": site}),
         subscribes=(f"{site}/**",),  # a recorder counts what is not of the contract
         asks=_keys([one for one in hears if one.qos.latched], {"site": site}),

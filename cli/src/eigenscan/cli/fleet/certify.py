@@ -50,10 +50,10 @@ def certify(
         authority.issue(folder / "robots" / name, "robot", f"robot.{name}", days)
     layout.configure(folder)
     typer.echo(f"{folder / 'authority'}: signs certificates; keep it away from robots and servers")
-    typer.echo(f"{folder / 'site'}: {layout.INSTALLED} of the site's server")
-    typer.echo(f"{folder / 'operator'}: {layout.INSTALLED} of who looks after the fleet")
+    typer.echo(f"{folder / 'site'}: copy it to {layout.INSTALLED} on the site's server")
+    typer.echo(f"{folder / 'operator'}: copy it to {layout.INSTALLED} where the fleet is looked after")
     for name in names:
-        typer.echo(f"{folder / 'robots' / name}: {layout.INSTALLED} of {name}")
+        typer.echo(f"{folder / 'robots' / name}: copy it to {layout.INSTALLED} on {name}")
 
 
 def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Sequence[str]) -> Fleet:

@@ -16,7 +16,8 @@ PORT = 7447
 MOST_ROBOTS = 10_000
 """Links that the site's router takes; Zenoh's own limit is 1,000."""
 FLOOD = 2.0
-"""So many times faster than it should may a robot speak: what waited for the link comes in a burst."""
+"""So many times faster than it should may a robot speak. Of what waited for a bad link and comes at once this
+lets only the first message pass: Zenoh's limit is from sample to sample."""
 LARGEST_BYTES = 1_000_000
 """Of one message from a robot: a raw scan has some tens of kilobytes."""
 
@@ -57,7 +58,10 @@ _PATIENT = {"timeout_ms": -1, "exit_on_failure": False}
 
 
 def site_router(
-    site: str, robots: Mapping[str, tuple[str, access.Air]], services: Mapping[Role, str]
+    site: str,
+    robots: Mapping[str, tuple[str, access.Air]],
+    services: Mapping[Role, str],
+    hold_back_floods: bool = True,
 ) -> dict[str, Any]:
     """The site's router. `robots`: name -> common name of its certificate and what crosses the air."""
     most = {one.name: max((air[one.name] for _, air in robots.values()), default=0.0) for one in CHANNELS}
@@ -71,7 +75,7 @@ def site_router(
             "shared_memory": {"enabled": False},
         },
         "access_control": access.at_site(site, robots, services),
-        "downsampling": _limits("flood", "ingress", {"site": site}, most, FLOOD),
+        "downsampling": _limits("flood", "ingress", {"site": site}, most, FLOOD) if hold_back_floods else [],
         "low_pass_filter": [
             {
                 "id": "largest message of a robot",

@@ -106,6 +106,7 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
                 f"no {name}",
                 f"start it: eigenscan-{name} --site {view.site} --robot {robot} --zenoh FILE",
             )
+    yield from _of_sharing(where, there)
     if there["scan-ingest"] and not any(each.grew("heard_scan_raw") for each in there["scan-ingest"]):
         yield Finding(
             where,
@@ -130,6 +131,27 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
             where,
             f"works with model {pose.model_version[:8]}, the site's newest is {newest[:8]}",
             "wait half a minute; if it stays so, check the link and restart its projector",
+        )
+
+
+def _of_sharing(where: str, there: dict[str, list[Service]]) -> Iterator[Finding]:
+    """Two that speak for one robot on the same key, and shares of the site that nobody searches."""
+    for name in ("scan-ingest", "tracker"):
+        if len(there[name]) > 1:
+            both = " and ".join(sorted(service.instance for service in there[name]))
+            yield Finding(where, f"has {name} {both}: each spoils what the other says", "end all but one")
+    shares: dict[int, set[int]] = {}
+    for service in there["projector"]:
+        k, n = map(int, service.setting("part", "1/1").split("/"))
+        shares.setdefault(n, set()).add(k)
+    missing = {n: sorted({*range(1, n + 1)} - held) for n, held in shares.items()}
+    if missing and all(missing.values()):
+        n, lacking = min(missing.items(), key=lambda each: len(each[1]))
+        words = ", ".join(f"{k}/{n}" for k in lacking)
+        yield Finding(
+            where,
+            f"no projector searches part {words} of the site",
+            f"start one with --part {lacking[0]}/{n}",
         )
 
 

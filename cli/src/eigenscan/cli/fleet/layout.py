@@ -34,6 +34,9 @@ TEMPLATE = """\
 # A fleet of robots on one site. After a change: eigenscan fleet configure -o THIS FOLDER
 site = {site}
 addresses = {addresses}  # of the site's router; robots connect to the first
+# The site's router takes messages of a robot at twice its rate at most. Where the air is bad they come in
+# bursts, of which that leaves one: false lets all pass, and a robot that floods the site as well.
+hold_back_floods = true
 
 # Samples a second that a robot may send to the site where it is not what the contract says; 0: none.
 # Of all keys of the channel together, so of all lidars.
@@ -59,8 +62,8 @@ def _chunk(name: str) -> str:
 
 
 def _robot(name: str) -> str:
-    if "." in _chunk(name) or name in {role.value for role in Role}:
-        raise ValueError("a robot's name has no dot, and is not that of a service of the site")
+    if {".", ","} & {*_chunk(name)} or name in {role.value for role in Role}:
+        raise ValueError("a robot's name has no dot and no comma, and is not that of a service of the site")
     return name
 
 
@@ -85,6 +88,7 @@ class Fleet(BaseModel):
 
     site: Annotated[str, AfterValidator(_chunk)]
     addresses: Annotated[tuple[Annotated[str, AfterValidator(_host)], ...], Field(min_length=1)]
+    hold_back_floods: bool = True
     air: Rates = {}
     robots: dict[RobotName, Rates] = {}
 
@@ -171,6 +175,7 @@ def configure(folder: Path) -> None:
                 for name in members
             },
             {role: common_name(own / f"{role.value}.crt") for role, own in certified.items()},
+            fleet.hold_back_floods,
         ),
     )
 

@@ -119,6 +119,8 @@ def table(view: FleetView) -> Table:
         shown.add_column(heading, justify="right" if heading in ("confidence", "age", "drops") else "left")
     for row in found:
         shown.add_row(*_cells(row, view.model_version))
+    if not found:
+        shown.caption = "no robot is there: eigenscan doctor says why"
     return shown
 
 

@@ -13,7 +13,8 @@ import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, MODEL_SET, POSE, ContractError
-from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.group import holds, is_one, patterns
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -21,6 +22,9 @@ from eigenscan.schemas.wire import decode
 
 ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
 """What each robot needs, on it or for all robots at once (robot *)."""
+
+FORGOTTEN_S = 24 * 3600.0
+"""Who is gone and was not heard for so long is not shown any more."""
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
@@ -47,10 +51,13 @@ class Service:
 
     @property
     def robot(self) -> str:
-        """The robot it serves, * for all; of a service that does not tell, its instance."""
-        if self.health is not None and self.health.settings:
-            return str(json.loads(self.health.settings).get("robot", self.instance))
-        return self.instance
+        """The robots it serves, a group; of a service that does not tell, its instance."""
+        return self.setting("robot", self.instance)
+
+    def setting(self, name: str, otherwise: str) -> str:
+        """One of the settings that it tells of."""
+        told = self.health.settings if self.health is not None else ""
+        return str(json.loads(told).get(name, otherwise)) if told else otherwise
 
     @property
     def status(self) -> str:
@@ -98,8 +105,12 @@ class FleetView:
         self._tokens: list[tuple[str, bool]] = []
         self._bus = Bus(session)
         everyone = ALIVE_TEMPLATE.format(site=site, service="*", instance="*", contract="*")
-        self._watch = session.liveliness().declare_subscriber(everyone, self._on_token, history=True)
-        self._bus.listen([HEALTH, POSE, MODEL_SET], {"site": site}, self._inbox)
+        try:
+            self._bus.listen([HEALTH, POSE, MODEL_SET], {"site": site}, self._inbox)
+            self._watch = session.liveliness().declare_subscriber(everyone, self._on_token, history=True)
+        except Exception:
+            self._bus.close()  # a session that is left open keeps the process
+            raise
 
     def __enter__(self) -> FleetView:
         return self
@@ -111,6 +122,10 @@ class FleetView:
     def _on_token(self, sample: Any) -> None:
         self._tokens.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
+    def say(self, envelope: Envelope) -> None:
+        """Says something to the site."""
+        self._bus.say(envelope)
+
     def update(self) -> None:
         """Takes in what was heard; ages count from here, so call it often."""
         while self._tokens:
@@ -120,6 +135,11 @@ class FleetView:
             (contracts.add if there else contracts.discard)(contract)
         while (arrival := self._inbox.take(0.0)) is not None:
             self._hear(arrival, time.monotonic(), time.time_ns())
+        since = time.monotonic() - FORGOTTEN_S
+        self.robots = {name: each for name, each in self.robots.items() if each.heard_at > since}
+        self.services = {
+            who: each for who, each in self.services.items() if each.contracts or each.heard_at > since
+        }
 
     def _hear(self, arrival: Arrival, now: float, wall: int) -> None:
         try:
@@ -143,11 +163,17 @@ class FleetView:
 
     def robot_names(self) -> list[str]:
         """Every robot that was heard, or that a service is there for."""
-        served = {each.robot for each in self.services.values() if each.name in ROBOT_SERVICES}
-        return sorted((served | set(self.robots)) - {"*"})
+        served = {
+            name
+            for each in self.services.values()
+            if each.name in ROBOT_SERVICES
+            for name in patterns(each.robot)
+            if is_one(name)
+        }
+        return sorted(served | set(self.robots))
 
     def serving(self, robot: str) -> Iterator[Service]:
         """The services that work for one robot, its own and those for all."""
         for service in self.services.values():
-            if service.name in ROBOT_SERVICES and service.robot in (robot, "*"):
+            if service.name in ROBOT_SERVICES and holds(service.robot, robot):
                 yield service

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
+from eigenscan.cli.figures import Events
 from eigenscan.cli.launch.screen import StatusLine, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import Supervisor
@@ -12,19 +15,23 @@ from eigenscan.cli.launch.witness import Witness
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 from eigenscan.runtime.wake import Wake
+from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
+EVERY_S = 1.0
+"""A pose is told as an event so often."""
 
-def attend(pipeline: Pipeline, folder: Path) -> None:
-    """Runs the services until SIGINT or SIGTERM; logs go to `folder`.
+
+def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = False) -> None:
+    """Runs the services until SIGINT or SIGTERM; logs go to `folder`, events to `told`.
 
     Raises ChildDiedError where one of them ends by itself.
     """
     wake = Wake()
     with ExitStack() as stack:
         stack.enter_context(wake.on_signals())
-        line = stack.enter_context(StatusLine())
+        line = stack.enter_context(StatusLine(to_stderr))
         bus = stack.enter_context(Bus(open_session(pipeline.zenoh)))
         witness = Witness(bus, pipeline.site)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
@@ -32,16 +39,44 @@ def attend(pipeline: Pipeline, folder: Path) -> None:
         if not wait_until_ready(supervisor, witness, line, wake):
             return
         line.say(f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r}; Ctrl-C ends all")
-        if link := viewer_link(supervisor):
+        link = viewer_link(supervisor)
+        if link:
             line.say(f"watch it here: {link}")
+        told.tell("ready", site=pipeline.site, robot=pipeline.robot, viewer=link, folder=str(folder))
+        teller = _Teller(told)
         newest: PoseEstimate | None = None
         while not wake.stopping:
             supervisor.check()
             for pose in witness.listen():
                 newest = pose
+                teller.hear(pose)
             line.show(_text(newest, witness))
             wake.wait(0.2)
+        told.tell("ended", folder=str(folder))
         line.say(f"ended; recording and logs are in {folder}")
+
+
+class _Teller:
+    """Poses as events: each change of state, and one pose a second."""
+
+    def __init__(self, told: Events) -> None:
+        self._told, self._state, self._due = told, -1, 0.0
+
+    def hear(self, pose: PoseEstimate) -> None:
+        """Tells of the pose where it is due."""
+        changed, now = pose.state != self._state, time.monotonic()
+        if not changed and now < self._due:
+            return
+        self._state, self._due = pose.state, now + EVERY_S
+        self._told.tell(
+            "state" if changed else "pose",
+            stamp_ns=nanoseconds(pose.timestamp),
+            state=state_name(pose.state),
+            confidence=pose.confidence,
+            x=pose.pose.x,
+            y=pose.pose.y,
+            heading_deg=math.degrees(pose.pose.theta),
+        )
 
 
 def _text(pose: PoseEstimate | None, witness: Witness) -> str:
@@ -55,5 +90,5 @@ def _text(pose: PoseEstimate | None, witness: Witness) -> str:
     at = pose.pose
     return (
         f"{state_name(pose.state)}  confidence {pose.confidence:.2f}  "
-        f"x {at.x:.2f} m  y {at.y:.2f} m  heading {at.theta:.2f} rad"
+        f"x {at.x:.2f} m  y {at.y:.2f} m  heading {math.degrees(at.theta):.0f}°"
     )

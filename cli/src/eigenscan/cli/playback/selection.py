@@ -67,8 +67,7 @@ def select(
     chosen = robot if robot in robots else None
     if robot is not None and chosen is None and len(robots) > 1:
         raise UsageError(f"--robot {robot}: the recording holds {', '.join(robots)}: choose one of them")
-    begin = found.begin + int(begin_s * 1e9)
-    end = found.end if end_s is None else min(found.end, found.begin + int(end_s * 1e9))
+    begin, end = found.stretch(begin_s, end_s)
     selection = Selection(file, keys, chosen, found.begin, begin, end)
     if begin > found.end or next(selection.messages(begin), None) is None:
         raise UsageError(f"{file}: nothing to play between --from and --to on {', '.join(only)}")

@@ -12,9 +12,9 @@ from eigenscan.cli.process_replay.survey import Survey
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Core, Envelope
+from eigenscan.schemas.group import EVERY, holds
 from pydantic import ValidationError
 
-EVERY_ROBOT = "*"
 Changes = Mapping[str, Mapping[str, str]]
 """Settings to replay with instead: values as text, by service and setting."""
 
@@ -25,8 +25,8 @@ class Instance:
 
     service: Service
     name: str
-    robots: frozenset[str]
-    """Empty: every one."""
+    robots: str
+    """The group that it serves."""
     source: str
     """Where its settings come from, in words."""
     core: Core
@@ -43,7 +43,7 @@ class Instance:
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
         """What the core says until it fails, where it does; nothing for robots that are not its own."""
-        if self.robots and heard.address.get("robot", "") not in self.robots | {""}:
+        if "robot" in heard.address and not holds(self.robots, heard.address["robot"]):
             return
         try:
             yield from self.core.handle(heard)
@@ -95,18 +95,16 @@ def _instance(survey: Survey, service: Service, name: str | None, changes: Mappi
     settings = _settings(service, {**values, **changes})
     if changes:
         source += ", but " + ", ".join(f"{field} = {value}" for field, value in changes.items())
-    robots = frozenset[str]()
-    if text and settings.robot != EVERY_ROBOT:
-        robots = frozenset({settings.robot})
-    elif service.instance_field and name is not None:
-        robots = frozenset(survey.projectors.get(name, ()))
+    robots = settings.robot if text else EVERY
+    if robots == EVERY and service.instance_field and name is not None:
+        robots = ",".join(sorted(survey.projectors.get(name, ()))) or EVERY
     return Instance(service, settings.instance, robots, source, service.make(settings))
 
 
 def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, object], str]:
     """Settings that a recording tells, without those that this version does not know; and words on them."""
     if not text:
-        return {"robot": EVERY_ROBOT}, "default settings, for the recording does not tell them"
+        return {"robot": EVERY}, "default settings, for the recording does not tell them"
     try:
         values = json.loads(text)
     except json.JSONDecodeError as error:

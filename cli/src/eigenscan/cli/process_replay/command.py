@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from eigenscan.cli.figures import wants_words, write_figures
 from eigenscan.cli.frame import FailedError, UsageError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ class Request:
     ignored: Sequence[str]
     least: int
     rrd: Path | None = None
+    json_file: Path | None = None
 
 
 def process_replay(request: Request) -> None:
@@ -40,7 +42,7 @@ def process_replay(request: Request) -> None:
 
     one_thread()
     from eigenscan.cli.process_replay.comparison import Terms
-    from eigenscan.cli.process_replay.report import report, summary
+    from eigenscan.cli.process_replay.report import figures, report, summary
     from eigenscan.cli.process_replay.services import ARRIVAL, CHOICES
     from eigenscan.cli.process_replay.survey import survey
     from eigenscan.cli.process_replay.trial import Trial, picture, picture_beside, run
@@ -66,13 +68,23 @@ def process_replay(request: Request) -> None:
     )
     with _progress(found) as moved:
         outcome = run(trial, found, moved)
-    typer.echo(report(outcome))
-    if request.compare and outcome.comparison.problems:
-        target = request.rrd or picture_beside(request.file, request.service)
-        if picture(trial, outcome, report(outcome), target):
-            typer.echo(f"both sides: {target}")
+    wordy = wants_words(request.json_file)
+    if wordy:
+        typer.echo(report(outcome))
+    differs = request.compare and bool(outcome.comparison.problems)
+    target = request.rrd or picture_beside(request.file, request.service)
+    drawn = differs and picture(trial, outcome, report(outcome), target)
+    written = {
+        "recording": str(request.file),
+        "result": ("different" if differs else "same") if request.compare else None,
+        "picture": str(target) if drawn else None,
+    }
+    write_figures(written | figures(outcome), request.json_file)
+    if drawn and wordy:
+        typer.echo(f"both sides: {target}")
+    if differs:
         raise FailedError(f"{request.file}: {summary(outcome)}")
-    if request.compare:
+    if request.compare and wordy:
         typer.echo(f"the same: {summary(outcome)}")
 
 

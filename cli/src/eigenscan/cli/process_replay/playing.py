@@ -62,12 +62,13 @@ def play(
         yield Event(Side.HEARD, survey.begin, envelope)
         yield from _replayed(survey.begin, loop.hear(envelope))
     _check_ready(survey, instances)
+    theirs, own = {channel.name for channel in said}, {channel.name for channel in heard}
     for record in read(survey.path):
         envelope = record.envelope
         moved(record.log_time)
-        if envelope.channel in said:
+        if envelope.channel.name in theirs:
             yield Event(Side.RECORDED, record.log_time, envelope)
-        elif envelope.channel in heard and not _is_early(envelope, early, models):
+        elif envelope.channel.name in own and not _is_early(envelope, early, models):
             yield Event(Side.HEARD, record.log_time, envelope)
             yield from _replayed(record.log_time, loop.hear(envelope))
     yield from _replayed(survey.end, loop.finish())

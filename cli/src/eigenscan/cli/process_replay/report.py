@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -29,6 +30,37 @@ def summary(outcome: Outcome) -> str:
     same, within = sum(tally.same for tally in tallies), sum(tally.within for tally in tallies)
     rest = f", {within} within tolerance or but for ignored fields" if within else ""
     return f"{same} messages the same to the last bit{rest}, {pace(outcome)}"
+
+
+def figures(outcome: Outcome) -> dict[str, Any]:
+    """For scripts: counts by channel, the first difference, notes."""
+    first = outcome.comparison.first
+    return {
+        "problems": outcome.comparison.problems,
+        "notes": outcome.notes,
+        "recording_s": outcome.survey.seconds,
+        "took_s": outcome.took_s,
+        "heard": {channel.name: count for channel, count in outcome.heard.items() if count},
+        "channels": {
+            channel.name: vars(tally) | {"judged": channel in outcome.comparison.judged}
+            for channel, tally in outcome.comparison.tallies.items()
+        },
+        "first_difference": {
+            "channel": first.channel.name,
+            "stamp_ns": first.stamp,
+            "key": first.key,
+            "fields": {one.path: [_plain(one.recorded), _plain(one.replayed)] for one in first.fields},
+        }
+        if first
+        else None,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can hold, else its text."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    return value if isinstance(value, bool | int | str) or value is None else str(value)
 
 
 def pace(outcome: Outcome) -> str:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -154,11 +157,23 @@ def junit(cases: Sequence[Case], name: str = "eigenscan replay-test") -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def run_all(files: Sequence[Path], plan: Plan, said: Callable[[Case], None]) -> list[Case]:
-    """The cases of all files; `said` hears each as soon as it is there."""
+def run_all(files: Sequence[Path], plan: Plan, said: Callable[[Case], None], jobs: int = 1) -> list[Case]:
+    """The cases of all files, `jobs` files at a time; `said` hears each in the order of the files."""
     cases = []
-    for path in files:
-        for case in judge(path, plan):
+    for found in _judged(files, plan, min(jobs, len(files))):
+        for case in found:
             said(case)
             cases.append(case)
     return cases
+
+
+def _judged(files: Sequence[Path], plan: Plan, jobs: int) -> Iterator[Iterable[Case]]:
+    if jobs <= 1:
+        yield from (judge(path, plan) for path in files)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        yield from pool.map(partial(_all_of, plan=plan), files)
+
+
+def _all_of(recording: Path, plan: Plan) -> list[Case]:
+    return list(judge(recording, plan))

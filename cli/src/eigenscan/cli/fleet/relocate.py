@@ -1,0 +1,146 @@
+"""`eigenscan fleet relocate`: tell a robot where it is, or to search anew, and see what comes of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.frame import FailedError, UsageError
+from eigenscan.schemas.channels import DEFAULT_SITE, RELOCATION, is_chunk
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, Relocation
+
+if TYPE_CHECKING:
+    from eigenscan.cli.fleet.view import FleetView, Service
+
+TURN_SHARE = math.radians(15.0) / 0.5
+"""rad a m: who clicks half a metre off also aims 15 degrees off."""
+
+
+def relocate(
+    robot: Annotated[str, typer.Argument(help="the robot's name")],
+    pose: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X Y DEG", help="where its base is: m, m and degrees in the map"),
+    ] = None,
+    anew: Annotated[bool, typer.Option("--anew", help="forget where it was, search the whole site")] = False,
+    sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
+    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="wait so long for each answer")] = 10.0,
+    json_file: JsonFile = None,
+) -> None:
+    """Tell a robot where it is, or to search anew, and wait until it has taken that up.
+
+    It is word, not truth: the next scans may contradict it. Exit code 0: the robot took it up, 1: it did not.
+
+    \b
+    Examples:
+      eigenscan fleet relocate r17 --pose 12.4 -3.0 90 --site hospital --zenoh /etc/eigenscan/operator.json5
+      eigenscan fleet relocate r17 --anew
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.cli.fleet.connection import connect
+    from eigenscan.cli.fleet.view import FleetView
+
+    if (pose is None) == (not anew):
+        raise UsageError("give either --pose X Y DEG or --anew")
+    if pose is not None and not all(map(math.isfinite, pose)):
+        raise UsageError(f"--pose {pose}: is no place: finite numbers")
+    if not is_chunk(robot):
+        raise UsageError(f"{robot!r}: is no robot's name; each is told by itself")
+    with FleetView(connect(zenoh), site) as view:
+        _wait_for_tracker(view, robot, seconds)
+        before = _taken_up(view, robot)
+        view.say(Envelope(RELOCATION, {"site": site, "robot": robot}, _word(pose, sigma)))
+        if not _until(view, lambda: _taken_up(view, robot) > before, seconds):
+            raise FailedError(
+                f"{robot} did not take it up within {seconds:.0f} s: its link is down, or --zenoh is not the "
+                "operator's, or its router and the site's have an older configuration (fleet configure)"
+            )
+        since = time.monotonic()
+        _until(view, lambda: _is_sure(view, robot, since), seconds)
+        found = _outcome(view, robot, pose, since)
+    if wants_words(json_file):
+        typer.echo(_words(found))
+    write_figures(found, json_file)
+
+
+def _word(pose: tuple[float, float, float] | None, sigma: float) -> Relocation:
+    message = Relocation(timestamp=stamp(time.time_ns()))
+    if pose is not None:
+        message.pose.x, message.pose.y, message.pose.theta = pose[0], pose[1], math.radians(pose[2])
+        turn = min(sigma * TURN_SHARE, math.pi)
+        message.covariance.xx = message.covariance.yy = sigma**2
+        message.covariance.tt = turn**2
+    return message
+
+
+def _until(view: FleetView, holds: Callable[[], bool], seconds: float) -> bool:
+    end = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+        view.update()
+    return True
+
+
+def _serving(view: FleetView, robot: str) -> list[Service]:
+    """Its trackers that are there and have said how they are."""
+    return [
+        each
+        for each in view.serving(robot)
+        if each.name == "tracker" and each.contracts and each.health is not None
+    ]
+
+
+def _wait_for_tracker(view: FleetView, robot: str, seconds: float) -> None:
+    if not _until(view, lambda: bool(_serving(view, robot)), seconds):
+        known = ", ".join(view.robot_names()) or "none"
+        raise FailedError(f"{robot}: nobody tracks it on site {view.site}; robots that are heard of: {known}")
+
+
+def _taken_up(view: FleetView, robot: str) -> int:
+    """Words that its trackers took up so far, of all their robots."""
+    return sum(each.counter("relocated") for each in _serving(view, robot))
+
+
+def _is_sure(view: FleetView, robot: str, since: float) -> bool:
+    seen = view.robots.get(robot)
+    return bool(seen and seen.pose and seen.heard_at > since and seen.pose.state == STATE_LOCALIZED)
+
+
+def _outcome(
+    view: FleetView, robot: str, told: tuple[float, float, float] | None, since: float
+) -> dict[str, Any]:
+    """What the robot says of itself since it took the word up."""
+    from eigenscan.cli.launch.screen import state_name
+
+    found: dict[str, Any] = {"robot": robot, "taken_up": True, "state": "unknown"}
+    seen = view.robots.get(robot)
+    if seen is None or seen.pose is None or seen.heard_at <= since:
+        return found
+    pose = seen.pose
+    found |= {"state": state_name(pose.state), "confidence": round(pose.confidence, 3)}
+    if pose.state == STATE_LOCALIZED:
+        found |= {"x": round(pose.pose.x, 3), "y": round(pose.pose.y, 3)}
+        found["theta_deg"] = round(math.degrees(pose.pose.theta), 1)
+        if told is not None:
+            found["away_m"] = round(math.hypot(pose.pose.x - told[0], pose.pose.y - told[1]), 2)
+    return found
+
+
+def _words(found: dict[str, Any]) -> str:
+    taken = f"{found['robot']} took it up"
+    if found["state"] == "unknown":
+        return f"{taken}; no pose since: do its scans come?"
+    if "x" not in found:
+        return f"{taken}, and is {found['state']} so far, confidence {found['confidence']:.2f}"
+    place = f"{found['x']:.2f}, {found['y']:.2f}, {found['theta_deg']:.0f} deg"
+    away = f", {found['away_m']:.2f} m from there" if "away_m" in found else ""
+    return f"{taken}, and is localized at {place}{away}, confidence {found['confidence']:.2f}"
