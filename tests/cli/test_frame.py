@@ -79,6 +79,38 @@ def test_an_option_out_of_range() -> None:
     assert "--beams" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("typed", "place", "part"),
+    [
+        ("build map.yaml", "build", "'--out'"),
+        ("evaluate --map map.yaml", "evaluate", "'--log'"),
+        ("replay a.mcap --robt r1", "replay", "--robot"),
+        ("models", "models", "rollback"),
+        ("fleet status --wat", "fleet status", "--wat"),
+    ],
+)
+def test_what_is_typed_wrongly_takes_one_line(typed: str, place: str, part: str) -> None:
+    result = _run(*typed.split())
+    _expect_one_line(result, place, part, f"see eigenscan {place} --help")
+
+
+@pytest.mark.parametrize("command", ["doctor", "fleet status", "fleet relocate r1 --anew"])
+def test_a_site_that_no_key_can_have_ends_the_command(command: str) -> None:
+    place = command.partition(" r1")[0]
+    _expect_one_line(_run(*command.split(), "--site", "a/b"), place, "site", "a/b")
+
+
+@pytest.mark.parametrize("command", ["simulate", "evaluate", "run"])
+def test_a_file_that_is_no_map(tmp_path: Path, command: str) -> None:
+    (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0\n\xbb\xcd" * 9)
+    (tmp_path / "drive.csv").write_text(
+        "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n1,0,1,2,2\n"
+    )
+    log = ["--log", tmp_path / "drive.csv"] if command == "evaluate" else ["--out", tmp_path / "out"]
+    result = _run(command, "--map", tmp_path / "drive.bag", *log)
+    _expect_one_line(result, command, "drive.bag", "map_server yaml")
+
+
 def test_every_command_has_help_with_an_example() -> None:
     from eigenscan.cli import fleet
     from eigenscan.cli.main import COMMANDS

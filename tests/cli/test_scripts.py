@@ -113,3 +113,108 @@ def test_every_heading_of_the_help_is_of_commands_that_there_are(tmp_path: Path)
     listing = _run("--help", cwd=tmp_path).stdout
     assert [heading for heading in HEADINGS if f"\n{heading}:\n" in listing] == list(HEADINGS)
     assert all(listing.count(f"\n  {name} ") == 1 for name in COMMANDS)
+
+
+def test_a_simulation_tells_what_it_wrote(tmp_path: Path) -> None:
+    options = [
+        "--robots",
+        2,
+        "--robot",
+        "r",
+        "-o",
+        "f.mcap",
+        "--truth",
+        "f.tum",
+        "--kidnap",
+        2,
+        "--json",
+        "-",
+    ]
+    figures = _figures(_run("simulate", "--seconds", 4, *options, cwd=tmp_path))
+    assert figures["recording"] == "f.mcap"
+    assert list(figures["robots"]) == ["r1", "r2"]
+    for driven in figures["robots"].values():
+        assert driven["scans"] == 40
+        assert len((tmp_path / driven["truth"]).read_text().splitlines()) == driven["scans"]
+        # at most a brisk walk; the kidnap, some metres at once, is no way that it drove
+        assert 0 < driven["metres"] < 4 * 1.5
+
+
+def test_a_picture_tells_what_it_drew(drive: Path) -> None:
+    figures = _figures(_run("view", "drive.mcap", "--rrd", "d.rrd", "--no-open", "--json", "-", cwd=drive))
+    assert figures["picture"] == "d.rrd"
+    assert figures["messages"] > 20
+    assert figures["recording_s"] == pytest.approx(2.0, abs=0.2)
+    assert figures["whole"]
+
+
+def test_a_playback_tells_what_it_said(drive: Path) -> None:
+    options = ["--site", f"p{os.getpid()}", "--wait", 0.1, "--speed", 100, "--json", "-"]
+    figures = _figures(_run("replay", "drive.mcap", *options, cwd=drive))
+    assert figures["played"]["scan_raw"] == 20
+    assert set(figures["played"]) == {"scan_raw", "odometry"}
+    assert not figures["heard_by_somebody"]
+
+
+def test_a_comparison_tells_both_verdicts(drive: Path) -> None:
+    told = ["--service", "scan-ingest", "--json", "-"]
+    assert _figures(_run("replay", "drive.mcap", *told, "--out", "said.mcap", cwd=drive))["result"] is None
+    same = _figures(_run("replay", "said.mcap", *told, "--compare", cwd=drive))
+    assert same["result"] == "same"
+    assert same["channels"]["scan"]["same"] == 20
+    assert same["first_difference"] is None
+    other = _run("replay", "said.mcap", *told, "--compare", "--set", "range_max=3", cwd=drive)
+    assert other.returncode == 1
+    figures = json.loads(other.stdout)
+    assert figures["result"] == "different"
+    assert figures["channels"]["scan"]["different"] > 0
+    assert figures["first_difference"]["fields"]
+    assert (drive / figures["picture"]).exists()
+
+
+def test_services_tell_events_line_by_line(drive: Path) -> None:
+    site = f"e{os.getpid()}"
+    built = _run("build", "map.yaml", "-o", "events", "--step", 2, cwd=drive)
+    assert built.returncode == 0
+    command = [
+        *EIGENSCAN,
+        "run",
+        "--map",
+        "events",
+        "--site",
+        site,
+        "--no-viewer",
+        "--json",
+        "-",
+        "-o",
+        "ran",
+    ]
+    with subprocess.Popen(
+        command, cwd=drive, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as services:
+        assert services.stdout is not None
+        try:
+            ready = json.loads(services.stdout.readline())
+            assert (ready["event"], ready["site"], ready["folder"]) == ("ready", site, "ran")
+            played = _run("replay", "drive.mcap", "--site", site, cwd=drive)
+            assert played.returncode == 0, played.stderr
+            first = json.loads(services.stdout.readline())
+            assert first["event"] == "state"
+            assert first["state"] in ("lost", "ambiguous", "localized")
+            assert 0 <= first["confidence"] <= 1
+        finally:
+            services.send_signal(signal.SIGINT)
+        rest = [json.loads(line) for line in services.stdout]
+        assert services.wait(30) == 0
+    assert rest[-1]["event"] == "ended"
+
+
+def test_every_command_that_finds_something_has_json() -> None:
+    writes_files_only = {"fleet certify", "fleet configure", "fleet revoke"}
+    others = {"fleet", "fleet metrics", *writes_files_only}
+    for name in [*COMMANDS, *(f"fleet {name}" for name in fleet.COMMANDS)]:
+        command: Any = typer.main.get_command(app)
+        for word in name.split():
+            command = command.get_command(None, word)
+        options = [option for parameter in command.params for option in parameter.opts]
+        assert ("--json" in options) != (name in others), name

@@ -3,8 +3,9 @@
 import os
 import shutil
 import subprocess
+import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,34 @@ BASE = "python:3.11-slim-bookworm"
 MAKE_BASE = ROOT.parent / "shared/tools/make-base-image"
 GIVEN = os.environ.get("EIGENSCAN_TEST_IMAGES")
 """Prefix of images that are there already, for who works on these tests."""
+PROFILES = ("--profile", "demo", "--profile", "ros2")
+
+MARKS = [
+    pytest.mark.docker,
+    pytest.mark.timeout(2400),
+    pytest.mark.skipif(
+        shutil.which("docker") is None
+        or subprocess.run(["docker", "info"], check=False, capture_output=True).returncode != 0,
+        reason="no Docker here",
+    ),
+]
+
+
+def docker(*arguments: object, check: bool = True) -> str:
+    """What docker prints. Fails where it does, if `check`."""
+    done = subprocess.run(
+        ["docker", *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0 or not check, f"{arguments}: {done.stderr}"
+    return done.stdout + done.stderr
+
+
+def until(condition: Callable[[], bool], limit_s: float, what: Callable[[], str]) -> None:
+    """Waits for a condition, or fails with what `what` says."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end, what()
+        time.sleep(0.2)
 
 
 def compose_command() -> list[str]:
@@ -46,7 +75,7 @@ def images() -> Iterator[str]:
         subprocess.run([MAKE_BASE], check=True, timeout=900)
     prefix = f"eigenscan-images-{uuid.uuid4().hex[:8]}"
     try:
-        compose("--profile", "demo", "build", environment={"EIGENSCAN_IMAGES": prefix})
+        compose(*PROFILES, "build", environment={"EIGENSCAN_IMAGES": prefix})
         yield prefix
     finally:
         listed = subprocess.run(

@@ -3,11 +3,10 @@
 import json
 import os
 import shutil
-import subprocess
 import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import CHANNELS, POSE, find
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
-from tests.docker.conftest import BASE, ROOT, compose
+from tests.docker.conftest import BASE, MARKS, ROOT, compose, docker, until
 from tests.fleet.conftest import free_port, run
 
 SITE, ROBOTS = "hospital", ("r17", "r18")
@@ -29,30 +28,7 @@ SERVICES = {
 }
 USER = 10001
 
-pytestmark = [
-    pytest.mark.docker,
-    pytest.mark.timeout(2400),
-    pytest.mark.skipif(
-        shutil.which("docker") is None
-        or subprocess.run(["docker", "info"], check=False, capture_output=True).returncode != 0,
-        reason="no Docker here",
-    ),
-]
-
-
-def docker(*arguments: object, check: bool = True) -> str:
-    done = subprocess.run(
-        ["docker", *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0 or not check, f"{arguments}: {done.stderr}"
-    return done.stdout + done.stderr
-
-
-def until(condition: Callable[[], bool], limit_s: float, what: Callable[[], str]) -> None:
-    end = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end, what()
-        time.sleep(0.2)
+pytestmark = MARKS
 
 
 @dataclass

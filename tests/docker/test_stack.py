@@ -2,13 +2,11 @@
 
 import json
 import math
-import os
-import shutil
 import socket
 import subprocess
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +27,8 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.schemas.wire import decode
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-ROOT = Path(__file__).parents[2]
-BASE = "python:3.11-slim-bookworm"
-MAKE_BASE = ROOT.parent / "shared/tools/make-base-image"
+from tests.docker.conftest import MARKS, PROFILES, ROOT, compose, docker, until
+
 SERVICES = (
     "router",
     "mapbuilder",
@@ -42,40 +39,12 @@ SERVICES = (
     "ros-bridge",
     "simulator",
 )
-PROFILES = ("--profile", "demo", "--profile", "ros2")
 STOP_S = 10.0
 EXHAUSTIVE = ROOT / "examples/exhaustive-projector/docker-compose.yml"
 RUST_INGEST = ROOT / "examples/scan-ingest-rust"
 RUST_TARGET = ROOT / "out/rust"
 
-pytestmark = [
-    pytest.mark.docker,
-    pytest.mark.timeout(2400),
-    pytest.mark.skipif(
-        shutil.which("docker") is None
-        or subprocess.run(["docker", "info"], check=False, capture_output=True).returncode != 0,
-        reason="no Docker here",
-    ),
-]
-
-
-def _docker(*arguments: str) -> str:
-    return subprocess.run(
-        ["docker", *arguments], check=True, capture_output=True, text=True, timeout=60
-    ).stdout
-
-
-def _has_base() -> bool:
-    return (
-        subprocess.run(["docker", "image", "inspect", BASE], capture_output=True, check=False).returncode == 0
-    )
-
-
-def _compose_command() -> list[str]:
-    plugin = (
-        subprocess.run(["docker", "compose", "version"], capture_output=True, check=False).returncode == 0
-    )
-    return ["docker", "compose"] if plugin else ["docker-compose"]
+pytestmark = MARKS
 
 
 @dataclass
@@ -83,6 +52,7 @@ class Stack:
     """One project of docker-compose.yml, apart from every other."""
 
     project: str
+    images: str
     site: str
     port: int
     viewer_port: int
@@ -91,7 +61,7 @@ class Stack:
     def compose(self, *arguments: str, over: Sequence[Path] = ()) -> str:
         """Runs docker-compose; `over` are files that change docker-compose.yml."""
         environment = {
-            "EIGENSCAN_IMAGES": self.project,
+            "EIGENSCAN_IMAGES": self.images,
             "EIGENSCAN_SITE": self.site,
             "EIGENSCAN_PORT": str(self.port),
             "EIGENSCAN_VIEWER_PORT": str(self.viewer_port),
@@ -100,42 +70,33 @@ class Stack:
             "EIGENSCAN_ROS_ROUTER": "tcp/router:7447",
             "EIGENSCAN_RUST": str(RUST_TARGET / "release"),
         }
-        files = [word for file in (ROOT / "docker-compose.yml", *over) for word in ("-f", str(file))]
-        ran = subprocess.run(
-            [*_compose_command(), *files, "-p", self.project, *PROFILES, *arguments],
-            cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=1800,
-        )  # fmt: skip
-        assert ran.returncode == 0, f"{arguments}: {ran.stdout[-3000:]}\n{ran.stderr[-6000:]}"
-        return ran.stdout
+        files = ("docker-compose.yml", *map(str, over))
+        return compose("-p", self.project, *PROFILES, *arguments, environment=environment, files=files)
 
     def container(self, service: str) -> str:
         return self.compose("ps", "-q", service).strip()
 
     def inspect(self, service: str) -> dict[str, dict[str, object]]:
-        (found,) = json.loads(_docker("inspect", self.container(service)))
+        (found,) = json.loads(docker("inspect", self.container(service)))
         return dict(found)
 
     def python(self, service: str, code: str) -> str:
-        return _docker("exec", self.container(service), "python", "-c", code)
+        return docker("exec", self.container(service), "python", "-c", code)
 
 
 @pytest.fixture(scope="module")
-def stack() -> Iterator[Stack]:
-    if not _has_base() and subprocess.run(["docker", "pull", "-q", BASE], check=False).returncode != 0:
-        subprocess.run([MAKE_BASE], check=True, timeout=900)
+def stack(images: str) -> Iterator[Stack]:
     name = f"eigenscan-test-{uuid.uuid4().hex[:8]}"
     with ExitStack() as taken:
         servers = [taken.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(3)]
         ports = [server.getsockname()[1] for server in servers]
-    stack = Stack(name, name, *ports)
+    stack = Stack(name, images, name, *ports)
     try:
-        stack.compose("build")
         stack.compose("up", "-d")
         yield stack
     finally:
         print(stack.compose("logs", "--no-color", "--tail", "40"))
-        stack.compose("down", "-v", "--rmi", "all", "--remove-orphans", "-t", "5")
-        subprocess.run(["docker", "rmi", f"{name}/exhaustive-projector"], check=False, capture_output=True)
+        stack.compose("down", "-v", "--remove-orphans", "-t", "5")
 
 
 @pytest.fixture(scope="module")
@@ -155,13 +116,6 @@ def bus(client: Path) -> Iterator[Bus]:
         yield bus
 
 
-def _until(condition: Callable[[], bool], limit_s: float, what: str) -> None:
-    end = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.5)
-
-
 def _state(stack: Stack, service: str) -> str:
     state = stack.inspect(service)["State"]
     health = state.get("Health")
@@ -175,7 +129,7 @@ def test_all_become_healthy(stack: Stack) -> None:
         states.update({service: _state(stack, service) for service in SERVICES})
         return all(states[one] == ("running" if one == "simulator" else "healthy") for one in SERVICES)
 
-    _until(well, 180, f"not healthy: {states}")
+    until(well, 180, lambda: f"not healthy: {states}")
 
 
 def test_none_has_rights_it_does_not_need(stack: Stack) -> None:
@@ -222,7 +176,7 @@ def test_ros_2_hears_of_the_pose(stack: Stack, client: Path) -> None:
     heard: list[bytes] = []
     with open_session(client) as session:
         session.declare_subscriber("0/amcl_pose/**", lambda sample: heard.append(sample.payload.to_bytes()))
-        _until(lambda: bool(heard), 60, "no /amcl_pose")
+        until(lambda: bool(heard), 60, lambda: "no /amcl_pose")
     assert cdr.decode(cdr.POSE_WITH_COVARIANCE, heard[-1]).header.frame_id == "map"
 
 
@@ -276,7 +230,11 @@ def test_the_live_picture_is_served(stack: Stack) -> None:
 def test_the_robot_goes_on_without_the_site(stack: Stack, bus: Bus) -> None:
     stack.compose("stop", "router")
     before = float(stack.python("tracker", COUNT_POSES))
-    _until(lambda: float(stack.python("tracker", COUNT_POSES)) > before + 20, 30, "no pose without a router")
+    until(
+        lambda: float(stack.python("tracker", COUNT_POSES)) > before + 20,
+        30,
+        lambda: "no pose without a router",
+    )
     inbox = Inbox()
     bus.listen([POSE], {"site": stack.site}, inbox)
     stack.compose("start", "router")
@@ -300,7 +258,11 @@ def _swap(stack: Stack, bus: Bus, service: str, over: Path) -> None:
     before = stack.container(service)
     stack.compose("up", "-d", "--no-deps", "--build", service, over=[over])
     assert stack.container(service) != before
-    _until(lambda: _settings_told(stack, bus, service).keys() != ours.keys(), 60, f"{service} is still ours")
+    until(
+        lambda: _settings_told(stack, bus, service).keys() != ours.keys(),
+        60,
+        lambda: f"{service} is still ours",
+    )
     stack.compose("restart", "-t", "5", "tracker")
     _await_right_claims(stack, bus, 10)
 
@@ -322,14 +284,14 @@ def test_it_goes_down_clean_and_leaves_a_whole_recording(stack: Stack, tmp_path:
     stack.compose("stop")
     took = time.monotonic() - began
     codes = {
-        service: json.loads(_docker("inspect", "-f", "{{json .State.ExitCode}}", container))
+        service: json.loads(docker("inspect", "-f", "{{json .State.ExitCode}}", container))
         for service, container in containers.items()
     }
     assert took < STOP_S, took
     simulator = codes.pop("simulator")
     assert codes == dict.fromkeys(codes, 0)
     assert simulator in (0, 128 + 15)  # it may end by the signal itself
-    _docker("cp", f"{containers['recorder']}:/recordings", str(tmp_path))
+    docker("cp", f"{containers['recorder']}:/recordings", str(tmp_path))
     files = sorted((tmp_path / "recordings").glob("**/*.mcap"))
     assert files
     assert all(is_complete(file) for file in files)

@@ -244,3 +244,37 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert "bad.yaml" in complaint[0]
     assert named in complaint[0]
     assert "Traceback" not in out.stderr
+
+
+def test_a_recording_judges_by_its_own_truth(drive: Drive) -> None:
+    told, by_file = (evaluate(replace(drive.task, reference=r), Bars()) for r in (None, drive.truth))
+    assert told["reference"] == "the recording's own truth"
+    for figure in ("windows", "success_rate", "false_claim_rate"):
+        assert told[figure] == by_file[figure]
+    # the file has six decimals, the recording all of them
+    assert told["error"]["position_m"]["median"] == pytest.approx(
+        by_file["error"]["position_m"]["median"], abs=1e-5
+    )
+
+
+def test_without_any_truth_cold_starts_are_compared_with_the_whole_drive(
+    drive: Drive, tmp_path: Path
+) -> None:
+    blind = tmp_path / "blind.mcap"
+    with RecordingWriter(blind, {}) as writer:
+        for record in read(drive.recording):
+            if record.envelope.channel in (SCAN_RAW, ODOMETRY):
+                writer.write(record.envelope, record.log_time)
+    own = evaluate(replace(drive.task, log=blind, reference=None), Bars())
+    judged = evaluate(replace(drive.task, log=blind), Bars())
+    assert own["reference"] == "the drive as a whole"
+    assert own["success_rate"] == judged["success_rate"] == 1.0
+    # it agrees with itself better than with the truth
+    assert own["error"]["position_m"]["median"] < judged["error"]["position_m"]["median"]
+
+
+def test_a_log_that_breaks_off_says_so(drive: Drive, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(drive.recording.read_bytes()[:-64])
+    figures = evaluate(replace(drive.task, log=cut), Bars())
+    assert figures["log"]["is_cut"]

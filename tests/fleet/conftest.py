@@ -22,7 +22,7 @@ SITE = "hospital"
 ROBOTS = ("r17", "r18")
 ROUTER = "from eigenscan.runtime.router import main; main()"
 ZENOHD = os.environ.get("EIGENSCAN_TEST_ZENOHD")
-"""Zenoh's own router, to be tried in place of ours with the same configuration."""
+"""Zenoh's own router, to be tried in place of ours with the same configuration: `cargo install zenohd`."""
 READY_S = 30.0
 
 
@@ -84,6 +84,15 @@ class Fleet:
             self.routers[machine] = subprocess.Popen(list(map(str, command)), stderr=log, env=clean)
         until(lambda: self.answers(machine), f"no router on {machine}: {self.log(machine)}")
 
+    def restart_with_the_new_configuration(self, machine: str) -> None:
+        """Ours ends by itself, and Docker or systemd starts it; Zenoh's own is ended by hand."""
+        router = self.routers[machine]
+        if ZENOHD:
+            router.terminate()
+        ended = router.wait(timeout=10)
+        assert ZENOHD or ended == 0, "the router did not notice its new configuration"
+        self.start(machine)
+
     def answers(self, machine: str) -> bool:
         with socket.socket() as probe:
             return probe.connect_ex(("127.0.0.1", self.ports[machine])) == 0
@@ -102,6 +111,7 @@ class Fleet:
             ("mode", '"client"'),
             ("listen/endpoints", "[]"),
             ("access_control", '{"enabled": false}'),
+            ("downsampling", "[]"),
         ):
             config.insert_json5(key, value)
         return zenoh.open(config)

@@ -17,6 +17,7 @@ from eigenscan.schemas.channels import (
     LATCHED_TEMPLATE,
     MODEL,
     POSE,
+    RELOCATION,
     SCAN,
     SCAN_RAW,
     Channel,
@@ -57,11 +58,14 @@ def may_say(holder: str, channel: Channel, owner: str) -> bool:
     if role not in channel.said_by:
         return False
     by_owner = {"robot", "instance"} & set(channel.fields)
+    if channel is RELOCATION and role is Role.OPERATOR:
+        return True  # to any robot
     return channel.qos.air_hz > 0 and (holder == owner or not by_owner)
 
 
-def may_hear(holder: str, channel: Channel) -> bool:
-    return role_of(holder) in channel.heard_by
+def may_hear(holder: str, channel: Channel, owner: str) -> bool:
+    to_another = holder in ROBOTS and "robot" in channel.fields and holder != owner
+    return role_of(holder) in channel.heard_by and not to_another
 
 
 @dataclass
@@ -153,7 +157,7 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
             (hearer, key_of(channel, owner), holder)
             for holder, channel, owner in SPOKEN
             for hearer in HOLDERS
-            if hearer != holder and may_say(holder, channel, owner) and may_hear(hearer, channel)
+            if hearer != holder and may_say(holder, channel, owner) and may_hear(hearer, channel, owner)
         }
 
         def said() -> bool:
@@ -185,7 +189,7 @@ def test_says_what_the_table_lets_it_say(exchange: Exchange, channel: Channel, h
     for owner, hearer in product(HOLDERS, HOLDERS):
         if hearer != holder:
             arrived = (hearer, key_of(channel, owner), holder) in exchange.heard
-            allowed = may_say(holder, channel, owner) and may_hear(hearer, channel)
+            allowed = may_say(holder, channel, owner) and may_hear(hearer, channel, owner)
             assert arrived == allowed, f"{holder} as {owner} to {hearer}"
 
 
@@ -196,7 +200,7 @@ def test_asks_and_answers_where_the_table_lets_it(exchange: Exchange, channel: C
     assert {who for who, by in asked if by == holder} == {
         who
         for who in HOLDERS
-        if who != holder and may_say(holder, channel, holder) and may_hear(who, channel)
+        if who != holder and may_say(holder, channel, holder) and may_hear(who, channel, holder)
     }
 
 
@@ -226,4 +230,7 @@ def test_what_a_reader_of_the_table_expects(exchange: Exchange) -> None:
     assert heard_by[SCAN.name, "r17", "r17"] == heard_by[SCAN_RAW.name, "r17", "r17"] == set()
     assert heard_by[MODEL.name, "mapbuilder", "mapbuilder"] == {"r17", "r18", "recorder", "operator"}
     assert heard_by[MODEL.name, "r17", "r17"] == set()
-    assert not {key for key, by in heard_by.items() if key[2] == "operator" and by}
+    told = {key: by for key, by in heard_by.items() if key[2] == "operator" and by}
+    assert told[RELOCATION.name, "r17", "operator"] == {"r17", "mapbuilder", "recorder"}
+    assert {channel for channel, _, _ in told} == {RELOCATION.name}
+    assert heard_by[RELOCATION.name, "r17", "mapbuilder"] == heard_by[RELOCATION.name, "r17", "r18"] == set()

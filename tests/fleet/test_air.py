@@ -1,6 +1,8 @@
 """What leaves a robot for its site: what the contract's table lets go, as often and urgently as it says."""
 
 import math
+import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -8,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN_RAW, Channel, Role
+from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, RELOCATION, SCAN_RAW, Channel, Role
 
-from tests.fleet.conftest import SITE, Fleet, make_fleet, until
+from tests.fleet.conftest import READY_S, SITE, Fleet, make_fleet, run, until
 
 ROBOT = "r17"
 RATE_HZ, SECONDS = 50.0, 3.0
@@ -140,6 +142,32 @@ def test_a_robot_that_floods_is_held_back_at_the_site(fleet: Fleet) -> None:
     assert sizes == {0}
 
 
+def test_what_waited_for_a_bad_link_passes_at_once_where_floods_are_not_held_back(tmp_path: Path) -> None:
+    fleet, heard = make_fleet(tmp_path), Counter[str]()
+    settings = fleet.folder / "fleet.toml"
+    settings.write_text(settings.read_text().replace("floods = true", "floods = false"))
+    fleet.command("configure")
+    fleet.install("site")
+    fleet.start("site")
+    try:
+        with fleet.at_site("recorder") as site, fleet.past_its_router(ROBOT) as robot:
+            key = POSE.key(ADDRESS)
+            count(site, heard)
+
+            def arrives() -> bool:
+                robot.put(key, b"")
+                return heard[key] > 0
+
+            until(arrives, "nothing arrives")
+            time.sleep(0.5)
+            heard.clear()
+            for _ in range(10):
+                robot.put(key, b"")
+            until(lambda: heard[key] == 10, f"{heard[key]} of 10 arrive")
+    finally:
+        fleet.stop()
+
+
 def test_a_service_on_the_robot_is_not_commanded_from_the_site(fleet: Fleet) -> None:
     """Only maps and models come in, not what its services tell each other."""
     heard: Counter[str] = Counter()
@@ -155,3 +183,42 @@ def test_a_service_on_the_robot_is_not_commanded_from_the_site(fleet: Fleet) -> 
         until(arrives, "no map comes in")
     own = HEALTH.key(ADDRESS | {"service": "router"})
     assert set(heard) - {own} == {channel.key(ADDRESS) for channel in CHANNELS if channel.qos.latched}
+
+
+def test_an_operators_word_comes_in_to_the_robot_that_it_is_for(fleet: Fleet) -> None:
+    """Through the site's router and the robot's own; nothing else that the operator says does."""
+    heard: Counter[str] = Counter()
+    with fleet.at_site("operator") as operator, fleet.on_robot(ROBOT) as service:
+        for channel in CHANNELS:
+            count(service, heard, channel.selector({"site": SITE}))
+
+        def arrives() -> bool:
+            for channel in CHANNELS:
+                for robot in (ROBOT, "r18"):
+                    operator.put(channel.key(ADDRESS | {"robot": robot}), b"")
+            return heard[RELOCATION.key(ADDRESS)] > 10
+
+        until(arrives, "no word comes in")
+    own = HEALTH.key(ADDRESS | {"service": "router"})
+    assert set(heard) - {own} == {RELOCATION.key(ADDRESS)}
+
+
+def test_a_robot_takes_up_the_operators_word_and_nobody_elses(fleet: Fleet) -> None:
+    """A real tracker on the robot; it never hears a scan, so it has no pose to tell of."""
+    program = Path(sys.executable).with_name("eigenscan-tracker")
+    config = fleet.machines / ROBOT / "service.json5"
+    with (fleet.machines / "tracker.log").open("wb") as log:
+        tracker = subprocess.Popen(
+            [program, "--site", SITE, "--robot", ROBOT, "--zenoh", config], stderr=log, stdout=log
+        )
+    try:
+        for name, taken in (("operator", True), ("recorder", False)):
+            own = fleet.machines / ("operator" if name == "operator" else "site") / f"{name}.json5"
+            seconds = READY_S if taken else 3.0
+            told = run("relocate", ROBOT, "--anew", "--site", SITE, "--zenoh", own, "--seconds", seconds)
+            words = "took it up; no pose since" if taken else "did not take it up"
+            assert words in (told.stdout if taken else told.stderr)
+            assert told.exit_code == (0 if taken else 1)
+    finally:
+        tracker.terminate()
+        tracker.wait(timeout=10)

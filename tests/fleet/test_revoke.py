@@ -8,7 +8,7 @@ import pytest
 import zenoh
 from eigenscan.schemas.channels import MODEL, POSE
 
-from tests.fleet.conftest import ROBOTS, SITE, Fleet, make_fleet, run, until
+from tests.fleet.conftest import ROBOTS, SITE, ZENOHD, Fleet, make_fleet, run, until
 
 MODEL_KEY = MODEL.key({"site": SITE, "region": "hall"})
 
@@ -51,9 +51,7 @@ def test_a_stolen_robot_is_shut_out_by_one_step(fleet: Fleet) -> None:
 
         fleet.command("revoke", "r17")
         fleet.install("site")
-        router = fleet.routers["site"]
-        assert router.wait(timeout=10) == 0, "the router did not notice its new configuration"
-        fleet.start("site")  # as Docker and systemd do
+        fleet.restart_with_the_new_configuration("site")
 
         heard.clear()
         until(lambda: all_heard(("r18",)), "r18 is not back")
@@ -78,8 +76,7 @@ def test_a_new_certificate_does_not_let_the_old_one_in_again(fleet: Fleet) -> No
     fleet.command("certify", "--robot", "r17")
     for machine in ("site", "r17"):
         fleet.install(machine)
-    assert fleet.routers["site"].wait(timeout=10) == 0
-    fleet.start("site")
+    fleet.restart_with_the_new_configuration("site")
     with (
         fleet.at_site("recorder") as recorder,
         fleet.past_its_router("stolen") as old,
@@ -98,6 +95,7 @@ def test_a_new_certificate_does_not_let_the_old_one_in_again(fleet: Fleet) -> No
         assert heard == {b"new"}
 
 
+@pytest.mark.skipif(ZENOHD is not None, reason="Zenoh's own router does not look at its configuration again")
 def test_a_router_keeps_on_where_the_new_configuration_is_none(fleet: Fleet) -> None:
     (fleet.machines / "site/router.json5").write_text("{ half of")
     until(lambda: "configuration_refused" in fleet.log("site"), "the fault is not told")

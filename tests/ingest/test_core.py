@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.runtime import lately
 from eigenscan.runtime.settings import SettingsError, load
 from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -269,3 +270,17 @@ def test_settings_are_read_from_flags() -> None:
 def test_settings_that_do_not_hold_are_named(flags: list[str], named: str) -> None:
     with pytest.raises(SettingsError, match=named):
         load(ScanIngestSettings, "scan-ingest", flags)
+
+
+def test_lidars_without_end_are_served_and_those_that_are_gone_forgotten(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(lately, "AMONG", 100)
+    ingest = core()
+    first = heard(raw(), robot="first")
+    assert [scan.sequence for scan in scans(ingest.handle(first))] == [0]
+    assert scans(ingest.handle(first)) == []  # the same stamp again
+    for number in range(10_000):
+        assert len(scans(ingest.handle(heard(raw(), robot=f"r{number}")))) == 1
+    assert [scan.sequence for scan in scans(ingest.handle(first))] == [0]
+    assert ingest.condition().counters["lidars"] == 10_002

@@ -80,7 +80,7 @@ def test_after_a_lift_the_robot_is_on_the_other_floor(localizer: Localizer) -> N
     where = []
     for floor in ("ground", "first"):
         begin = start if floor == "ground" else compose(FLOORS["first"].origin, [12.0, 5.4, np.pi])
-        for step in range(25):
+        for step in range(45):
             truth = compose(begin, [0.1 * step, 0.0, 0.0])
             time, drive = time + 0.2, compose(drive, [0.1 if step else 0.0, 0.0, 0.0])
             estimate = localizer.track(seen(floor, truth, time), drive)

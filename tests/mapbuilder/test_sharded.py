@@ -15,8 +15,9 @@ from eigenscan.eigenspace.pieces import Pieces
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.mapbuilder.cluster import ClusterError, Workers
+from eigenscan.mapbuilder.positions import Positions
 from eigenscan.mapbuilder.sharded import build_pieces
-from eigenscan.mapbuilder.shards import shards
+from eigenscan.mapbuilder.shards import Area, shards
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
 
 QUICK = Plan(step=TURN / 180)
@@ -62,6 +63,16 @@ def test_shards_hold_every_region_once_and_few_positions(office):
     assert sorted(area.name for shard in cut for area in shard) == [area.name for area in areas]
     assert len(cut) > 1
     assert all(len(s) == 1 or sum(len(a.positions.index) for a in s) <= 3000 for s in cut)
+
+
+def test_shards_are_of_equal_work():
+    def room(left: int, width: int) -> Area:
+        index = np.array([(left + x, y) for x in range(width) for y in range(10)], dtype=np.int32)
+        return Area(f"r{left}", Positions(index, np.zeros(2), 1.0), np.zeros((0, 2)))
+
+    hall, rooms = room(0, 100), [room(100 + 10 * n, 10) for n in range(10)]
+    cut = shards([*rooms, hall], 1999)
+    assert [[area.name for area in shard] for shard in cut] == [["r0"], [area.name for area in rooms]]
 
 
 def test_what_is_finished_is_not_built_again_unless_it_is_damaged(office, tmp_path):

@@ -35,6 +35,19 @@ def test_a_part_that_is_none_is_refused(part: str) -> None:
         ProjectorSettings(part=part)
 
 
+def test_parts_are_called_by_other_names_without_being_told() -> None:
+    def name(**given: str) -> str:
+        return ProjectorSettings.model_validate(given).instance
+
+    assert [name(robot="*", part=f"{k}/2") for k in (1, 2)] == ["0-1of2", "0-2of2"]
+    assert name(robot="r17", part="1/1") == "r17"
+    assert name(robot="a-*", part="2/3") == "a-+-2of3"
+    assert name(part="1/2", instance="left") == "left"
+    with pytest.raises(ValidationError) as error:
+        name(robot="a/b", part="1/2")
+    assert {fault["loc"] for fault in error.value.errors()} == {("robot",), ("instance",)}
+
+
 def test_the_lists_of_all_parts_are_as_good_as_one_list() -> None:
     whole = ready()
     halves = [ready(part=f"{k}/2", instance=str(k)) for k in (1, 2)]

@@ -283,6 +283,39 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
 
 
+def test_on_a_full_disk_each_message_is_in_a_file_or_counted_and_no_empty_files_pile_up(
+    tmp_path: Path,
+) -> None:
+    clock, said = Clock(), 0
+    sink = McapSink(tmp_path, "s", clock, 0.5, {})
+
+    def write(seconds: int) -> None:
+        nonlocal said
+        for _ in range(10 * seconds):
+            clock.now += S // 10
+            said += 1
+            sink.write(pose(said))
+
+    write(3)
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))  # no file may grow: a full disk
+    try:
+        write(60)
+        assert "lost" in sink.problem
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    write(15)
+    assert sink.problem == ""
+    sink.close()
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert len(files) == sink.counters["mcap_files"] == 2
+    kept = [record.publish_time for path in files for record in read(path)]
+    assert len(kept) == len(set(kept)) == sink.counters["mcap_written"]
+    assert sink.counters["mcap_written"] + sink.counters["mcap_lost"] == said
+    assert set(range(1, 25)) <= set(kept)
+    assert said in kept
+
+
 @pytest.mark.parametrize(
     ("flags", "words"),
     [

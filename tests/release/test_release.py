@@ -4,6 +4,9 @@ import shutil
 import subprocess
 import tarfile
 import tomllib
+import zipfile
+from email import message_from_string
+from email.message import Message
 from pathlib import Path
 
 import pytest
@@ -20,7 +23,9 @@ def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]
 def workspace(tmp_path: Path) -> Path:
     """The project's versions, to be changed."""
     for file in (
-        *("pyproject.toml", "CHANGELOG.md", "tools/release"),
+        *("pyproject.toml", "CHANGELOG.md", "LICENSE", "tools/release"),
+        *(path.relative_to(ROOT) for path in ROOT.glob("*/LICENSE")),
+        *(path.relative_to(ROOT) for path in ROOT.glob("services/*/LICENSE")),
         *(path.relative_to(ROOT) for path in ROOT.glob("*/pyproject.toml")),
         *(path.relative_to(ROOT) for path in ROOT.glob("services/*/pyproject.toml")),
     ):
@@ -37,6 +42,31 @@ def test_everything_is_built_installed_and_used(tmp_path: Path) -> None:
         names = sdist.getnames()
     assert any(name.endswith("eigenscan/localize/py.typed") for name in names)
     assert not any("__pycache__" in name for name in names)
+    wheels = list(tmp_path.glob("*.whl"))
+    assert len(wheels) == len(list(ROOT.glob("*/pyproject.toml"))) + len(
+        list(ROOT.glob("services/*/pyproject.toml"))
+    )
+    for wheel in wheels:
+        about, text = _licence(wheel)
+        assert about["License-Expression"] == "Apache-2.0", wheel
+        assert about["License-File"] == "LICENSE", wheel
+        assert text == (ROOT / "LICENSE").read_text(), wheel
+
+
+def _licence(wheel: Path) -> tuple[Message, str]:
+    """What a wheel says of itself, and the licence's text in it."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        about = next(name for name in names if name.endswith(".dist-info/METADATA"))
+        text = next(name for name in names if name.endswith(".dist-info/licenses/LICENSE"))
+        return message_from_string(archive.read(about).decode()), archive.read(text).decode()
+
+
+def test_a_distribution_without_the_licence_is_named(workspace: Path) -> None:
+    (workspace / "geometry/LICENSE").write_text("another")
+    result = _release(workspace, "check")
+    assert result.returncode == 1
+    assert "geometry/LICENSE" in result.stderr
 
 
 def test_one_command_sets_the_version_everywhere(workspace: Path) -> None:

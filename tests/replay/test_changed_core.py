@@ -143,7 +143,7 @@ def test_what_was_said_before_a_failure_counts() -> None:
             yield Envelope(HYPOTHESES, {**heard.address, "projector": "p"}, Hypotheses())
             raise KeyError("gone")
 
-    instance = Instance(PROJECTOR, "p", frozenset(), "", Half())  # type: ignore[arg-type]
+    instance = Instance(PROJECTOR, "p", "*", "", Half())  # type: ignore[arg-type]
     said = Loopback([instance]).hear(Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, Scan()))
     assert [envelope.channel for envelope in said] == [HYPOTHESES]
     assert instance.faults == ["KeyError on s/robot/r/scan/l: 'gone'"]

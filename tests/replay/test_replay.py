@@ -260,8 +260,20 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
     assert "note: tracker t was given other settings while it was recorded" in ended.out
 
 
-def test_an_instance_hears_only_its_robot(run: Run, eigenscan: Command, tmp_path: Path) -> None:
-    text = json.dumps({"robot": "robot", "instance": "t"})
+def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    count = len(only(run.messages, ODOMETRY))
+    command = ("--service", "tracker", "--compare")
+    for heard, is_noted in ((count, False), (count + 1, True)):
+        told = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=heard))
+        file = run.write(tmp_path / f"{heard}.mcap", [*run.messages, told])
+        ended = eigenscan("replay", file, *command)
+        noted = f"note: tracker t had heard {heard} odometry, the recording holds {count}" in ended.out
+        assert noted is is_noted, ended.out
+
+
+@pytest.mark.parametrize("group", ["robot", "r*t,another"])
+def test_an_instance_hears_only_its_robots(run: Run, eigenscan: Command, tmp_path: Path, group: str) -> None:
+    text = json.dumps({"robot": group, "instance": "t"})
     foreign = [
         Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "robot": "other"}))
         for timed in only(run.messages, ODOMETRY, HYPOTHESES)

@@ -61,8 +61,17 @@ def test_each_recording_and_service_is_a_test(
     assert (failure.text or "").splitlines()[-1] == f"both sides: {folder / 'altered.tracker.rrd'}"
     assert (folder / "altered.tracker.rrd").stat().st_size > 1000
     assert failure.get("message") == "pose: 1 different, 0 missing, 0 too many"
+    # two files at a time or one after another: the same, in the same order
+    alone = eigenscan("replay-test", folder, "--jobs", 1)
+    assert verdicts(alone.out) == verdicts(ended.out)
+    assert len(verdicts(alone.out)) == 7
     assert "first difference: pose" in (failure.text or "")
     assert "confidence" in (failure.text or "")
+
+
+def verdicts(out: str) -> list[str]:
+    """Result, recording and service of each test."""
+    return [line.partition(":")[0] for line in out.splitlines() if line and not line.startswith(" ")]
 
 
 def test_all_the_same_is_zero_and_bad_input_alone_is_two(folder: Path, eigenscan: Command) -> None:

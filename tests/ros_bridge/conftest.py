@@ -22,6 +22,7 @@ import zenoh
 import zenoh_ros2_sdk.message_registry
 from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge.service_types import NO_FIELDS, SERVICES
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.session import open_session
@@ -197,6 +198,9 @@ def definitions(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         # the message's own part; those that it refers to follow behind a line of equal signs
         path.write_text(store.generate_msgdef(name, ros_version=2)[0].split("=" * 80)[0])
+    for name, parts in SERVICES.items():
+        request, response = (text or NO_FIELDS for text in parts)
+        (folder / f"{name}.srv").write_text(f"{request}\n---\n{response}\n")
     zenoh_ros2_sdk.message_registry.get_registry(str(folder))
     return folder
 

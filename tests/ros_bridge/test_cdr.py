@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import to_message, to_pose3
-from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge import cdr, service_types
 from eigenscan.ros_bridge.outbound import (
     occupancy_grid,
     particle_cloud,
@@ -134,6 +134,14 @@ def test_hashes_are_those_of_ros_2() -> None:
     """Known from ROS 2 itself: std_msgs/String is in rmw_zenoh's design document."""
     string = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     assert cdr.type_hash("std_msgs/msg/String") == string
+
+
+def test_the_hash_of_a_service_is_that_of_ros_2(monkeypatch: pytest.MonkeyPatch) -> None:
+    """AddTwoInts is in rmw_zenoh's design document."""
+    kind = "example_interfaces/srv/AddTwoInts"
+    monkeypatch.setitem(service_types.SERVICES, kind, ("int64 a\nint64 b", "int64 sum"))
+    known = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
+    assert service_types.service_hash(kind) == known
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.channels import ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.runtime.loopback import Loopback
@@ -165,6 +165,72 @@ def test_odometry_is_said_with_frames_and_velocity() -> None:
     assert message.pose_covariance[35] == 0.03
 
 
+def test_odometry_is_tfs_as_amcls_is() -> None:
+    """A topic of odometry may be the wheels', and tf that of a filter: map to odom must fit to tf."""
+    bridge = core()
+    (said,) = hear(bridge, "%odom", odometry(7.0, 0.0, 0.0))
+    assert said.open(Odometry).pose.position.x == 7.0
+    half_turn = (0.0, 0.0, 1.0, 0.0)
+    (said,) = hear(bridge, "%tf", transform("/odom", "/base_footprint", (1.0, -2.0, 0.1), half_turn))
+    message = said.open(Odometry)
+    assert said.channel is ODOMETRY
+    assert nanoseconds(message.timestamp) == TIME
+    assert (message.frame_id, message.body_frame_id) == ("odom", "base_footprint")
+    assert from_pose3(message.pose) == pytest.approx([1.0, -2.0, np.pi])
+    assert hear(bridge, "%odom", odometry(7.1, 0.0, 0.0)) == []
+    # the mount is below the frame that tf moves
+    hear(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
+    hear(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
+    (said,) = hear(bridge, "%scan", scan("/laser"))
+    assert said.open(RawScan).mount.x == pytest.approx(0.7)
+
+
+def test_a_mount_follows_the_base_of_odometry() -> None:
+    """Its topic may name another base than tf, which is heard later."""
+    bridge = core()
+    hear(bridge, "%odom", odometry(0, 0, 0, base="base_link"))
+    hear(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
+    hear(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
+    assert hear(bridge, "%scan", scan())[0].open(RawScan).mount.x == pytest.approx(0.2)
+    hear(bridge, "%tf", transform("odom", "base_footprint", (0, 0, 0), (0, 0, 0, 1)))
+    assert hear(bridge, "%scan", scan())[0].open(RawScan).mount.x == pytest.approx(0.7)
+
+
+def test_odometry_in_tf_of_a_robot_with_names_of_its_own() -> None:
+    bridge = core(namespace="robot1", odom_frame="robot1/odom", odom="")
+    assert hear(bridge, "%robot1%tf", transform("odom", "base_link", (1, 0, 0), (0, 0, 0, 1))) == []
+    (said,) = hear(bridge, "%robot1%tf", transform("robot1/odom", "robot1/base", (1, 0, 0), (0, 0, 0, 1)))
+    assert said.open(Odometry).body_frame_id == "robot1/base"
+    mount = transform("robot1/base", "robot1/laser", (0.3, 0, 0), (0, 0, 0, 1))
+    hear(bridge, "%robot1%tf_static", mount)
+    assert len(hear(bridge, "%robot1%scan", scan("robot1/laser"))) == 1
+
+
+def test_odometry_of_the_topic_only_where_it_is_wanted() -> None:
+    bridge = core(odom_frame="")
+    assert hear(bridge, "%tf", transform("odom", "base_link", (1, 0, 0), (0, 0, 0, 1))) == []
+    assert len(hear(bridge, "%odom", odometry(7.0, 0.0, 0.0))) == 1
+
+
+def test_odometry_in_tf_that_is_no_pose_is_counted() -> None:
+    bridge = core()
+    assert hear(bridge, "%tf", transform("odom", "base_link", (np.nan, 0, 0), (0, 0, 0, 1))) == []
+    assert bridge.condition().counters["set_aside_odometry_not_a_pose"] == 1
+    assert len(hear(bridge, "%odom", odometry(7.0, 0.0, 0.0))) == 1
+
+
+def test_two_lidars_each_by_its_own_mount() -> None:
+    """One ahead, one astern and upside down."""
+    bridge = core(scan=["front/scan", "rear/scan"], base_frame="base_link")
+    hear(bridge, "%tf_static", transform("base_link", "front", (0.4, 0.0, 0.2), (0, 0, 0, 1)))
+    hear(bridge, "%tf_static", transform("base_link", "rear", (-0.4, 0.0, 0.2), (0, 1, 0, 0)))
+    ahead = hear(bridge, "%front%scan", scan("front"))[0].open(RawScan)
+    astern = hear(bridge, "%rear%scan", scan("rear"))[0].open(RawScan)
+    assert (ahead.mount.x, ahead.upside_down) == (pytest.approx(0.4), False)
+    assert (astern.mount.x, astern.upside_down) == (pytest.approx(-0.4), True)
+    assert abs(astern.mount.theta) == pytest.approx(np.pi)
+
+
 def test_a_clicked_pose_is_a_relocation() -> None:
     covariance = np.zeros((6, 6))
     covariance[0, 0], covariance[1, 1], covariance[5, 5], covariance[0, 5] = 0.25, 0.5, 0.07, 0.01
@@ -178,9 +244,37 @@ def test_a_clicked_pose_is_a_relocation() -> None:
     assert (c.xx, c.yy, c.tt, c.xt) == (0.25, 0.5, 0.07, 0.01)
 
 
+def ask(bridge: RosBridgeCore, endpoint: str, request: bytes = b"\0\1\0\0\0") -> tuple[bytes, list[Envelope]]:
+    """The response to a service's request, and what was said because of it."""
+    asked = Envelope(ROS_ASKED, {"endpoint": endpoint, "number": "7"}, BytesValue(value=request))
+    response, *because = Loopback([bridge]).hear(asked)
+    assert response.channel is ROS_ANSWERED
+    assert response.address == asked.address
+    return response.open(BytesValue).value, because
+
+
 def test_the_service_says_forget() -> None:
-    (said,) = hear(core(), "%reinitialize_global_localization", b"\0\1\0\0\0")
+    response, (said,) = ask(core(), "%reinitialize_global_localization")
+    assert response == b"\0\1\0\0\0"
     assert not said.open(Relocation).HasField("pose")
+
+
+def test_every_scan_counts_anyhow() -> None:
+    assert ask(core(), "%request_nomotion_update") == (b"\0\1\0\0\0", [])
+
+
+def test_a_pose_by_service_is_a_relocation() -> None:
+    stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), np.zeros(36))
+    request = cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header("map"), stated))
+    response, (said,) = ask(core(), "%set_initial_pose", request)
+    assert response == b"\0\1\0\0\0"
+    assert said.open(Relocation).pose.x == 3.0
+
+
+def test_a_request_that_is_none_is_answered_by_nothing() -> None:
+    bridge = core()
+    assert ask(bridge, "%set_initial_pose", b"\0\1\0\0") == (b"", [])
+    assert bridge.condition().counters["set_aside_not_cdr"] == 1
 
 
 def test_only_a_claimed_pose_is_said() -> None:

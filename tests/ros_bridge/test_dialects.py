@@ -84,8 +84,23 @@ def test_an_attachment_is_number_time_and_id() -> None:
 def test_ids_tell_endpoints_apart() -> None:
     dialect, bridge = RmwZenoh(0, "", SESSION), ends()
     ids = [dialect.attachment(endpoint, 1, 0)[17:] for endpoint in bridge]
-    assert len(set(ids)) == len(ids) == 10
-    assert ids[0] == gid_of(list(dialect.tokens(bridge))[1])
+    assert len(set(ids)) == len(ids) == 18
+    tokens = [token for token in dialect.tokens(bridge) if "/NN/" not in token]
+    assert ids == [gid_of(token) for token in tokens]
+
+
+def test_the_lifecycle_node_is_a_node_of_its_own() -> None:
+    """By its own number: `ros2 lifecycle` lists what has such services under its own name."""
+    tokens = list(RmwZenoh(2, "", SESSION).tokens(ends()))
+    nodes = [token for token in tokens if "/NN/" in token]
+    assert [token.rpartition("/")[2] for token in nodes] == ["eigenscan", "amcl"]
+    number = nodes[1].split("/")[3]
+    assert nodes[1] == f"@ros2_lv/2/{SESSION}/{number}/{number}/NN/%/%/amcl"
+    of_amcl = {
+        token.split("/")[9] for token in tokens if token.split("/")[3] == number and "/NN/" not in token
+    }
+    services = {"get_state", "change_state", "get_available_states", "get_available_transitions"}
+    assert of_amcl == {f"%amcl%{name}" for name in services} | {"%bond"}
 
 
 def test_an_id_is_xxh3_low_half_first() -> None:
@@ -109,12 +124,22 @@ def test_a_dds_bridge_gets_topics_and_nothing_beside_them() -> None:
     assert tokens[0] == f"@/{SESSION}/@ros2_lv"
     hashed = cdr.type_hash(cdr.POSE_WITH_COVARIANCE)
     pose = "r17§amcl_pose/geometry_msgs§msg§PoseWithCovarianceStamped"
-    assert f"@/{SESSION}/@ros2_lv/MP/{pose}/:1:1:0,1:typehash={hashed};" in tokens
+    assert f"@/{SESSION}/@ros2_lv/MP/{pose}/:1:1::typehash={hashed};" in tokens
     assert f"@/{SESSION}/@ros2_lv/SS/r17§reinitialize_global_localization/std_srvs§srv§Empty" in tokens
 
 
 def test_what_is_switched_off_is_not_there() -> None:
     bridge = ends(
-        odom="", map="", particles="", initial_pose="", global_localization="", mounts_from_tf=False
+        odom="",
+        map="",
+        particles="",
+        initial_pose="",
+        set_initial_pose="",
+        global_localization="",
+        nomotion_update="",
+        lifecycle="",
+        tf_broadcast=False,
+        mounts_from_tf=False,
     )
-    assert [endpoint.name for endpoint in bridge] == ["/scan", "/amcl_pose", "/tf"]
+    assert [endpoint.name for endpoint in bridge] == ["/scan", "/tf", "/amcl_pose"]
+    assert [endpoint.name for endpoint in ends(lifecycle="", tf="")].count("/tf") == 0

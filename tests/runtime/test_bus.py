@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from eigenscan.runtime import lately
 from eigenscan.runtime.bus import STAGGER_S, Bus, stagger
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
@@ -265,3 +266,25 @@ def test_what_is_said_after_the_end_is_refused(net: Any) -> None:
     bus.close()
     with pytest.raises(zenoh.ZError):
         bus.say(_model(net, "2"))
+
+
+def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
+    buses: Callable[[], Bus], net: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lately, "AMONG", 20)
+    hub, leaf, inbox = buses(), buses(), Inbox()
+    hub.listen([SCAN], {"site": net.site}, inbox)
+    robots = [f"r{number}" for number in range(200)]
+    assert leaf.wait_for_listener(SCAN.key({"site": net.site, "robot": "r0", "lidar": "front"}), 20)
+    heard = set()
+    for round_ in range(2):
+        for robot in robots:
+            leaf.say(
+                Envelope(SCAN, {"site": net.site, "robot": robot, "lidar": "front"}, Scan(sequence=round_))
+            )
+            assert len(leaf._publishers) <= 20
+        for _ in robots:
+            arrival = inbox.take(20)
+            assert arrival is not None
+            heard.add((arrival.key, arrival.payload))
+    assert len(heard) == 2 * len(robots)

@@ -57,7 +57,7 @@ def test_the_message_says_who_and_how() -> None:
 def test_prometheus_reads_the_metrics() -> None:
     monitor = Monitor("probe", "r7", "1.2.3")
     monitor.turn(OK)
-    monitor.handling.labels("scan").observe(0.003)
+    monitor.handled("scan", 0.003)
     monitor.dealt_with("scan", time.time_ns() - 3_000_000_000)
     families = {family.name: family for family in text_string_to_metric_families(monitor.metrics().decode())}
     assert [

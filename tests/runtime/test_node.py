@@ -32,7 +32,7 @@ def _end(service: Any, sign: signal.Signals) -> float:
 
 
 def _next(inbox: Inbox) -> Arrival:
-    arrival = inbox.take(timeout=10)
+    arrival = inbox.take(timeout=30)
     assert arrival is not None
     return arrival
 
@@ -110,6 +110,65 @@ def test_it_answers_for_its_model_and_ends_in_time_meanwhile(
     assert _end(service, signal.SIGTERM) < STOP_S
     assert service.process.returncode == 0
     bus.close()
+
+
+def test_a_prompt_core_takes_one_message_at_a_time_from_many_speakers(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    """It works in the threads that bring the messages: each counts once, in its speaker's order."""
+    listener, inbox = buses(), Inbox(100)
+    listener.listen([SCAN], {"site": net.site}, inbox)
+    start("--prompt", "true", config=net.leaf).log("ready")
+    speakers, bursts, burst = 3, 10, 20
+    names = [f"lidar{number}" for number in range(speakers)]
+    voices = {name: buses() for name in names}
+    for name, voice in voices.items():
+        address = {"site": net.site, "robot": "robot", "lidar": name}
+        assert voice.wait_for_listener(SCAN_RAW.key(address), 20)
+    warm_up = {"site": net.site, "robot": "robot", "lidar": "warm_up"}
+    while inbox.take(0.2) is None:  # until the service sees who listens to it
+        listener.say(Envelope(SCAN_RAW, warm_up, RawScan(frame_id="0")))
+    heard: dict[str, list[str]] = {name: [] for name in names}
+    sequences: list[int] = []
+    for number in range(bursts):
+
+        def say(name: str, number: int = number) -> None:
+            address = {"site": net.site, "robot": "robot", "lidar": name}
+            for frame in range(number * burst, (number + 1) * burst):
+                voices[name].say(Envelope(SCAN_RAW, address, RawScan(frame_id=f"{frame:04}")))
+
+        threads = [threading.Thread(target=say, args=(name,)) for name in names]
+        for thread in threads:
+            thread.start()
+        while len(sequences) < (number + 1) * speakers * burst:
+            arrival = _next(inbox)
+            lidar = arrival.key.rpartition("/")[2]
+            if lidar in heard:
+                scan = decode(SCAN, arrival.payload, arrival.encoding)
+                assert isinstance(scan, Scan)
+                heard[lidar].append(scan.frame_id)
+                sequences.append(scan.sequence)
+        for thread in threads:
+            thread.join()
+    assert len(set(sequences)) == len(sequences)  # two at a time would count the same number twice
+    expected = [f"{frame:04}" for frame in range(bursts * burst)]
+    assert heard == dict.fromkeys(names, expected)
+
+
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+def test_a_prompt_core_ends_in_time_with_its_last_words(
+    sign: signal.Signals, net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    bus, inbox = buses(), Inbox()
+    bus.listen([SCAN], {"site": net.site}, inbox)
+    service = start("--prompt", "true", config=net.leaf)
+    service.log("ready")
+    _ask(bus, net, "poison")  # what it fails on is not the end of it
+    _ask(bus, net, "front")
+    assert _next(inbox).key == f"{net.site}/robot/robot/scan/front"
+    assert _end(service, sign) < STOP_S
+    assert _next(inbox).key == f"{net.site}/robot/robot/scan/last"
+    assert service.log("stopped")["core_failed"] == 1
 
 
 def test_none_of_many_dies_of_its_end_amid_traffic(

@@ -88,6 +88,7 @@ def test_values_of_all_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_instance_is_named_after_its_robot() -> None:
     assert _load("--robot", "r17").instance == "r17"
     assert _load("--robot", "*").instance == "0"
+    assert _load("--robot", "a-*,b-7").instance == "a-+,b-7"
     assert _load("--robot", "r17", "--instance", "b").instance == "b"
 
 
@@ -105,6 +106,10 @@ def test_an_instance_is_named_after_its_robot() -> None:
         (["--site", "a/b"], ["--site = 'a/b'", "one chunk"]),
         (["--site", "*"], ["--site = '*'", "one chunk"]),
         (["--robot", "a b"], ["--robot = 'a b'", "no blanks"]),
+        (["--robot", "a,"], ["--robot = 'a,'", "'' is no robot"]),
+        (["--robot", "a-*,b,a-1"], ["a-* and a-1 fit the same robots", "once"]),
+        (["--robot", "a*,*b"], ["a* and *b fit the same robots"]),
+        (["--robot", "*,b"], ["* and b fit the same robots"]),
         (["--beams", "x", "--spacing", "y"], ["--beams = 'x'", "--spacing = 'y'"]),
         (["--config", "none.toml"], ["none.toml: cannot be read", "No such file", "--config"]),
     ],
@@ -176,7 +181,7 @@ def test_a_bad_robot_is_one_fault_only() -> None:
     """The instance, which would be named after it, is not spoken of."""
     with pytest.raises(SettingsError) as error:
         _load("--robot", "a/b")
-    assert str(error.value).startswith("--robot = 'a/b': must be one chunk")
+    assert str(error.value).startswith("--robot = 'a/b': 'a/b' is no robot: ")
     assert "instance" not in str(error.value)
 
 

@@ -19,6 +19,7 @@ class TinySettings(ServiceSettings):
     handle_s: float = 0.0
     model_bytes: int = 0
     broken: bool = False
+    prompt: bool = False
 
 
 class TinyCore:
@@ -66,4 +67,4 @@ def print_waiting(what: str, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    node.main("tiny", TinySettings, TinyCore)
+    node.main("tiny", TinySettings, TinyCore, prompt="--prompt" in sys.argv)

@@ -4,14 +4,15 @@ import json
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
-from eigenscan.schemas.channels import ALIVE_TEMPLATE, HEALTH, SCAN
+from eigenscan.schemas.channels import ALIVE_TEMPLATE, CONTRACT_VERSION, HEALTH, SCAN
 from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import encode, encoding
@@ -95,33 +96,45 @@ def test_an_empty_site_is_named(house: House) -> None:
     assert complaints(house) == [(f"site {house.site}", "nobody is there")]
 
 
-@pytest.fixture
-def stranger(house: House) -> Iterator[dict[str, Any]]:
-    """A projector of another release, a minute behind, that drops scans; what it says can be changed."""
-    said: dict[str, Any] = {"status": Health.STATUS_OK, "detail": ""}
-    who = {"site": house.site, "service": "projector", "instance": "old"}
-    token = house.session.liveliness().declare_token(ALIVE_TEMPLATE.format(**who, contract=99))
+@contextmanager
+def speaking(
+    house: House, service: str, instance: str, contract: int, words: Callable[[int], dict[str, Any]]
+) -> Iterator[None]:
+    """An instance of a service that says its health five times a second, `words` by its number."""
+    who = {"site": house.site, "service": service, "instance": instance}
+    token = house.session.liveliness().declare_token(ALIVE_TEMPLATE.format(**who, contract=contract))
     stop = threading.Event()
 
     def speak() -> None:
         for number in count():
-            message = Health(
-                timestamp=stamp(time.time_ns() - 60_000_000_000),
-                service="projector",
-                instance="old",
-                counters={f"dropped_{SCAN.name}": 3 * number, "undecodable": number},
-                **said,
-            )
+            given = {"timestamp": stamp(time.time_ns()), "status": Health.STATUS_OK} | words(number)
+            message = Health(service=service, instance=instance, **given)
             house.session.put(HEALTH.key(who), encode(message), encoding=zenoh.Encoding(encoding(HEALTH)))
             if stop.wait(0.2):
                 return
 
-    speaking = threading.Thread(target=speak)
-    speaking.start()
-    yield said
-    stop.set()
-    speaking.join()
-    token.undeclare()
+    thread = threading.Thread(target=speak)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        token.undeclare()
+
+
+@pytest.fixture
+def stranger(house: House) -> Iterator[dict[str, Any]]:
+    """A projector of another release, a minute behind, that drops scans; what it says can be changed."""
+    said: dict[str, Any] = {"status": Health.STATUS_OK, "detail": ""}
+
+    def words(number: int) -> dict[str, Any]:
+        behind = stamp(time.time_ns() - 60_000_000_000)
+        counters = {f"dropped_{SCAN.name}": 3 * number, "undecodable": number}
+        return {"timestamp": behind, "counters": counters, **said}
+
+    with speaking(house, "projector", "old", 99, words):
+        yield said
 
 
 def test_another_release_a_wrong_clock_and_drops_are_named(house: House, stranger: dict[str, Any]) -> None:
@@ -135,3 +148,28 @@ def test_another_release_a_wrong_clock_and_drops_are_named(house: House, strange
     assert said[3].startswith("could not decode ")
     assert said[4].startswith("is too slow: drops scan, ")
     assert len(said) == 5
+
+
+def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(house: House) -> None:
+    there = [
+        ("scan-ingest", "0", {"robot": "*"}),
+        ("tracker", "a-+", {"robot": "a-*"}),
+        ("tracker", "a-1", {"robot": "a-1,b-1"}),
+        ("projector", "a-+-1of3", {"robot": "a-*", "part": "1/3"}),
+        ("projector", "a-+-3of3", {"robot": "a-*", "part": "3/3"}),
+        ("projector", "b-+", {"robot": "b-*", "part": "1/1"}),
+    ]
+    with ExitStack() as stack:
+        for service, instance, settings in there:
+            told = json.dumps(settings)
+
+            def words(number: int, told: str = told) -> dict[str, Any]:
+                return {"settings": told, "counters": {"heard_scan_raw": number}}
+
+            stack.enter_context(speaking(house, service, instance, CONTRACT_VERSION, words))
+        found = complaints(house, "--robot", "b-2")
+    assert found[1:] == [
+        ("robot a-1", "has tracker a-+ and a-1: each spoils what the other says"),
+        ("robot a-1", "no projector searches part 2/3 of the site"),
+        ("robot b-2", "no tracker"),
+    ]

@@ -1,4 +1,4 @@
-"""Projectors that share a site's regions, with nothing but Zenoh between them and the tracker."""
+"""Projectors that share a site's regions or its robots, with nothing but Zenoh between the services."""
 
 from pathlib import Path
 
@@ -13,6 +13,9 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from tests.system.house import Drive, House, reference
 
 PARTS = 2
+
+
+GROUPS = ("r-001,r-002", "*-003,*4")
 
 
 def ready_projectors(heard: list[Envelope]) -> bool:
@@ -30,7 +33,7 @@ def ready_projectors(heard: list[Envelope]) -> bool:
 def test_two_half_projectors_localize_a_robot(drive: Drive, models: Path, house: House) -> None:
     house.start("mapbuilder", "--model", models)
     for k in range(1, PARTS + 1):
-        house.start("projector", "--part", f"{k}/{PARTS}", "--instance", f"half{k}", alias=f"half{k}")
+        house.start("projector", "--part", f"{k}/{PARTS}", alias=f"half{k}")
     house.start("tracker")
     house.start("scan-ingest")
     house.ear.wait_for(ready_projectors, "both projectors to have their models")
@@ -52,6 +55,42 @@ def test_two_half_projectors_localize_a_robot(drive: Drive, models: Path, house:
         if envelope.channel is HYPOTHESES:
             regions = {p.region for p in envelope.open(Hypotheses).projections}
             said.setdefault(envelope.address["projector"], set()).update(regions)
-    assert sorted(said) == [f"half{k}" for k in range(1, PARTS + 1)]
-    assert not said["half1"] & said["half2"]
+    assert sorted(said) == ["robot-1of2", "robot-2of2"]
+    assert not said["robot-1of2"] & said["robot-2of2"]
     assert all(said.values())
+
+
+@pytest.mark.dataset
+def test_each_group_of_robots_has_services_of_its_own(drive: Drive, models: Path, house: House) -> None:
+    house.start("mapbuilder", "--model", models)
+    for group in GROUPS:
+        for service in ("projector", "tracker", "scan-ingest"):
+            house.start(service, "--robot", group, alias=f"{service} {group}")
+    house.ear.wait_for(ready_projectors, "both projectors to have their models")
+    house.replay(drive.recording, "--robots", 4, "--stamps", "now", "--to", 6)
+
+    def localized(heard: list[Envelope]) -> bool:
+        sure = {
+            e.address["robot"]
+            for e in heard
+            if e.channel is POSE and e.open(PoseEstimate).state == STATE_LOCALIZED
+        }
+        return sure == {f"r-00{n}" for n in (1, 2, 3, 4)}
+
+    house.ear.wait_for(localized, "four localized robots")
+    answered = {
+        (e.address["robot"], e.address["projector"]) for e in house.ear.heard if e.channel is HYPOTHESES
+    }
+    assert answered == {
+        ("r-001", "r-001,r-002"),
+        ("r-002", "r-001,r-002"),
+        ("r-003", "+-003,+4"),
+        ("r-004", "+-003,+4"),
+    }
+    # one tracker a robot: nobody says a pose twice
+    poses = [
+        (e.address["robot"], nanoseconds(e.open(PoseEstimate).timestamp))
+        for e in house.ear.heard
+        if e.channel is POSE
+    ]
+    assert len(poses) == len(set(poses))

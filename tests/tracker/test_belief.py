@@ -248,6 +248,24 @@ def test_a_stretch_that_the_map_hardly_shows_is_driven_through(make_core, speake
             assert is_right(message, truth)
 
 
+def test_a_lookalike_does_not_take_a_robot_from_where_it_drove(make_core, speaker, poses_of) -> None:
+    """Two metres that the map lacks, while another room fits as well as the right one does elsewhere."""
+    core, rng = make_core(), np.random.default_rng(8)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    wrong, aliases = np.array([15.0, 12.0, 1.0]), others(rng, 6)
+    heard, speaker.clutter = [], 0
+    for scan in range(100):
+        truth, odometry, wrong = (compose(pose, STEP) for pose in (truth, odometry, wrong))
+        aliases = [compose(pose, STEP) for pose in aliases]
+        core.handle(speaker.odometry(10.0 + 0.1 * scan, odometry))
+        lacking = 40 <= scan < 80
+        poses = [wrong if lacking else truth + rng.normal(size=3) * [0.03, 0.03, 0.01], *aliases]
+        said = core.handle(speaker.hypotheses(10.0 + 0.1 * scan, poses, [15.5, *[7.0] * 6]))
+        heard += [(message, truth) for message in poses_of(said)]
+    assert all(is_right(m, t) for m, t in heard if m.state == STATE_LOCALIZED)
+    assert all(m.state == STATE_LOCALIZED for m, _ in [*heard[5:40], *heard[90:]])
+
+
 def test_wheels_that_slip_do_not_lose_the_robot(make_core, speaker, poses_of) -> None:
     """Odometry says forward while the robot goes back: what the scans show nearby takes over."""
     core, rng = make_core(), np.random.default_rng(9)

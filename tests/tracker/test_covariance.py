@@ -3,8 +3,9 @@ from __future__ import annotations
 import filterpy.stats
 import numpy as np
 import pytest
+from eigenscan.geometry.symmetric import inverse_each
 from eigenscan.tracker.association import associate, crowding
-from eigenscan.tracker.covariance import fuse, invert, is_covariance, mahalanobis_squared, moments
+from eigenscan.tracker.covariance import fuse, is_covariance, mahalanobis_squared, moments
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
@@ -41,7 +42,7 @@ def test_distance_is_filterpys_mahalanobis(seed: int) -> None:
     for row in range(5):
         expected = filterpy.stats.mahalanobis(delta[row], np.zeros(3), C[row]) ** 2
         assert squared[row] == pytest.approx(expected, rel=1e-8)
-    assert invert(C) @ C == pytest.approx(np.tile(np.eye(3), (5, 1, 1)), abs=1e-7)
+    assert inverse_each(C) @ C == pytest.approx(np.tile(np.eye(3), (5, 1, 1)), abs=1e-7)
 
 
 def test_fusion_across_the_turn_takes_the_short_way() -> None:

@@ -78,7 +78,13 @@ def test_what_odometry_alone_carried_is_taken_back_and_what_a_scan_confirmed_is_
     start = np.array([[2.0, 3.0, 0.5], [7.0, 1.0, -2.0], [4.0, 4.0, 3.1]])
     belief.source_index("0")
     belief.tracks = begin(
-        start, np.tile(np.eye(3) * 1e-3, (3, 1, 1)), np.log([0.5, 0.3, 0.2]), np.zeros((3, 1)), 0, 0
+        start,
+        np.tile(np.eye(3) * 1e-3, (3, 1, 1)),
+        np.log([0.5, 0.3, 0.2]),
+        np.zeros(3),
+        np.zeros((3, 1)),
+        0,
+        0,
     )
     belief.predict(told(5))
     belief.tracks.unchecked[1] = 0.0

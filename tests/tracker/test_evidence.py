@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from eigenscan.tracker.association import associate
+from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.evidence import (
+    ENDS,
     MOST_AHEAD,
     SLIP_M,
     SLIP_RAD,
     SLIP_SHARE,
     SLIPS,
+    TWINS,
     Merit,
+    explained_by_twins,
     hide_and_show,
     present_evidence,
-    slipped_density,
+    share_twins,
+    slipped,
     surprise,
+    twins_go_on,
+    twins_of,
 )
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.tracks import Tracks, begin, join
@@ -43,7 +49,9 @@ def listed(poses, log_likelihoods) -> Observation:
 
 
 def track(pose, *, mass: float = 1.0, way: float = 0.0, turn: float = 0.0, evidence: float = 0.0) -> Tracks:
-    begun = begin(np.array([pose], dtype=np.float64), R[None], np.log([mass]), np.array([[evidence]]), 1, 0)
+    begun = begin(
+        np.array([pose], dtype=np.float64), R[None], np.log([mass]), np.zeros(1), np.array([[evidence]]), 1, 0
+    )
     return Tracks(**{**vars(begun), "unchecked": np.array([[way, turn]])})
 
 
@@ -90,30 +98,94 @@ def test_hiding_in_small_steps_is_hiding_in_a_large_one() -> None:
     assert small[0] == pytest.approx(hide_and_show(np.array([0.0]), 1.0)[0], rel=0.15)
 
 
-def test_slip_density_is_a_wide_gaussian_about_each_track() -> None:
+def within_gates(tracks: Tracks, seen: Observation, gate: float = 16.0) -> Pairs:
+    return associate(tracks.x, tracks.C, seen.poses, seen.covariances, gate)
+
+
+def test_slipped_mass_is_a_wide_gaussian_about_each_track() -> None:
     tracks = join([track([2, 3, 0.5], mass=0.6, way=1.5, turn=0.4), track([8, 1, -3.1], mass=0.4)])
-    poses = np.array([[2.8, 2.7, 0.9], [7.9, 1.1, 3.1]])
-    expected = np.zeros(2)
+    # so little speaks for them that what a scan alone tells is the less
+    seen = listed([[3.8, 2.7, 0.9], [7.5, 1.1, 3.1]], [-8.0, -9.0])
+    merit, expected = Merit.of(seen), np.zeros(2)
     for x, mass, way, turn in (([2, 3, 0.5], 0.6, 1.5, 0.4), ([8, 1, -3.1], 0.4, 0.0, 0.0)):
         sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * np.array([way, way, turn])
-        off = poses - x
+        off = seen.poses - x
         off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
-        expected += SLIPS * mass * multivariate_normal(np.zeros(3), R + R + np.diag(sigma**2)).pdf(off)
-    found = slipped_density(tracks, poses, np.tile(R, (2, 1, 1)))
+        density = multivariate_normal(np.zeros(3), R + R + np.diag(sigma**2)).pdf(off)
+        volume = np.sqrt((2.0 * np.pi) ** 3 * np.linalg.det(R))
+        expected += SLIPS * mass * np.minimum(np.exp(merit.foretold), np.exp(merit.alone) * volume * density)
+    found = slipped(tracks, seen, merit, within_gates(tracks, seen))
     np.testing.assert_allclose(found, np.log(expected), rtol=1e-9)
 
 
+def test_a_hypothesis_nearby_says_no_more_of_a_slip_than_of_a_track() -> None:
+    tracks, seen = track([2.0, 3.0, 0.5], way=0.5), listed([[2.4, 3.0, 0.5]], [40.0])
+    merit = Merit.of(seen)
+    found = slipped(tracks, seen, merit, within_gates(tracks, seen))
+    assert found[0] == pytest.approx(np.log(SLIPS) + merit.foretold[0])
+
+
+def test_a_track_has_not_slipped_to_what_is_in_its_gate() -> None:
+    tracks, seen = join([track([2.0, 3.0, 0.5]), track([2.5, 3.0, 0.5])]), listed([[2.02, 3.0, 0.5]], [12.0])
+    alone = slipped(tracks.pick(np.array([1])), seen, Merit.of(seen), within_gates(track([9, 9, 0]), seen))
+    assert np.isfinite(alone[0])
+    assert slipped(tracks, seen, Merit.of(seen), within_gates(tracks, seen))[0] == pytest.approx(alone[0])
+
+
 def test_who_is_shown_here_has_not_slipped_here() -> None:
-    pose, there = [2.0, 3.0, 0.5], np.array([[2.3, 3.0, 0.5]])
-    shown = slipped_density(track(pose, evidence=5.0), there, R[None])
-    hidden = slipped_density(track(pose, evidence=-5.0), there, R[None])
+    pose, seen = [2.0, 3.0, 0.5], listed([[2.4, 3.0, 0.5]], [12.0])
+    none = within_gates(track([9, 9, 0]), seen)
+    shown = slipped(track(pose, evidence=5.0), seen, Merit.of(seen), none)
+    hidden = slipped(track(pose, evidence=-5.0), seen, Merit.of(seen), none)
     assert hidden[0] - shown[0] == pytest.approx(5.0)
     np.testing.assert_allclose(present_evidence(track(pose, evidence=-5.0)), [0.0])
 
 
 def test_without_tracks_nothing_slips() -> None:
-    none = track([0, 0, 0]).pick(np.zeros(0, dtype=np.intp))
-    assert slipped_density(none, np.zeros((2, 3)), np.tile(R, (2, 1, 1))).tolist() == [-np.inf, -np.inf]
+    none, seen = track([0, 0, 0]).pick(np.zeros(0, dtype=np.intp)), listed(np.zeros((2, 3)), [9.0, 9.0])
+    assert slipped(none, seen, Merit.of(seen), within_gates(none, seen)).tolist() == [-np.inf, -np.inf]
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-12.0, 12.0)), min_size=1, max_size=6),
+    st.floats(0.0, 1.0),
+)
+def test_twins_are_weighed_by_bayes(tracks: list[tuple[float, float]], none: float) -> None:
+    """Case by case: none of the tracks is a twin, or the first is, or the second, and so on."""
+    prior = np.array([none + 0.01, *(share for share, _ in tracks)])
+    prior /= prior.sum()
+    likelihood = np.exp([0.0, *(gained for _, gained in tracks)])
+    gained = np.array([gained for _, gained in tracks])
+    explained, of_others, after = explained_by_twins(prior[1:], gained)
+    joint = prior * likelihood
+    assert explained == pytest.approx(np.log(joint.sum()), abs=1e-9)
+    np.testing.assert_allclose(after, joint[1:] / joint.sum(), atol=1e-9)
+    for index, other in enumerate(of_others, start=1):
+        if prior[index] < 0.99:
+            rest = np.delete(joint, index).sum() / np.delete(prior, index).sum()
+            assert other == pytest.approx(np.log(rest), abs=1e-6)
+
+
+def test_a_lookalike_that_goes_on_gains_no_more_than_twins_end() -> None:
+    """What looked right at first tells little by looking right again, however well it does."""
+    twin, told = twins_of(np.array([6.0])), []
+    for _ in range(20):
+        explained, _, twin = explained_by_twins(twins_go_on(twin, 1.0), np.array([6.0]))
+        told.append(6.0 - explained)
+    # the share of twins that end over a step is all that is left to learn
+    assert told[-1] == pytest.approx(-np.log(np.exp(-ENDS)), abs=0.02)
+    assert max(told[1:]) < 0.5
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1e3))
+def test_twins_are_one_at_most_and_in_the_end_as_many_as_usual(a: float, b: float, progress: float) -> None:
+    tracks = Tracks(**{**vars(join([track([0, 0, 0]), track([5, 0, 0])])), "twin": np.array([a, b])})
+    shared = share_twins(tracks).twin
+    assert shared.sum() <= 1.0 + 1e-9
+    after = twins_go_on(shared, progress)
+    assert (after >= 0.0).all()
+    assert after.sum() <= 1.0 + 1e-9
+    np.testing.assert_allclose(twins_go_on(np.zeros(2), 1e6), [TWINS, TWINS])
 
 
 def test_a_usual_innovation_leaves_the_covariance_as_it_is() -> None:

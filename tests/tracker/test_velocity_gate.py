@@ -14,11 +14,11 @@ def oracle_readings(steps: np.ndarray, seconds: np.ndarray) -> list[Reading]:
     """What filterpy says of increments after the first, none of which is refused."""
     kalman = KalmanFilter(dim_x=3, dim_z=3)
     kalman.F = kalman.H = np.eye(3)
-    kalman.x, kalman.P = steps[0] / seconds[0], np.diag((STEP_NOISE / seconds[0]) ** 2)
+    kalman.x, kalman.P = steps[0] / seconds[0], np.diag((np.array(STEP_NOISE) / seconds[0]) ** 2)
     readings = []
     for step, dt in zip(steps[1:], seconds[1:], strict=True):
-        noise = np.diag((STEP_NOISE / dt) ** 2)
-        kalman.predict(Q=np.diag((ACCELERATION * dt) ** 2))
+        noise = np.diag((np.array(STEP_NOISE) / dt) ** 2)
+        kalman.predict(Q=np.diag((np.array(ACCELERATION) * dt) ** 2))
         distance = filterpy.stats.mahalanobis(step / dt, kalman.x, kalman.P + noise)
         inside = distance**2 <= chi2.ppf(1.0 - 1e-6, 3)
         readings.append(Reading.TAKEN if inside else Reading.SLIP)

@@ -1,0 +1,86 @@
+"""A scripted hour, compressed: a site and two robots, a machine each, to which all sorts of things happen."""
+
+import os
+from typing import Any
+
+import pytest
+
+from tests.machines.hour import CLOCK_S, hour, play
+
+pytestmark = [
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root"),
+]
+
+ROBOTS = ("r1", "r2")
+CUT_S, FULL_S, PAUSE_S = 15.0, 5.0, 1.0
+UNLOCALIZED_S = 3.0
+"""At most, beyond the time until what was taken says that it works: most of that is the start of Python."""
+CLOCK_SLACK_S = 2.0
+
+
+@pytest.fixture(scope="module")
+def passed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the hour cost."""
+    with hour(tmp_path_factory.mktemp("hour"), ROBOTS, 1800.0, PAUSE_S) as made:
+        return play(made, CUT_S, FULL_S, 1, print)
+
+
+def test_no_robot_claims_a_wrong_place(passed: dict[str, Any]) -> None:
+    assert passed["claims"] > 400
+    assert passed["wrong"] == dict.fromkeys(ROBOTS, 0)
+
+
+def test_everything_happened(passed: dict[str, Any]) -> None:
+    names = [event["name"] for event in passed["events"]]
+    assert len(names) == 4 + 4 + 3 + 3 + 3, names
+
+
+def test_no_robot_is_unlocalized_for_long(passed: dict[str, Any]) -> None:
+    for event in passed["events"]:
+        for robot, seconds in event["beyond_s"].items():
+            assert seconds < UNLOCALIZED_S, (robot, event)
+
+
+def test_what_the_site_hears_is_recorded_but_while_its_recorder_or_router_is_gone(
+    passed: dict[str, Any],
+) -> None:
+    assert passed["said"] > 100
+    assert passed["unrecorded"] == 0
+    assert passed["undelivered"] <= passed["said"] // 100  # poses may be dropped on a link that is busy
+    lossless = [event for event in passed["events"] if not event["loses"]]
+    assert all(event["unrecorded"] <= 1 for event in lossless), lossless
+
+
+def test_a_full_disk_is_said_and_what_is_written_stays(passed: dict[str, Any]) -> None:
+    disk = passed["disk"]
+    assert "No space left" in disk["detail"]
+    assert f"{disk['counters']['mcap_lost']} messages lost" in disk["detail"]
+    assert len(disk["files"]) == 3  # before the recorder's restart, until the disk was full, after it
+    assert min(disk["files"].values()) > 0
+
+
+def test_a_bad_link_delays_what_the_site_hears_and_nothing_else(passed: dict[str, Any]) -> None:
+    air = passed["bad_air"]
+    assert air["said"] > 15
+    assert air["arrived"] > 0.5  # of a burst the site's router takes one
+    assert air["longest_silence_s"] < UNLOCALIZED_S
+    assert air["median_ms"] > air["delay_ms"] * 0.9
+    assert max(air["unlocalized_s"].values()) < UNLOCALIZED_S
+
+
+def test_who_was_cut_off_gets_the_models_that_were_made_meanwhile(passed: dict[str, Any]) -> None:
+    assert passed["new_models_s"].keys() == set(ROBOTS)
+    assert min(passed["new_models_s"].values()) > 0.0
+
+
+def test_the_site_tells_how_old_its_view_is_and_whose_clock_is_off(passed: dict[str, Any]) -> None:
+    behind, right = passed["status"]["whole"]
+    assert (behind["robot"], right["robot"]) == ROBOTS
+    assert abs(behind["clock_offset_s"] - CLOCK_S) < CLOCK_SLACK_S
+    assert abs(right["clock_offset_s"]) < CLOCK_SLACK_S
+    for row in (behind, right):
+        assert row["state"] == "localized"
+        assert row["pose_age_s"] < UNLOCALIZED_S
+    for row in passed["status"]["cut"]:
+        assert CUT_S - 1.0 < row["pose_age_s"] < CUT_S + UNLOCALIZED_S

@@ -1,0 +1,62 @@
+"""`eigenscan fleet relocate` beside a robot at work: what it answers, and what becomes of the robot."""
+
+import json
+import subprocess
+from typing import Any
+
+from eigenscan.schemas.channels import POSE
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+
+from tests.system.house import PROGRAMS, House
+from tests.system.robot import Robot
+
+
+def tell(house: House, *arguments: object) -> tuple[int, dict[str, Any], str]:
+    """Exit code, figures and errors of the command."""
+    where = ["--site", house.site, "--zenoh", house.config, "--json", "-"]
+    done = subprocess.run(
+        [PROGRAMS / "eigenscan", "fleet", "relocate", *map(str, arguments), *where],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, json.loads(done.stdout or "{}"), done.stderr
+
+
+def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: House) -> None:
+    robot = Robot(house.site, house.config)
+    house.start("mapbuilder", "--map", robot.write_map(house.logs), "--step", "1.0")
+    for service in ("projector", "scan-ingest", "tracker"):
+        house.start(service)
+    with robot:
+
+        def sure(_: object) -> list[PoseEstimate]:
+            return [p for p in house.ear.of(POSE, PoseEstimate) if p.state == STATE_LOCALIZED]
+
+        newest = house.ear.wait_for(sure, "a claim")[-1]
+        code, found, _ = tell(
+            house, "robot", "--pose", newest.pose.x, newest.pose.y, 57.3 * newest.pose.theta, "--seconds", 30
+        )
+        assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
+        assert found["away_m"] < 20.0  # it has driven on since
+
+        code, found, _ = tell(house, "robot", "--anew", "--seconds", 30)
+        assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
+        assert house.ear.health("tracker").counters["relocated"] == 2  # type: ignore[union-attr]
+
+        code, found, error = tell(house, "lost", "--anew", "--seconds", 3)
+        assert (code, found) == (1, {})
+        assert "lost: nobody tracks it" in error
+        assert "robot" in error.rpartition(":")[2]
+
+
+def test_what_is_asked_wrongly_is_refused_before_anything_is_said(house: House) -> None:
+    for wrong, words in (
+        (["robot"], "either --pose X Y DEG or --anew"),
+        (["robot", "--anew", "--pose", 1, 2, 3], "either --pose X Y DEG or --anew"),
+        (["robot", "--pose", "nan", 2, 3], "is no place"),
+        (["*", "--anew"], "is no robot's name"),
+    ):
+        code, _, error = tell(house, *wrong)
+        assert code == 2
+        assert words in error
