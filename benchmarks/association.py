@@ -15,8 +15,9 @@ not part of the project; by default they are looked for beside it. Set OMP_NUM_T
 
 import argparse
 import json
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,7 @@ def simulated(count: int, area: float = 470.0, occlude: float = 0.0) -> tuple[Si
     return built, asked(scans, poses, occlude)
 
 
-def asked(scans: list[Scan], truths: Sequence[np.ndarray], occlude: float) -> list[Asked]:
+def asked(scans: list[Scan], truths: Iterable[np.ndarray], occlude: float) -> list[Asked]:
     """With a share of the beams occluded."""
     seen = [observe(occluded(scan, occlude, i) if occlude else scan) for i, scan in enumerate(scans)]
     return [Asked(one, truth) for one, truth in zip(seen, truths, strict=True)]
@@ -137,7 +138,7 @@ def judge(built: SiteModel, scans: list[Asked], settings: ProjectorSettings) -> 
         recall.append(bool(hits(poses, one.truth).any()))
         hit = hits(apart(poses), one.truth)
         false.append(np.count_nonzero(~hit))
-        ahead.append(np.argmax(hit) if hit.any() else np.inf)
+        ahead.append(float(np.argmax(hit)) if hit.any() else math.inf)
         before = time.process_time()
         final = hits(find_candidates(site, view, one.seen, settings).poses, one.truth)
         scan.append((time.process_time() - before) * 1e3)

@@ -91,6 +91,7 @@ def _draw(path: Path, grid: GridMap, one: Asked, lists: dict[str, np.ndarray]) -
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.lines import Line2D
 
     figure, axes = plt.subplots(1, 2, figsize=(14, 6.4))
     titles = {"nearest": "Figure 6: the nearest poses", "volumes": "Figure 7: volumes that enclose the scan"}
@@ -108,10 +109,10 @@ def _draw(path: Path, grid: GridMap, one: Asked, lists: dict[str, np.ndarray]) -
         axis.set_title(f"{titles[name]}\n{np.count_nonzero(~hit)} wrong hypotheses", fontsize=17)
         axis.set_axis_off()
     marks = ((RIGHT, ">", "right", "full"), (WRONG, ">", "wrong", "full"), (TRUTH, "o", "the robot", "none"))
-    legend = [
-        plt.Line2D([], [], color=color, marker=marker, ls="", markersize=12, label=label, fillstyle=style)
-        for color, marker, label, style in marks
-    ]
+    legend = []
+    for color, marker, label, style in marks:
+        legend.append(Line2D([], [], color=color, marker=marker, ls="", markersize=12, label=label))
+        legend[-1].set_fillstyle(style)  # type: ignore[arg-type]
     figure.legend(handles=legend, loc="lower center", ncols=3, fontsize=14, frameon=False)
     figure.subplots_adjust(left=0.01, right=0.99, bottom=0.09, top=0.88, wspace=0.03)
     figure.savefig(path, dpi=90)

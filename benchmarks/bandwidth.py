@@ -70,7 +70,7 @@ def certify(folder: Path, settings: str) -> dict[str, int]:
     """A fleet of one robot on this machine; gives the port of each router, and of the counter."""
     fleet = folder / "fleet"
     command = [
-        EIGENSCAN,
+        str(EIGENSCAN),
         "fleet",
         "certify",
         "--site",
@@ -80,7 +80,7 @@ def certify(folder: Path, settings: str) -> dict[str, int]:
         "--robot",
         ROBOT,
         "-o",
-        fleet,
+        str(fleet),
     ]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     with (fleet / "fleet.toml").open("a", encoding="utf-8") as file:

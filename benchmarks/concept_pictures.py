@@ -18,7 +18,9 @@ from eigenscan.eigenspace.panorama import windows
 from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.geometry.raycast import RayCaster
 from eigenscan.localize import Localizer, Scan, read_log
+from scipy.spatial import Delaunay
 
 mpl.use("Agg")
 from matplotlib import pyplot
@@ -27,6 +29,9 @@ SHOWN = 4
 CAP = 8.0
 """m: where few beams see farther, a greater cap lets those few places fill the picture."""
 COLOURS = ["#4c78a8", "#f58518", "#54a24b", "#b279a2"]
+RANGE_MAX = 80.0
+REACH, FINE, TURNED = 0.7, 0.1, 16
+"""m around the scan's place, m between places; steps of heading."""
 STAR: Any = {"color": "#d62728", "marker": "*", "s": 300, "edgecolor": "white", "zorder": 5}
 
 
@@ -47,13 +52,15 @@ class Example:
         angles = self.scan.angle_min + self.scan.angle_increment * np.arange(len(ranges))
         ranges = np.where(ranges < self.scan.range_max, ranges, CAP)
         wanted = sensor.angle_min + sensor.angle_increment * np.arange(sensor.beams)
-        return RangeTransform(CAP)(np.interp(wanted, angles, ranges))
+        transformed: np.ndarray = RangeTransform(CAP)(np.interp(wanted, angles, ranges))
+        return transformed
 
     @property
     def degrees(self) -> np.ndarray:
         """Direction of each of those beams."""
         sensor = self.region.sensor
-        return np.degrees(sensor.angle_min + sensor.angle_increment * np.arange(sensor.beams))
+        degrees: np.ndarray = np.degrees(sensor.angle_min + sensor.angle_increment * np.arange(sensor.beams))
+        return degrees
 
 
 def choose(map_file: Path, log: Path, truth: Path, number: int) -> Example:
@@ -114,6 +121,88 @@ def draw_manifold(example: Example, path: Path) -> None:
     _save(figure, path)
 
 
+def draw_surfaces(example: Example, path: Path) -> None:
+    """Figures 3 and 4 of the paper, of a real room: a synthetic scan; a triangle of places in eigenspace."""
+    region, turn = example.region, example.region.panoramas.shape[1]
+    fine = _around(example, REACH, FINE)
+    colours = _by_place(fine)
+    figure = pyplot.figure(figsize=(13, 5.6), layout="constrained")
+    plan: Any = figure.add_subplot(1, 2, 1)
+    space: Any = figure.add_subplot(1, 2, 2, projection="3d")
+    space.computed_zorder = False  # what is drawn later is seen
+    _draw_synthetic(plan, example)
+    plan.scatter(*fine.T, c=colours, s=12)
+    triangles = Delaunay(fine).simplices
+    heading = region.sensor.window_of(np.array([example.pose[2]]), turn)
+    sheet = _coefficients(example, fine, heading)
+    surface = space.plot_trisurf(*sheet.T, triangles=triangles, edgecolor="white", linewidth=0.2, alpha=0.8)
+    surface.set_facecolor(colours[triangles].mean(axis=1))
+    loop = _coefficients(example, example.pose[None, :2], heading + np.arange(-TURNED, TURNED + 1))
+    space.plot(
+        *loop.T,
+        color="black",
+        linewidth=1,
+        label=f"the place, turned by up to {TURNED / turn * 360:.0f}°",
+    )
+    corners = _triangle(example)
+    closed = np.vstack([corners, corners[:1]])
+    plan.plot(*closed.T, color="black", linewidth=1.5)
+    space.plot(
+        *_coefficients(example, closed, heading).T,
+        color="black",
+        linewidth=2,
+        label="a triangle of the model's places",
+    )
+    space.scatter(*example.space.project(example.reduced)[:3], label="the scan", **STAR)
+    space.set(
+        title="…and in eigenspace", xlabel="coefficient 1", ylabel="coefficient 2", zlabel="coefficient 3"
+    )
+    space.legend(loc="upper left", frameon=False)
+    space.view_init(elev=38, azim=-75)
+    _save(figure, path)
+
+
+def _around(example: Example, reach: float, spacing: float) -> np.ndarray:
+    """Free points (n, 2) on a grid around the scan's place."""
+    steps = np.arange(-reach, reach + spacing / 2, spacing)
+    points = example.pose[:2] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    free: np.ndarray = points[example.grid.at(points) == FREE]
+    return free
+
+
+def _triangle(example: Example) -> np.ndarray:
+    """The three places (3, 2) of the model around the scan's."""
+    net = Delaunay(example.region.positions)
+    corners: np.ndarray = example.region.positions[net.simplices[net.find_simplex(example.pose[:2])]]
+    return corners
+
+
+def _coefficients(example: Example, places: np.ndarray, headings: np.ndarray) -> np.ndarray:
+    """First three coefficients (n, 3) of what is seen at places (n, 2) or one, at windows (n,) or one."""
+    turn = example.region.panoramas.shape[1]
+    panoramas = RayCaster.of(example.grid).panoramas(places, turn, RANGE_MAX)
+    count = max(len(places), len(headings))
+    which = np.broadcast_to(np.round(headings).astype(np.int64) % turn, count)
+    scans = windows(np.broadcast_to(panoramas, (count, turn)), which, example.region.sensor.beams)
+    coefficients: np.ndarray = example.space.project(RangeTransform(CAP)(scans))[:, :3]
+    return coefficients
+
+
+def _draw_synthetic(plan: Any, example: Example) -> None:
+    """The rays of the panorama at the scan's place; those in the sensor's field stronger."""
+    _draw_plan(plan, example, np.full((len(example.region.positions), 3), 0.6))
+    turn, place = example.region.panoramas.shape[1], example.pose[:2]
+    (ranges,) = RayCaster.of(example.grid).panoramas(place[None], turn, RANGE_MAX)
+    half = np.radians(example.degrees.max())
+    for index in range(0, turn, turn // 90):
+        angle, reach = index * TURN / turn, min(float(ranges[index]), RANGE_MAX)
+        ahead = np.abs((angle - example.pose[2] + np.pi) % TURN - np.pi) <= half
+        end = place + reach * np.array([np.cos(angle), np.sin(angle)])
+        plan.plot(*np.stack([place, end]).T, color=COLOURS[1] if ahead else "0.75", linewidth=0.8)
+    plan.set(title="What a place sees, cast in the map; places around it by colour…")
+    plan.set(xlim=place[0] + np.array([-4, 4]), ylim=place[1] + np.array([-3.5, 3.5]))
+
+
 def _draw_plan(plan: Any, example: Example, colours: np.ndarray) -> None:
     grid, points = example.grid, example.region.positions
     grey = np.full(grid.cells.shape, 0.85)
@@ -146,7 +235,7 @@ def _save(figure: Any, path: Path) -> None:
 
 
 def main() -> None:
-    """Draws both pictures."""
+    """Draws the pictures."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -157,6 +246,7 @@ def main() -> None:
     example = choose(given.map, given.log, given.truth, given.scan)
     draw_components(example, given.out / "eigenscans.png")
     draw_manifold(example, given.out / "manifold.png")
+    draw_surfaces(example, given.out / "surfaces.png")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,8 @@ def _covariance(channels: np.ndarray, beams: int) -> np.ndarray:
     spectrum = fft.rfft(channels, axis=2)
     lag = fft.irfft(np.einsum("fpk,gpk->fgk", spectrum, np.conj(spectrum)), turn, axis=2) / (turn * positions)
     apart = (np.arange(beams)[:, None] - np.arange(beams)) % turn
-    return lag[:, :, apart].transpose(0, 2, 1, 3).reshape(many * beams, many * beams)
+    covariance: np.ndarray = lag[:, :, apart].transpose(0, 2, 1, 3).reshape(many * beams, many * beams)
+    return covariance
 
 
 def judge(built: SiteModel, scans: list[Asked], count: int, supervised: bool) -> list[float]:
@@ -84,7 +85,8 @@ def judge(built: SiteModel, scans: list[Asked], count: int, supervised: bool) ->
         regions.append(Sheets(sampled, sheets.positions, cells))
     table, projecting = SweepTable.of(regions), ChannelSpaces.of(spaces)
     found = [_found(site, view, table, projecting, one) for one in scans]
-    return np.mean(found, axis=0).tolist()
+    shares: list[float] = np.mean(found, axis=0).tolist()
+    return shares
 
 
 def _found(site: Site, view: Any, table: SweepTable, spaces: ChannelSpaces, one: Asked) -> list[bool]:

@@ -131,7 +131,7 @@ def _corrected(sheets: Sheets, nearest: np.ndarray, alphas: np.ndarray) -> np.nd
             origin = sheets.coefficients[p, h].astype(np.float64)
             axes = np.stack([sheets.coefficients[q, h] - origin for q in (right[p], above[p])])
             ratio = np.clip(axes @ (alphas[i] - origin) / (axes**2).sum(axis=1), 0, 1)
-            away = np.linalg.norm(alphas[i] - origin - ratio @ axes)
+            away = float(np.linalg.norm(alphas[i] - origin - ratio @ axes))
             if away < best:
                 best = away
                 out[i, :2] = sheets.positions[p] + ratio * np.ptp(sheets.positions[[p, right[p]], 0])

@@ -10,6 +10,9 @@ tracker's own figures (services/tracker, evidence.py) stand beside it.
 Then how often more hypotheses of a list go on in a later one as the robot moved than as if it had moved
 backwards, and the other way round: what tells the sign of the way (services/tracker, direction.py).
 
+And twins: of the wrong tracks those that look right, by this table; and of these, how many still do so 1, 2,
+4 and 6 steps on. Were scans from new places independent evidence, no more of them would than of all.
+
 The datasets are not part of the project; by default they are looked for beside it.
 """
 
@@ -35,7 +38,7 @@ from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.tracker.continuity import going_on
 from eigenscan.tracker.direction import NEAR_M, NEAR_RAD, REACH_M
-from eigenscan.tracker.evidence import EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE
+from eigenscan.tracker.evidence import ENDS, EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 CASES = {
@@ -47,6 +50,9 @@ CASES = {
 WORTH = 8.0
 """Log-likelihood from which on a hypothesis begins a track here."""
 STEP_M, STEP_RAD = 0.5, 0.5
+LOOKS_RIGHT = 2.0
+"""Nats by which a hypothesis speaks for its track, from which on the track looks right."""
+GOES_ON = (1, 2, 4, 6)
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
 AHEAD = np.array([-np.inf, 0.0, 1.0, 3.0, 5.0, np.inf])
 
@@ -122,6 +128,39 @@ def follow(scans: list[Answer], right_tracks: Counts, wrong_tracks: Counts) -> N
             counts.listed[row, np.searchsorted(AHEAD, lead, side="right") - 1] += 1
 
 
+def twins(windows: list[list[Answer]]) -> dict[str, Any]:
+    """Of wrong tracks how many look right, and of these how many do so later, by steps."""
+    looked, counts = list[bool](), {steps: list[bool]() for steps in GOES_ON}
+    for scans in windows:
+        way = independent_way(scans) if len(scans) > 1 else np.zeros(1)
+        firsts = np.searchsorted(way, np.arange(0.0, way[-1], 1.0))
+        for first in firsts.tolist():
+            begun = scans[first]
+            for k in np.flatnonzero(begun.likelihoods >= WORTH):
+                if begun.near(begun.truth)[k]:
+                    continue
+                looked.append(looks_right(begun, begun.poses[k]))
+                if not looked[-1]:
+                    continue
+                for steps, later in counts.items():
+                    then = int(np.searchsorted(way, way[first] + steps))
+                    if then < len(scans):
+                        pose = compose(begun.poses[k], between(begun.truth, scans[then].truth))
+                        later.append(looks_right(scans[then], pose))
+    go_on = {steps: float(np.mean(later)) if later else float("nan") for steps, later in counts.items()}
+    return {"twins": float(np.mean(looked)) if looked else float("nan"), "twins_go_on": go_on}
+
+
+def looks_right(scan: Answer, pose: np.ndarray) -> bool:
+    """Whether a scan has a hypothesis at a pose that speaks for it."""
+    there = scan.near(pose) if len(scan.poses) else np.zeros(0, dtype=bool)
+    if not there.any():
+        return False
+    best = scan.likelihoods[there].max()
+    lead = best - scan.likelihoods[~there].max(initial=0.0)
+    return bool(SLOPE * (best - EVEN) + np.clip(lead, 0.0, MOST_AHEAD) >= LOOKS_RIGHT)
+
+
 def hiding(windows: list[list[Answer]]) -> dict[str, float]:
     """How often, a step, the true pose leaves the list, and comes back to it."""
     left = came = shown = hidden = 0.0
@@ -155,7 +194,9 @@ def signs(windows: list[list[Answer]]) -> dict[str, float]:
 
 def reaching(scans: list[Answer]) -> Iterator[tuple[Answer, Answer]]:
     """One stretch after the other that reaches far enough ahead or back."""
-    start = next(iter(scans), None)
+    if not scans:
+        return
+    start = scans[0]
     for seen in scans:
         if abs(between(start.truth, seen.truth)[0]) >= REACH_M:
             yield start, seen
@@ -182,6 +223,7 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
         }
         | hiding(windows)
         | signs(windows)
+        | twins(windows)
     )
 
 
@@ -189,6 +231,9 @@ def show(row: dict[str, Any]) -> None:
     print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks, {row['wrong_tracks']:.0f} wrong ones")
     print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
     print(f"the way's sign: right {row['sign_right']:.1%}, wrong {row['sign_wrong']:.1%} of the stretches")
+    later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["twins_go_on"].items())
+    print(f"twins: {row['twins']:.1%} of wrong tracks (tracker {TWINS:.1%}); of these {later}, ", end="")
+    print(f"({', '.join(f'{np.exp(-ENDS * steps):.0%}' for steps in GOES_ON)})")
     print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))
     for low, ratios in zip(LIKELIHOODS[:-1], row["ratio"], strict=True):
         print(

@@ -1,13 +1,16 @@
 """How many robots one machine takes: scan to pose over a real router, services that all robots share.
 
-    .venv/bin/python benchmarks/fleet.py [--robots 1,10,20,40,80,200] [--parts 1] [--seconds 10] [--json OUT]
+    .venv/bin/python benchmarks/fleet.py [--robots 1,10,20,40,80,200] [--groups 1] [--parts 1]
+                                         [--rate 10] [--seconds 10] [--json OUT]
 
-Each robot says 10 canonical scans of 361 beams and 50 odometries a second, computed before. On the same
-machine run a router, a mapbuilder, one tracker and --parts projectors, which share the site's regions, for
-all robots. It ends where fewer than 95 % of the scans become poses. "said" is how many scans the robots got
-rid of, latency from a scan's publication to its pose's arrival, "wrong" the share of claims over 0.5 m off,
-and air is what leaves a robot by the contract: poses at 10 Hz, tracks at 1 Hz and its services' healths,
-payload and key.
+Each robot says --rate canonical scans of 361 beams and five times as many odometries a second, computed
+before. On the same machine run a router, a mapbuilder, and for each of --groups groups of the robots a
+tracker and --parts projectors, which share the site's regions. It ends where fewer than 95 % of the scans
+become poses. "ms a scan" is processor time, of the process and of its core alone, called in this process over
+the same scans right before: that says how fast the machine is at this moment. "said" is how many scans the
+robots got rid of, latency from a scan's publication to its pose's arrival, "wrong" the share of claims over
+0.5 m off, and air is what leaves a robot by the contract: poses at 10 Hz, tracks at 1 Hz and its services'
+healths, payload and key.
 """
 
 import argparse
@@ -31,15 +34,31 @@ from eigenscan.cli.launch.network import free_port
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
 from eigenscan.cli.simulation.stage import Scenario, Stage
 from eigenscan.cli.simulation.world import office
-from eigenscan.geometry.gridmap import write_map
+from eigenscan.eigenspace.folder import read_models
+from eigenscan.geometry.gridmap import to_message, write_map
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.core import announce_models
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
-from eigenscan.schemas.channels import HEALTH, MODEL_SET, ODOMETRY, POSE, SCAN, SCAN_RAW, TRACKS
+from eigenscan.schemas.channels import (
+    HEALTH,
+    HYPOTHESES,
+    MAP,
+    MODEL_SET,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    SCAN_RAW,
+    TRACKS,
+)
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
 
 PROGRAM = Path(sys.executable).with_name("eigenscan")
 SITE = "scale"
@@ -49,6 +68,7 @@ SETTLE_S = 5.0
 ENOUGH = 0.95
 RIGHT_M = 0.5
 RATE_HZ = 10.0
+ALONE_SCANS = 150
 ON_ROBOT = ("scan-ingest", "projector", "tracker")
 
 
@@ -89,36 +109,77 @@ class Heard:
     def _size(self, name: str, sample: zenoh.Sample) -> None:
         self.sizes[name].append(len(sample.payload) + len(str(sample.key_expr)))
 
-    def air(self) -> float:
+    def air(self, rate_hz: float) -> float:
         """Bytes a second that leave one robot."""
         typical = {name: float(np.mean(sizes or [0])) for name, sizes in self.sizes.items()}
-        return RATE_HZ * typical["pose"] + typical["tracks"] + len(ON_ROBOT) * typical["health"]
+        return rate_hz * typical["pose"] + typical["tracks"] + len(ON_ROBOT) * typical["health"]
 
 
-def canonical(stage: Stage) -> list[tuple[int, Envelope]]:
-    """Time in the drive, ns, and what the robot says then: canonical scans and odometry."""
-    ingest, said = ScanIngestCore(ScanIngestSettings()), []
+def canonical(stage: Stage, rate_hz: float) -> list[tuple[int, Envelope]]:
+    """Time in the drive, ns, and what the robot says then: canonical scans and odometry, every so many."""
+    ingest, said, every = ScanIngestCore(ScanIngestSettings()), [], round(RATE_HZ / rate_hz)
+    count = {SCAN_RAW: 0, ODOMETRY: 0}
     for timed in stage.messages():
-        if timed.envelope.channel is SCAN_RAW:
+        channel = timed.envelope.channel
+        if channel not in count:
+            continue
+        count[channel] += 1
+        if (count[channel] - 1) % every:
+            continue
+        if channel is SCAN_RAW:
             said += [(timed.time, envelope) for envelope in ingest.handle(timed.envelope)]
-        elif timed.envelope.channel is ODOMETRY:
+        else:
             said.append((timed.time, timed.envelope))
     return said
 
 
+def cores_alone(folder: Path, said: list[tuple[int, Envelope]]) -> dict[str, float]:
+    """Processor time, ms a scan, of the two cores without processes and without Zenoh."""
+    projector, tracker = ProjectorCore(ProjectorSettings()), TrackerCore(TrackerSettings())
+    for model in announce_models(read_models(folder / "model"), SITE):
+        projector.handle(model)
+    projector.handle(Envelope(MAP, {"site": SITE}, to_message(read_models(folder / "model").grid, "map")))
+    spent, scans = {"projector": 0.0, "tracker": 0.0}, 0
+    address = {"site": SITE, "robot": "r", "lidar": "front"}
+    for at, envelope in said[: 60 * ALONE_SCANS // 10]:
+        envelope.message.timestamp.CopyFrom(stamp(at))  # type: ignore[attr-defined]
+        heard = [Envelope(envelope.channel, address, envelope.message)]
+        began = time.thread_time()
+        if envelope.channel is SCAN:
+            heard = [each for each in projector.handle(heard[0]) if each.channel is HYPOTHESES]
+        between = time.thread_time()
+        for each in heard:
+            list(tracker.handle(each))
+        if scans >= ALONE_SCANS // 10:  # what is compiled or made at the first is not what a scan costs
+            spent["projector"] += between - began
+            spent["tracker"] += time.thread_time() - between
+        scans += envelope.channel is SCAN
+    return {name: one / (scans - ALONE_SCANS // 10) * 1e3 for name, one in spent.items()}
+
+
+def name_of(robot: int, groups: int) -> str:
+    """Robots are dealt to the groups g0-*, g1-*, ... in turn."""
+    return f"g{robot % groups}-{robot}"
+
+
 def drive(
-    bus: Bus, said: list[tuple[int, Envelope]], robots: int, heard: Heard, stop: threading.Event
+    bus: Bus,
+    said: list[tuple[int, Envelope]],
+    names: list[str],
+    heard: Heard,
+    stop: threading.Event,
 ) -> None:
-    """Says what `robots` robots say, each message when its time has come, with stamps of now."""
-    first, began = said[0][0], time.monotonic()
+    """Says what the robots of these names say, each message when its time has come, with stamps of now."""
+    first, began, robots = said[0][0], time.monotonic(), len(names)
+    rate_hz = sum(envelope.channel is SCAN for _, envelope in said) / (said[-1][0] - first) * 1e9
     wall = time.time_ns()
     times = np.array([at for at, _ in said])
     due: list[tuple[float, int, int, int]] = []
     for robot in range(robots):
         offset = int(robot * SPREAD_S / robots * 1e9)
         begin = int(np.searchsorted(times, first + offset))
-        # robots are not in step: each has its own moment within the tenth of a second
-        heapq.heappush(due, (robot / robots / RATE_HZ, robot, begin, int(times[begin])))
+        # robots are not in step: each has its own moment between two scans
+        heapq.heappush(due, (robot / robots / rate_hz, robot, begin, int(times[begin])))
     while due and not stop.is_set():
         at, robot, index, origin = heapq.heappop(due)
         if (wait := began + at - time.monotonic()) > 0 and stop.wait(wait):
@@ -126,7 +187,7 @@ def drive(
         drive_time, envelope = said[index]
         now = wall + int(at * 1e9)
         envelope.message.timestamp.CopyFrom(stamp(now))  # type: ignore[attr-defined]
-        name = f"r{robot}"
+        name = names[robot]
         if envelope.channel is SCAN:
             moment = time.monotonic()
             heard.sent[name, now] = (moment, drive_time)
@@ -138,21 +199,30 @@ def drive(
 
 
 @contextmanager
-def services(folder: Path, config: Path, router: Path, parts: int) -> Iterator[dict[str, psutil.Process]]:
-    """The processes that all robots share, by name."""
+def services(
+    folder: Path, config: Path, router: Path, parts: int, groups: int
+) -> Iterator[dict[str, psutil.Process]]:
+    """The processes that robots share, by name."""
     with Supervisor(folder / "logs") as supervisor:
         supervisor.start("router", "eigenscan.runtime.router", ["--site", SITE, "--zenoh", str(router)])
-        shared = ["--site", SITE, "--robot", "*", "--zenoh", str(config)]
-        supervisor.start("mapbuilder", SERVICES["mapbuilder"], [*shared, "--model", str(folder / "model")])
-        supervisor.start("tracker", SERVICES["tracker"], shared)
-        for part in range(1, parts + 1):
-            own = ["--part", f"{part}/{parts}", "--instance", f"p{part}"]
-            supervisor.start(f"projector {part}", SERVICES["projector"], [*shared, *own])
+        site = ["--site", SITE, "--zenoh", str(config)]
+        supervisor.start("mapbuilder", SERVICES["mapbuilder"], [*site, "--model", str(folder / "model")])
+        for group in range(groups):
+            shared = [*site, "--robot", f"g{group}-*"]
+            supervisor.start(f"tracker {group}", SERVICES["tracker"], shared)
+            for part in range(1, parts + 1):
+                own = ["--part", f"{part}/{parts}"]
+                supervisor.start(f"projector {group} {part}", SERVICES["projector"], [*shared, *own])
         yield {name: psutil.Process(child.process.pid) for name, child in supervisor.children.items()}
 
 
 def measure(
-    session: zenoh.Session, stage: Stage, robots: int, seconds: float, processes: dict[str, psutil.Process]
+    session: zenoh.Session,
+    stage: Stage,
+    said: list[tuple[int, Envelope]],
+    names: list[str],
+    seconds: float,
+    processes: dict[str, psutil.Process],
 ) -> dict[str, Any]:
     """One row of the table."""
     heard, stop = Heard(stage), threading.Event()
@@ -162,7 +232,7 @@ def measure(
         for channel, on in ((POSE, heard.on_pose), (TRACKS, heard.on_tracks), (HEALTH, heard.on_health))
     ]
     bus = Bus(session)
-    driving = threading.Thread(target=drive, args=(bus, canonical(stage), robots, heard, stop))
+    driving = threading.Thread(target=drive, args=(bus, said, names, heard, stop))
     driving.start()
     time.sleep(SETTLE_S)
     used = {name: process.cpu_times() for name, process in processes.items()}
@@ -180,8 +250,13 @@ def measure(
         ear.undeclare()  # type: ignore[no-untyped-call]
     waits = np.array(heard.waits or [np.nan])
     return {
-        "robots": robots,
+        "robots": len(names),
         "scans_per_s": heard.said / seconds,
+        "ms_per_scan": {
+            kind: total(spent, kind) * seconds * 1e3 / max(len(heard.waits), 1)
+            for kind in ("projector", "tracker")
+        },
+        "load": psutil.getloadavg()[0],
         "answered": len(heard.waits) / max(heard.said, 1),
         "p50_ms": float(np.median(waits)) * 1e3,
         "p99_ms": float(np.quantile(waits, 0.99)) * 1e3,
@@ -189,8 +264,13 @@ def measure(
         "claimed": heard.claims / max(len(heard.waits), 1),
         "cores": spent,
         "rss_mb": {name: process.memory_info().rss / 1e6 for name, process in processes.items()},
-        "air_bytes_per_s": heard.air(),
+        "air_bytes_per_s": heard.air(heard.said / seconds / len(names)),
     }
+
+
+def total(figures: dict[str, float], kind: str) -> float:
+    """Of all processes of one kind."""
+    return sum(value for name, value in figures.items() if name.partition(" ")[0] == kind)
 
 
 def wait_for_models(session: zenoh.Session, parts: int) -> None:
@@ -211,20 +291,41 @@ def wait_for_models(session: zenoh.Session, parts: int) -> None:
 
 
 def row_text(row: dict[str, Any]) -> str:
-    cores, rss = row["cores"], row["rss_mb"]
-    projectors = [name for name in cores if name.startswith("projector")]
+    cores, rss, ms = row["cores"], row["rss_mb"], row["ms_per_scan"]
+    core = row["alone_ms"]
     return (
         f"{row['robots']:6} {row['scans_per_s']:7.0f} {row['answered']:8.1%} {row['p50_ms']:7.1f} "
         f"{row['p99_ms']:7.1f} {row['claims_wrong']:6.1%} |       {cores['router']:6.2f} "
-        f"{sum(cores[name] for name in projectors):9.2f} {cores['tracker']:7.2f} |    {rss['router']:6.0f} "
-        f"{sum(rss[name] for name in projectors):9.0f} {rss['tracker']:7.0f} | {row['air_bytes_per_s']:7.0f}"
+        f"{total(cores, 'projector'):9.2f} {total(cores, 'tracker'):7.2f} {cores['mapbuilder']:10.2f} |"
+        f"    {rss['router']:6.0f} {total(rss, 'projector'):9.0f} {total(rss, 'tracker'):7.0f} |"
+        f" {ms['projector']:5.1f} ({core['projector']:4.1f}) {ms['tracker']:5.1f} ({core['tracker']:4.1f}) |"
+        f" {row['air_bytes_per_s']:7.0f} {row['load']:5.1f}"
     )
+
+
+def prepare(folder: Path, stage: Stage, **settings: Any) -> tuple[Path, Path]:
+    """Builds the stage's models into `folder`; gives Zenoh's configurations: a router's, and its clients'."""
+    write_map(stage.grid, folder / "map.yaml")
+    subprocess.run(
+        [PROGRAM, "build", folder / "map.yaml", "-o", folder / "model"],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    endpoint = {"endpoints": [f"tcp/127.0.0.1:{free_port()}"]}
+    alone = {"scouting": {"multicast": {"enabled": False}}} | settings
+    router, config = folder / "router.json5", folder / "client.json5"
+    router.write_text(json.dumps(alone | {"mode": "router", "listen": endpoint}))
+    patient = endpoint | {"timeout_ms": -1, "exit_on_failure": False}
+    config.write_text(json.dumps(alone | {"mode": "client", "connect": patient}))
+    return router, config
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--robots", default="1,10,20,40,80,200")
+    parser.add_argument("--groups", type=int, default=1)
     parser.add_argument("--parts", type=int, default=1)
+    parser.add_argument("--rate", type=float, default=RATE_HZ, help="scans a second of a robot, at most 10")
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -234,27 +335,20 @@ def main() -> None:
     rows = []
     print(
         f"{'robots':>6} {'said/s':>7} {'answered':>8} {'p50 ms':>7} {'p99 ms':>7} {'wrong':>6} "
-        f"| cores {'router':>6} {'projector':>9} {'tracker':>7} | MB {'router':>6} {'projector':>9} "
-        f"{'tracker':>7} | {'air B/s':>7}"
+        f"| cores {'router':>6} {'projector':>9} {'tracker':>7} {'mapbuilder':>10} | MB {'router':>6} "
+        f"{'projector':>9} {'tracker':>7} | ms a scan (core alone)    | {'air B/s':>7} {'load':>5}"
     )
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        write_map(stage.grid, folder / "map.yaml")
-        subprocess.run(
-            [PROGRAM, "build", folder / "map.yaml", "-o", folder / "model"],
-            check=True,
-            stdout=subprocess.DEVNULL,
-        )
-        endpoint = {"endpoints": [f"tcp/127.0.0.1:{free_port()}"]}
-        alone: dict[str, Any] = {"scouting": {"multicast": {"enabled": False}}}
-        router, config = folder / "router.json5", folder / "client.json5"
-        router.write_text(json.dumps(alone | {"mode": "router", "listen": endpoint}))
-        config.write_text(json.dumps(alone | {"mode": "client", "connect": endpoint | {"timeout_ms": -1}}))
-        processes = stack.enter_context(services(folder, config, router, arguments.parts))
+        router, config = prepare(folder, stage)
+        processes = stack.enter_context(services(folder, config, router, arguments.parts, arguments.groups))
         session = stack.enter_context(open_session(config))
-        wait_for_models(session, arguments.parts)
+        wait_for_models(session, arguments.parts * arguments.groups)
+        said = canonical(stage, arguments.rate)
         for robots in map(int, arguments.robots.split(",")):
-            rows.append(measure(session, stage, robots, seconds, processes))
+            own = cores_alone(folder, canonical(stage, RATE_HZ))
+            names = [name_of(robot, arguments.groups) for robot in range(robots)]
+            rows.append(measure(session, stage, said, names, seconds, processes) | {"alone_ms": own})
             print(row_text(rows[-1]), flush=True)
             if rows[-1]["answered"] < ENOUGH:
                 break

@@ -112,8 +112,8 @@ def collect(datasets: Path, count: int) -> dict[str, dict[str, list[Lists]]]:
 def fit(found: dict[str, dict[str, list[Lists]]], folders: list[str]) -> np.ndarray:
     """The numbers under which the folders' scans are least surprising; own and foreign weigh alike."""
     parts = [found[folder][kind] for folder in folders for kind in ("own", "foreign")]
-    best = minimize(
-        lambda numbers: sum(np.mean([lists.surprise(numbers) for lists in part]) for part in parts),
+    best = minimize(  # type: ignore[call-overload]
+        lambda numbers: float(sum(np.mean([lists.surprise(numbers) for lists in part]) for part in parts)),
         np.array([likelihood.NATS, likelihood.STRANGE, likelihood.SIMILAR]),
         method="Nelder-Mead",
         options={"xatol": 1e-3, "fatol": 1e-5},

@@ -25,6 +25,7 @@ from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector import core as core_module
 from eigenscan.projector import projection, publishing
 from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.observation import observe
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
@@ -122,7 +123,7 @@ def floors_of_stages(core: ProjectorCore, scan: Scan, rates: dict[str, float]) -
     """The least time, ms, that the arithmetic and the memory traffic of the large stages allow."""
     site = core._site
     assert site is not None
-    seen = core_module.observe(scan)
+    seen = observe(scan)
     view = site.view(seen.sensor)
     settings = ProjectorSettings()
     beams, turned = len(seen.coarse), 3
@@ -179,7 +180,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     watch = Stopwatch()
     one_scan(core, payloads[0], watch)
     first_scan_s = watch.spent["whole"] / 1e3
-    fastest = [{} for _ in scans]
+    fastest: list[dict[str, float]] = [{} for _ in scans]
     right = []
     for repeat in range(options.repeat):
         for number, payload in enumerate(payloads):

@@ -12,6 +12,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +35,12 @@ def main() -> None:
     print(f"{given.map}: {grid.free_area:.0f} m2 free, {grid.resolution} m a cell, one core")
     for spacing in (0.5, 0.25, 0.1):
         points = positions(grid, spacing)
-        seconds = best(lambda points=points: caster.panoramas(points, BEAMS, RANGE_MAX))
+        seconds = best(partial(caster.panoramas, points, BEAMS, RANGE_MAX))
         figures[f"panoramas_{spacing}_mrays"] = rate = len(points) * BEAMS / seconds / 1e6
         print(f"panoramas, {len(points):6} positions {spacing:4} m apart: {rate:6.1f} million rays/s")
     points = positions(grid, 0.5)
     poses = np.column_stack([points, np.zeros(len(points))])
-    bearings = np.arange(BEAMS) * (2 * np.pi / BEAMS)
+    bearings = np.arange(BEAMS, dtype=np.float64) * (2 * np.pi / BEAMS)
     seconds = best(lambda: caster.cast(poses, bearings, RANGE_MAX))
     figures["cast_mrays"] = rate = len(points) * BEAMS / seconds / 1e6
     print(f"cast, any pose and bearing:                {rate:6.1f} million rays/s")

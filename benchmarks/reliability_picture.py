@@ -1,14 +1,15 @@
 """Reliability diagram of all logs: how often a pose was right, over how sure the tracker said to be."""
 
 import math
-from itertools import cycle
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from eigenscan.cli.evaluation.metrics import BINS, Bin, calibration_error
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito's, told apart by the colour-blind too."""
+"""Okabe and Ito's, told apart by the colour-blind too; then again with the next mark."""
+MARKS = "osD^"
 LARGEST = 700.0
 """Area of the largest mark, points squared; areas go by the root of counts: most poses are in one bin."""
 
@@ -32,6 +33,7 @@ def draw_reliability(path: Path, found: dict[str, Any]) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.lines import Line2D
 
     diagrams = {name: [Bin(**entry) for entry in figures["calibration"]] for name, figures in found.items()}
     every = pooled(list(diagrams.values()))
@@ -40,14 +42,16 @@ def draw_reliability(path: Path, found: dict[str, Any]) -> None:
     axis.fill_between([0, 1], [0, 1], 0, color="#c0392b", alpha=0.07, lw=0)
     axis.plot([0, 1], [0, 1], color="#777777", ls="--", lw=1.5, zorder=1)
     axis.plot([b.confidence for b in every], [b.right for b in every], color="black", lw=3.5, zorder=2)
-    handles = [plt.Line2D([], [], color="black", lw=3.5, label="all logs pooled")]
-    for (name, bins), colour in zip(diagrams.items(), cycle(COLOURS), strict=False):
+    handles = [Line2D([], [], color="black", lw=3.5, label="all logs pooled")]
+    for (name, bins), (mark, colour) in zip(diagrams.items(), product(MARKS, COLOURS), strict=False):
         sizes = [LARGEST * math.sqrt(b.count / most) for b in bins]
         said, right = [b.confidence for b in bins], [b.right for b in bins]
-        axis.scatter(said, right, sizes, color=colour, alpha=0.75, edgecolor="white", lw=0.8, zorder=3)
-        mark = {"ls": "", "marker": "o", "markersize": 11}
-        handles.append(plt.Line2D([], [], color=colour, label=f"{name}, {_error(bins)}", **mark))
-    for x, y, words in ((0.04, 0.93, "right more often than said"), (0.96, 0.05, "too sure of itself")):
+        axis.scatter(
+            said, right, sizes, color=colour, marker=mark, alpha=0.75, edgecolor="white", lw=0.8, zorder=3
+        )
+        label = f"{name}, {_error(bins)}"
+        handles.append(Line2D([], [], color=colour, label=label, ls="", marker=mark, markersize=11))
+    for x, y, words in ((0.04, 0.955, "right more often than said"), (0.96, 0.05, "too sure of itself")):
         axis.text(x, y, words, fontsize=15, color="#777777", ha="left" if x < y else "right")
     axis.set_title(f"When it says 90 %, is it right in 90 %?\n{_poses(every)}", fontsize=16)
     axis.set_xlabel("confidence said", fontsize=15)

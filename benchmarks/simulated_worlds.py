@@ -50,6 +50,15 @@ def write(world: World, folder: Path) -> None:
     folder.mkdir(parents=True)
     write_map(world.real, folder / "real.yaml")
     write_map(world.known, folder / "map.yaml")
-    command = [EIGENSCAN, "simulate", "--map", folder / "real.yaml", "-o", folder / "log.mcap"]
-    command += ["--truth", folder / "log.tum", "--seconds", str(SECONDS), "--people", "6"]
+    command: list[str | Path] = [EIGENSCAN, "simulate", "--map", folder / "real.yaml"]
+    command += [
+        "-o",
+        folder / "log.mcap",
+        "--truth",
+        folder / "log.tum",
+        "--seconds",
+        str(SECONDS),
+        "--people",
+        "6",
+    ]
     subprocess.run([*command, "--seed", str(world.seed), *world.lidar], check=True)

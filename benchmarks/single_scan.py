@@ -176,7 +176,7 @@ def judge_exhaustive(
     for number, sample in enumerate(chosen):
         scan = occluded(sample.scan, share, number)
         ranges = np.asarray(scan.ranges, dtype=np.float64)
-        directions = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+        directions = scan.angle_min + scan.angle_increment * np.arange(len(ranges), dtype=np.float64)
         reached = shown.up_to(scan.range_max)
         before = time.process_time()
         poses = best_poses(reached, ranges, directions, from_message(scan.mount))
