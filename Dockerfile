@@ -37,7 +37,7 @@ HEALTHCHECK --interval=5s --timeout=4s --start-period=300s --retries=3 CMD ["pyt
 
 # --- layer: lean ---
 FROM tools AS lean-files
-RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --require-hashes -r /requirements/lean.lock
+RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --require-hashes -r /requirements/lean.lock
 FROM shell AS lean
 COPY --from=lean-files /opt/eigenscan /opt/eigenscan
 
@@ -51,7 +51,7 @@ ENTRYPOINT ["eigenscan-scan-ingest"]
 
 # --- layer: numeric ---
 FROM lean-files AS numeric-files
-RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --require-hashes -r /requirements/numeric.lock
+RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --require-hashes -r /requirements/numeric.lock
 FROM shell AS numeric
 COPY --from=numeric-files /opt/eigenscan /opt/eigenscan
 
@@ -79,7 +79,7 @@ ENTRYPOINT ["eigenscan", "simulate", "--live"]
 
 # --- layer: recording ---
 FROM lean-files AS recorder-files
-RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --require-hashes -r /requirements/recorder.lock
+RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --require-hashes -r /requirements/recorder.lock
 FROM shell AS recording
 COPY --from=recorder-files /opt/eigenscan /opt/eigenscan
 

@@ -32,5 +32,5 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
             pages.append(name)
     known = str(config.nav)
     if more := [page for page in pages if f"'{page}'" not in known]:
-        config.nav.append({"More": more})
+        config.nav = [*(config.nav or []), {"More": more}]
     return files
