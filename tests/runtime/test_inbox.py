@@ -1,9 +1,11 @@
+import itertools
 import threading
 import time
 from collections import defaultdict
 
+import pytest
 from eigenscan.runtime.inbox import Inbox
-from eigenscan.schemas.channels import MODEL, POSE, SCAN
+from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -97,3 +99,91 @@ def test_closing_wakes_who_waits() -> None:
     inbox.close()
     thread.join(5.0)
     assert taken == [None]
+
+
+BEHIND_AFTER_S = 1.0
+
+
+class Overload:
+    """An inbox whose core takes `work_s` for a sample; keys have samples at their own rates, on one clock."""
+
+    def __init__(self, periods_s: dict[str, float], work_s: float, seconds: float) -> None:
+        self.now, self.taken = 0.0, list[tuple[str, float, float]]()
+        self.inbox = Inbox(behind_after_s=BEHIND_AFTER_S, clock=lambda: self.now)
+        dues = sorted(
+            (number * period, key)
+            for key, period in periods_s.items()
+            for number in range(1, round(seconds / period))
+        )
+        self.put, busy_until = len(dues), 0.0
+        while dues:
+            while dues and dues[0][0] <= busy_until:
+                at, key = dues.pop(0)
+                self.now = at
+                self.inbox.put(SCAN, key, repr(at).encode(), "")
+            self.now = max(self.now, busy_until)
+            arrival = self.inbox.take(0.0)
+            if arrival:
+                self.taken.append((arrival.key, self.now, float(arrival.payload)))
+            busy_until = self.now + work_s if arrival else dues[0][0] if dues else self.now
+
+
+def longest_wait(drive: Overload, keys: int) -> float:
+    """Between two turns of a key, s: at most a round, and the time to its next scan before and after."""
+    turns = defaultdict(list)
+    for key, at, _ in drive.taken:
+        if at > 3 * BEHIND_AFTER_S:
+            turns[key].append(at)
+    assert len(turns) == keys
+    return max(after - before for each in turns.values() for before, after in itertools.pairwise(each))
+
+
+@pytest.mark.parametrize("overload", [1.5, 2.0, 5.0])
+def test_who_is_behind_gets_the_newest_scan_of_each_robot_in_turn(overload: float) -> None:
+    period_s, robots = 0.1, 20
+    work_s = overload * period_s / robots
+    drive = Overload({f"s/robot/{n}/scan/l": period_s * (1 + n * 1e-3) for n in range(robots)}, work_s, 20.0)
+    late = [(key, at, said) for key, at, said in drive.taken if at > 3 * BEHIND_AFTER_S]
+    # the newest, so never older than the time to the next one
+    assert max(at - said for _, at, said in late) <= period_s * (1 + robots * 1e-3)
+    assert longest_wait(drive, robots) <= robots * work_s + 2 * period_s
+    left = 0
+    while drive.inbox.take(0.0):
+        left += 1
+    assert drive.put == len(drive.taken) + left + drive.inbox.dropped["scan"]  # each is counted
+    assert drive.inbox.too_late == drive.inbox.dropped["scan"]
+
+
+def test_a_quick_lidar_takes_no_turns_from_slow_ones() -> None:
+    periods = {f"s/robot/{n}/scan/l": 0.1 for n in range(10)} | {"s/robot/q/scan/l": 0.025}
+    drive = Overload(periods, 0.02, 20.0)  # a round takes longer than any period
+    assert longest_wait(drive, 11) <= 11 * 0.02 + 2 * 0.1
+
+
+def test_a_pause_that_is_caught_up_in_time_costs_no_scan() -> None:
+    now = 0.0
+    inbox = Inbox(behind_after_s=BEHIND_AFTER_S, clock=lambda: now)
+    for number in range(10):
+        now = number * 0.1
+        inbox.put(SCAN, "s/robot/r/scan/l", str(number).encode(), "")
+    assert [int(inbox.take(0.0).payload) for _ in range(10)] == list(range(10))  # type: ignore[union-attr]
+    assert not inbox.dropped
+    # what was worked off does not count against what comes later
+    now = 100.0
+    inbox.put(SCAN, "s/robot/r/scan/l", b"10", "")
+    inbox.put(SCAN, "s/robot/r/scan/l", b"11", "")
+    assert inbox.take(0.0).payload == b"10"  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
+def test_only_sweeps_give_way_before_the_inbox_is_full(channel: Channel) -> None:
+    now = 0.0
+    inbox = Inbox(behind_after_s=BEHIND_AFTER_S, clock=lambda: now)
+    for number in range(50):
+        inbox.put(channel, "k", str(number).encode(), "")
+    now = 2 * BEHIND_AFTER_S
+    found = []
+    while arrival := inbox.take(0.0):
+        found.append(int(arrival.payload))
+    assert found == ([49] if channel in (SCAN, SCAN_RAW) else list(range(50)))
+    assert inbox.dropped.get(channel.name, 0) == 50 - len(found)

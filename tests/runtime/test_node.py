@@ -7,6 +7,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
@@ -232,6 +233,42 @@ def test_it_says_how_it_is_and_outlives_all_that_it_hears(
     fault = service.log("core_failed")
     assert fault["key"] == key
     assert "poisoned" in str(fault["exception"])
+
+
+def test_a_core_that_falls_behind_answers_the_newest_scan_of_each_robot_and_says_so(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
+) -> None:
+    """Each scan takes it 20 ms at least, and two robots say more until it has told that it drops some."""
+    bus, scans, others = buses(), Inbox(), Inbox()
+    bus.listen([SCAN], {"site": net.site}, scans)
+    bus.listen([HEALTH], {"site": net.site}, others)
+    service = start("--robot", "*", "--handle-s", 0.02, "--behind-after", 0.1, config=net.leaf)
+    service.log("ready")
+    _ask(bus, net, "0")
+    _next(scans)
+    said, dropped, answers = 0, 0, defaultdict[str, list[int]](list)
+    end = time.monotonic() + 60
+    while not dropped:
+        assert time.monotonic() < end
+        for robot in ("a", "b"):
+            address = {"site": net.site, "robot": robot, "lidar": "front"}
+            bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=str(said))))
+        said += 1
+        while arrival := scans.take(0.005):
+            answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]
+        while arrival := others.take(0.0):
+            health = decode(HEALTH, arrival.payload)
+            dropped = health.counters["dropped_scan_raw"]  # type: ignore[attr-defined]
+    while len(answers) < 2 or any(each[-1] != said - 1 for each in answers.values()):  # the newest, always
+        arrival = _next(scans)
+        answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]
+    assert all(each == sorted(set(each)) for each in answers.values())
+    unanswered = 2 * said - sum(map(len, answers.values()))
+    for health in _healths(others):  # nothing is lost silently
+        if health.counters["dropped_scan_raw"] >= unanswered and health.counters["waiting"] == 0:
+            break
+    assert health.counters["dropped_scan_raw"] == unanswered
+    assert "--robot" in str(service.log("too_slow")["hint"])
 
 
 def test_a_core_that_leaves_is_not_taken_for_a_clean_end(

@@ -1,11 +1,15 @@
 """Samples that wait for the core: bounded, oldest dropped first, in order of arrival.
 
+A core that falls behind gets of each sensor the newest sweep, in turn: it answers fewer, each fresh.
+
 Zenoh's threads only append here; a slow callback would stall its whole session.
 """
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,11 +28,20 @@ class Arrival:
 
 
 class Inbox:
-    """Thread-safe queue over many keys, each bounded by its channel's depth. All it does takes O(1)."""
+    """Thread-safe queue over many keys, each bounded by its channel's depth. A sample costs it O(1)."""
 
-    def __init__(self, slack: int = 1) -> None:
-        """`slack` times the channels' depth may wait: for who wants all of it rather than the newest."""
-        self._slack = slack
+    def __init__(
+        self,
+        slack: int = 1,
+        behind_after_s: float = math.inf,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`slack` times the channels' depth may wait: for who wants all of it rather than the newest.
+
+        Who has not been through with all that waits for `behind_after_s` of `clock`, in s, is behind.
+        """
+        self._slack, self._behind_after_s, self._clock = slack, behind_after_s, clock
+        self._through_at = 0.0  # when a sample last found nothing before it
         self._waiting: OrderedDict[int, Arrival] = OrderedDict()  # by order of arrival
         self._orders: dict[str, deque[int]] = {}  # of the samples that wait, by key
         self._next = 0
@@ -37,14 +50,17 @@ class Inbox:
         self.on_put: Callable[[], None] | None = None
         """Called behind each sample, in its thread; then nobody is woken who takes."""
         self._dropped: Counter[str] = Counter()
+        self.too_late = 0
+        """Samples that gave way to newer ones of their key."""
 
     def put(self, channel: Channel, key: str, payload: bytes, encoding: str) -> None:
         """Adds a sample; where its key has enough waiting already the oldest of that key goes."""
         with self._ready:
+            if not self._waiting:
+                self._through_at = self._clock()
             orders = self._orders.setdefault(key, deque())
             if channel.qos.depth and len(orders) >= self._slack * channel.qos.depth:
-                del self._waiting[orders.popleft()]
-                self._dropped[channel.name] += 1
+                self._give_way(channel, orders)
             orders.append(self._next)
             self._waiting[self._next] = Arrival(channel, key, payload, encoding)
             self._next += 1
@@ -54,17 +70,30 @@ class Inbox:
             self.on_put()
 
     def take(self, timeout: float) -> Arrival | None:
-        """Oldest sample, or None after `timeout` seconds without one, or when closed."""
+        """Oldest sample, or None after `timeout` seconds without one, or when closed.
+
+        Who is behind gets in its place the newest of its key where the channel says so; those between go.
+        As the oldest decides whose turn it is, no key waits longer for that.
+        """
         with self._ready:
             self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
             if not self._waiting or self._closed:
                 return None
-            _, arrival = self._waiting.popitem(last=False)
+            arrival = next(iter(self._waiting.values()))
             orders = self._orders[arrival.key]
-            orders.popleft()
+            if arrival.channel.qos.newest and self._clock() - self._through_at > self._behind_after_s:
+                while len(orders) > 1:
+                    self._give_way(arrival.channel, orders)
+            arrival = self._waiting.pop(orders.popleft())
             if not orders:
                 del self._orders[arrival.key]
             return arrival
+
+    def _give_way(self, channel: Channel, orders: deque[int]) -> None:
+        """Drops the oldest sample of a key."""
+        del self._waiting[orders.popleft()]
+        self._dropped[channel.name] += 1
+        self.too_late += 1
 
     def wait_until_closed(self, timeout: float) -> None:
         """Waits, at most `timeout` seconds."""

@@ -123,7 +123,7 @@ class Node:
         self._monitor = Monitor(
             service, settings.instance, _package_version(service), settings=settings.told()
         )
-        self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1)
+        self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1, settings.behind_after)
         self._bus: Bus | None = None
         self._keepsake: Keepsake | None = None
         self._port = port or NoPort()

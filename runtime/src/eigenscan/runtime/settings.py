@@ -28,7 +28,7 @@ from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 
-_OF_THE_PROCESS = {"zenoh", "keep", "metrics_port", "metrics_host", "log_level", "log_format"}
+_OF_THE_PROCESS = {"zenoh", "keep", "metrics_port", "metrics_host", "log_level", "log_format", "behind_after"}
 
 
 class SettingsError(ValueError):
@@ -62,6 +62,12 @@ class ServiceSettings(BaseModel):
         description="serve /metrics and /healthz on this port; 0 chooses one; off without it",
     )
     metrics_host: str = Field("127.0.0.1", description="address that the metrics are served on")
+    behind_after: float = Field(
+        1.0,
+        ge=0,
+        description="s without having been through with all that waits, after which only the newest scan of "
+        "each lidar counts; inf: never, as mapbuilder and recorder have it",
+    )
     log_level: str = Field(
         "info", pattern="^(debug|info|warning|error)$", description="debug, info, warning or error"
     )

@@ -16,6 +16,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
 CONDITION_PERIOD_S = 0.25
+TOO_SLOW_HINT = "give it more processor time, or fewer robots (--robot) or regions (--part)"
 
 
 class Work:
@@ -39,6 +40,7 @@ class Work:
         """
         self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
         self._monitor, self._tally, self._wake, self._prompt = monitor, tally, wake, prompt
+        self._too_late = 0
         self._turn = threading.Lock()
         """Held by the thread that the core works in."""
 
@@ -114,6 +116,9 @@ class Work:
         if dropped.get("foreign_key", 0) > counters.get("foreign_key", 0):
             self._tally.counts["foreign_key"] = counters["foreign_key"] = dropped["foreign_key"]
             self._tally.warn("foreign_key", count=dropped["foreign_key"])
+        if self._inbox.too_late > self._too_late:
+            self._too_late = self._inbox.too_late
+            self._tally.warn("too_slow", dropped=self._too_late, hint=TOO_SLOW_HINT)
         counters |= {f"dropped_{name}": count for name, count in dropped.items()}
         counters[WAITING] = len(self._inbox)
         try:

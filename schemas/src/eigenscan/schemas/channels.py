@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 
@@ -67,7 +67,8 @@ class Qos:
 
     `block`: the publisher waits rather than drops. `express`: never batched, for low latency.
     `latched`: a late joiner gets the newest sample of each key by a query on that key.
-    `depth`: samples that wait at a subscriber before the oldest is dropped (0: never dropped).
+    `depth`: samples that wait at a subscriber before the oldest is dropped (0: never dropped). `newest`: one
+    sample tells all that the older ones of its key would, so a subscriber that falls behind skips those.
     `rate_hz`: what is usual, for health and for planning. `air_hz`: samples a second that may cross the air
     between robot and site; 0: it stays on the robot, infinite: all of them.
     """
@@ -77,6 +78,7 @@ class Qos:
     express: bool = False
     latched: bool = False
     depth: int = 64
+    newest: bool = False
     rate_hz: float = 0.0
     air_hz: float = 0.0
 
@@ -149,20 +151,21 @@ class Channel:
 
 
 _LIVE = Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=40.0)
+_SWEEP = replace(_LIVE, newest=True)
 _SITE_DATA = Qos(Priority.DATA_LOW, block=True, latched=True, depth=0, air_hz=math.inf)
 
 SCAN_RAW = Channel(
     "scan_raw",
     "{site}/robot/{robot}/scan/raw/{lidar}",
     RawScan,
-    _LIVE,
+    _SWEEP,
     "one sweep as the lidar's driver gives it, for scan-ingest",
 )
 SCAN = Channel(
     "scan",
     "{site}/robot/{robot}/scan/{lidar}",
     Scan,
-    _LIVE,
+    _SWEEP,
     "the canonical scan, from scan-ingest, for all others",
 )
 ODOMETRY = Channel(

@@ -65,7 +65,8 @@ def _qos(channel: Channel) -> tuple[str, ...]:
         "block" if qos.block else "drop",
         "yes" if qos.express else "",
         "yes" if qos.latched else "",
-        f"newest {qos.depth} a key" if qos.depth else "all",
+        (f"newest {qos.depth} a key" if qos.depth else "all")
+        + ("; behind: the newest" if qos.newest else ""),
         f"{qos.rate_hz:g} Hz" if qos.rate_hz else "on change",
     )
 

@@ -19,6 +19,7 @@ class MapbuilderSettings(ServiceSettings):
     robot: str = Field(
         "*", description="robot whose scans keep the map true; * hears every robot of the site"
     )
+    behind_after: float = Field(math.inf, ge=0, description="s; no robot waits for its answer")
     map: Path | None = Field(None, description="map_server yaml to build models from")
     model: Path | None = Field(None, description="folder of models that were built before, instead of map")
     frame_id: str = Field("map", min_length=1, description="name of the map frame in what is published")

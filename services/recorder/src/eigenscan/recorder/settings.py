@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -18,6 +19,7 @@ class RecorderSettings(ServiceSettings):
     """Settings of the recorder. At least one of `mcap`, `rrd` and `viewer_port` must be given."""
 
     robot: str = Field("*", description="robot to record; * records every robot of the site")
+    behind_after: float = Field(math.inf, ge=0, description="s; it wants all")
     mcap: Path | None = Field(
         None, description="folder for MCAP files, or one file ending in .mcap; none is ever overwritten"
     )
