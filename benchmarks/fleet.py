@@ -247,7 +247,7 @@ def measure(
     stop.set()
     driving.join()
     for ear in ears:
-        ear.undeclare()  # type: ignore[no-untyped-call]
+        ear.undeclare()
     waits = np.array(heard.waits or [np.nan])
     return {
         "robots": len(names),

@@ -136,7 +136,7 @@ def generate(
             due, (at + max(later, PERIOD_NS * (later < 0)) * 1e-9, number, (index + 1) % len(lines))
         )
     for session in sessions.values():
-        session.close()  # type: ignore[no-untyped-call]
+        session.close()
 
 
 @dataclass

@@ -126,7 +126,7 @@ def measure(folder: Path, rounds: int) -> dict[str, dict[str, float]]:
             results[name] = {step: statistics.median(run[step] for run in runs) for step in runs[0]}
         stop.set()
         driving.join()
-        tokens.undeclare()  # type: ignore[no-untyped-call]
+        tokens.undeclare()
     return results
 
 

@@ -234,7 +234,7 @@ def main() -> None:
         if projector.news.wait(0.2):
             projector.work()
     teller.join()
-    session.close()  # type: ignore[no-untyped-call]
+    session.close()
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from itertools import zip_longest
 from pathlib import Path
@@ -15,10 +14,8 @@ from eigenscan.recorder.settings import RecorderSettings
 from eigenscan.schemas.channels import HEALTH
 from eigenscan.schemas.envelope import Envelope
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "recorder")]
-
-from chromium import Pixels, open_page, screenshot_when, share  # noqa: E402
-from traffic import Site  # noqa: E402
+from tests.browser.chromium import Pixels, open_page, screenshot_when, share
+from tests.recorder.traffic import Site
 
 WIDTH, HEIGHT = 1280, 720
 TOP_PX = 30

@@ -3,6 +3,7 @@
 import gzip
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,13 @@ DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 
 
-def run(*arguments):
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [EIGENSCAN, "map", *arguments], capture_output=True, text=True, timeout=200, check=False
     )
 
 
-def robotlaser(ranges, second, x=0.0):
+def robotlaser(ranges: np.ndarray, second: int, x: float = 0.0) -> str:
     """One CARMEN line, beams of a degree from -90 degrees on."""
     numbers = " ".join(f"{value:.3f}" for value in ranges)
     pose = f"{x} 0 0"
@@ -31,14 +32,14 @@ def robotlaser(ranges, second, x=0.0):
     )
 
 
-def write(path, lines):
+def write(path: Path, lines: Iterable[str]) -> Path:
     path.write_text("\n".join(lines) + "\n")
     return path
 
 
 @pytest.mark.dataset
 @pytest.mark.parametrize("odometry", [True, False])
-def test_a_part_of_a_real_log_becomes_a_map_and_a_trajectory(tmp_path, odometry):
+def test_a_part_of_a_real_log_becomes_a_map_and_a_trajectory(tmp_path: Path, odometry: bool) -> None:
     with gzip.open(DATASETS / "fr079/log.clf.gz", "rt") as file:
         lines = [line.rstrip() for line in file][:900]
     out = tmp_path / "part.yaml"
@@ -66,7 +67,7 @@ def test_a_part_of_a_real_log_becomes_a_map_and_a_trajectory(tmp_path, odometry)
     assert (grid.at(found.poses[:, :2]) == FREE).mean() > 0.99
 
 
-def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path):
+def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path: Path) -> None:
     log = write(tmp_path / "blind.clf", [robotlaser(np.full(180, 81.0), k) for k in range(1, 20)])
     done = run(log, "-o", tmp_path / "map.yaml")
     assert done.returncode == 2
@@ -76,7 +77,7 @@ def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path):
     assert not (tmp_path / "map.yaml").exists()
 
 
-def test_one_scan_is_no_map(tmp_path):
+def test_one_scan_is_no_map(tmp_path: Path) -> None:
     log = write(tmp_path / "one.clf", [robotlaser(np.linspace(2.0, 3.0, 180), 1)])
     done = run(log, "-o", tmp_path / "map.yaml")
     assert done.returncode == 2
@@ -84,7 +85,7 @@ def test_one_scan_is_no_map(tmp_path):
     assert "two or more" in done.stderr
 
 
-def test_scans_without_a_single_range_are_refused(tmp_path):
+def test_scans_without_a_single_range_are_refused(tmp_path: Path) -> None:
     log = write(tmp_path / "nan.clf", [robotlaser(np.full(180, np.nan), k) for k in range(1, 5)])
     done = run(log, "-o", tmp_path / "map.yaml")
     assert done.returncode == 2
@@ -92,7 +93,7 @@ def test_scans_without_a_single_range_are_refused(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_a_log_that_is_not_there_and_a_name_that_is_no_yaml(tmp_path):
+def test_a_log_that_is_not_there_and_a_name_that_is_no_yaml(tmp_path: Path) -> None:
     done = run(tmp_path / "none.bag")
     assert done.returncode == 2
     assert "none.bag" in done.stderr

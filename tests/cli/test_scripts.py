@@ -20,7 +20,10 @@ EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 def _run(*arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [*EIGENSCAN, *map(str, arguments)],
-        **{"cwd": cwd, "env": os.environ | environment, "capture_output": True, "text": True},
+        cwd=cwd,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
         timeout=120,
         check=False,
     )

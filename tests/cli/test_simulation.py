@@ -19,6 +19,7 @@ from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW, TRUTH
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
@@ -63,7 +64,7 @@ def test_the_recording_holds_what_the_truth_file_says(tmp_path: Path) -> None:
               "--seconds", 5, "--rate", 7, "--beams", 90, "--fov", 360)  # fmt: skip
     truth = np.loadtxt(tmp_path / "r.tum")
     records = [record.envelope for record in read(tmp_path / "r.mcap")]
-    said = [record.message for record in records if record.channel is TRUTH]
+    said = [record.open(PoseInFrame) for record in records if record.channel is TRUTH]
     scans = [record.open(RawScan) for record in records if record.channel is SCAN_RAW]
     assert len(scans) == len(said) == len(truth) == 35
     np.testing.assert_allclose([nanoseconds(scan.timestamp) * 1e-9 for scan in scans], truth[:, 0])

@@ -5,11 +5,12 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Mapping
 
 import zenoh
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.schemas.channels import HEALTH, SCAN, SCAN_RAW, ContractError
+from eigenscan.schemas.channels import HEALTH, SCAN, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import Scan
@@ -27,14 +28,14 @@ else:
 session = zenoh.open(zenoh.Config.from_file(os.environ["EIGENSCAN_ZENOH"]))
 
 
-def say(key, payload, declared, channel):
+def say(key: str, payload: bytes, declared: str, channel: Channel) -> None:
     other = fault == "other-qos" and channel is SCAN
     priority = zenoh.Priority.DATA if other else getattr(zenoh.Priority, channel.qos.priority.name)
     express = channel.qos.express and not other
     session.put(key, payload, encoding=zenoh.Encoding(declared), priority=priority, express=express)
 
 
-def on_sample(sample):
+def on_sample(sample: zenoh.Sample) -> None:
     key = str(sample.key_expr)
     if sample.kind != zenoh.SampleKind.PUT:
         return
@@ -46,11 +47,13 @@ def on_sample(sample):
             print("cannot decode, goodbye", flush=True)
             os._exit(3)
         return
-    for said in core.handle(Envelope(SCAN_RAW, SCAN_RAW.parse(key), message)):
+    lidar = SCAN_RAW.parse(key)
+    assert lidar is not None
+    for said in core.handle(Envelope(SCAN_RAW, lidar, message)):
         answer(said.address, said.open(Scan))
 
 
-def answer(address, scan):
+def answer(address: Mapping[str, str], scan: Scan) -> None:
     if fault == "arrival-time":
         scan.timestamp.FromNanoseconds(time.time_ns())
     if fault == "metres-off":

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -77,7 +78,9 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ended]:
     """All runs of this module, some at a time: of our services, and of the odd one with each fault."""
     folder = tmp_path_factory.mktemp("conform")
     patient = ("--latency", 5)
-    runs = {service: (service, [PROGRAMS / f"eigenscan-{service}"], *patient) for service in OURS}
+    runs: dict[str, tuple[Any, ...]] = {
+        service: (service, [PROGRAMS / f"eigenscan-{service}"], *patient) for service in OURS
+    }
     for fault in ("none", *FAULTS):
         limit = ("--latency", 0.03) if fault == "slow" else patient
         runs[fault] = ("scan-ingest", [sys.executable, ODD_INGEST, fault], *limit)

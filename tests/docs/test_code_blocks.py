@@ -23,7 +23,10 @@ def _run(command: list[str], page: str, folder: Path) -> None:
     environment = os.environ | {"PATH": path, "HOME": str(folder), "MPLBACKEND": "Agg"}
     done = subprocess.run(
         command,
-        **{"cwd": folder, "env": environment, "capture_output": True, "text": True},
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
         stdin=subprocess.DEVNULL,
         timeout=280,
         check=False,

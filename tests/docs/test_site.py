@@ -34,7 +34,10 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, _Links]:
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     built = subprocess.run(
         [*command, "--site-dir", str(folder)],
-        **{"cwd": ROOT, "env": environment, "capture_output": True, "text": True},
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
         check=False,
     )
     assert built.returncode == 0, built.stdout + built.stderr

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh, toeplitz
 
 
-def panoramas(count, turn, seed=0):
+def panoramas(count: int, turn: int, seed: int = 0) -> np.ndarray:
     """Smooth rings with jumps, 1 to 12 m."""
     rng = np.random.default_rng(seed)
     angle = np.arange(turn) * (2 * np.pi / turn)
@@ -20,7 +20,7 @@ def panoramas(count, turn, seed=0):
     return rings.astype(np.float32)
 
 
-def direct_covariance(values, beams):
+def direct_covariance(values: np.ndarray, beams: int) -> tuple[np.ndarray, np.ndarray]:
     """All N P scans, one by one, and their covariance, as the paper has it."""
     scans = np.array(
         [np.roll(ring, -k)[:beams] for ring in values.astype(np.float64) for k in range(len(ring))]
@@ -32,7 +32,7 @@ def direct_covariance(values, beams):
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 999), turn=st.integers(8, 60), share=st.floats(0.2, 1.0), count=st.integers(1, 6))
-def test_the_toeplitz_covariance_is_the_direct_one(seed, turn, share, count):
+def test_the_toeplitz_covariance_is_the_direct_one(seed: int, turn: int, share: float, count: int) -> None:
     values = panoramas(count, turn, seed)
     beams = max(1, int(turn * share))
     mean, covariance = autocovariance(values)
@@ -42,14 +42,14 @@ def test_the_toeplitz_covariance_is_the_direct_one(seed, turn, share, count):
     np.testing.assert_allclose(toeplitz(covariance[:beams]), direct, atol=1e-9 * direct.max())
 
 
-def test_the_toeplitz_covariance_is_the_direct_one_at_half_a_degree():
+def test_the_toeplitz_covariance_is_the_direct_one_at_half_a_degree() -> None:
     values = panoramas(3, 720)
     _, covariance = autocovariance(values)
     _, direct = direct_covariance(values, 361)
     np.testing.assert_allclose(toeplitz(covariance[:361]), direct, atol=1e-9 * direct.max())
 
 
-def test_components_are_the_eigenvectors_of_the_direct_covariance_largest_first():
+def test_components_are_the_eigenvectors_of_the_direct_covariance_largest_first() -> None:
     values = panoramas(6, 90)
     space = analyse(values, 46, count=5)
     _, direct = direct_covariance(values, 46)
@@ -62,14 +62,14 @@ def test_components_are_the_eigenvectors_of_the_direct_covariance_largest_first(
 
 
 @pytest.mark.parametrize("share", [0.3, 0.8, 0.95, 0.999])
-def test_the_fewest_components_that_hold_the_share(share):
+def test_the_fewest_components_that_hold_the_share(share: float) -> None:
     values = panoramas(6, 90)
     space = analyse(values, 46, share=share)
     assert space.explained >= share - 1e-6
     assert space.eigenvalues[:-1].sum() / space.total_variance < share
 
 
-def test_projection_reconstruction_and_error_are_the_papers():
+def test_projection_reconstruction_and_error_are_the_papers() -> None:
     values = panoramas(5, 80, 3)
     space = analyse(values, 41, count=7)
     scans = windows(values, [3, 70, 79, 0, 41], 41)
@@ -94,7 +94,9 @@ def test_projection_reconstruction_and_error_are_the_papers():
     share=st.floats(0.1, 1.0),
     count=st.integers(1, 6),
 )
-def test_scan_is_reconstruction_and_error_at_right_angles_for_any_beam_count(seed, turn, part, share, count):
+def test_scan_is_reconstruction_and_error_at_right_angles_for_any_beam_count(
+    seed: int, turn: int, part: float, share: float, count: int
+) -> None:
     values = panoramas(count, turn, seed)
     space = analyse(values, max(1, int(turn * part)), share=share)
     every = all_windows(values, space.beams).reshape(-1, space.beams).astype(np.float64)
@@ -115,7 +117,9 @@ def test_scan_is_reconstruction_and_error_at_right_angles_for_any_beam_count(see
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 999), turn=st.integers(4, 70), part=st.floats(0.05, 1.0), count=st.integers(1, 70))
-def test_coefficients_and_norms_of_all_headings_are_those_of_each_window(seed, turn, part, count):
+def test_coefficients_and_norms_of_all_headings_are_those_of_each_window(
+    seed: int, turn: int, part: float, count: int
+) -> None:
     values = panoramas(count, turn, seed)
     space = analyse(values, max(1, int(turn * part)), share=0.8)
     every = all_windows(values, space.beams)
@@ -124,7 +128,7 @@ def test_coefficients_and_norms_of_all_headings_are_those_of_each_window(seed, t
     np.testing.assert_allclose(all_norms(values, space), norms, atol=2e-4 * norms.max())
 
 
-def test_the_energy_bound_of_coefficients_and_norms():
+def test_the_energy_bound_of_coefficients_and_norms() -> None:
     values = panoramas(4, 72, 8)
     space = analyse(values, 37, count=4)
     a, n = all_coefficients(values, space), all_norms(values, space)
@@ -133,13 +137,13 @@ def test_the_energy_bound_of_coefficients_and_norms():
     np.testing.assert_allclose(np.sqrt(squared), space.energy(every), rtol=1e-3, atol=1e-2)
 
 
-def test_signs_do_not_depend_on_the_solver():
+def test_signs_do_not_depend_on_the_solver() -> None:
     values = panoramas(6, 90)
     few, many = analyse(values, 46, count=3), analyse(values, 46, share=0.9999)
     np.testing.assert_allclose(few.vectors, many.vectors[:3], atol=1e-4)
 
 
-def test_beams_without_a_wall_count_as_the_cap_and_leave_it_exact():
+def test_beams_without_a_wall_count_as_the_cap_and_leave_it_exact() -> None:
     values = panoramas(4, 60, 5)
     values[1, 7:30], values[2] = np.inf, np.inf
     clipped = RangeTransform(5.0)(values)
@@ -148,7 +152,7 @@ def test_beams_without_a_wall_count_as_the_cap_and_leave_it_exact():
     np.testing.assert_allclose(toeplitz(covariance[:31]), direct_covariance(clipped, 31)[1], atol=1e-9)
 
 
-def test_what_cannot_be_analysed_is_refused():
+def test_what_cannot_be_analysed_is_refused() -> None:
     values = panoramas(2, 20)
     for bad in (np.inf, np.nan):
         broken = values.copy()
@@ -162,7 +166,7 @@ def test_what_cannot_be_analysed_is_refused():
             analyse(values, beams)
 
 
-def test_a_round_room_has_no_variance_and_is_no_fault():
+def test_a_round_room_has_no_variance_and_is_no_fault() -> None:
     space = analyse(np.full((3, 24), 4.0, np.float32), 13)
     assert len(space.eigenvalues) == 1
     np.testing.assert_allclose(space.reconstruct(space.project(np.full(13, 4.0))), 4.0, rtol=1e-6)
@@ -170,7 +174,7 @@ def test_a_round_room_has_no_variance_and_is_no_fault():
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 999), beams=st.integers(1, 40), count=st.integers(1, 40))
-def test_the_halved_eigenproblem_is_the_whole_one(seed, beams, count):
+def test_the_halved_eigenproblem_is_the_whole_one(seed: int, beams: int, count: int) -> None:
     row = np.random.default_rng(seed).normal(size=beams) + beams * (np.arange(beams) == 0)
     matrix, count = toeplitz(row), min(count, beams)
     values, vectors = eigenpairs(row, count)

@@ -1,4 +1,6 @@
 import dataclasses
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from eigenscan.schemas.channels import MODEL
 from eigenscan.schemas.wire import decode, encode
 
 
-def model(region="hall", seed=0):
+def model(region: str = "hall", seed: int = 0) -> RegionModel:
     rng = np.random.default_rng(seed)
     panoramas = rng.uniform(0.5, 30.0, (7, 48)).astype(np.float32)
     panoramas[2, 5:9] = np.inf
@@ -33,7 +35,7 @@ def model(region="hall", seed=0):
     )
 
 
-def same(a, b):
+def same(a: RegionModel, b: RegionModel) -> None:
     for field in dataclasses.fields(RegionModel):
         one, other = getattr(a, field.name), getattr(b, field.name)
         if field.name == "space":
@@ -45,15 +47,17 @@ def same(a, b):
             np.testing.assert_array_equal(one, other)
 
 
-def test_a_model_comes_back_from_the_wire_as_it_went():
+def test_a_model_comes_back_from_the_wire_as_it_went() -> None:
     sent = model()
-    heard = RegionModel.from_message(decode(MODEL, encode(sent.to_message())))
+    message = decode(MODEL, encode(sent.to_message()))
+    assert isinstance(message, model_pb2.RegionModel)
+    heard = RegionModel.from_message(message)
     same(sent, heard)
     assert heard.version == sent.version
     np.testing.assert_allclose(heard.positions[0], [-1.5 - 0.75, 2.0])
 
 
-def test_ranges_are_kept_to_half_a_step_and_no_wall_stays_none():
+def test_ranges_are_kept_to_half_a_step_and_no_wall_stays_none() -> None:
     panoramas = np.array([[0.0, 0.0011, 12.3456, 131.0, 131.2, 500.0, np.inf]], dtype=np.float32)
     steps = quantize(panoramas)
     assert steps.tolist()[0][4:] == [NO_WALL] * 3
@@ -63,7 +67,7 @@ def test_ranges_are_kept_to_half_a_step_and_no_wall_stays_none():
     assert kept.dtype == np.float32
 
 
-def test_the_version_is_the_contents():
+def test_the_version_is_the_contents() -> None:
     one = model()
     assert model().version == one.version
     changed = [
@@ -76,7 +80,7 @@ def test_the_version_is_the_contents():
     assert len({one.version, *(m.version for m in changed)}) == 6
 
 
-def test_another_compressor_does_not_make_another_version():
+def test_another_compressor_does_not_make_another_version() -> None:
     import zlib
 
     message = model().to_message()
@@ -84,7 +88,7 @@ def test_another_compressor_does_not_make_another_version():
     assert RegionModel.from_message(message).version == message.version
 
 
-def broken(**changes):
+def broken(**changes: object) -> model_pb2.RegionModel:
     message = model().to_message()
     for name, value in changes.items():
         field = getattr(message, name)
@@ -119,12 +123,12 @@ def broken(**changes):
         (model_pb2.RegionModel(), "format 0"),
     ],
 )
-def test_a_broken_model_is_refused_with_what_is_wrong(message, says):
+def test_a_broken_model_is_refused_with_what_is_wrong(message: model_pb2.RegionModel, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         RegionModel.from_message(message)
 
 
-def test_a_payload_that_inflates_beyond_measure_is_refused_unread():
+def test_a_payload_that_inflates_beyond_measure_is_refused_unread() -> None:
     import zlib
 
     bomb = zlib.compress(bytes(50_000_000), 9)
@@ -132,14 +136,14 @@ def test_a_payload_that_inflates_beyond_measure_is_refused_unread():
         RegionModel.from_message(broken(panoramas=bomb))
 
 
-def site():
+def site() -> SiteModel:
     cells = np.full((12, 15), FREE, dtype=np.uint8)
     cells[0], cells[:, 3] = OCCUPIED, UNKNOWN
     grid = GridMap(cells, 0.05, np.array([1.0, 2.0, 0.25]))
     return SiteModel(grid, "floor2", (model("a"), model("b", 1)))
 
 
-def test_a_folder_comes_back_as_it_was_written(tmp_path):
+def test_a_folder_comes_back_as_it_was_written(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "models"
     write_models(site(), folder, b"a picture")
     read = read_models(folder)
@@ -151,7 +155,7 @@ def test_a_folder_comes_back_as_it_was_written(tmp_path):
     assert sorted(p.name for p in folder.parent.iterdir()) == ["models"]
 
 
-def test_the_files_are_plain(tmp_path):
+def test_the_files_are_plain(tmp_path: Path) -> None:
     import json
 
     write_models(site(), tmp_path / "m")
@@ -161,7 +165,7 @@ def test_the_files_are_plain(tmp_path):
         np.testing.assert_array_equal(file["ranges"], model("a").ranges)
 
 
-def test_a_new_set_takes_the_place_of_an_old_one_and_nothing_elses(tmp_path):
+def test_a_new_set_takes_the_place_of_an_old_one_and_nothing_elses(tmp_path: Path) -> None:
     write_models(site(), tmp_path / "m")
     only = SiteModel(site().grid, "floor2", (model("c", 2),))
     write_models(only, tmp_path / "m")
@@ -177,11 +181,11 @@ def test_a_new_set_takes_the_place_of_an_old_one_and_nothing_elses(tmp_path):
         write_models(only, tmp_path / "file")
 
 
-def test_a_write_that_fails_leaves_the_old_set(tmp_path, monkeypatch):
+def test_a_write_that_fails_leaves_the_old_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_models(site(), tmp_path / "m")
     before = read_models(tmp_path / "m").to_message()
 
-    def full(*_arguments, **_named):
+    def full(*_arguments: object, **_named: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("eigenscan.eigenspace.folder.write_map", full)
@@ -191,7 +195,7 @@ def test_a_write_that_fails_leaves_the_old_set(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["m"]
 
 
-def damage_text(path, old, new):
+def damage_text(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
@@ -218,7 +222,9 @@ def damage_text(path, old, new):
         (lambda m: (m / "map.pgm").unlink(), "map.pgm"),
     ],
 )
-def test_a_damaged_folder_is_refused_with_the_file_and_what_is_wrong(tmp_path, damage, says):
+def test_a_damaged_folder_is_refused_with_the_file_and_what_is_wrong(
+    tmp_path: Path, damage: Callable[[Path], object], says: str
+) -> None:
     folder = tmp_path / "m"
     write_models(site(), folder)
     damage(folder)
@@ -226,7 +232,7 @@ def test_a_damaged_folder_is_refused_with_the_file_and_what_is_wrong(tmp_path, d
         read_models(folder)
 
 
-def test_the_sets_version_is_that_of_its_map_and_models_in_order():
+def test_the_sets_version_is_that_of_its_map_and_models_in_order() -> None:
     import hashlib
 
     message = site().to_message()

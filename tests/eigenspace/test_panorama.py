@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 from eigenscan.eigenspace.panorama import PAPER_SENSOR, Sensor, all_windows, resample, windows
-from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.eigenspace.ranges import Curve, RangeTransform
 from eigenscan.geometry import raycast
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 
 
-def room():
+def room() -> GridMap:
     cells = np.full((90, 140), FREE, dtype=np.uint8)
     cells[[0, -1], :] = cells[:, [0, -1]] = OCCUPIED
     cells[30:50, 90:100] = OCCUPIED
@@ -17,7 +17,7 @@ def room():
 @pytest.mark.parametrize(
     "sensor", [PAPER_SENSOR, Sensor(-2.1, np.deg2rad(1), 230), Sensor(0.4, np.deg2rad(2), 180)]
 )
-def test_a_window_is_what_the_sensor_sees_at_its_heading(sensor):
+def test_a_window_is_what_the_sensor_sees_at_its_heading(sensor: Sensor) -> None:
     grid, point, turn = room(), np.array([0.7, 4.1]), sensor.turn
     panorama = raycast.panoramas(grid, point[None], turn, 50.0)
     for k in (0, 1, turn // 3, turn - 1):
@@ -29,7 +29,7 @@ def test_a_window_is_what_the_sensor_sees_at_its_heading(sensor):
         assert sensor.window_of(heading, turn) == pytest.approx(k, abs=1e-6) or k == 0
 
 
-def test_headings_and_windows_are_each_others_inverse():
+def test_headings_and_windows_are_each_others_inverse() -> None:
     sensor = Sensor(-1.234, np.deg2rad(0.5), 400)
     headings = sensor.headings(720)
     back = sensor.window_of(headings, 720)
@@ -38,7 +38,7 @@ def test_headings_and_windows_are_each_others_inverse():
     assert np.abs(difference(headings[1:], headings[:-1]) - np.deg2rad(0.5)).max() < 1e-9
 
 
-def test_all_windows_are_the_rolled_panorama():
+def test_all_windows_are_the_rolled_panorama() -> None:
     panorama = np.arange(24.0, dtype=np.float32).reshape(2, 12)
     every = all_windows(panorama, 5)
     assert every.shape == (2, 12, 5)
@@ -46,14 +46,14 @@ def test_all_windows_are_the_rolled_panorama():
         np.testing.assert_array_equal(every[:, k], np.roll(panorama, -k, axis=1)[:, :5])
 
 
-def test_the_papers_sensor():
+def test_the_papers_sensor() -> None:
     assert PAPER_SENSOR.beams == 361
     assert PAPER_SENSOR.turn == 720
     assert Sensor.facing(2 * np.pi, np.deg2rad(0.5)).beams == 720
 
 
 @pytest.mark.parametrize("turn", [360, 1000, 1024, 1440, 719])
-def test_resampling_is_nearly_casting_at_the_other_step(turn):
+def test_resampling_is_nearly_casting_at_the_other_step(turn: int) -> None:
     grid, points = room(), np.array([[0.7, 4.1], [3.0, 4.6]])
     fine = resample(raycast.panoramas(grid, points, 720, 50.0), turn)
     cast = raycast.panoramas(grid, points, turn, 50.0)
@@ -61,7 +61,7 @@ def test_resampling_is_nearly_casting_at_the_other_step(turn):
     assert (np.abs(fine - cast) < 0.06).mean() > 0.98
 
 
-def test_resampling_is_exact_on_a_straight_wall_and_keeps_no_wall():
+def test_resampling_is_exact_on_a_straight_wall_and_keeps_no_wall() -> None:
     angle = np.arange(720) * (2 * np.pi / 720)
     with np.errstate(divide="ignore"):
         wall = np.where(np.cos(angle) > 0.2, 3.0 / np.cos(angle), np.inf).astype(np.float32)
@@ -74,7 +74,7 @@ def test_resampling_is_exact_on_a_straight_wall_and_keeps_no_wall():
 
 
 @pytest.mark.parametrize("curve", ["range", "root", "log", "inverse"])
-def test_transforms_increase_clip_and_keep_what_is_missing(curve):
+def test_transforms_increase_clip_and_keep_what_is_missing(curve: Curve) -> None:
     transform = RangeTransform(8.0, curve)
     ranges = np.linspace(0, 12, 200)
     values = transform(ranges)
@@ -84,9 +84,9 @@ def test_transforms_increase_clip_and_keep_what_is_missing(curve):
     assert np.isnan(transform([np.nan])).all()
 
 
-def test_transforms_that_make_no_sense():
+def test_transforms_that_make_no_sense() -> None:
     for cap in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="cap"):
             RangeTransform(cap)
     with pytest.raises(ValueError, match="curve"):
-        RangeTransform(5.0, "cube")
+        RangeTransform(5.0, "cube")  # type: ignore[arg-type]

@@ -4,7 +4,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from eigenscan.eigenspace import versions as on_disk
 from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.versions import KEPT, choose, exchange, kept_in, versions
@@ -14,7 +13,7 @@ from tests.eigenspace.test_model import model, site
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 
 
-def build(folder, seed, at):
+def build(folder: Path, seed: int, at: int) -> str:
     """Writes a set of one region into the folder, as if it was built `at` s."""
     made = SiteModel(site().grid, "map", (model("a", seed),))
     write_models(made, folder)
@@ -23,22 +22,22 @@ def build(folder, seed, at):
 
 
 @pytest.fixture
-def three(tmp_path):
+def three(tmp_path: Path) -> tuple[Path, list[str]]:
     folder = tmp_path / "m"
     return folder, [build(folder, seed, 1000 + seed) for seed in range(3)]
 
 
-def run(*arguments):
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [EIGENSCAN, "models", *arguments], capture_output=True, text=True, timeout=60, check=False
     )
 
 
-def in_use(folder):
+def in_use(folder: Path) -> str:
     return read_models(folder).to_message().version
 
 
-def test_what_a_build_replaces_is_kept_newest_first(three):
+def test_what_a_build_replaces_is_kept_newest_first(three: tuple[Path, list[str]]) -> None:
     folder, (first, second, third) = three
     assert [v.version for v in versions(folder)] == [third, second, first]
     assert in_use(folder) == third
@@ -46,7 +45,7 @@ def test_what_a_build_replaces_is_kept_newest_first(three):
     assert [in_use(v.folder) for v in versions(folder)] == [third, second, first]
 
 
-def test_back_and_back_again_and_forth(three):
+def test_back_and_back_again_and_forth(three: tuple[Path, list[str]]) -> None:
     folder, (first, second, third) = three
     for wanted in (second, first):
         assert run("rollback", folder).returncode == 0
@@ -59,26 +58,26 @@ def test_back_and_back_again_and_forth(three):
     assert in_use(folder) == third
 
 
-def test_the_same_models_again_are_no_new_version(three):
+def test_the_same_models_again_are_no_new_version(three: tuple[Path, list[str]]) -> None:
     folder, (first, second, third) = three
     assert build(folder, 2, 2000) == third
     assert [v.version for v in versions(folder)] == [third, second, first]
 
 
-def test_a_version_that_comes_back_by_a_build_is_listed_once(three):
+def test_a_version_that_comes_back_by_a_build_is_listed_once(three: tuple[Path, list[str]]) -> None:
     folder, (first, second, third) = three
     assert build(folder, 0, 2000) == first
     assert [v.version for v in versions(folder)] == [first, third, second]
 
 
-def test_the_oldest_goes_when_there_are_too_many(tmp_path):
+def test_the_oldest_goes_when_there_are_too_many(tmp_path: Path) -> None:
     folder = tmp_path / "m"
     made = [build(folder, seed, 1000 + seed) for seed in range(KEPT + 3)]
     assert [v.version for v in versions(folder)] == made[::-1][: KEPT + 1]
     assert len(list(kept_in(folder).iterdir())) == KEPT
 
 
-def test_a_damaged_version_does_not_come_into_use(three):
+def test_a_damaged_version_does_not_come_into_use(three: tuple[Path, list[str]]) -> None:
     folder, (_, second, third) = three
     (versions(folder)[1].folder / "regions/a.npz").write_bytes(b"PK")
     done = run("rollback", folder)
@@ -88,14 +87,14 @@ def test_a_damaged_version_does_not_come_into_use(three):
     assert second in {v.version for v in versions(folder)}
 
 
-def test_list_marks_the_one_in_use(three):
+def test_list_marks_the_one_in_use(three: tuple[Path, list[str]]) -> None:
     folder, made = three
     lines = run("list", folder).stdout.splitlines()
     assert [line[2:14] for line in lines] == [version[:12] for version in made[::-1]]
     assert [line[0] for line in lines] == ["*", " ", " "]
 
 
-def test_what_cannot_be_chosen_is_told(three, tmp_path):
+def test_what_cannot_be_chosen_is_told(three: tuple[Path, list[str]], tmp_path: Path) -> None:
     folder, made = three
     with pytest.raises(ModelError, match=r"version 'zzz' is none of those kept: there is " + made[1][:12]):
         choose(versions(folder), "zzz", folder)
@@ -107,9 +106,9 @@ def test_what_cannot_be_chosen_is_told(three, tmp_path):
 
 
 @pytest.mark.parametrize("atomic", [True, False])
-def test_two_folders_change_places(tmp_path, monkeypatch, atomic):
+def test_two_folders_change_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, atomic: bool) -> None:
     if not atomic:
-        monkeypatch.setattr(on_disk.ctypes, "CDLL", lambda *_, **__: object())
+        monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: object())
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "who").write_text(name)
@@ -119,7 +118,7 @@ def test_two_folders_change_places(tmp_path, monkeypatch, atomic):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "other"]
 
 
-def test_what_else_lies_among_the_versions_is_left_alone(three):
+def test_what_else_lies_among_the_versions_is_left_alone(three: tuple[Path, list[str]]) -> None:
     folder, _ = three
     other = kept_in(folder) / "notes"
     other.mkdir()

@@ -31,15 +31,24 @@ def test_the_chosen_are_apart_and_no_other_fits_behind_them(way: list[float], le
     assert [way[row] for row in chosen] == kept
 
 
+def interval_and_mean(squares: np.ndarray) -> tuple[float, float, float]:
+    """low, mean, high of squares half a metre apart."""
+    found = consistency(squares, np.linspace(0.0, 0.5 * (len(squares) - 1), len(squares)), 0.5)
+    assert found.low is not None
+    assert found.mean is not None
+    assert found.high is not None
+    return found.low, found.mean, found.high
+
+
 def test_covariances_that_are_true_pass_in_95_of_100_runs_and_others_fail() -> None:
     rng = np.random.default_rng(3)
-    way = np.arange(60) * 0.5
     runs = rng.chisquare(3, (4000, 60))
-    inside = [found.low <= found.mean <= found.high for found in (consistency(r, way, 0.5) for r in runs)]
+    inside = [low <= mean <= high for low, mean, high in map(interval_and_mean, runs)]
     assert np.mean(inside) == pytest.approx(0.95, abs=0.012)
-    boastful, timid = consistency(2 * runs[0], way, 0.5), consistency(0.5 * runs[0], way, 0.5)
-    assert boastful.mean > boastful.high
-    assert timid.mean < timid.low
+    _, mean, high = interval_and_mean(2 * runs[0])
+    assert mean > high
+    low, mean, _ = interval_and_mean(0.5 * runs[0])
+    assert mean < low
 
 
 def test_scans_of_one_place_and_of_overlapping_windows_count_once() -> None:

@@ -79,7 +79,16 @@ class Drive:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     folder = tmp_path_factory.mktemp("drive")
     made = Drive(folder / "d.mcap", folder / "d.tum", folder / "map.yaml", folder / "w.csv")
-    command = [EIGENSCAN, "simulate", "-o", made.recording, "--truth", made.truth, "--save-map", made.map]
+    command: list[str | Path] = [
+        EIGENSCAN,
+        "simulate",
+        "-o",
+        made.recording,
+        "--truth",
+        made.truth,
+        "--save-map",
+        made.map,
+    ]
     subprocess.run([*command, "--seconds", "16", "--rate", "5", "--beams", "181", "--seed", "4"], check=True)
     first, last = (float(made.truth.read_text().splitlines()[line].split()[0]) for line in (0, -1))
     middle = (first + last) / 2

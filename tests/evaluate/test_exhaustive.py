@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 BEAMS = 24
 STEP = 2 * np.pi / BEAMS
+DIRECTIONS: np.ndarray = np.arange(BEAMS) * STEP
 
 
 def direct(panoramas: np.ndarray, ranges: np.ndarray, bins: np.ndarray, cap: float) -> np.ndarray:
@@ -32,7 +33,7 @@ def test_it_finds_the_least_cost_of_all(seed: int, beams: int, first: int) -> No
     ranges = np.round(rng.uniform(0.2, 8.0, beams), 2)
     ranges[rng.random(beams) < 0.2] = np.nan
     ranges[rng.random(beams) < 0.1] = np.inf
-    bins = first + np.arange(beams)
+    bins: np.ndarray = first + np.arange(beams)
     positions = np.stack([np.arange(5.0), np.zeros(5)], axis=1)
     found = best_pose(gallery(positions, panoramas, cap), ranges, bins * STEP, np.zeros(3))
     if np.isnan(ranges).all():
@@ -50,7 +51,7 @@ def test_the_answer_is_the_base_and_not_the_sensor() -> None:
     positions = rng.uniform(-3, 3, (4, 2))
     mount = np.array([0.3, -0.1, 2.0])
     # beams that lie between the grid's directions by a quarter step
-    directions = (np.arange(12) - 4.25) * STEP
+    directions: np.ndarray = (np.arange(12) - 4.25) * STEP
     heading = 7
     ranges = panoramas[2, (heading + np.arange(12) - 4) % BEAMS]
     base = best_pose(gallery(positions, panoramas, 10.0), ranges, directions, mount)
@@ -68,7 +69,7 @@ def test_beyond_the_sensors_reach_nothing_counts() -> None:
     # the sensor reaches 4 m: all that lies further comes back empty
     seen = panoramas[3, (np.arange(BEAMS) + 9) % BEAMS]
     ranges = np.where(seen > 4.0, np.inf, seen)
-    found = best_pose(shown.up_to(4.0), ranges, np.arange(BEAMS) * STEP, np.zeros(3))
+    found = best_pose(shown.up_to(4.0), ranges, DIRECTIONS, np.zeros(3))
     assert found is not None
     assert (found[0], round(found[2] / STEP) % BEAMS) == (3.0, 9)
     assert shown.up_to(0.0) is shown
@@ -77,7 +78,7 @@ def test_beyond_the_sensors_reach_nothing_counts() -> None:
 def test_a_sensor_of_very_many_beams_does_not_overflow() -> None:
     rng = np.random.default_rng(2)
     panoramas = rng.uniform(1, 20, (3, BEAMS))
-    directions = np.repeat(np.arange(BEAMS), 200) * STEP
+    directions = np.repeat(DIRECTIONS, 200)
     ranges = np.repeat(panoramas[1, (np.arange(BEAMS) + 5) % BEAMS], 200)
     found = best_pose(
         gallery(np.zeros((3, 2)) + np.arange(3)[:, None], panoramas, 30.0), ranges, directions, np.zeros(3)

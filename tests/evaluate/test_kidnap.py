@@ -68,7 +68,7 @@ def test_a_robot_that_never_leaves_its_place_cannot_be_kidnapped() -> None:
 def test_time_and_odometry_go_on_over_the_jump() -> None:
     before, after = log(0, 20), log(500 * NS, 30)
     joined = splice(before, after)
-    stamps = [nanoseconds(e.message.timestamp) for e in joined.heard if e.channel == SCAN_RAW]
+    stamps = [nanoseconds(e.open(RawScan).timestamp) for e in joined.heard if e.channel == SCAN_RAW]
     np.testing.assert_array_equal(np.diff(stamps), PERIOD)
     assert joined.jump == 20 * PERIOD
     assert joined.moved == 20 * PERIOD - 500 * NS
@@ -82,7 +82,7 @@ def test_time_and_odometry_go_on_over_the_jump() -> None:
             atol=1e-9,
         )
     # what was given is left as it was
-    assert nanoseconds(after[0].message.timestamp) == 500 * NS
+    assert nanoseconds(after[0].open(Odometry).timestamp) == 500 * NS
 
 
 def test_a_log_without_odometry_is_joined_as_well() -> None:
@@ -94,7 +94,7 @@ def test_what_was_noticed_and_when_it_was_found() -> None:
     # 1 s in the first place, then at 10 s of the reference: old place claimed for 0.3 s, lost, then right
     path = line(30.0)
     joined = splice(log(0, 10), log(10 * NS, 20))
-    stamps = np.array([nanoseconds(e.message.timestamp) for e in joined.heard if e.channel == SCAN_RAW])
+    stamps = np.array([nanoseconds(e.open(RawScan).timestamp) for e in joined.heard if e.channel == SCAN_RAW])
     truth = np.concatenate([np.arange(10) * 0.1, 10 + np.arange(20) * 0.1])
     poses = np.zeros((30, 3))
     poses[:, 0] = truth
@@ -111,7 +111,7 @@ def test_what_was_noticed_and_when_it_was_found() -> None:
 def test_a_kidnap_that_nobody_noticed() -> None:
     path = line(30.0)
     joined = splice(log(0, 10), log(10 * NS, 20))
-    stamps = np.array([nanoseconds(e.message.timestamp) for e in joined.heard if e.channel == SCAN_RAW])
+    stamps = np.array([nanoseconds(e.open(RawScan).timestamp) for e in joined.heard if e.channel == SCAN_RAW])
     poses = np.zeros((30, 3))
     poses[:, 0] = np.arange(30) * 0.1
     found = outcome(stream(stamps, poses, [True] * 30), joined, path)

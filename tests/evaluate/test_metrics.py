@@ -35,7 +35,7 @@ def stream(truth: Trajectory, offsets: np.ndarray, localized: list[bool]) -> Str
         confidence=np.full(n, 0.5),
         covariances=np.tile(np.eye(3), (n, 1, 1)),
         nis=np.full(n, np.nan),
-        cpu_s=np.arange(n) * 0.001,
+        cpu_s=np.linspace(0.0, 0.001 * (n - 1), n),
         scans=np.arange(n),
     )
 

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from click.testing import Result
 from eigenscan.cli.fleet.configuration import INSTALLED, PORT
 from eigenscan.cli.main import app
 from eigenscan.runtime.session import open_session
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 SITE = "hospital"
 ROBOTS = ("r17", "r18")

@@ -10,9 +10,11 @@ points = st.tuples(coordinates, coordinates)
 
 
 @settings(max_examples=60, deadline=None)
-@given(points, points)
-def test_a_ray_passes_the_cells_that_it_runs_through_and_hits_the_one_that_it_ends_in(start, end):
-    start, end = np.array(start), np.array(end)
+@given(st.tuples(points, points))
+def test_a_ray_passes_the_cells_that_it_runs_through_and_hits_the_one_that_it_ends_in(
+    ends: tuple[tuple[float, float], tuple[float, float]],
+) -> None:
+    start, end = np.array(ends[0]), np.array(ends[1])
     carving = Carving.around([start, end], 0.25)
     carving.add(start, end[None])
     last = tuple(np.floor((end - carving.low) / 0.25).astype(int)[::-1])
@@ -29,7 +31,7 @@ def test_a_ray_passes_the_cells_that_it_runs_through_and_hits_the_one_that_it_en
     assert carving.passes.max() <= 1
 
 
-def test_counts_decide_and_what_no_ray_reached_is_unknown():
+def test_counts_decide_and_what_no_ray_reached_is_unknown() -> None:
     carving = Carving.around([[0, 0], [2, 0], [2, 1]], 0.1)
     view = np.array([0.05, 0.05])
     for _ in range(3):
@@ -46,7 +48,7 @@ def test_counts_decide_and_what_no_ray_reached_is_unknown():
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.1])
-def test_the_grid_is_aligned_with_the_frame(resolution):
+def test_the_grid_is_aligned_with_the_frame(resolution: float) -> None:
     carving = Carving.around([[-0.31, 0.72], [1.0, 1.0]], resolution)
     np.testing.assert_allclose(carving.low / resolution, np.round(carving.low / resolution), atol=1e-9)
     carving.add([-0.31, 0.72], [[1.0, 1.0]])  # both ends are on it

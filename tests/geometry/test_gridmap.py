@@ -1,3 +1,6 @@
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import (
@@ -13,10 +16,11 @@ from eigenscan.geometry.gridmap import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from PIL import Image
 
 
-def saved(folder, pixels, image="map.pgm", **meta):
+def saved(folder: Path, pixels: ArrayLike, image: str = "map.pgm", **meta: object) -> Path:
     """A map_server pair; `pixels` as an image shows them, first row on top."""
     Image.fromarray(np.array(pixels, dtype=np.uint8)).save(folder / image)
     fields = {"image": image, "resolution": 0.1, "origin": [0, 0, 0], "negate": 0} | meta
@@ -29,22 +33,22 @@ def saved(folder, pixels, image="map.pgm", **meta):
 PIXELS = [[0, 205, 254], [254, 254, 100]]
 
 
-def test_the_bottom_row_of_the_image_is_row_0(tmp_path):
+def test_the_bottom_row_of_the_image_is_row_0(tmp_path: Path) -> None:
     grid = read_map(saved(tmp_path, PIXELS))
     assert grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [OCCUPIED, UNKNOWN, FREE]]
 
 
-def test_negated(tmp_path):
+def test_negated(tmp_path: Path) -> None:
     grid = read_map(saved(tmp_path, [[255, 50, 1], [1, 1, 120]], negate=1))
     assert grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [OCCUPIED, UNKNOWN, FREE]]
 
 
-def test_the_thresholds_are_the_files(tmp_path):
+def test_the_thresholds_are_the_files(tmp_path: Path) -> None:
     path = saved(tmp_path, [[100, 180, 254]], occupied_thresh=0.6, free_thresh=0.3)
     assert read_map(path).cells.tolist() == [[OCCUPIED, FREE, FREE]]
 
 
-def test_a_savers_unknown_stays_unknown_under_nav2s_threshold(tmp_path):
+def test_a_savers_unknown_stays_unknown_under_nav2s_threshold(tmp_path: Path) -> None:
     assert read_map(saved(tmp_path, PIXELS, free_thresh=0.25)).cells[1, 1] == UNKNOWN
     # where nothing is lighter, 205 may well be the free space
     assert read_map(saved(tmp_path, [[0, 205]], free_thresh=0.25)).cells.tolist() == [[OCCUPIED, FREE]]
@@ -52,13 +56,13 @@ def test_a_savers_unknown_stays_unknown_under_nav2s_threshold(tmp_path):
     assert read_map(scale).cells[1, 1] == FREE
 
 
-def test_scale_takes_transparent_as_unknown(tmp_path):
+def test_scale_takes_transparent_as_unknown(tmp_path: Path) -> None:
     pixels = [[[0, 0, 0, 255], [255, 255, 255, 0], [255, 255, 255, 255], [128, 128, 128, 255]]]
     path = saved(tmp_path, pixels, image="map.png", mode="scale")
     assert read_map(path).cells.tolist() == [[OCCUPIED, UNKNOWN, FREE, UNKNOWN]]
 
 
-def test_raw_holds_occupancy_itself(tmp_path):
+def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
     path = saved(tmp_path, [[0, 100, 255, 49, 50, 101]], mode="raw")
     assert read_map(path).cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, FREE, OCCUPIED, UNKNOWN]]
 
@@ -82,7 +86,7 @@ def test_raw_holds_occupancy_itself(tmp_path):
         ({"negate": 1, "free_thresh": 0.0}, "no free cell"),
     ],
 )
-def test_a_bad_field_is_named_with_its_file(tmp_path, meta, says):
+def test_a_bad_field_is_named_with_its_file(tmp_path: Path, meta: dict[str, Any], says: str) -> None:
     path = saved(tmp_path, PIXELS)
     saved(tmp_path, PIXELS, **({"image": "map.pgm"} | meta)) if "image" not in meta else path.write_text(
         path.read_text().replace("map.pgm", meta["image"])
@@ -93,7 +97,7 @@ def test_a_bad_field_is_named_with_its_file(tmp_path, meta, says):
 
 
 @pytest.mark.parametrize("text", ["", "- a\n- b", "image: [", "just words"])
-def test_what_is_no_map_file(tmp_path, text):
+def test_what_is_no_map_file(tmp_path: Path, text: str) -> None:
     path = tmp_path / "map.yaml"
     path.write_text(text)
     with pytest.raises(MapError):
@@ -102,12 +106,12 @@ def test_what_is_no_map_file(tmp_path, text):
         read_map(tmp_path / "none.yaml")
 
 
-def some_map(origin=(1.5, -2.25, 0.7)):
+def some_map(origin: tuple[float, float, float] = (1.5, -2.25, 0.7)) -> GridMap:
     cells = np.random.default_rng(2).choice(np.array([FREE, OCCUPIED, UNKNOWN], np.uint8), (7, 11))
     return GridMap(cells, 0.05, np.array(origin))
 
 
-def test_a_map_comes_back_from_disk_and_from_the_wire(tmp_path):
+def test_a_map_comes_back_from_disk_and_from_the_wire(tmp_path: Path) -> None:
     grid = some_map()
     write_map(grid, tmp_path / "a" / "map.yaml")
     for back in (read_map(tmp_path / "a" / "map.yaml"), from_message(to_message(grid, "map"))):
@@ -117,7 +121,7 @@ def test_a_map_comes_back_from_disk_and_from_the_wire(tmp_path):
     assert read_map(tmp_path / "a" / "map.yaml").version == grid.version
 
 
-def test_grids_that_are_no_maps():
+def test_grids_that_are_no_maps() -> None:
     good = to_message(some_map(), "map")
     for change in ({"column_count": 0}, {"cell_stride": 2}, {"data": b"123"}, {"row_stride": 3}):
         bad = type(good)()
@@ -132,14 +136,14 @@ def test_grids_that_are_no_maps():
 
 
 @given(x=st.floats(-50, 50), y=st.floats(-50, 50), yaw=st.floats(-7, 7))
-def test_map_and_grid_coordinates_are_each_others_inverse(x, y, yaw):
+def test_map_and_grid_coordinates_are_each_others_inverse(x: float, y: float, yaw: float) -> None:
     grid = some_map((x, y, yaw))
     cells = np.array([[0.5, 0.5], [10.2, 3.3], [-4.0, 99.0]])
     np.testing.assert_allclose(grid.to_grid(grid.to_map(cells)), cells, atol=1e-9)
     np.testing.assert_allclose(grid.to_map([0.0, 0.0]), [x, y], atol=1e-12)
 
 
-def test_cells_are_found_in_a_turned_map_and_unknown_is_outside():
+def test_cells_are_found_in_a_turned_map_and_unknown_is_outside() -> None:
     grid = some_map()
     for row, column in [(0, 0), (6, 10), (3, 4)]:
         assert grid.at(grid.to_map([column + 0.4, row + 0.6])) == grid.cells[row, column]
@@ -149,7 +153,7 @@ def test_cells_are_found_in_a_turned_map_and_unknown_is_outside():
     assert grid.free_area == pytest.approx(free * 0.0025)
 
 
-def test_the_version_is_the_contents():
+def test_the_version_is_the_contents() -> None:
     grid = some_map()
     other = grid.cells.copy()
     other[3, 3] = FREE if other[3, 3] != FREE else OCCUPIED

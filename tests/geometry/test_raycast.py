@@ -6,13 +6,14 @@ import pytest
 from eigenscan.geometry import raycast
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, read_map
 from eigenscan.geometry.raycast import DARK_CELLS, RayCaster
+from eigenscan.geometry.trace import DARK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 
 
-def dark_cells(cells):
+def dark_cells(cells: np.ndarray) -> np.ndarray:
     """UNKNOWN cells whose centre is farther than DARK_CELLS from every known cell's centre, one by one."""
     known = np.argwhere(cells != UNKNOWN)
     dark = np.zeros(cells.shape, dtype=bool)
@@ -22,7 +23,7 @@ def dark_cells(cells):
     return dark
 
 
-def traverse(cells, dark, x, y, angle, limit):
+def traverse(cells: np.ndarray, dark: np.ndarray, x: float, y: float, angle: float, limit: float) -> float:
     """Exact grid traversal (Amanatides and Woo), cell by cell: cells travelled to the first wall, or inf."""
     height, width = cells.shape
     dx, dy = math.cos(angle), math.sin(angle)
@@ -41,7 +42,9 @@ def traverse(cells, dark, x, y, angle, limit):
     return math.inf
 
 
-def reference(grid, dark, poses, bearings, range_max):
+def reference(
+    grid: GridMap, dark: np.ndarray, poses: np.ndarray, bearings: np.ndarray, range_max: float
+) -> np.ndarray:
     starts = grid.to_grid(poses[:, :2])
     return np.array(
         [
@@ -62,13 +65,15 @@ def reference(grid, dark, poses, bearings, range_max):
     )
 
 
-def close(a, b, within):
+def close(a: np.ndarray, b: np.ndarray, within: float) -> np.ndarray:
     """Where two sets of ranges agree; no wall only with no wall."""
     with np.errstate(invalid="ignore"):
         return (a == b) | (np.abs(a - b) <= within)
 
 
-def random_map(seed, origin=(0.0, 0.0, 0.0), resolution=0.1):
+def random_map(
+    seed: int, origin: tuple[float, float, float] = (0.0, 0.0, 0.0), resolution: float = 0.1
+) -> GridMap:
     """Free space with walls, specks and bays of unknown, open at its edges."""
     rng = np.random.default_rng(seed)
     cells = np.full((40, 50), FREE, dtype=np.uint8)
@@ -80,7 +85,7 @@ def random_map(seed, origin=(0.0, 0.0, 0.0), resolution=0.1):
     return GridMap(cells, resolution, np.array(origin))
 
 
-def free_poses(grid, count, seed):
+def free_poses(grid: GridMap, count: int, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     rows, columns = np.nonzero(grid.cells == FREE)
     chosen = rng.integers(0, len(rows), count)
@@ -90,7 +95,7 @@ def free_poses(grid, count, seed):
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), yaw=st.floats(-4.0, 4.0), range_max=st.floats(0.3, 6.0))
-def test_a_cast_is_exact_grid_traversal(seed, yaw, range_max):
+def test_a_cast_is_exact_grid_traversal(seed: int, yaw: float, range_max: float) -> None:
     grid = random_map(seed, (3.0, -7.5, yaw))
     poses = free_poses(grid, 8, seed)
     bearings = np.linspace(-np.pi, np.pi, 40) + 0.0123
@@ -102,7 +107,7 @@ def test_a_cast_is_exact_grid_traversal(seed, yaw, range_max):
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), yaw=st.floats(-4.0, 4.0), range_max=st.floats(0.3, 6.0))
-def test_a_panorama_is_exact_grid_traversal(seed, yaw, range_max):
+def test_a_panorama_is_exact_grid_traversal(seed: int, yaw: float, range_max: float) -> None:
     grid = random_map(seed, (3.0, -7.5, yaw))
     poses = free_poses(grid, 30, seed) * [1.0, 1.0, 0.0]
     directions = np.arange(72) * (2 * np.pi / 72)
@@ -113,7 +118,7 @@ def test_a_panorama_is_exact_grid_traversal(seed, yaw, range_max):
 
 @pytest.mark.dataset
 @pytest.mark.parametrize("name", ["fr079", "intel", "guardian"])
-def test_rays_on_real_maps_are_exact(name):
+def test_rays_on_real_maps_are_exact(name: str) -> None:
     grid = read_map(DATASETS / name / "map.yaml")
     caster = RayCaster.of(grid)
     poses = free_poses(grid, 1500, 5) * [1.0, 1.0, 0.0]
@@ -121,20 +126,25 @@ def test_rays_on_real_maps_are_exact(name):
     swept = caster.panoramas(poses[:, :2], 720, 60.0)
     cast = caster.cast(poses, directions, 60.0)
     assert close(swept, cast, 0.01).mean() > 0.9995
-    dark = caster.leap[1:-1, 1:-1] == raycast.DARK
+    dark = caster.leap[1:-1, 1:-1] == DARK
     few = poses[:40]
     expected = reference(grid, dark, few, directions[::9], 60.0)
     assert close(cast[:40, ::9], expected, 1e-3).mean() > 0.999
 
 
-def room(width=60, height=40, resolution=0.05, origin=(0.0, 0.0, 0.0)):
+def room(
+    width: int = 60,
+    height: int = 40,
+    resolution: float = 0.05,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> GridMap:
     """A room with walls of one pixel."""
     cells = np.full((height, width), FREE, dtype=np.uint8)
     cells[[0, -1], :] = cells[:, [0, -1]] = OCCUPIED
     return GridMap(cells, resolution, np.array(origin))
 
 
-def test_a_rectangle_from_its_middle():
+def test_a_rectangle_from_its_middle() -> None:
     grid = room()
     pose = np.array([[1.5, 1.0, 0.0]])
     ranges = raycast.cast(grid, pose, [0.0, np.pi / 2, np.pi, -np.pi / 2], 10.0)
@@ -143,7 +153,7 @@ def test_a_rectangle_from_its_middle():
 
 
 @pytest.mark.parametrize("angle", np.linspace(0, 2 * np.pi, 37))
-def test_a_diagonal_wall_of_one_pixel_does_not_leak(angle):
+def test_a_diagonal_wall_of_one_pixel_does_not_leak(angle: float) -> None:
     cells = np.full((60, 60), FREE, dtype=np.uint8)
     ring = np.linspace(0, 2 * np.pi, 2000)
     # 8-connected: neighbours may touch at a corner only
@@ -157,7 +167,7 @@ def test_a_diagonal_wall_of_one_pixel_does_not_leak(angle):
     assert (raycast.panoramas(grid, pose[:, :2], 720, 50.0) < 2.2).all()
 
 
-def test_unknown_is_looked_through_where_it_is_thin_and_ends_a_ray_where_it_is_deep():
+def test_unknown_is_looked_through_where_it_is_thin_and_ends_a_ray_where_it_is_deep() -> None:
     cells = np.full((21, 100), FREE, dtype=np.uint8)
     cells[:, 40:44] = UNKNOWN
     cells[:, 90] = OCCUPIED
@@ -172,7 +182,7 @@ def test_unknown_is_looked_through_where_it_is_thin_and_ends_a_ray_where_it_is_d
     assert raycast.panoramas(deep, pose[:, :2], 4, 50.0)[0, 0] == np.inf
 
 
-def test_no_wall_beyond_range_max_or_the_edge():
+def test_no_wall_beyond_range_max_or_the_edge() -> None:
     grid = GridMap(
         np.pad(np.full((20, 20), FREE, np.uint8), ((0, 0), (0, 1)), constant_values=OCCUPIED),
         0.1,
@@ -185,7 +195,7 @@ def test_no_wall_beyond_range_max_or_the_edge():
     assert np.isinf(raycast.cast(grid, pose, [2.0, 3.0, 4.5], 50.0)).all()
 
 
-def test_starts_in_a_wall_outside_and_nowhere():
+def test_starts_in_a_wall_outside_and_nowhere() -> None:
     grid = room()
     poses = np.array(
         [[0.01, 1.0, 0.0], [-5.0, 1.0, 0.0], [500.0, 1.0, 0.0], [np.nan, 1.0, 0.0], [1.0, 1.0, np.inf]]
@@ -205,14 +215,14 @@ def test_starts_in_a_wall_outside_and_nowhere():
 
 
 @pytest.mark.parametrize("value", [FREE, UNKNOWN, OCCUPIED])
-def test_maps_of_one_kind_of_cell(value):
+def test_maps_of_one_kind_of_cell(value: int) -> None:
     grid = GridMap(np.full((10, 12), value, dtype=np.uint8), 0.1, np.zeros(3))
     expected = 0.0 if value == OCCUPIED else np.inf
     assert (raycast.cast(grid, [[0.55, 0.55, 0.3]], [0.0, 1.0], 10.0) == expected).all()
     assert (raycast.panoramas(grid, [[0.55, 0.55]], 8, 10.0) == expected).all()
 
 
-def test_threads_do_not_change_panoramas():
+def test_threads_do_not_change_panoramas() -> None:
     grid = random_map(3)
     points = free_poses(grid, 200, 1)[:, :2]
     one = raycast.panoramas(grid, points, 90, 5.0)
@@ -220,7 +230,7 @@ def test_threads_do_not_change_panoramas():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3])
-def test_a_position_sees_the_same_alone_as_among_others(yaw):
+def test_a_position_sees_the_same_alone_as_among_others(yaw: float) -> None:
     grid = random_map(8, (1.0, 2.0, yaw))
     # on the corners of cells, where a ray along the axes runs between two rows
     inside = np.argwhere(grid.cells[2:-2:5, 2:-2:5] == FREE)[:, ::-1] * 5 + 2
@@ -231,7 +241,7 @@ def test_a_position_sees_the_same_alone_as_among_others(yaw):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_ray_goes_on_beyond_what_is_swept(seed, monkeypatch):
+def test_a_ray_goes_on_beyond_what_is_swept(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     grid = random_map(seed, (1.0, 2.0, 0.3))
     points = free_poses(grid, 6, seed)[:, :2]
     points = points[np.linalg.norm(points - points[0], axis=1) < 1.5]
@@ -244,7 +254,9 @@ def test_a_ray_goes_on_beyond_what_is_swept(seed, monkeypatch):
 
 @pytest.mark.parametrize("swept", [0.4, 1.1, 20.0])
 @pytest.mark.parametrize("yaw", [0.0, 0.3])
-def test_what_is_seen_does_not_depend_on_how_the_positions_are_shared_out(swept, yaw, monkeypatch):
+def test_what_is_seen_does_not_depend_on_how_the_positions_are_shared_out(
+    swept: float, yaw: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(raycast, "SWEPT", swept)
     grid = random_map(11, (1.0, 2.0, yaw))
     points = free_poses(grid, 300, 11)[:, :2]
@@ -253,7 +265,7 @@ def test_what_is_seen_does_not_depend_on_how_the_positions_are_shared_out(swept,
     np.testing.assert_array_equal(np.vstack(parts), together)
 
 
-def test_each_ray_may_end_at_its_own_range():
+def test_each_ray_may_end_at_its_own_range() -> None:
     grid = random_map(4, (3.0, -7.5, 0.4))
     poses, bearings = free_poses(grid, 20, 4), np.linspace(-np.pi, np.pi, 40)
     limits = np.random.default_rng(4).uniform(0.2, 5.0, 40)

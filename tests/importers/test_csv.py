@@ -28,7 +28,9 @@ def test_a_line_a_scan(
     tmp_path_factory: pytest.TempPathFactory, scans: list[list[float]], millimetres: bool
 ) -> None:
     name, unit = ("range_mm", 1000.0) if millimetres else ("range_m", 1.0)
-    rows = [["time_s", "angle_min_deg", "angle_increment_deg", *(f"{name}_{j}" for j in range(5))]]
+    rows: list[list[str | float]] = [
+        ["time_s", "angle_min_deg", "angle_increment_deg", *(f"{name}_{j}" for j in range(5))]
+    ]
     rows += [[0.1 * k, -90, 45, *(unit * r for r in ranges)] for k, ranges in enumerate(scans, 1)]
     path = tmp_path_factory.mktemp("csv") / "drive.csv"
     path.write_text("\n".join(",".join(map(repr, row)).replace("'", "") for row in rows))

@@ -28,7 +28,7 @@ AHEAD = Quaternion(w=1.0)
 def write(path: Path, said: list[tuple[str, int, Message]]) -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
-        writer.start()  # type: ignore[no-untyped-call]
+        writer.start()
         channels: dict[str, int] = {}
         for topic, time, message in said:
             if topic not in channels:
@@ -36,7 +36,7 @@ def write(path: Path, said: list[tuple[str, int, Message]]) -> Path:
                 schema = writer.register_schema(name, SchemaEncoding.Protobuf, b"")
                 channels[topic] = writer.register_channel(topic, MessageEncoding.Protobuf, schema)
             writer.add_message(channels[topic], time, message.SerializeToString(), time)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return path
 
 

@@ -2,6 +2,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def raw(time: int = SECOND, **fields: object) -> RawScan:
 
 
 def core(**settings: object) -> ScanIngestCore:
-    return ScanIngestCore(ScanIngestSettings(**settings))  # type: ignore[arg-type]
+    return ScanIngestCore(ScanIngestSettings.model_validate(settings))
 
 
 def heard(message: RawScan, lidar: str = "front", robot: str = "r") -> Envelope:
@@ -87,7 +88,7 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
         ({"range_max": -1.0}, "limits_inconsistent"),
     ],
 )
-def test_what_cannot_be_used_is_counted_by_reason(fields: dict[str, object], reason: str) -> None:
+def test_what_cannot_be_used_is_counted_by_reason(fields: dict[str, Any], reason: str) -> None:
     ingest = core(max_beams=1000)
     assert not list(ingest.handle(heard(raw(**fields))))
     assert aside(ingest) == {reason: 1}

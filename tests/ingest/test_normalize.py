@@ -86,7 +86,7 @@ def test_without_a_stated_maximum_only_infinity_is_no_return() -> None:
     np.testing.assert_array_equal(got, np.array([NAN, 500.0, INF, NAN], dtype=np.float32))
 
 
-def in_a_room(x: float, y: float, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def in_a_room(x: float, y: float, angles: np.ndarray) -> NDArray[np.float64]:
     """Ranges to the walls of a room 6 m x 4 m, from (x, y)."""
     cos, sin = np.cos(angles), np.sin(angles)
     with np.errstate(divide="ignore", over="ignore"):

@@ -1,7 +1,7 @@
 """A building to drive through: a loop of hallways around rooms that differ, and the scans of a drive."""
 
 import numpy as np
-from eigenscan.geometry.gridmap import FREE, OCCUPIED
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import between, compose
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.mapping.chain import Sweep
@@ -12,7 +12,7 @@ from tests.mapbuilder.floorplan import blank, box, room
 BEARINGS = np.deg2rad(np.arange(-90, 90.5, 1.0))
 
 
-def building():
+def building() -> GridMap:
     """24 m x 16 m: hallways of 2 m around a block with niches, rooms with furniture outside."""
     grid = blank(40.0, 32.0)
     room(grid, 8.0, 8.0, 32.0, 24.0)
@@ -41,10 +41,10 @@ def building():
     return grid
 
 
-def drive(turns=1.25, spacing=0.2):
+def drive(turns: float = 1.25, spacing: float = 0.2) -> np.ndarray:
     """True poses (n, 3) of a drive around the block, through its hallways, `turns` times."""
     corners = np.array([[9.1, 9.0], [31.0, 9.2], [30.9, 23.0], [9.0, 22.9]])
-    poses = []
+    poses: list[list[float]] = []
     for leg in range(round(4 * turns)):
         here, there = corners[leg % 4], corners[(leg + 1) % 4]
         heading = np.arctan2(*(there - here)[::-1])
@@ -57,20 +57,25 @@ def drive(turns=1.25, spacing=0.2):
     return np.array(poses)
 
 
-def scans(grid, poses, seed=0, drift=None, mount=(0.1, 0.0, 0.0)):
+def scans(
+    grid: GridMap,
+    poses: np.ndarray,
+    seed: int = 0,
+    drift: tuple[float, float] | None = None,
+    mount: tuple[float, float, float] = (0.1, 0.0, 0.0),
+) -> list[Sweep]:
     """Sweeps of the poses, 5 a second; `drift`: odometry is wrong by this share of a step, and rad a m."""
     rng = np.random.default_rng(seed)
-    mount = np.array(mount)
     ranges = RayCaster.of(grid).cast(compose(poses, mount), BEARINGS, 25.0).astype(float)
     ranges += rng.normal(0, 0.01, ranges.shape)
-    odometry = None if drift is None else _odometry(poses, drift, rng)
+    at, odometry = np.array(mount), None if drift is None else _odometry(poses, drift, rng)
     return [
-        Sweep(round(k * 0.2e9), Outline.of(own, BEARINGS), mount, None if odometry is None else odometry[k])
+        Sweep(round(k * 0.2e9), Outline.of(own, BEARINGS), at, None if odometry is None else odometry[k])
         for k, own in enumerate(ranges)
     ]
 
 
-def _odometry(poses, drift, rng):
+def _odometry(poses: np.ndarray, drift: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
     steps = between(poses[:-1], poses[1:])
     way = np.hypot(steps[:, 0], steps[:, 1])
     steps[:, :2] *= 1 + drift[0]

@@ -3,41 +3,43 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from eigenscan.eigenspace.folder import read_models
-from eigenscan.geometry.gridmap import write_map
+from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.mapbuilder.drawn import divide_as_drawn, outlines
 from eigenscan.mapbuilder.geojson import GivenRegion, Polygon, RegionsError, read_regions, to_geojson
-from eigenscan.mapbuilder.regions import Division
+from eigenscan.mapbuilder.regions import Division, Regions
 from eigenscan.mapbuilder.site import Plan, lay_out
+from numpy.typing import ArrayLike
 
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 ALONE = Division(margin=0.0)
 
 
-def rectangle(left, bottom, right, top):
+def rectangle(left: float, bottom: float, right: float, top: float) -> np.ndarray:
     return np.array([[left, bottom], [right, bottom], [right, top], [left, top], [left, bottom]])
 
 
-def region(name, *rings):
+def region(name: str, *rings: ArrayLike) -> GivenRegion:
     return GivenRegion(name, (Polygon(tuple(np.asarray(ring, dtype=float) for ring in rings)),))
 
 
-def collection(*features):
+def collection(*features: object) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": list(features)}
 
 
-def feature(ring, kind="Polygon", **properties):
+def feature(ring: object, kind: str = "Polygon", **properties: object) -> dict[str, Any]:
     return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": [ring]}}
 
 
-def members(regions, point):
+def members(regions: Regions, point: tuple[float, float]) -> set[int]:
     return {n for n, inside in enumerate(regions.members(np.array([point]))) if len(inside)}
 
 
-def test_a_region_is_the_free_space_in_its_polygon(office):
+def test_a_region_is_the_free_space_in_its_polygon(office: GridMap) -> None:
     regions = divide_as_drawn(office, [region("west", rectangle(0, 0, 7, 9))], ALONE)
     assert members(regions, (4.0, 5.0)) == {0}
     assert members(regions, (2.0, 2.0)) == {0}
@@ -45,14 +47,14 @@ def test_a_region_is_the_free_space_in_its_polygon(office):
     assert members(regions, (0.5, 0.5)) == set()  # unknown
 
 
-def test_the_margin_reaches_through_doors_and_not_through_walls(office):
+def test_the_margin_reaches_through_doors_and_not_through_walls(office: GridMap) -> None:
     drawn = [region("hall", rectangle(1, 1, 13, 3)), region("room", rectangle(1.5, 3.2, 6.5, 7.2))]
     regions = divide_as_drawn(office, drawn, Division(margin=1.0))
     assert members(regions, (3.45, 3.6)) == {0, 1}
     assert members(regions, (5.5, 2.7)) == {0}
 
 
-def test_of_overlapping_polygons_the_smallest_has_the_place_in_any_order(office):
+def test_of_overlapping_polygons_the_smallest_has_the_place_in_any_order(office: GridMap) -> None:
     large, small = region("all", rectangle(0, 0, 14, 9)), region("desk", rectangle(2, 4, 3, 5))
     for drawn in ([large, small], [small, large]):
         regions = divide_as_drawn(office, drawn, ALONE)
@@ -60,7 +62,7 @@ def test_of_overlapping_polygons_the_smallest_has_the_place_in_any_order(office)
         assert members(regions, (5.0, 5.0)) == {drawn.index(large)}
 
 
-def test_a_hole_is_not_of_the_region(office):
+def test_a_hole_is_not_of_the_region(office: GridMap) -> None:
     with_hole = region("hall", rectangle(1, 1, 13, 3), rectangle(6, 1, 8, 3))
     regions = divide_as_drawn(office, [with_hole], ALONE)
     assert members(regions, (7.0, 2.0)) == set()
@@ -68,7 +70,9 @@ def test_a_hole_is_not_of_the_region(office):
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
-def test_what_was_found_is_found_again_from_its_own_outlines(office, tmp_path, yaw):
+def test_what_was_found_is_found_again_from_its_own_outlines(
+    office: GridMap, tmp_path: Path, yaw: float
+) -> None:
     grid = replace(office, origin=np.array([-3.0, 2.0, yaw]))
     plan = Plan(spacing=0.25)
     found = lay_out(grid, plan)
@@ -98,7 +102,7 @@ def test_what_was_found_is_found_again_from_its_own_outlines(office, tmp_path, y
         (collection(1), "feature 1"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_named(tmp_path, content, says):
+def test_what_is_wrong_with_a_file_is_named(tmp_path: Path, content: object, says: str) -> None:
     file = tmp_path / "rooms.geojson"
     file.write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(RegionsError, match=says) as error:
@@ -106,18 +110,18 @@ def test_what_is_wrong_with_a_file_is_named(tmp_path, content, says):
     assert "rooms.geojson" in str(error.value)
 
 
-def test_a_region_without_free_space_is_named(office):
+def test_a_region_without_free_space_is_named(office: GridMap) -> None:
     with pytest.raises(RegionsError, match="'moon' holds no free space"):
         divide_as_drawn(office, [region("moon", rectangle(500, 500, 510, 510))], ALONE)
 
 
-def build(*arguments):
+def build(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [EIGENSCAN, "build", *arguments], capture_output=True, text=True, timeout=120, check=False
     )
 
 
-def test_build_takes_regions_and_leaves_them_to_be_edited(office, tmp_path):
+def test_build_takes_regions_and_leaves_them_to_be_edited(office: GridMap, tmp_path: Path) -> None:
     write_map(office, tmp_path / "office.yaml")
     rooms = tmp_path / "rooms.geojson"
     ring = rectangle(1, 1, 13, 3).tolist()

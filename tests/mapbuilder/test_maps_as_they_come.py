@@ -2,24 +2,35 @@
 
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.eigenspace.folder import read_models
-from eigenscan.geometry.gridmap import FREE, OCCUPIED
+from eigenscan.eigenspace.folder import SiteModel, read_models
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.raycast import RayCaster
 from PIL import Image
+
+from tests.mapbuilder.floorplan import two_rooms
 
 GREY = {FREE: 254, OCCUPIED: 0, 255: 205}
 ORIGIN = (0.0, 0.0, 0.0)
 
 
-def build(yaml, out):
+def build(yaml: Path, out: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", yaml, "-o", out, "--step", "2"]
     return subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120, check=False)
 
 
-def save(folder, pixels, origin=ORIGIN, resolution=0.05, image="map.png", **meta):
+def save(
+    folder: Path,
+    pixels: np.ndarray,
+    origin: tuple[float, float, float] = ORIGIN,
+    resolution: float = 0.05,
+    image: str = "map.png",
+    **meta: object,
+) -> Path:
     """A map_server pair; `pixels` by rows from below."""
     Image.fromarray(np.ascontiguousarray(pixels[::-1])).save(folder / image)
     fields = {"image": image, "resolution": resolution, "origin": list(origin), "negate": 0}
@@ -29,30 +40,30 @@ def save(folder, pixels, origin=ORIGIN, resolution=0.05, image="map.png", **meta
     return path
 
 
-def grey(cells, free=254, occupied=0, unknown=205):
+def grey(cells: np.ndarray, free: int = 254, occupied: int = 0, unknown: int = 205) -> np.ndarray:
     return np.select([cells == FREE, cells == OCCUPIED], [free, occupied], unknown).astype(np.uint8)
 
 
-def built(yaml, folder):
+def built(yaml: Path, folder: Path) -> SiteModel:
     done = build(yaml, folder / "model")
     assert done.returncode == 0, done.stderr
     return read_models(folder / "model")
 
 
 @pytest.fixture(scope="module")
-def usual(tmp_path_factory):
+def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[GridMap, SiteModel]:
     """The office as most maps are: trinary, not negated, at the origin."""
-    from tests.mapbuilder.conftest import office
-
-    grid = office.__wrapped__()
+    grid = two_rooms()
     folder = tmp_path_factory.mktemp("usual")
     return grid, built(save(folder, grey(grid.cells)), folder)
 
 
 @pytest.mark.parametrize("how", ["negated", "scale", "transparent", "raw"])
-def test_however_it_is_saved_it_is_the_same_map(usual, tmp_path, how):
+def test_however_it_is_saved_it_is_the_same_map(
+    usual: tuple[GridMap, SiteModel], tmp_path: Path, how: str
+) -> None:
     grid, expected = usual
-    cells, meta = grid.cells, {}
+    cells, meta = grid.cells, dict[str, Any]()
     if how == "negated":
         pixels, meta = grey(cells, 0, 255, 128), {"negate": 1}
     elif how == "scale":
@@ -69,7 +80,9 @@ def test_however_it_is_saved_it_is_the_same_map(usual, tmp_path, how):
 
 
 @pytest.mark.parametrize("origin", [(-103.37, 55.011, 0.0), (7.3, -2.0, 2.5), (1e4, 1e4, -0.01)])
-def test_wherever_its_origin_lies_the_panoramas_are_what_is_seen_there(usual, tmp_path, origin):
+def test_wherever_its_origin_lies_the_panoramas_are_what_is_seen_there(
+    usual: tuple[GridMap, SiteModel], tmp_path: Path, origin: tuple[float, float, float]
+) -> None:
     grid, _ = usual
     site = built(save(tmp_path, grey(grid.cells), origin=origin), tmp_path)
     assert site.grid.origin.tolist() == list(origin)
@@ -82,7 +95,7 @@ def test_wherever_its_origin_lies_the_panoramas_are_what_is_seen_there(usual, tm
         assert np.mean(np.isclose(model.panoramas, seen, atol=0.0015)) > 0.999
 
 
-def test_walls_of_one_pixel_hold_every_ray(tmp_path):
+def test_walls_of_one_pixel_hold_every_ray(tmp_path: Path) -> None:
     # a slanted room: one pixel a row or column, so that walls hang together by their corners only
     row, column = np.mgrid[:160, :160]
     away = np.abs(row - 80) + np.abs(column - 80)
@@ -92,7 +105,7 @@ def test_walls_of_one_pixel_hold_every_ray(tmp_path):
     assert model.panoramas.max() <= 140 * 0.05
 
 
-def test_huge_unknown_areas_change_nothing(usual, tmp_path):
+def test_huge_unknown_areas_change_nothing(usual: tuple[GridMap, SiteModel], tmp_path: Path) -> None:
     grid, expected = usual
     cells = np.full((3200, 3600), 255, dtype=np.uint8)
     height, width = grid.cells.shape
@@ -115,7 +128,9 @@ def test_huge_unknown_areas_change_nothing(usual, tmp_path):
         ("deep", {}, "has more than 8 bits a pixel: save it with 8"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line_with_the_fix(office, tmp_path, cells, meta, says):
+def test_what_is_wrong_is_said_in_one_line_with_the_fix(
+    office: GridMap, tmp_path: Path, cells: np.ndarray | str, meta: dict[str, Any], says: str
+) -> None:
     if isinstance(cells, str):
         pixels = grey(office.cells).astype(np.uint16 if cells == "deep" else np.uint8)
     else:

@@ -1,3 +1,5 @@
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 from eigenscan.geometry.circle import difference
@@ -7,14 +9,19 @@ from eigenscan.mapbuilder.mapping.pose_graph import Edge, optimise, parts, resid
 SMALL = np.diag([0.02, 0.02, 0.01]) ** 2
 
 
-def loop(count=40, radius=8.0):
+def loop(count: int = 40, radius: float = 8.0) -> np.ndarray:
     """Poses on a circle, heading along it."""
     angle = np.arange(count) * (2 * np.pi / count)
     poses = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), angle + np.pi / 2])
     return between(poses[0], poses)
 
 
-def measured(poses, pairs, rng=None, trusted=False):
+def measured(
+    poses: np.ndarray,
+    pairs: Iterable[tuple[int, int]],
+    rng: np.random.Generator | None = None,
+    trusted: bool = False,
+) -> list[Edge]:
     edges = []
     for first, second in pairs:
         noise = np.zeros(3) if rng is None else rng.multivariate_normal(np.zeros(3), SMALL)
@@ -24,16 +31,16 @@ def measured(poses, pairs, rng=None, trusted=False):
     return edges
 
 
-def steps(count):
+def steps(count: int) -> list[tuple[int, int]]:
     return [(k, k + 1) for k in range(count - 1)]
 
 
-def error(found, truth):
+def error(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     metres = np.hypot(*(found - truth)[:, :2].T).max()
     return metres, np.abs(difference(found[:, 2], truth[:, 2])).max()
 
 
-def test_no_edge_has_a_residual_at_the_truth():
+def test_no_edge_has_a_residual_at_the_truth() -> None:
     truth = loop()
     edges = measured(truth, [*steps(40), (0, 39), (3, 25)])
     np.testing.assert_allclose(residuals(edges, truth), 0, atol=1e-9)
@@ -41,13 +48,13 @@ def test_no_edge_has_a_residual_at_the_truth():
     np.testing.assert_allclose(residuals(edges, compose([3.0, -2.0, 1.1], truth)), 0, atol=1e-9)
 
 
-def test_residuals_are_in_standard_deviations():
+def test_residuals_are_in_standard_deviations() -> None:
     edge = Edge(0, 1, np.array([1.0, 2.0, 0.5]), np.diag([0.1, 0.2, 0.05]) ** 2)
     moved = compose(edge.pose, [0.1, -0.4, 0.0])
     np.testing.assert_allclose(residuals([edge], [np.zeros(3), moved]), [[1.0, -2.0, 0.0]], atol=1e-9)
 
 
-def test_a_perturbed_graph_is_recovered():
+def test_a_perturbed_graph_is_recovered() -> None:
     truth, rng = loop(), np.random.default_rng(1)
     edges = measured(truth, [*steps(40), (0, 39), (5, 30), (12, 33)], trusted=True)
     start = compose(truth, rng.normal(0, [0.4, 0.4, 0.2], truth.shape))
@@ -59,19 +66,19 @@ def test_a_perturbed_graph_is_recovered():
     assert radians < 1e-4
 
 
-def test_a_closure_takes_the_drift_of_the_chain_away():
+def test_a_closure_takes_the_drift_of_the_chain_away() -> None:
     truth, rng = loop(), np.random.default_rng(2)
     chain = measured(truth, steps(40), rng, trusted=True)
-    drifted = [truth[0]]
+    way = [truth[0]]
     for edge in chain:
-        drifted.append(compose(drifted[-1], edge.pose))
-    drifted = np.array(drifted)
+        way.append(compose(way[-1], edge.pose))
+    drifted = np.array(way)
     found, kept = optimise(drifted, [*chain, *measured(truth, [(0, 39), (0, 20)])])
     assert kept.all()
     assert error(found, truth)[0] < 0.5 * error(drifted, truth)[0]
 
 
-def test_outliers_are_rejected_and_the_rest_is_kept():
+def test_outliers_are_rejected_and_the_rest_is_kept() -> None:
     truth, rng = loop(), np.random.default_rng(3)
     chain = measured(truth, steps(40), rng, trusted=True)
     right = measured(truth, [(0, 39), (1, 38), (4, 36), (10, 30)], rng)
@@ -88,7 +95,7 @@ def test_outliers_are_rejected_and_the_rest_is_kept():
     assert error(found, alone)[1] < 1e-3
 
 
-def test_parts_that_no_edge_joins_stay_where_they_begin():
+def test_parts_that_no_edge_joins_stay_where_they_begin() -> None:
     truth = loop(10)
     edges = measured(truth, [(0, 1), (1, 2), (5, 6), (6, 7)], trusted=True)
     assert len(set(parts(10, edges)[[0, 1, 2]])) == 1
@@ -99,7 +106,7 @@ def test_parts_that_no_edge_joins_stay_where_they_begin():
     np.testing.assert_allclose(found, truth, atol=1e-4)
 
 
-def test_without_the_library_the_error_says_what_to_install(monkeypatch):
+def test_without_the_library_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     from eigenscan.mapbuilder.mapping import pose_graph
 
     monkeypatch.setattr(pose_graph, "find_spec", lambda name: None)

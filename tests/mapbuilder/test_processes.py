@@ -6,11 +6,13 @@ import subprocess
 import sys
 import time
 import uuid
+from pathlib import Path
+from typing import Any
 
 import pytest
 from eigenscan.eigenspace.folder import read_models
 from eigenscan.eigenspace.model import RegionModel
-from eigenscan.geometry.gridmap import from_message, write_map
+from eigenscan.geometry.gridmap import GridMap, from_message, write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.session import open_session
@@ -18,12 +20,12 @@ from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET
 from eigenscan.schemas.wire import decode
 
 
-def build(*arguments):
+def build(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_build_writes_models_and_tells_of_them_on_one_screen(office, tmp_path):
+def test_build_writes_models_and_tells_of_them_on_one_screen(office: GridMap, tmp_path: Path) -> None:
     write_map(office, tmp_path / "map.yaml")
     result = build(tmp_path / "map.yaml", "-o", tmp_path / "model", "--spacing", "0.25", "--step", "2")
     assert result.returncode == 0, result.stderr
@@ -43,7 +45,9 @@ def test_build_writes_models_and_tells_of_them_on_one_screen(office, tmp_path):
         ("whole", ["-o", "."], "holds no models"),
     ],
 )
-def test_a_users_error_is_one_line_and_leaves_nothing(office, tmp_path, yaml, arguments, says):
+def test_a_users_error_is_one_line_and_leaves_nothing(
+    office: GridMap, tmp_path: Path, yaml: str | None, arguments: list[str], says: str
+) -> None:
     write_map(office, tmp_path / "map.yaml")
     if yaml is None:
         (tmp_path / "map.yaml").unlink()
@@ -60,7 +64,7 @@ def test_a_users_error_is_one_line_and_leaves_nothing(office, tmp_path, yaml, ar
     assert sorted(p.name for p in tmp_path.iterdir()) == before
 
 
-def test_a_late_joiner_gets_the_whole_set_from_the_service(office, tmp_path):
+def test_a_late_joiner_gets_the_whole_set_from_the_service(office: GridMap, tmp_path: Path) -> None:
     write_map(office, tmp_path / "map.yaml")
     alone = {"scouting": {"multicast": {"enabled": False}}}
     site, port = f"t{uuid.uuid4().hex[:8]}", _free_port()
@@ -95,8 +99,8 @@ def test_a_late_joiner_gets_the_whole_set_from_the_service(office, tmp_path):
     assert from_message(heard[f"{site}/map"]).version == heard[f"{site}/models"].map_version
 
 
-def _listen(config, site):
-    inbox, heard = Inbox(), {}
+def _listen(config: Path, site: str) -> dict[str, Any]:
+    inbox, heard = Inbox(), dict[str, Any]()
     with Bus(open_session(config)) as bus:
         bus.listen((MAP, MODEL, MODEL_SET), {"site": site}, inbox)
         deadline = time.monotonic() + 20
@@ -107,7 +111,7 @@ def _listen(config, site):
     return heard
 
 
-def _free_port():
+def _free_port() -> int:
     import socket
 
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -121,7 +125,7 @@ def _free_port():
         (["--model", "absent"], "manifest.json"),
     ],
 )
-def test_the_service_tells_a_wrong_setting_in_one_line(flags, says, tmp_path):
+def test_the_service_tells_a_wrong_setting_in_one_line(flags: list[str], says: str, tmp_path: Path) -> None:
     config = tmp_path / "z.json5"
     config.write_text(json.dumps({"scouting": {"multicast": {"enabled": False}}}))
     result = subprocess.run(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, read_map
 from eigenscan.mapbuilder.positions import free_positions, standable
-from eigenscan.mapbuilder.regions import Division, divide
+from eigenscan.mapbuilder.regions import Division, Regions, divide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,18 +13,18 @@ from tests.mapbuilder.floorplan import blank, box, room
 DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 
 
-def core_at(regions, *points):
+def core_at(regions: Regions, *points: tuple[float, float]) -> list[int]:
     """Number of the one region whose core holds each point."""
     column, row = np.floor(regions.grid.to_grid(points) / regions.block).astype(int).T
     return regions.core[row, column].tolist()
 
 
-def regions_of(regions, point):
+def regions_of(regions: Regions, point: tuple[float, float]) -> set[int]:
     """Numbers of all regions that hold a point."""
     return {n for n, inside in enumerate(regions.members(np.array([point])), 1) if len(inside)}
 
 
-def test_each_room_and_the_hallway_is_a_region(office):
+def test_each_room_and_the_hallway_is_a_region(office: GridMap) -> None:
     regions = divide(office, Division())
     hallway = core_at(regions, (1.5, 2.0), (7.0, 2.0), (12.5, 2.0), (6.0, 1.2))
     left = core_at(regions, (2.0, 4.0), (6.0, 6.5), (4.0, 5.0))
@@ -34,7 +34,7 @@ def test_each_room_and_the_hallway_is_a_region(office):
     assert regions.core.max() == 3
 
 
-def test_regions_overlap_by_the_margin_through_doors_and_not_through_walls(office):
+def test_regions_overlap_by_the_margin_through_doors_and_not_through_walls(office: GridMap) -> None:
     regions = divide(office, Division(margin=1.0))
     hallway, room_left, room_right = core_at(regions, (7.0, 2.0), (4.0, 5.0), (9.0, 5.0))
     assert regions_of(regions, (3.45, 3.8)) == {hallway, room_left}
@@ -46,7 +46,7 @@ def test_regions_overlap_by_the_margin_through_doors_and_not_through_walls(offic
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.5, 2.0])
-def test_the_margin_is_what_was_asked_for(margin):
+def test_the_margin_is_what_was_asked_for(margin: float) -> None:
     grid = blank(42.0, 4.0)
     room(grid, 1.0, 1.0, 41.0, 3.0)
     regions = divide(grid, Division(margin=margin, largest=45.0))
@@ -56,7 +56,7 @@ def test_the_margin_is_what_was_asked_for(margin):
     assert len(both) * 0.1 == pytest.approx(2 * margin, abs=0.11)
 
 
-def test_what_stands_in_a_room_does_not_part_it(office):
+def test_what_stands_in_a_room_does_not_part_it(office: GridMap) -> None:
     before = divide(office, Division()).core
     for x, y in [(2.5, 5.0), (4.0, 6.0), (4.5, 4.5), (5.5, 5.5), (3.4, 5.4)]:
         box(office, x, y, x + 0.4, y + 0.4, OCCUPIED)
@@ -65,7 +65,7 @@ def test_what_stands_in_a_room_does_not_part_it(office):
     assert after.max() == 3
 
 
-def test_a_huge_hall_is_cut_to_size_and_a_closet_joins_its_neighbour():
+def test_a_huge_hall_is_cut_to_size_and_a_closet_joins_its_neighbour() -> None:
     grid = blank(64.0, 44.0)
     room(grid, 2.0, 2.0, 62.0, 40.0)
     room(grid, 30.0, 40.2, 31.5, 41.5)
@@ -79,13 +79,13 @@ def test_a_huge_hall_is_cut_to_size_and_a_closet_joins_its_neighbour():
     assert core_at(regions, (30.7, 41.0)) == core_at(regions, (30.7, 39.0))
 
 
-def test_regions_are_numbered_by_place_and_always_the_same(office):
+def test_regions_are_numbered_by_place_and_always_the_same(office: GridMap) -> None:
     one, two = divide(office, Division()), divide(office, Division())
     np.testing.assert_array_equal(one.core, two.core)
     assert core_at(one, (7.0, 2.0), (4.0, 5.0), (9.0, 5.0)) == [1, 2, 3]
 
 
-def test_a_turned_map_has_the_same_regions(office):
+def test_a_turned_map_has_the_same_regions(office: GridMap) -> None:
     turned = GridMap(office.cells, office.resolution, np.array([4.0, -7.0, 2.1]))
     regions, same = divide(office, Division()), divide(turned, Division())
     points = np.array([(7.0, 2.0), (4.0, 5.0), (3.45, 3.4), (9.0, 5.0)])
@@ -94,7 +94,7 @@ def test_a_turned_map_has_the_same_regions(office):
         np.testing.assert_array_equal(one, other)
 
 
-def test_outlines_go_round_the_region(office):
+def test_outlines_go_round_the_region(office: GridMap) -> None:
     regions = divide(office, Division(margin=0.0))
     outline = regions.outline(core_at(regions, (4.0, 5.0))[0] - 1)
     x, y = outline.T
@@ -105,7 +105,7 @@ def test_outlines_go_round_the_region(office):
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 9999), walls=st.floats(0.0, 0.3))
-def test_every_position_is_in_a_region_whatever_the_map(seed, walls):
+def test_every_position_is_in_a_region_whatever_the_map(seed: int, walls: float) -> None:
     rng = np.random.default_rng(seed)
     cells = np.where(rng.random((60, 80)) < walls, OCCUPIED, FREE).astype(np.uint8)
     for _ in range(6):
@@ -121,7 +121,7 @@ def test_every_position_is_in_a_region_whatever_the_map(seed, walls):
 
 @pytest.mark.dataset
 @pytest.mark.parametrize("name", ["fr079", "intel", "jarvis", "guardian", "olin_mac"])
-def test_every_position_of_a_real_building_is_in_a_region_of_a_rooms_size(name):
+def test_every_position_of_a_real_building_is_in_a_region_of_a_rooms_size(name: str) -> None:
     grid = read_map(DATASETS / name / "map.yaml")
     positions, division = free_positions(grid, 0.25, 0.15), Division()
     regions = divide(grid, division)
@@ -135,7 +135,7 @@ def test_every_position_of_a_real_building_is_in_a_region_of_a_rooms_size(name):
     assert np.median(inhabited) > 5.0
 
 
-def test_positions_are_the_free_grid_points_clear_of_walls(office):
+def test_positions_are_the_free_grid_points_clear_of_walls(office: GridMap) -> None:
     positions = free_positions(office, 0.5, 0.3)
     x, y = np.meshgrid(np.arange(0, 14.5, 0.5), np.arange(0, 9.5, 0.5))
     candidates = np.column_stack([x.ravel(), y.ravel()])
@@ -147,7 +147,7 @@ def test_positions_are_the_free_grid_points_clear_of_walls(office):
     assert len(expected) > 100
 
 
-def test_positions_do_not_move_when_the_map_grows():
+def test_positions_do_not_move_when_the_map_grows() -> None:
     small, large = blank(6.0, 6.0, origin=(1.03, 2.01, 0.0)), blank(26.0, 16.0, origin=(-8.97, -3.99, 0.0))
     room(small, 1.0, 1.0, 5.0, 5.0)
     room(large, 11.0, 7.0, 15.0, 11.0)
@@ -156,7 +156,7 @@ def test_positions_do_not_move_when_the_map_grows():
     assert set(map(tuple, before.index.tolist())) < set(map(tuple, after.index.tolist()))
 
 
-def test_a_gap_between_walls_is_no_place():
+def test_a_gap_between_walls_is_no_place() -> None:
     grid = blank(10.0, 10.0)
     room(grid, 1.0, 1.0, 6.0, 6.0)
     room(grid, 7.0, 7.0, 7.5, 7.5)

@@ -17,8 +17,10 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.shards import shards
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
 from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas import model_pb2
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.model_pb2 import ModelSet
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from PIL import Image
 from pydantic import ValidationError
 
@@ -26,7 +28,7 @@ DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 QUICK = Plan(step=TURN / 180)
 
 
-def test_a_models_panoramas_are_what_is_seen_from_its_positions(office):
+def test_a_models_panoramas_are_what_is_seen_from_its_positions(office: GridMap) -> None:
     site = build_site(office, QUICK)
     caster = RayCaster.of(office)
     for model in site.regions:
@@ -36,7 +38,7 @@ def test_a_models_panoramas_are_what_is_seen_from_its_positions(office):
         assert (np.abs(difference) <= 0.0011).mean() > 0.999
 
 
-def test_a_models_eigenspace_is_that_of_its_panoramas(office):
+def test_a_models_eigenspace_is_that_of_its_panoramas(office: GridMap) -> None:
     plan = replace(QUICK, range_cap=7.0, share=0.8)
     for model in build_site(office, plan).regions:
         values = RangeTransform(7.0)(model.panoramas)
@@ -47,18 +49,18 @@ def test_a_models_eigenspace_is_that_of_its_panoramas(office):
         assert model.sensor.beams == 91
 
 
-def test_the_same_map_gives_the_same_site_on_any_number_of_threads(office):
+def test_the_same_map_gives_the_same_site_on_any_number_of_threads(office: GridMap) -> None:
     versions = {build_site(office, replace(QUICK, threads=n)).to_message().version for n in (1, 1, 3)}
     assert len(versions) == 1
 
 
-def test_a_site_that_is_cast_in_shards_is_the_same(office, monkeypatch):
+def test_a_site_that_is_cast_in_shards_is_the_same(office: GridMap, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = build_site(office, QUICK).to_message()
     monkeypatch.setattr("eigenscan.mapbuilder.site.shards", lambda areas: shards(areas, 60))
     assert build_site(office, QUICK).to_message() == whole
 
 
-def test_a_change_at_one_end_leaves_the_models_that_do_not_see_it(office):
+def test_a_change_at_one_end_leaves_the_models_that_do_not_see_it(office: GridMap) -> None:
     before = {m.region: m.version for m in build_site(office, QUICK).regions}
     cells = office.cells.copy()
     cells[100:110, 215:225] = OCCUPIED  # a cabinet in the right room, away from its door
@@ -69,7 +71,7 @@ def test_a_change_at_one_end_leaves_the_models_that_do_not_see_it(office):
     assert "r03" in changed
 
 
-def test_progress_goes_from_nothing_to_all(office):
+def test_progress_goes_from_nothing_to_all(office: GridMap) -> None:
     heard = []
     build_site(office, QUICK, lambda what, share: heard.append((what, share)))
     shares = [share for _, share in heard]
@@ -79,13 +81,13 @@ def test_progress_goes_from_nothing_to_all(office):
 
 
 @pytest.mark.parametrize("value", [UNKNOWN, OCCUPIED])
-def test_a_map_without_free_space_is_refused(value):
+def test_a_map_without_free_space_is_refused(value: int) -> None:
     grid = GridMap(np.full((30, 30), value, np.uint8), 0.05, np.zeros(3))
     with pytest.raises(ModelError, match="no free position"):
         build_site(grid, QUICK)
 
 
-def test_a_field_without_walls_is_a_model_that_sees_none():
+def test_a_field_without_walls_is_a_model_that_sees_none() -> None:
     grid = GridMap(np.full((80, 80), FREE, np.uint8), 0.05, np.zeros(3))
     site = build_site(grid, QUICK)
     assert all((model.ranges == NO_WALL).all() for model in site.regions)
@@ -94,7 +96,9 @@ def test_a_field_without_walls_is_a_model_that_sees_none():
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (-103.37, 55.01, 0.0), (12.0, -9.0, 2.5), (0, 0, -9.0)])
-def test_where_a_maps_origin_lies_does_not_matter(office, origin):
+def test_where_a_maps_origin_lies_does_not_matter(
+    office: GridMap, origin: tuple[float, float, float]
+) -> None:
     grid = replace(office, origin=np.array(origin, dtype=float))
     site = build_site(grid, QUICK)
     assert len(site.regions) == 3
@@ -104,7 +108,7 @@ def test_where_a_maps_origin_lies_does_not_matter(office, origin):
         assert (grid.at(model.positions) == FREE).all()
 
 
-def test_the_picture_shows_each_region_in_its_own_colour(office):
+def test_the_picture_shows_each_region_in_its_own_colour(office: GridMap) -> None:
     with Image.open(io.BytesIO(draw_regions(office, lay_out(office, QUICK).areas))) as image:
         pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
     coloured = pixels[pixels.max(axis=1) - pixels.min(axis=1) > 25]
@@ -113,18 +117,18 @@ def test_the_picture_shows_each_region_in_its_own_colour(office):
     assert len(hues) >= 3
 
 
-def said(core):
+def said(core: MapbuilderCore) -> list[Envelope]:
     return list(Loopback([core]).start())
 
 
-def test_the_core_says_the_map_then_the_models_then_their_set(office):
+def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -> None:
     core = MapbuilderCore(MapbuilderSettings(map="m.yaml", site="lab", step=2.0), office)
     assert core.condition().status == Health.STATUS_WAITING
     envelopes = said(core)
     assert [e.channel.name for e in envelopes] == ["map", "model", "model", "model", "model_set"]
     assert [e.key for e in envelopes[:2]] == ["lab/map", "lab/model/r01"]
-    models = [RegionModel.from_message(e.message) for e in envelopes[1:4]]
-    message = envelopes[4].open(ModelSet)
+    models = [RegionModel.from_message(e.open(model_pb2.RegionModel)) for e in envelopes[1:4]]
+    message = envelopes[4].open(model_pb2.ModelSet)
     assert [entry.version for entry in message.entries] == [model.version for model in models]
     assert message.map_version == office.version
     assert core.condition().status == Health.STATUS_OK
@@ -132,15 +136,15 @@ def test_the_core_says_the_map_then_the_models_then_their_set(office):
     assert list(core.finish()) == []
 
 
-def test_models_that_were_built_before_are_said_as_they_are(office):
+def test_models_that_were_built_before_are_said_as_they_are(office: GridMap) -> None:
     site = build_site(office, replace(QUICK, frame_id="floor2"))
     core = MapbuilderCore(MapbuilderSettings(model="folder"), site)
     envelopes = said(core)
-    assert envelopes[0].message.frame_id == "floor2"
+    assert envelopes[0].open(Grid).frame_id == "floor2"
     assert envelopes[-1].message == site.to_message()
 
 
-def test_the_settings_ask_for_one_source_and_name_what_is_out_of_range():
+def test_the_settings_ask_for_one_source_and_name_what_is_out_of_range() -> None:
     for wrong in ({}, {"map": "a", "model": "b"}):
         with pytest.raises(ValidationError, match="give one of map"):
             MapbuilderSettings(**wrong)
@@ -151,7 +155,7 @@ def test_the_settings_ask_for_one_source_and_name_what_is_out_of_range():
 
 @pytest.mark.dataset
 @pytest.mark.parametrize("name", ["fr079", "intel", "jarvis", "guardian", "olin_mac"])
-def test_real_buildings_travel_small_and_come_back_whole(name):
+def test_real_buildings_travel_small_and_come_back_whole(name: str) -> None:
     grid = read_map(DATASETS / name / "map.yaml")
     site = build_site(grid, Plan(threads=2))
     assert isinstance(site, SiteModel)

@@ -2,14 +2,16 @@
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-import ezdxf
 import numpy as np
 import pytest
 from eigenscan.cli.plans import PlanOptions, read_plan
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError, write_map
-from ezdxf.layouts import Modelspace
+from ezdxf import units as dxf_units
+from ezdxf.filemanagement import new
+from ezdxf.layouts.layout import Modelspace
 
 # two rooms, 10 m by 6 m, a door of 1 m between them and one of 1 m to the outside; a pillar in the left room
 ROOM_LEFT, ROOM_RIGHT, DOOR, ENTRANCE = (2.0, 1.0), (8.0, 4.0), (5.0, 3.5), (10.0, 3.0)
@@ -30,7 +32,7 @@ def _draw(space: Modelspace, unit: float) -> None:
 
 
 def _dxf(folder: Path, units: int, unit: float) -> Path:
-    drawing = ezdxf.new(units=units)
+    drawing = new(units=units)
     drawing.blocks.new("PILLAR").add_circle((0, 0), 0.3 / unit)
     _draw(drawing.modelspace(), unit)
     path = folder / "plan.dxf"
@@ -39,7 +41,7 @@ def _dxf(folder: Path, units: int, unit: float) -> Path:
 
 
 def _svg(folder: Path) -> Path:
-    def way(points: list[tuple[float, float]]) -> str:
+    def way(points: Sequence[tuple[float, float]]) -> str:
         return "M" + " L".join(f"{100 * x + 20},{620 - 100 * y}" for x, y in points)
 
     path = folder / "plan.svg"
@@ -67,11 +69,11 @@ def _expect_rooms(grid: GridMap, door: int = FREE) -> None:
 @pytest.mark.parametrize(
     ("units", "unit", "said"),
     [
-        (ezdxf.units.MM, 0.001, None),
-        (ezdxf.units.M, 1.0, None),
-        (ezdxf.units.IN, 0.0254, None),
+        (dxf_units.MM, 0.001, None),
+        (dxf_units.M, 1.0, None),
+        (dxf_units.IN, 0.0254, None),
         (0, 0.01, 0.01),
-        (ezdxf.units.MM, 0.5, 0.5),
+        (dxf_units.MM, 0.5, 0.5),
     ],
 )
 def test_a_dxf_in_any_unit(tmp_path: Path, units: int, unit: float, said: float | None) -> None:
@@ -79,7 +81,7 @@ def test_a_dxf_in_any_unit(tmp_path: Path, units: int, unit: float, said: float 
 
 
 def test_all_layers_count_where_none_is_named(tmp_path: Path) -> None:
-    _expect_rooms(read_plan(_dxf(tmp_path, ezdxf.units.MM, 0.001), PlanOptions()), door=OCCUPIED)
+    _expect_rooms(read_plan(_dxf(tmp_path, dxf_units.MM, 0.001), PlanOptions()), door=OCCUPIED)
 
 
 def test_an_svg_stands_upright_and_its_paper_is_no_wall(tmp_path: Path) -> None:
@@ -89,7 +91,7 @@ def test_an_svg_stands_upright_and_its_paper_is_no_wall(tmp_path: Path) -> None:
 
 
 def test_the_inside_of_a_double_wall_is_wall(tmp_path: Path) -> None:
-    drawing = ezdxf.new(units=ezdxf.units.M)
+    drawing = new(units=dxf_units.M)
     for grown in (0.0, 0.4):
         low, high = -grown, 6 + grown
         drawing.modelspace().add_lwpolyline([(low, low), (high, low), (high, high), (low, high)], close=True)
@@ -99,7 +101,7 @@ def test_the_inside_of_a_double_wall_is_wall(tmp_path: Path) -> None:
 
 
 def test_an_image_with_a_scale(tmp_path: Path) -> None:
-    plan = read_plan(_dxf(tmp_path, ezdxf.units.MM, 0.001), PlanOptions(layers=("WALLS",)))
+    plan = read_plan(_dxf(tmp_path, dxf_units.MM, 0.001), PlanOptions(layers=("WALLS",)))
     write_map(plan, tmp_path / "map.yaml")
     grid = read_plan(tmp_path / "map.pgm", PlanOptions(0.1))
     assert grid.free_area == pytest.approx(4 * plan.free_area)
@@ -134,7 +136,7 @@ def test_what_is_wrong_names_the_fix(tmp_path: Path) -> None:
 
 def test_models_are_built_of_a_plan(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", "plan.dxf", "-o", "model", "--step", "2"]
-    _dxf(tmp_path, ezdxf.units.MM, 0.001)
+    _dxf(tmp_path, dxf_units.MM, 0.001)
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "model/map.yaml").is_file()

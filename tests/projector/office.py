@@ -5,11 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, to_message
 from eigenscan.geometry.pose import compose
 from eigenscan.geometry.pose import to_message as pose_message
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.mapbuilder.site import Plan, SiteModel, build_site
+from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN

@@ -27,7 +27,7 @@ def random_sheets(rng: np.random.Generator, components: int = 5, headings: int =
 def affine_sheets(rng: np.random.Generator, headings: int = 8) -> tuple[Sheets, Array, Array]:
     """A manifold that is linear, base + pose @ axes, but for its last heading: a line does not close."""
     cells = np.argwhere(np.ones((4, 4)))
-    positions = cells * 0.5
+    positions: np.ndarray = cells * 0.5
     turn = np.arange(headings) * (2 * np.pi / headings)
     axes, base = rng.normal(0, 3, (3, 6)), rng.normal(0, 3, 6)
     poses = np.concatenate(

@@ -70,7 +70,7 @@ def test_connectivity_keeps_the_nearest_of_each_surface_and_no_other(
     surfaces = Surfaces.of(sheets)
     found = surfaces.nearest(alphas, residuals, count)
     order = {row: i for i, row in enumerate(near.rows.tolist())}
-    rows = {}
+    rows: dict[tuple[int, int, int, int], int] = {}
     before = 0
     for r, s in enumerate(sheets):
         for p, (x, y) in enumerate(s.cells.tolist()):
@@ -100,7 +100,8 @@ def test_connectivity_keeps_exactly_one_pose_of_a_flat_sheet(seed: int) -> None:
     flat = np.full((len(cells), 7, 4), 127.0, dtype=np.float32)
     flat[..., 0], flat[..., 1] = (cells * [x, y]).T[..., None]
     flat[..., 2] = np.arange(7) * turn
-    sheets = Sheets(flat, cells * 0.5, cells)
+    positions: np.ndarray = cells * 0.5
+    sheets = Sheets(flat, positions, cells)
     alpha = rng.normal(20, 20, 4)
     found = Surfaces.of([sheets]).nearest(alpha[None], np.zeros(1), sheets.rows)
     assert sorted(found.rows % 7) == list(range(7))

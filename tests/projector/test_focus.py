@@ -1,5 +1,7 @@
 """A projector that hears where the robot is searches there, and everything once a second."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from eigenscan.projector.core import ProjectorCore
@@ -16,8 +18,8 @@ START = 10**15
 FULL = 2 * np.pi
 
 
-def pose_at(truth: np.ndarray, time: int, **change: object) -> PoseEstimate:
-    fields = {
+def pose_at(truth: np.ndarray, time: int, **change: Any) -> PoseEstimate:
+    fields: dict[str, Any] = {
         "timestamp": stamp(time),
         "frame_id": "map",
         "pose": Pose2(x=truth[0], y=truth[1], theta=truth[2]),

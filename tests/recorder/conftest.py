@@ -23,8 +23,6 @@ from eigenscan.schemas.channels import HEALTH
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
-sys.path.insert(0, str(Path(__file__).parent))  # traffic.py is shared by the tests
-
 PATIENCE_S = 60.0
 
 

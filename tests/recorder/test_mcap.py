@@ -25,7 +25,8 @@ from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from mcap.records import Schema
-from traffic import Site
+
+from tests.recorder.traffic import Site
 
 S = 1_000_000_000
 
@@ -252,13 +253,14 @@ def test_no_recording_is_ever_overwritten(tmp_path: Path) -> None:
 def test_a_stamp_beyond_all_clocks_is_recorded_all_the_same(tmp_path: Path) -> None:
     clock = Clock()
     sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
-    for seconds in (-5, 2**62, -(2**62)):
+    seconds = [-5, 2**62, -(2**62)]
+    for second in seconds:
         message = PoseEstimate()
-        message.timestamp.seconds = seconds
+        message.timestamp.seconds = second
         sink.write(Envelope(POSE, {"site": "s", "robot": "r"}, message))
     sink.close()
-    seconds = [record.envelope.open(PoseEstimate).timestamp.seconds for record in read(tmp_path / "a.mcap")]
-    assert seconds == [-5, 2**62, -(2**62)]
+    records = read(tmp_path / "a.mcap")
+    assert [record.envelope.open(PoseEstimate).timestamp.seconds for record in records] == seconds
 
 
 def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> None:

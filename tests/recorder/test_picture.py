@@ -41,7 +41,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 from scipy.stats import chi2
-from traffic import Site
+
+from tests.recorder.traffic import Site
 
 ADDRESS = {"site": "s", "robot": "r1", "lidar": "front"}
 S = 1_000_000_000

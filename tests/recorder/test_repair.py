@@ -127,8 +127,8 @@ def test_foreign_channels_and_attachments_are_saved_as_well(tmp_path: Path) -> N
         writer = Writer(file)
         writer.start()
         writer.add_attachment(1, 2, "map.yaml", "text/yaml", b"resolution: 0.05")
-        channel = writer.register_channel("/camera", "json", 0)
-        writer.add_message(channel, 5, b"{}", 4, 3)
+        number = writer.register_channel("/camera", "json", 0)
+        writer.add_message(number, 5, b"{}", 4, 3)
         writer.finish()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:-40])

@@ -22,7 +22,8 @@ from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
-from traffic import Site
+
+from tests.recorder.traffic import Site
 
 S = 1_000_000_000
 ADDRESS = {"site": "s", "robot": "r"}

@@ -15,7 +15,8 @@ from eigenscan.cli.importers import stamp_of
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import POSE
 from rerun.chunk import RrdReader
-from traffic import Site
+
+from tests.recorder.traffic import Site
 
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main", "view"]
 

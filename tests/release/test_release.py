@@ -22,15 +22,18 @@ def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]
 @pytest.fixture
 def workspace(tmp_path: Path) -> Path:
     """The project's versions, to be changed."""
-    for file in (
-        *("pyproject.toml", "CHANGELOG.md", "LICENSE", "tools/release"),
-        *(path.relative_to(ROOT) for path in ROOT.glob("*/LICENSE")),
-        *(path.relative_to(ROOT) for path in ROOT.glob("services/*/LICENSE")),
-        *(path.relative_to(ROOT) for path in ROOT.glob("*/pyproject.toml")),
-        *(path.relative_to(ROOT) for path in ROOT.glob("services/*/pyproject.toml")),
-    ):
+    parts = (
+        "LICENSE",
+        "pyproject.toml",
+        "*/LICENSE",
+        "*/pyproject.toml",
+        "services/*/LICENSE",
+        "services/*/pyproject.toml",
+    )
+    for path in [path for part in (*parts, "CHANGELOG.md", "tools/release") for path in ROOT.glob(part)]:
+        file = path.relative_to(ROOT)
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / file, tmp_path / file)
+        shutil.copy(path, tmp_path / file)
     (tmp_path / ".venv").symlink_to(ROOT / ".venv")
     return tmp_path
 

@@ -129,7 +129,7 @@ def test_both_sides_of_a_difference_are_drawn_on_the_map(
     drawn = {chunk.entity_path for chunk in chunks}
     for side in ("recorded", "replayed"):
         assert {f"/world/robot/{side}/pose", f"/world/robot/{side}/tracks"} <= drawn
-    apart = {}
+    apart: dict[int, float] = {}
     for chunk in chunks:
         if chunk.entity_path == "/apart/robot":
             batch = chunk.to_record_batch()

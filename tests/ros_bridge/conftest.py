@@ -42,7 +42,7 @@ ALONE = {
 }
 
 
-def eventually(what: Callable[[], T], about: str) -> T:
+def eventually(what: Callable[[], T | None], about: str) -> T:
     """What `what` gives, as soon as it is true."""
     deadline = time.monotonic() + PATIENCE_S
     while not (result := what()):

@@ -33,7 +33,7 @@ def hashed(qos: Qos, kind: str) -> Qos:
 def main() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     alone = {"scouting": {"multicast": {"enabled": False}}}
-    about = {"timestamping": {"enabled": True}, "adminspace": {"enabled": True}}
+    about: dict[str, Any] = {"timestamping": {"enabled": True}, "adminspace": {"enabled": True}}
     about |= {"plugins_loading": {"enabled": True}, "plugins": {"ros2dds": {"domain": DOMAIN}}}
     config = {"mode": "router", "listen": {"endpoints": [endpoint]}, **alone, **about}
     with tempfile.TemporaryDirectory() as folder:

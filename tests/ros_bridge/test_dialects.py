@@ -119,7 +119,7 @@ def test_a_reply_goes_to_who_asked() -> None:
 def test_a_dds_bridge_gets_topics_and_nothing_beside_them() -> None:
     dialect, bridge = Ros2Dds(SESSION), ends(namespace="r17", dialect="ros2dds")
     assert [dialect.key(endpoint) for endpoint in bridge][:2] == ["r17/scan", "r17/odom"]
-    assert dialect.attachment(bridge.scans[0], 1, 0) is None
+    assert dialect.attachment(bridge.scans[0], 1, 0) is None  # type: ignore[func-returns-value]
     tokens = list(dialect.tokens(bridge))
     assert tokens[0] == f"@/{SESSION}/@ros2_lv"
     hashed = cdr.type_hash(cdr.POSE_WITH_COVARIANCE)

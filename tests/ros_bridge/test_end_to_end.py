@@ -96,21 +96,12 @@ def map_server(robot: Robot, stage: Stage) -> Iterator[None]:
 def ear(network: Network, robot: Robot, map_server: None, tmp_path: Path) -> Iterator[Ear]:
     """What the running pipeline says."""
     site = f"test-{uuid4().hex[:12]}"
-    command = [
-        sys.executable,
-        "-m",
-        "eigenscan.cli.main",
-        "run",
-        "--site",
-        site,
-    ]
-    command += ["--zenoh", network.leaf, "--no-viewer", "--out", tmp_path / "out"]
+    command = [sys.executable, "-m", "eigenscan.cli.main", "run", "--site", site]
+    command += ["--zenoh", str(network.leaf), "--no-viewer", "--out", str(tmp_path / "out")]
     command += ["--ros2", "rmw_zenoh", "--ros2-router", network.endpoint]
     with Ear.on(network, site) as ear:
         environment = {"ROS_DOMAIN_ID": str(robot.domain)}
-        with subprocess.Popen(
-            [str(part) for part in command], env=network.environment | environment
-        ) as process:
+        with subprocess.Popen(command, env=network.environment | environment) as process:
             try:
                 eventually(lambda: process.poll() is not None or _ready(ear), "the pipeline")
                 assert process.poll() is None

@@ -230,7 +230,7 @@ class DdsDriver:
         elif envelope.channel is SCAN_RAW:
             raw = envelope.open(RawScan)
             if not self._mounted:
-                at = (raw.mount.x, raw.mount.y, raw.mount.theta)
+                at = np.array([raw.mount.x, raw.mount.y, raw.mount.theta])
                 self._static.write(self._transform("base_footprint", "laser", at, 0))
                 self._mounted = True
             body = _scan(self._dds, list(raw.ranges), "laser", nanoseconds(raw.timestamp))

@@ -20,7 +20,7 @@ def _ask(bus: Bus, net: Any, robot: str) -> None:
 
 def _answers(inbox: Inbox, count: int) -> dict[str, int]:
     """Robots of the next answers, and how many scans had been answered before each; keys have no order."""
-    robots = {}
+    robots: dict[str, int] = {}
     while len(robots) < count:
         arrival = inbox.take(20)
         assert arrival is not None, f"{robots}, and no more"

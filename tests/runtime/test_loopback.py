@@ -13,7 +13,7 @@ class Chain:
     """Answers whatever it hears on one channel with an empty message on each of others."""
 
     def __init__(self, hears: Channel, *says: Channel) -> None:
-        self.hears = (hears,)
+        self.hears: tuple[Channel, ...] = (hears,)
         self.says = says
         self.heard: list[Envelope] = []
 

@@ -257,8 +257,7 @@ def test_a_core_that_falls_behind_answers_the_newest_scan_of_each_robot_and_says
         while arrival := scans.take(0.005):
             answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]
         while arrival := others.take(0.0):
-            health = decode(HEALTH, arrival.payload)
-            dropped = health.counters["dropped_scan_raw"]  # type: ignore[attr-defined]
+            dropped = decode(HEALTH, arrival.payload).counters["dropped_scan_raw"]  # type: ignore[attr-defined]
     while len(answers) < 2 or any(each[-1] != said - 1 for each in answers.values()):  # the newest, always
         arrival = _next(scans)
         answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from eigenscan.runtime.recording import PROFILE, RecordingError, RecordingWriter, read, read_metadata
@@ -55,7 +56,7 @@ def test_a_stranger_decodes_every_message_with_the_file_alone(tmp_path: Path) ->
     said = []
     with RecordingWriter(path) as writer:
         for number, channel in enumerate(CHANNELS):
-            message = channel.message()
+            message: Any = channel.message()
             if "timestamp" in message.DESCRIPTOR.fields_by_name:
                 message.timestamp.seconds = 7
             envelope = Envelope(channel, dict.fromkeys(channel.fields, "x"), message)

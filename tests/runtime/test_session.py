@@ -3,7 +3,6 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.runtime import session
 from eigenscan.runtime.session import URGENT_BATCHES, open_session
 
 SIZES = "transport/link/tx/queue/size"
@@ -19,7 +18,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, int]]:
         sizes.append(json.loads(config.get_json(SIZES)))
         return really_open(config)
 
-    monkeypatch.setattr(session.zenoh, "open", spy)
+    monkeypatch.setattr(zenoh, "open", spy)
     return sizes
 
 
@@ -31,7 +30,7 @@ def test_urgent_messages_find_room_unless_the_file_says_otherwise(
     plain.write_text(json.dumps(alone))
     own.write_text(json.dumps(alone | {"transport": {"link": {"tx": {"queue": {"size": {"real_time": 4}}}}}}))
     for path in (plain, own):
-        open_session(path).close()  # type: ignore[no-untyped-call]
+        open_session(path).close()
     assert [sizes["real_time"] for sizes in opened] == [URGENT_BATCHES, 4]
     assert opened[0]["interactive_high"] == URGENT_BATCHES
     assert opened[1]["interactive_high"] < URGENT_BATCHES

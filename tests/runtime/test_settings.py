@@ -208,7 +208,7 @@ def test_help_tells_every_field_and_default(capsys: pytest.CaptureFixture[str]) 
     ("flag", "code", "out", "err"), [("--help", 0, "example: ", ""), ("--nonsense", 2, "", "unrecognized")]
 )
 def test_a_service_answers_its_flags_without_a_trace(flag: str, code: int, out: str, err: str) -> None:
-    program = [sys.executable, Path(__file__).parent / "tiny_service.py", flag]
+    program = [sys.executable, str(Path(__file__).parent / "tiny_service.py"), flag]
     done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert done.returncode == code
     assert out in done.stdout

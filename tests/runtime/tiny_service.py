@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from eigenscan.runtime import node
 from eigenscan.runtime.settings import ServiceSettings
-from eigenscan.schemas.channels import MODEL, SCAN, SCAN_RAW
+from eigenscan.schemas.channels import MODEL, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import RegionModel
@@ -23,8 +23,8 @@ class TinySettings(ServiceSettings):
 
 
 class TinyCore:
-    hears = (SCAN_RAW,)
-    says = (SCAN, MODEL)
+    hears: tuple[Channel, ...] = (SCAN_RAW,)
+    says: tuple[Channel, ...] = (SCAN, MODEL)
 
     def __init__(self, settings: TinySettings) -> None:
         if settings.broken:

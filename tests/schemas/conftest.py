@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 from hypothesis import strategies as st
@@ -18,13 +18,15 @@ _SCALARS: dict[int, st.SearchStrategy[Any]] = {
     FieldDescriptor.CPPTYPE_INT64: st.integers(-(2**63), 2**63 - 1),
     FieldDescriptor.CPPTYPE_UINT64: st.integers(0, 2**64 - 1),
 }
-_TEXT = st.text(st.characters(exclude_categories=("Cs",)), max_size=8)
+_TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 
 
 def _values(field: FieldDescriptor) -> st.SearchStrategy[Any]:
     if field.cpp_type == FieldDescriptor.CPPTYPE_MESSAGE:
+        assert field.message_type is not None
         return _messages(field.message_type)
     if field.cpp_type == FieldDescriptor.CPPTYPE_ENUM:
+        assert field.enum_type is not None
         return st.sampled_from([value.number for value in field.enum_type.values])
     if field.type == FieldDescriptor.TYPE_BYTES:
         return st.binary(max_size=16)
@@ -40,7 +42,7 @@ def _filled(field: FieldDescriptor) -> st.SearchStrategy[Any]:
     return st.lists(_values(field), max_size=3)
 
 
-def _messages(descriptor: Descriptor) -> st.SearchStrategy[Message]:
+def _messages(descriptor: Any) -> st.SearchStrategy[Message]:
     kind = GetMessageClass(descriptor)
     fields = {field.name: _filled(field) for field in descriptor.fields}
     if descriptor.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):

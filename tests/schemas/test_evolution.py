@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from eigenscan.schemas.evolution import breaks, contract
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorSet
 
 ROOT = Path(__file__).parents[2]
 
@@ -17,7 +17,7 @@ def today() -> FileDescriptorSet:
     return contract()
 
 
-def _message(files: FileDescriptorSet, name: str) -> object:
+def _message(files: FileDescriptorSet, name: str) -> DescriptorProto:
     return next(one for file in files.file for one in file.message_type if one.name == name)
 
 

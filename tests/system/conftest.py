@@ -60,9 +60,11 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def house(tmp_path: Path) -> Iterator[House]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-    alone = {"scouting": {"multicast": {"enabled": False}}}
-    # a busy machine must not lose what the test counts
-    alone = alone | {"transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}}}
+    alone = {
+        "scouting": {"multicast": {"enabled": False}},
+        # a busy machine must not lose what the test counts
+        "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
+    }
     leaf = tmp_path / "leaf.json5"
     leaf.write_text(json.dumps(alone | {"mode": "client", "connect": {"endpoints": [endpoint]}}))
     router = zenoh.Config.from_json5(

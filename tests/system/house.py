@@ -107,13 +107,15 @@ class House:
         clean = {name: value for name, value in os.environ.items() if not name.startswith("EIGENSCAN_")}
         with (self.logs / f"{service}.log").open("ab") as log:
             self.running[alias or service] = subprocess.Popen(
-                [PROGRAMS / f"eigenscan-{service}", "--site", self.site, "--zenoh", self.config]
-                + [str(flag) for flag in flags],
+                self._command(f"eigenscan-{service}", *flags),
                 stdout=log,
                 stderr=log,
                 env=clean | ONE_THREAD,
             )
         self.ear.wait_for(lambda _: self._words(service) > before, f"{service} to speak\n{self.log(service)}")
+
+    def _command(self, program: str, *words: object) -> list[str]:
+        return [str(PROGRAMS / program), *map(str, words), "--site", self.site, "--zenoh", str(self.config)]
 
     def _words(self, service: str) -> int:
         return sum(e.channel is HEALTH and e.address["service"] == service for e in self.ear.heard)
@@ -148,8 +150,7 @@ class House:
     def replay(self, recording: Path, *flags: object) -> None:
         """Plays a recording into the site, from its start to its end."""
         done = subprocess.run(
-            [PROGRAMS / "eigenscan", "replay", recording, "--site", self.site, "--zenoh", self.config]
-            + [str(flag) for flag in flags],
+            self._command("eigenscan", "replay", recording, *flags),
             capture_output=True,
             text=True,
             check=False,

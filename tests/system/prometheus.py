@@ -34,7 +34,7 @@ def find_programs(folder: Path) -> Path:
 def serving(programs: Path, config: Path, port: int) -> Iterator[str]:
     """A server on `config`, and its address."""
     command = [
-        programs / "prometheus",
+        str(programs / "prometheus"),
         f"--config.file={config}",
         f"--storage.tsdb.path={config.parent / 'series'}",
         f"--web.listen-address=127.0.0.1:{port}",

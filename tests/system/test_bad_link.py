@@ -13,6 +13,7 @@ from eigenscan.cli.launch.network import free_port
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import MODEL, MODEL_SET, POSE
 from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 from tests.system.bad_link import BadLink
@@ -91,7 +92,7 @@ def test_a_robot_without_its_site_goes_on_and_catches_up(house: House, link: Bad
     house.start("mapbuilder", "--map", map_file, "--step", "1.0")
     with FleetView(open_session(house.config), house.site) as view, robot:
         more_claims(house.ear, 5, "poses at the site")
-        (first,) = {message.version for message in house.ear.of(MODEL_SET, MODEL_SET.message)}
+        (first,) = {message.version for message in house.ear.of(MODEL_SET, ModelSet)}
 
         link.delay_s = 0.1
         more_claims(house.ear, 10, "poses at the site over a slow link")
@@ -129,7 +130,7 @@ def test_a_robot_without_its_site_goes_on_and_catches_up(house: House, link: Bad
         link.mend()
         more_claims(house.ear, 30, "poses at the site after a second cut")
         assert link.down_bytes < new / 4, "what it had did not come again"
-    machine.session.close()  # type: ignore[no-untyped-call]
+    machine.session.close()
     check(robot, claims(machine.ear), (cut, back))
 
 

@@ -107,7 +107,9 @@ def speaking(
 
     def speak() -> None:
         for number in count():
-            given = {"timestamp": stamp(time.time_ns()), "status": Health.STATUS_OK} | words(number)
+            given: dict[str, Any] = {"timestamp": stamp(time.time_ns()), "status": Health.STATUS_OK} | words(
+                number
+            )
             message = Health(service=service, instance=instance, **given)
             house.session.put(HEALTH.key(who), encode(message), encoding=zenoh.Encoding(encoding(HEALTH)))
             if stop.wait(0.2):

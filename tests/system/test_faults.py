@@ -10,6 +10,7 @@ from eigenscan.schemas.channels import HYPOTHESES, MODEL_SET, ODOMETRY, POSE, SC
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
@@ -62,7 +63,7 @@ def test_a_projector_that_comes_last_gets_the_models_and_answers(
     house.until("mapbuilder", ready, "has said its models")
     house.start("projector")
     house.until("projector", ready, "has models")
-    (version,) = {message.version for message in house.ear.of(MODEL_SET, MODEL_SET.message)}
+    (version,) = {message.version for message in house.ear.of(MODEL_SET, ModelSet)}
     house.start("scan-ingest")
     say(house, SCAN_RAW, scans_of(drive, 1)[0], lidar="front")
     house.ear.wait_for(lambda heard: any(e.channel is HYPOTHESES for e in heard), "hypotheses")
@@ -95,7 +96,7 @@ def test_a_second_mapbuilder_stands_in_for_the_first(models: Path, house: House)
         house.start("mapbuilder", "--model", models, "--instance", instance, alias=instance)
     house.kill("first")
     house.start("projector")
-    (version,) = {message.version for message in house.ear.of(MODEL_SET, MODEL_SET.message)}
+    (version,) = {message.version for message in house.ear.of(MODEL_SET, ModelSet)}
     house.until("projector", lambda health: health.detail == f"model {version[:12]}", "has models")
 
 

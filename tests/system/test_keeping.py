@@ -96,7 +96,7 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
     robot.start()
     try:
         house.ear.wait_for(lambda _: len(house.ear.of(HYPOTHESES, Hypotheses)) > 10, "hypotheses")
-        accept = [PROGRAMS / "eigenscan", "models", "accept", model]
+        accept = [str(PROGRAMS / "eigenscan"), "models", "accept", str(model)]
         assert subprocess.run(accept, check=False, capture_output=True).returncode == 0
         after = read_models(model).to_message()
         house.ear.wait_for(lambda _: count_of(house, after.version) > 10, "answers from the new models")

@@ -13,7 +13,7 @@ from tests.system.robot import Robot
 
 def tell(house: House, *arguments: object) -> tuple[int, dict[str, Any], str]:
     """Exit code, figures and errors of the command."""
-    where = ["--site", house.site, "--zenoh", house.config, "--json", "-"]
+    where = ["--site", house.site, "--zenoh", str(house.config), "--json", "-"]
     done = subprocess.run(
         [PROGRAMS / "eigenscan", "fleet", "relocate", *map(str, arguments), *where],
         capture_output=True,

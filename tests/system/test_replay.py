@@ -43,7 +43,7 @@ def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> Non
 def test_what_cannot_be_played_is_one_line_and_exit_code_2(
     drive: Drive, flags: list[str], named: str
 ) -> None:
-    command = [PROGRAMS / "eigenscan", "replay", drive.recording, *flags]
+    command = [str(PROGRAMS / "eigenscan"), "replay", str(drive.recording), *flags]
     out = subprocess.run(command, capture_output=True, text=True, check=False)
     assert out.returncode == 2
     assert out.stderr.startswith("eigenscan replay: ")
@@ -54,7 +54,7 @@ def test_what_cannot_be_played_is_one_line_and_exit_code_2(
 def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
     file = tmp_path / "drive.mcap"
     file.write_bytes(b"not an mcap")
-    command = [PROGRAMS / "eigenscan", "replay", file]
+    command = [str(PROGRAMS / "eigenscan"), "replay", str(file)]
     out = subprocess.run(command, capture_output=True, text=True, check=False)
     assert out.returncode == 2
     assert "drive.mcap" in out.stderr

@@ -14,10 +14,15 @@ from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from hypothesis import settings
+from numpy.typing import ArrayLike
 
 # a busy machine is not a wrong answer
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
+
+MakeCore = Callable[..., TrackerCore]
+PosesOf = Callable[[Iterable[Envelope]], list[PoseEstimate]]
+TracksOf = Callable[[Iterable[Envelope]], list[Tracks]]
 
 TRUST = TrackerSettings().trust
 """Likelihoods here are as the tracker takes them, after its exponent."""
@@ -39,13 +44,13 @@ class Speaker:
     def hypotheses(
         self,
         time: float,
-        poses: Iterable[np.ndarray],
+        poses: Iterable[ArrayLike],
         log_likelihoods: Iterable[float],
         *,
         lidar: str = "front",
         projector: str = "0",
         frame: str = "map",
-        status: int = Hypotheses.STATUS_OK,
+        status: Hypotheses.Status = Hypotheses.STATUS_OK,
     ) -> Envelope:
         listed = [*zip(poses, log_likelihoods, strict=True)]
         if listed:
@@ -81,7 +86,7 @@ def speaker() -> Speaker:
 
 
 @pytest.fixture
-def make_core() -> Callable[..., TrackerCore]:
+def make_core() -> MakeCore:
     def make(**settings: object) -> TrackerCore:
         return TrackerCore(TrackerSettings.model_validate(settings))
 
@@ -89,10 +94,10 @@ def make_core() -> Callable[..., TrackerCore]:
 
 
 @pytest.fixture
-def poses_of() -> Callable[[Iterable[Envelope]], list[PoseEstimate]]:
+def poses_of() -> PosesOf:
     return lambda said: [each.open(PoseEstimate) for each in said if each.channel is POSE]
 
 
 @pytest.fixture
-def tracks_of() -> Callable[[Iterable[Envelope]], list[Tracks]]:
+def tracks_of() -> TracksOf:
     return lambda said: [each.open(Tracks) for each in said if each.channel is TRACKS]

@@ -1,19 +1,31 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+
+from tests.tracker.conftest import MakeCore, PosesOf, Speaker, TracksOf
 
 STEP = np.array([0.05, 0.0, 0.02])
 
 
 def drive(
-    core: TrackerCore, speaker, poses_of, *, scans: int, start=(2.0, 3.0, 0.0), jump_at=None, time=100.0
-):
+    core: TrackerCore,
+    speaker: Speaker,
+    poses_of: PosesOf,
+    *,
+    scans: int,
+    start: tuple[float, float, float] = (2.0, 3.0, 0.0),
+    jump_at: int | None = None,
+    time: float = 100.0,
+) -> list[tuple[PoseEstimate, np.ndarray]]:
     """One right hypothesis among wrong ones that change from scan to scan; gives (pose message, truth)."""
     rng = np.random.default_rng(1)
     truth, odometry = np.array(start), np.zeros(3)
@@ -34,20 +46,20 @@ def drive(
     return heard
 
 
-def is_right(message, truth: np.ndarray) -> bool:
+def is_right(message: PoseEstimate, truth: np.ndarray) -> bool:
     turn = (message.pose.theta - truth[2] + np.pi) % (2 * np.pi) - np.pi
     near = np.hypot(message.pose.x - truth[0], message.pose.y - truth[1]) < 0.5
     return bool(near and abs(turn) < np.radians(10))
 
 
-def test_one_sure_scan_localizes(make_core, speaker, poses_of) -> None:
+def test_one_sure_scan_localizes(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     message, truth = drive(make_core(), speaker, poses_of, scans=1)[0]
     assert message.state == STATE_LOCALIZED
     assert is_right(message, truth)
     assert message.confidence > 0.95
 
 
-def test_tracks_a_driving_robot(make_core, speaker, poses_of) -> None:
+def test_tracks_a_driving_robot(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     heard = drive(make_core(), speaker, poses_of, scans=100)
     errors = [np.hypot(m.pose.x - t[0], m.pose.y - t[1]) for m, t in heard]
     assert len(heard) == 100
@@ -56,7 +68,7 @@ def test_tracks_a_driving_robot(make_core, speaker, poses_of) -> None:
     assert len({m.track_id for m, _ in heard}) == 1
 
 
-def test_kidnap_is_noticed_and_recovered(make_core, speaker, poses_of) -> None:
+def test_kidnap_is_noticed_and_recovered(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     heard = drive(make_core(), speaker, poses_of, scans=80, jump_at=40)
     wrong_claims = [i for i, (m, t) in enumerate(heard) if m.state == STATE_LOCALIZED and not is_right(m, t)]
     right = [i for i, (m, t) in enumerate(heard) if i >= 40 and m.state == STATE_LOCALIZED and is_right(m, t)]
@@ -70,7 +82,9 @@ def symmetric(count: int) -> list[np.ndarray]:
     return [np.array([3.0 * k, 2.0, 0.3]) for k in range(count)]
 
 
-def test_standing_in_a_symmetric_place_stays_ambiguous(make_core, speaker, poses_of, tracks_of) -> None:
+def test_standing_in_a_symmetric_place_stays_ambiguous(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, tracks_of: TracksOf
+) -> None:
     core, rng = make_core(), np.random.default_rng(2)
     for scan in range(600):
         time = 10.0 + scan * 0.1
@@ -80,7 +94,9 @@ def test_standing_in_a_symmetric_place_stays_ambiguous(make_core, speaker, poses
         assert len([t for t in tracks_of(said)[0].tracks if t.probability > 0.05]) == 4
 
 
-def test_a_symmetric_place_is_left_by_what_breaks_it(make_core, speaker, poses_of) -> None:
+def test_a_symmetric_place_is_left_by_what_breaks_it(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     odometry = np.zeros(3)
     poses = symmetric(4)
@@ -97,7 +113,9 @@ def test_a_symmetric_place_is_left_by_what_breaks_it(make_core, speaker, poses_o
     assert message.pose.x == pytest.approx(poses[0][0], abs=0.05)
 
 
-def test_a_scan_that_nothing_explains_leaves_the_robot_lost(make_core, speaker, poses_of) -> None:
+def test_a_scan_that_nothing_explains_leaves_the_robot_lost(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     message = poses_of(core.handle(speaker.hypotheses(1.0, [], [])) or core.finish())[0]
     assert message.state == STATE_LOST
@@ -105,7 +123,7 @@ def test_a_scan_that_nothing_explains_leaves_the_robot_lost(make_core, speaker, 
     assert message.track_id == 0
 
 
-def test_leaving_the_map_is_noticed(make_core, speaker, poses_of) -> None:
+def test_leaving_the_map_is_noticed(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     heard = drive(core, speaker, poses_of, scans=30)
     assert heard[-1][0].state == STATE_LOCALIZED
@@ -119,7 +137,9 @@ def test_leaving_the_map_is_noticed(make_core, speaker, poses_of) -> None:
     assert states[-1] == STATE_LOST
 
 
-def test_without_odometry_it_still_converges(make_core, speaker, poses_of) -> None:
+def test_without_odometry_it_still_converges(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     truth = np.array([2.0, 3.0, 0.0])
     messages = []
@@ -138,7 +158,7 @@ def test_without_odometry_it_still_converges(make_core, speaker, poses_of) -> No
     assert len(messages) == 40
 
 
-def test_masses_sum_to_one(make_core, speaker, tracks_of) -> None:
+def test_masses_sum_to_one(make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf) -> None:
     core = make_core()
     rng = np.random.default_rng(3)
     for scan in range(50):
@@ -148,7 +168,7 @@ def test_masses_sum_to_one(make_core, speaker, tracks_of) -> None:
             assert total == pytest.approx(1.0, abs=1e-9)
 
 
-def make_stream(speaker, scans: int):
+def make_stream(speaker: Speaker, scans: int) -> tuple[list[Envelope], list[Envelope]]:
     truth, odometry, rng = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.random.default_rng(4)
     odometries, hypotheses = [], []
     for scan in range(scans):
@@ -163,7 +183,7 @@ def make_stream(speaker, scans: int):
 Said = list[tuple[int, bytes]]
 
 
-def run(core: TrackerCore, envelopes, poses_of: Callable) -> Said:
+def run(core: TrackerCore, envelopes: Iterable[Envelope], poses_of: PosesOf) -> Said:
     said = []
     for envelope in envelopes:
         said += poses_of(core.handle(envelope))
@@ -171,11 +191,17 @@ def run(core: TrackerCore, envelopes, poses_of: Callable) -> Said:
     return [(m.timestamp.ToNanoseconds(), m.SerializeToString(deterministic=True)) for m in said]
 
 
-def test_order_of_arrival_between_channels_does_not_matter(make_core, speaker, poses_of) -> None:
+def test_order_of_arrival_between_channels_does_not_matter(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     odometries, hypotheses = make_stream(speaker, 30)
     rng = np.random.default_rng(5)
     both = [*odometries, *hypotheses]
-    stamps = np.array([e.message.timestamp.ToNanoseconds() * 1e-9 for e in both])
+    heard: list[Odometry | Hypotheses] = [
+        *(e.open(Odometry) for e in odometries),
+        *(e.open(Hypotheses) for e in hypotheses),
+    ]
+    stamps = np.array([message.timestamp.ToNanoseconds() * 1e-9 for message in heard])
     expected = run(make_core(), [both[i] for i in np.argsort(stamps, kind="stable")], poses_of)
     assert len(expected) == 30
     for _ in range(20):
@@ -189,7 +215,9 @@ def others(rng: np.random.Generator, count: int = 12) -> list[np.ndarray]:
     return [*rng.uniform([0, 0, -3], [40, 40, 3], (count, 3))]
 
 
-def test_carried_away_is_noticed_at_once_and_found_again(make_core, speaker, poses_of) -> None:
+def test_carried_away_is_noticed_at_once_and_found_again(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     """Nothing of a list goes on in the next one, though odometry stands still."""
     core, rng = make_core(), np.random.default_rng(6)
     speaker.clutter = 0
@@ -205,7 +233,9 @@ def test_carried_away_is_noticed_at_once_and_found_again(make_core, speaker, pos
     assert all(m.state == STATE_LOCALIZED for m, _ in [*messages[5:30], *messages[35:]])
 
 
-def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(make_core, speaker, poses_of) -> None:
+def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core, rng = make_core(), np.random.default_rng(7)
     speaker.clutter = 0
     place, aliases = np.array([2.0, 3.0, 0.4]), others(rng)
@@ -222,7 +252,9 @@ def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(make_core, sp
     assert not any(state == STATE_LOCALIZED and not right for state, right in states)
 
 
-def test_a_robot_that_stands_for_an_hour_stays_sure(make_core, speaker, poses_of) -> None:
+def test_a_robot_that_stands_for_an_hour_stays_sure(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     for scan in range(3600):
         time = 10.0 + scan
@@ -231,7 +263,9 @@ def test_a_robot_that_stands_for_an_hour_stays_sure(make_core, speaker, poses_of
         assert [m.state for m in said] == [STATE_LOCALIZED]
 
 
-def test_a_stretch_that_the_map_hardly_shows_is_driven_through(make_core, speaker, poses_of) -> None:
+def test_a_stretch_that_the_map_hardly_shows_is_driven_through(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     """Two metres on odometry, while a wrong place fits a little: the claim stays with the track."""
     core, rng = make_core(), np.random.default_rng(8)
     truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
@@ -248,7 +282,9 @@ def test_a_stretch_that_the_map_hardly_shows_is_driven_through(make_core, speake
             assert is_right(message, truth)
 
 
-def test_a_lookalike_does_not_take_a_robot_from_where_it_drove(make_core, speaker, poses_of) -> None:
+def test_a_lookalike_does_not_take_a_robot_from_where_it_drove(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     """Two metres that the map lacks, while another room fits as well as the right one does elsewhere."""
     core, rng = make_core(), np.random.default_rng(8)
     truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
@@ -266,7 +302,9 @@ def test_a_lookalike_does_not_take_a_robot_from_where_it_drove(make_core, speake
     assert all(m.state == STATE_LOCALIZED for m, _ in [*heard[5:40], *heard[90:]])
 
 
-def test_wheels_that_slip_do_not_lose_the_robot(make_core, speaker, poses_of) -> None:
+def test_wheels_that_slip_do_not_lose_the_robot(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     """Odometry says forward while the robot goes back: what the scans show nearby takes over."""
     core, rng = make_core(), np.random.default_rng(9)
     truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
@@ -284,7 +322,7 @@ def test_wheels_that_slip_do_not_lose_the_robot(make_core, speaker, poses_of) ->
     assert message.state == STATE_LOCALIZED
 
 
-def test_off_the_map_the_claim_ends(make_core, speaker, poses_of) -> None:
+def test_off_the_map_the_claim_ends(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core, rng = make_core(), np.random.default_rng(10)
     heard = drive(core, speaker, poses_of, scans=30)
     assert heard[-1][0].state == STATE_LOCALIZED
@@ -300,7 +338,9 @@ def test_off_the_map_the_claim_ends(make_core, speaker, poses_of) -> None:
     assert STATE_LOCALIZED not in states[300:]
 
 
-def test_two_projectors_share_a_site(make_core, speaker, poses_of, tracks_of) -> None:
+def test_two_projectors_share_a_site(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, tracks_of: TracksOf
+) -> None:
     """One searches the half where the robot is, the other what merely looks alike: both lists are of use."""
     core, rng = make_core(), np.random.default_rng(11)
     speaker.clutter = 0

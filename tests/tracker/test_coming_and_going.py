@@ -1,17 +1,15 @@
 """Robots that come and go: a tracker for many keeps those that it heard lately."""
 
 import gc
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from eigenscan.runtime import lately
 from eigenscan.schemas.channels import TRANSFORM
 from eigenscan.schemas.envelope import Envelope
-from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.robot import RobotTracker
 
-from tests.tracker.conftest import Speaker
+from tests.tracker.conftest import MakeCore, Speaker
 
 AMONG = 200
 
@@ -26,7 +24,7 @@ def trackers() -> int:
 
 
 def test_who_is_gone_is_forgotten_and_begins_anew_and_who_stays_does_not(
-    make_core: Callable[..., TrackerCore], speaker: Speaker, monkeypatch: pytest.MonkeyPatch
+    make_core: MakeCore, speaker: Speaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lately, "AMONG", AMONG)
     before, core = trackers(), make_core()

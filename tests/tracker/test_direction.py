@@ -14,6 +14,8 @@ from eigenscan.tracker.tracks import begin
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.tracker.conftest import MakeCore, PosesOf, Speaker
+
 STEP = np.array([0.06, 0.0, 0.03])
 BACK = STEP * [-1.0, -1.0, 1.0]
 
@@ -97,7 +99,9 @@ def test_what_odometry_alone_carried_is_taken_back_and_what_a_scan_confirmed_is_
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-def test_backing_out_of_a_place_that_the_map_hardly_shows(make_core, speaker, poses_of, hidden: bool) -> None:
+def test_backing_out_of_a_place_that_the_map_hardly_shows(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, hidden: bool
+) -> None:
     """Where the right pose is in no list, wrong ones that go on tell the way's sign all the same."""
     core, rng = make_core(), np.random.default_rng(9)
     truth, odometry, aliases = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from eigenscan.tracker.association import Pairs, associate
@@ -27,12 +29,13 @@ from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.tracks import Tracks, begin, join
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.stats import multivariate_normal
 
 R = np.diag([0.05, 0.05, 0.02]) ** 2
 
 
-def listed(poses, log_likelihoods) -> Observation:
+def listed(poses: np.ndarray | Sequence[Sequence[float]], log_likelihoods: ArrayLike) -> Observation:
     poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     return Observation(
         0,
@@ -48,7 +51,9 @@ def listed(poses, log_likelihoods) -> Observation:
     )
 
 
-def track(pose, *, mass: float = 1.0, way: float = 0.0, turn: float = 0.0, evidence: float = 0.0) -> Tracks:
+def track(
+    pose: ArrayLike, *, mass: float = 1.0, way: float = 0.0, turn: float = 0.0, evidence: float = 0.0
+) -> Tracks:
     begun = begin(
         np.array([pose], dtype=np.float64), R[None], np.log([mass]), np.zeros(1), np.array([[evidence]]), 1, 0
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks/tracking.py"
 
 
 @pytest.fixture(scope="module")
-def tracking():
+def tracking() -> ModuleType:
     spec = importlib.util.spec_from_file_location("tracking", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -21,7 +24,7 @@ def tracking():
 
 @pytest.mark.parametrize("method", ["mixture", "paper"])
 @pytest.mark.parametrize("seed", [9, 10, 11, 12])
-def test_the_right_trajectory_is_confirmed(tracking, method: str, seed: int) -> None:
+def test_the_right_trajectory_is_confirmed(tracking: ModuleType, method: str, seed: int) -> None:
     panels = {number: (truth, tracks) for number, truth, tracks in tracking.figure_9(method, seed)}
     _, early = panels[3]
     alive = [track.probability for track in early.tracks if track.probability > 0.05]
@@ -37,7 +40,7 @@ def test_the_right_trajectory_is_confirmed(tracking, method: str, seed: int) -> 
     assert len(best.history) == 26
 
 
-def test_the_scans_settle_it_little_by_little(tracking) -> None:
+def test_the_scans_settle_it_little_by_little(tracking: ModuleType) -> None:
     shares = {}
     for number, truth, tracks in tracking.figure_9("mixture", 9):
         near = [

@@ -19,6 +19,9 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+
+from tests.tracker.conftest import MakeCore, PosesOf, Speaker
 
 wild = st.one_of(
     st.floats(-20.0, 20.0),
@@ -30,7 +33,7 @@ ADDRESS = {"site": "s", "robot": "r"}
 
 
 @st.composite
-def hypotheses(draw) -> Envelope:
+def hypotheses(draw: st.DrawFn) -> Envelope:
     listed = [
         Hypothesis(
             pose=Pose2(x=draw(wild), y=draw(wild), theta=draw(wild)),
@@ -44,7 +47,7 @@ def hypotheses(draw) -> Envelope:
     message = Hypotheses(
         timestamp=stamp(draw(times) * 1_000_000),
         frame_id=draw(st.sampled_from(["", "floor0", "floor1"])),
-        status=draw(st.sampled_from([0, 1, 2])),
+        status=draw(st.sampled_from(Hypotheses.Status.keys())),
         hypotheses=listed,
         unlisted_log_likelihood=draw(wild),
         searched_area_m2=draw(wild),
@@ -54,7 +57,7 @@ def hypotheses(draw) -> Envelope:
 
 
 @st.composite
-def odometry(draw) -> Envelope:
+def odometry(draw: st.DrawFn) -> Envelope:
     pose = Pose(
         position=Vector3(x=draw(wild), y=draw(wild)), orientation=Quaternion(z=draw(wild), w=draw(wild))
     )
@@ -67,7 +70,7 @@ def odometry(draw) -> Envelope:
 
 
 @st.composite
-def relocation(draw) -> Envelope:
+def relocation(draw: st.DrawFn) -> Envelope:
     message = Relocation(
         timestamp=stamp(draw(times) * 1_000_000), frame_id=draw(st.sampled_from(["", "floor0"]))
     )
@@ -110,7 +113,9 @@ def test_hostile_sequences(sequence: list[Envelope]) -> None:
 TRUTH = np.array([4.0, 5.0, 1.0])
 
 
-def standing(core: TrackerCore, speaker, poses_of, start: float, scans: int) -> list[PoseEstimate]:
+def standing(
+    core: TrackerCore, speaker: Speaker, poses_of: PosesOf, start: float, scans: int
+) -> list[PoseEstimate]:
     said = []
     for scan in range(scans):
         time = start + 0.1 * scan
@@ -126,7 +131,9 @@ def is_right(message: PoseEstimate) -> bool:
 
 
 @pytest.mark.parametrize("pose", [[math.nan, 0, 0], [math.inf, 1, 1], [1, 1, math.nan]])
-def test_odometry_that_is_no_number_is_set_aside(make_core, speaker, poses_of, pose) -> None:
+def test_odometry_that_is_no_number_is_set_aside(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, pose: ArrayLike
+) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 10.0, 5)
     core.handle(speaker.odometry(10.55, np.array(pose, dtype=float)))
@@ -135,7 +142,9 @@ def test_odometry_that_is_no_number_is_set_aside(make_core, speaker, poses_of, p
     assert all(m.state == STATE_LOCALIZED and is_right(m) for m in after)
 
 
-def test_odometry_from_the_past_is_set_aside(make_core, speaker, poses_of) -> None:
+def test_odometry_from_the_past_is_set_aside(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 10.0, 5)
     core.handle(speaker.odometry(9.0, np.array([50.0, 1.0, 0.0])))
@@ -144,7 +153,9 @@ def test_odometry_from_the_past_is_set_aside(make_core, speaker, poses_of) -> No
     assert all(is_right(m) and m.confidence > 0.9 for m in after)
 
 
-def test_a_jump_of_odometry_lowers_the_confidence_until_a_scan_confirms(make_core, speaker, poses_of) -> None:
+def test_a_jump_of_odometry_lowers_the_confidence_until_a_scan_confirms(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     before = standing(core, speaker, poses_of, 10.0, 5)[-1]
     core.handle(speaker.odometry(10.5, np.array([11.0, 1.0, 0.0])))
@@ -163,7 +174,9 @@ def test_a_jump_of_odometry_lowers_the_confidence_until_a_scan_confirms(make_cor
     assert is_right(said[-1])
 
 
-def test_a_scan_from_the_future_is_set_aside(make_core, speaker, poses_of) -> None:
+def test_a_scan_from_the_future_is_set_aside(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 10.0, 5)
     assert not list(core.handle(speaker.hypotheses(5000.0, [np.add(TRUTH, [9, 9, 0])], [60.0])))
@@ -173,7 +186,7 @@ def test_a_scan_from_the_future_is_set_aside(make_core, speaker, poses_of) -> No
     assert core.condition().counters["hypotheses_from_future"] == 1
 
 
-def test_a_gap_in_the_log_is_no_future(make_core, speaker, poses_of) -> None:
+def test_a_gap_in_the_log_is_no_future(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 10.0, 5)
     after = standing(core, speaker, poses_of, 70.0, 5)
@@ -181,7 +194,9 @@ def test_a_gap_in_the_log_is_no_future(make_core, speaker, poses_of) -> None:
     assert is_right(after[-1])
 
 
-def test_late_hypotheses_of_a_second_lidar_count(make_core, speaker, poses_of) -> None:
+def test_late_hypotheses_of_a_second_lidar_count(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     for scan in range(10):
         time = 10.0 + 0.1 * scan
@@ -198,14 +213,14 @@ def test_late_hypotheses_of_a_second_lidar_count(make_core, speaker, poses_of) -
     assert core.condition().counters["hypotheses_too_late"] == 1
 
 
-def test_a_repeated_message_counts_once(make_core, speaker, poses_of) -> None:
+def test_a_repeated_message_counts_once(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 10.0, 3)
     assert not poses_of(core.handle(speaker.hypotheses(10.1, [TRUTH], [30.0])))
     assert core.condition().counters["hypotheses_duplicate"] == 1
 
 
-def test_a_clock_set_back_starts_anew(make_core, speaker, poses_of) -> None:
+def test_a_clock_set_back_starts_anew(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 1000.0, 5)
     said = standing(core, speaker, poses_of, 10.0, 20)
@@ -214,7 +229,9 @@ def test_a_clock_set_back_starts_anew(make_core, speaker, poses_of) -> None:
     assert is_right(said[-1])
 
 
-def test_covariances_that_are_none_are_replaced(make_core, speaker, poses_of) -> None:
+def test_covariances_that_are_none_are_replaced(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     speaker.covariance = np.diag([-1.0, 0.0, 0.0])
     speaker.clutter = 0
@@ -223,7 +240,7 @@ def test_covariances_that_are_none_are_replaced(make_core, speaker, poses_of) ->
     assert message.covariance.xx == pytest.approx(0.25**2, rel=0.01)
 
 
-def test_robots_do_not_share_a_belief(make_core, speaker, poses_of) -> None:
+def test_robots_do_not_share_a_belief(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core(robot="*")
     one = speaker.hypotheses(1.0, [TRUTH], [40.0])
     two = speaker.hypotheses(1.0, [np.add(TRUTH, [3, 0, 0])], [40.0])
@@ -235,7 +252,9 @@ def test_robots_do_not_share_a_belief(make_core, speaker, poses_of) -> None:
     assert found == pytest.approx({"r": TRUTH[0], "other": TRUTH[0] + 3})
 
 
-def test_a_message_of_other_floors_leaves_a_floor_alone(make_core, speaker, poses_of) -> None:
+def test_a_message_of_other_floors_leaves_a_floor_alone(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     for scan in range(6):
         time = 10.0 + 0.1 * scan

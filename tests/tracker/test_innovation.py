@@ -9,6 +9,7 @@ import pytest
 from eigenscan.geometry.pose import compose, covariance_from_message, from_message
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import Tracks
+from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.observation import limit_sigma
 from eigenscan.tracker.odometry import Motion
@@ -16,6 +17,8 @@ from eigenscan.tracker.prediction import motion_noise
 from eigenscan.tracker.settings import TrackerSettings
 from filterpy.kalman import KalmanFilter
 from scipy.stats import chi2
+
+from tests.tracker.conftest import MakeCore, Speaker, TracksOf
 
 SETTINGS = TrackerSettings()
 STEP = np.array([0.6, 0.0, 0.2])
@@ -42,7 +45,9 @@ def oracle(before: np.ndarray, C: np.ndarray, seen: np.ndarray) -> float:
     return float(kalman.y @ kalman.SI @ kalman.y)
 
 
-def drive(core, speaker, tracks_of, scans: int, seed: int) -> list[tuple[Tracks, np.ndarray]]:
+def drive(
+    core: TrackerCore, speaker: Speaker, tracks_of: TracksOf, scans: int, seed: int
+) -> list[tuple[Tracks, np.ndarray]]:
     """A robot whose odometry and hypotheses err exactly as their covariances say; (tracks, what was seen)."""
     rng = np.random.default_rng(seed)
     truth, odometry = np.array([2.0, 3.0, 0.1]), np.zeros(3)
@@ -60,7 +65,7 @@ def drive(core, speaker, tracks_of, scans: int, seed: int) -> list[tuple[Tracks,
 
 
 @pytest.mark.parametrize("method", ["mixture", "paper"])
-def test_it_is_filterpys(make_core, speaker, tracks_of, method: str) -> None:
+def test_it_is_filterpys(make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf, method: str) -> None:
     heard = drive(make_core(method=method), speaker, tracks_of, 12, 1)
     assert not heard[0][0].tracks[0].HasField("nis")
     for (earlier, _), (later, seen) in pairwise(heard):
@@ -69,7 +74,9 @@ def test_it_is_filterpys(make_core, speaker, tracks_of, method: str) -> None:
         assert later.tracks[0].nis == pytest.approx(oracle(pose, C, seen), rel=1e-5)
 
 
-def test_a_scan_that_gives_a_track_no_hypothesis_leaves_none(make_core, speaker, tracks_of) -> None:
+def test_a_scan_that_gives_a_track_no_hypothesis_leaves_none(
+    make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf
+) -> None:
     core = make_core()
     drive(core, speaker, tracks_of, 3, 1)
     (unusable,) = tracks_of(
@@ -80,7 +87,9 @@ def test_a_scan_that_gives_a_track_no_hypothesis_leaves_none(make_core, speaker,
     assert not any(track.HasField("nis") for message in (unusable, away) for track in message.tracks)
 
 
-def test_right_covariances_give_innovations_within_their_bounds(make_core, speaker, tracks_of) -> None:
+def test_right_covariances_give_innovations_within_their_bounds(
+    make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf
+) -> None:
     heard = drive(make_core(), speaker, tracks_of, 400, 2)
     squares = [tracks.tracks[0].nis for tracks, _ in heard[1:]]
     low, high = chi2.interval(0.95, 3 * len(squares))

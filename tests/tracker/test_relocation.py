@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import covariance_to_message, to_message
@@ -12,7 +10,7 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.core import TrackerCore
 
-from tests.tracker.conftest import Speaker
+from tests.tracker.conftest import MakeCore, Speaker
 
 HERE, THERE = np.array([2.0, 3.0, 0.5]), np.array([12.0, -4.0, -2.0])
 SURE, TWINS = [30.0], [20.0, 20.0]
@@ -29,7 +27,9 @@ def word(
     return Envelope(RELOCATION, {"site": "s", "robot": "r"}, message)
 
 
-def stand(core: TrackerCore, speaker: Speaker, times: np.ndarray, poses: list, merits: list) -> PoseEstimate:
+def stand(
+    core: TrackerCore, speaker: Speaker, times: np.ndarray, poses: list[np.ndarray], merits: list[float]
+) -> PoseEstimate:
     """The last estimate of a robot that stands at the odometry's origin."""
     said: list[Envelope] = []
     for time in times.tolist():
@@ -45,7 +45,7 @@ def is_near(message: PoseEstimate, pose: np.ndarray) -> bool:
 @pytest.mark.parametrize("method", ["mixture", "paper"])
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_click_settles_which_of_two_rooms_alike(
-    make_core: Callable[..., TrackerCore], speaker: Speaker, method: str, which: int
+    make_core: MakeCore, speaker: Speaker, method: str, which: int
 ) -> None:
     core = make_core(method=method)
     twins = [HERE, THERE]
@@ -56,7 +56,7 @@ def test_a_click_settles_which_of_two_rooms_alike(
     assert is_near(after, twins[which])
 
 
-def test_a_precise_word_is_enough_to_claim(make_core: Callable[..., TrackerCore], speaker: Speaker) -> None:
+def test_a_precise_word_is_enough_to_claim(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(0.0, HERE, sigma=0.1))
     said = stand(core, speaker, np.arange(0, 1, 0.1), [HERE, THERE], TWINS)
@@ -64,7 +64,7 @@ def test_a_precise_word_is_enough_to_claim(make_core: Callable[..., TrackerCore]
     assert is_near(said, HERE)
 
 
-def test_a_wrong_click_does_not_last(make_core: Callable[..., TrackerCore], speaker: Speaker) -> None:
+def test_a_wrong_click_does_not_last(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(0.0, THERE))
     said = stand(core, speaker, np.arange(0, 1, 0.1), [HERE], SURE)
@@ -72,9 +72,7 @@ def test_a_wrong_click_does_not_last(make_core: Callable[..., TrackerCore], spea
     assert is_near(said, HERE)
 
 
-def test_told_to_forget_it_begins_as_at_the_start(
-    make_core: Callable[..., TrackerCore], speaker: Speaker
-) -> None:
+def test_told_to_forget_it_begins_as_at_the_start(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     before = stand(core, speaker, np.arange(0, 1, 0.1), [HERE], SURE)
     assert before.state == STATE_LOCALIZED
@@ -89,7 +87,7 @@ def test_told_to_forget_it_begins_as_at_the_start(
     assert [each.channel for each in core.handle(speaker.odometry(2.0, np.zeros(3)))] == [TRANSFORM]
 
 
-def test_a_word_is_moved_on_to_the_scan(make_core: Callable[..., TrackerCore], speaker: Speaker) -> None:
+def test_a_word_is_moved_on_to_the_scan(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     for time in np.arange(0, 1.05, 0.1):
         core.handle(speaker.odometry(time, np.array([time, 0.0, 0.0])))
@@ -101,17 +99,13 @@ def test_a_word_is_moved_on_to_the_scan(make_core: Callable[..., TrackerCore], s
     assert tracks.tracks[0].observations == 0
 
 
-def test_a_stamp_of_another_clock_counts_as_now(
-    make_core: Callable[..., TrackerCore], speaker: Speaker
-) -> None:
+def test_a_stamp_of_another_clock_counts_as_now(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(1e6, HERE, sigma=0.1))
     assert is_near(stand(core, speaker, np.arange(0, 0.5, 0.1), [HERE, THERE], TWINS), HERE)
 
 
-def test_a_word_waits_for_a_scan_of_its_floor(
-    make_core: Callable[..., TrackerCore], speaker: Speaker
-) -> None:
+def test_a_word_waits_for_a_scan_of_its_floor(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(0.0, HERE, sigma=0.1, frame="upstairs"))
     other = stand(core, speaker, np.arange(0, 0.5, 0.1), [HERE, THERE], TWINS)
@@ -123,9 +117,7 @@ def test_a_word_waits_for_a_scan_of_its_floor(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
-def test_a_word_that_is_no_pose_changes_nothing(
-    make_core: Callable[..., TrackerCore], speaker: Speaker, bad: float
-) -> None:
+def test_a_word_that_is_no_pose_changes_nothing(make_core: MakeCore, speaker: Speaker, bad: float) -> None:
     core = make_core()
     before = stand(core, speaker, np.arange(0, 1, 0.1), [HERE], SURE)
     core.handle(word(1.0, np.array([bad, 0.0, 0.0])))

@@ -1,11 +1,13 @@
 """Robots that come by a building: scans, and the poses that a tracker would claim, a little off."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.cli.simulation.lidar import Lidar
 from eigenscan.cli.simulation.stage import EPOCH_NS, Scenario, Stage
 from eigenscan.cli.simulation.world import CUPBOARD, office
+from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.pose import between, compose, covariance_to_message, inverse, to_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
@@ -28,13 +30,15 @@ class Patrol:
     seed: int
     seconds: float = 75.0
     people: int = 2
-    standing: tuple = ()
-    off: tuple = (0.0, 0.0, 0.0)
+    standing: tuple[tuple[float, float], ...] = ()
+    off: tuple[float, float, float] = (0.0, 0.0, 0.0)
     confidence: float = 0.98
     lidar: Lidar = field(default_factory=lambda: Lidar(beams=181, rate=2.5))
-    goals: tuple = TOUR
+    goals: tuple[tuple[float, float], ...] = TOUR
 
-    def messages(self, grid, at_s, site="site", robot="r1"):
+    def messages(
+        self, grid: GridMap, at_s: float, site: str = "site", robot: str = "r1"
+    ) -> Iterator[Envelope]:
         """Scan and pose by turns, `at_s` after the beginning."""
         scenario = Scenario(
             seconds=self.seconds,
@@ -65,7 +69,7 @@ class Patrol:
                 POSE, {"site": site, "robot": robot}, self._claim(timed.time, base, odometry[timed.time])
             )
 
-    def _claim(self, time, base, odometry):
+    def _claim(self, time: int, base: np.ndarray, odometry: np.ndarray) -> PoseEstimate:
         return PoseEstimate(
             timestamp=stamp(time),
             frame_id="map",
@@ -79,6 +83,6 @@ class Patrol:
         )
 
 
-def apart(one, other):
+def apart(one: np.ndarray, other: np.ndarray) -> float:
     """m, between two poses."""
     return float(np.hypot(*between(one, other)[:2]))

@@ -1,8 +1,9 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.mapbuilder.keeping.change import find_change
 from eigenscan.mapbuilder.keeping.picture import draw_change
 from hypothesis import given
@@ -16,7 +17,7 @@ VISITS = 4
 
 
 @pytest.fixture
-def hall():
+def hall() -> GridMap:
     """A room of 6 m x 4 m with a cabinet at its upper wall, known by its outline as lidars know it."""
     grid = blank(8.0, 6.0)
     room(grid, 1.0, 1.0, 7.0, 5.0)
@@ -25,7 +26,7 @@ def hall():
     return grid
 
 
-def seen(grid, visits=VISITS):
+def seen(grid: GridMap, visits: int = VISITS) -> np.ndarray:
     """What visits say who see the whole of `grid`: its faces struck, its free ground looked through."""
     run = np.zeros(grid.cells.shape, np.int8)
     run[grid.cells == OCCUPIED] = visits
@@ -33,20 +34,20 @@ def seen(grid, visits=VISITS):
     return run
 
 
-def emptied(grid):
+def emptied(grid: GridMap) -> GridMap:
     """The hall without its cabinet."""
     after = replace(grid, cells=grid.cells.copy())
     box(after, 2.0, 4.4, 3.2, 5.0, FREE)
     return after
 
 
-def test_what_the_map_shows_is_no_change(hall):
+def test_what_the_map_shows_is_no_change(hall: GridMap) -> None:
     change = find_change(hall, seen(hall), VISITS)
     assert not change
     np.testing.assert_array_equal(change.grid.cells, hall.cells)
 
 
-def test_a_cabinet_that_went_leaves_free_ground(hall):
+def test_a_cabinet_that_went_leaves_free_ground(hall: GridMap) -> None:
     change = find_change(hall, seen(emptied(hall)), VISITS)
     np.testing.assert_array_equal(change.grid.cells, emptied(hall).cells)
     (place,) = change.places()
@@ -55,7 +56,7 @@ def test_a_cabinet_that_went_leaves_free_ground(hall):
     assert place.sides == pytest.approx((1.2, 0.6), abs=0.06)
 
 
-def test_a_cabinet_that_came_is_a_wall_around_what_nobody_knows(hall):
+def test_a_cabinet_that_came_is_a_wall_around_what_nobody_knows(hall: GridMap) -> None:
     run = seen(emptied(hall))
     before = emptied(hall)
     run[hall.cells != before.cells] = 0
@@ -69,7 +70,7 @@ def test_a_cabinet_that_came_is_a_wall_around_what_nobody_knows(hall):
     assert [place.is_new for place in change.places()] == [True]
 
 
-def test_a_closed_door_leaves_the_room_behind_it(hall):
+def test_a_closed_door_leaves_the_room_behind_it(hall: GridMap) -> None:
     grid = hall
     box(grid, 4.0, 1.0, 4.1, 5.0, OCCUPIED)
     box(grid, 4.0, 2.0, 4.1, 3.0, FREE)
@@ -81,7 +82,7 @@ def test_a_closed_door_leaves_the_room_behind_it(hall):
 
 
 @pytest.mark.parametrize("cells", [1, 2, 3])
-def test_a_wall_that_was_mapped_a_little_off_is_no_change(hall, cells):
+def test_a_wall_that_was_mapped_a_little_off_is_no_change(hall: GridMap, cells: int) -> None:
     run = seen(hall)
     shifted = np.roll(hall.cells == OCCUPIED, -cells, axis=0) & (hall.cells == FREE)
     run[shifted] = VISITS
@@ -89,7 +90,7 @@ def test_a_wall_that_was_mapped_a_little_off_is_no_change(hall, cells):
     assert not find_change(hall, run, VISITS)
 
 
-def test_what_is_smaller_than_a_hand_is_no_change(hall):
+def test_what_is_smaller_than_a_hand_is_no_change(hall: GridMap) -> None:
     run = seen(hall)
     run[60:63, 60:63] = VISITS
     assert not find_change(hall, run, VISITS)
@@ -98,14 +99,14 @@ def test_what_is_smaller_than_a_hand_is_no_change(hall):
 
 
 @given(arrays(np.int8, (120, 160), elements=st.sampled_from([-3, -2, -1, 0, 1, 2, 3]), fill=st.just(0)))
-def test_fewer_visits_than_asked_for_change_nothing(run):
+def test_fewer_visits_than_asked_for_change_nothing(run: np.ndarray) -> None:
     grid = blank(8.0, 6.0)
     room(grid, 1.0, 1.0, 7.0, 5.0)
     assert not find_change(grid, run, VISITS)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.5))
-def test_a_change_is_where_visits_say_so_and_nowhere_else(seed, share):
+def test_a_change_is_where_visits_say_so_and_nowhere_else(seed: int, share: float) -> None:
     grid = blank(8.0, 6.0)
     room(grid, 1.0, 1.0, 7.0, 5.0)
     box(grid, 2.0, 2.0, 3.0, 3.0, OCCUPIED)
@@ -124,7 +125,7 @@ def test_a_change_is_where_visits_say_so_and_nowhere_else(seed, share):
     np.testing.assert_array_equal(no_wall_now, change.gone)
 
 
-def test_the_picture_shows_red_what_came_and_blue_what_went(hall, tmp_path):
+def test_the_picture_shows_red_what_came_and_blue_what_went(hall: GridMap, tmp_path: Path) -> None:
     run = seen(emptied(hall))
     run[40:60, 100:110] = VISITS
     (tmp_path / "change.png").write_bytes(draw_change(hall, find_change(hall, run, VISITS), "two things"))

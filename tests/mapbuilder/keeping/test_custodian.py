@@ -1,4 +1,7 @@
 from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
 
 import pytest
 from eigenscan.eigenspace.folder import write_models
@@ -19,16 +22,18 @@ from tests.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
 PULSE = Envelope(HEALTH, {"site": "site", "service": "mapbuilder", "instance": "0"}, Health())
 
 
-def start(folder, changes):
+def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> MapbuilderCore:
     store = Store(folder)
-    core = MapbuilderCore(MapbuilderSettings(model=folder, changes=changes), store.renewed(), store)
+    site = store.renewed()
+    assert site is not None
+    core = MapbuilderCore(MapbuilderSettings(model=folder, changes=changes), site, store)
     assert list(core.start())[-1].channel is MODEL_SET
     return core
 
 
-def come_by(core, numbers):
+def come_by(core: MapbuilderCore, numbers: Iterable[int]) -> list[Envelope]:
     """Robots on visits of these numbers, and a pulse at the end; what was said."""
-    said = []
+    said: list[Envelope] = []
     for number in numbers:
         for heard in Patrol(number).messages(MOVED, number * VISIT_S):
             said += core.handle(heard)
@@ -36,12 +41,12 @@ def come_by(core, numbers):
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Path:
     write_models(build_site(KNOWN, Plan(step=TURN / 120)), tmp_path / "model")
     return tmp_path / "model"
 
 
-def test_what_is_published_can_be_taken_back_and_stays_taken_back(folder):
+def test_what_is_published_can_be_taken_back_and_stays_taken_back(folder: Path) -> None:
     core, first = start(folder, "publish"), versions(folder)[0].version
     said = come_by(core, range(5))
     channels = Counter(envelope.channel.name for envelope in said)
@@ -62,7 +67,9 @@ def test_what_is_published_can_be_taken_back_and_stays_taken_back(folder):
     assert "eigenscan models accept" in core.condition().detail
 
 
-def test_a_store_that_cannot_be_written_is_told_and_costs_no_evidence(folder, monkeypatch):
+def test_a_store_that_cannot_be_written_is_told_and_costs_no_evidence(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     core = start(folder, "propose")
     come_by(core, range(4))
     with monkeypatch.context() as broken:
@@ -75,11 +82,11 @@ def test_a_store_that_cannot_be_written_is_told_and_costs_no_evidence(folder, mo
     assert core.condition().counters["changes_proposed"] == 1
 
 
-def _full(*_):
+def _full(*_: object) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_models_that_cannot_be_read_leave_those_that_were_said(folder):
+def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> None:
     core, manifest = start(folder, "off"), folder / "manifest.json"
     assert core.hears == (HEALTH,)
     good = manifest.read_text()
@@ -92,7 +99,7 @@ def test_models_that_cannot_be_read_leave_those_that_were_said(folder):
     assert core.condition().status == Health.STATUS_OK
 
 
-def test_a_map_alone_cannot_be_kept():
+def test_a_map_alone_cannot_be_kept() -> None:
     with pytest.raises(ValidationError, match="eigenscan build"):
         MapbuilderSettings(map="map.yaml", changes="propose")
     assert MapbuilderCore(MapbuilderSettings(map="map.yaml"), KNOWN).hears == ()

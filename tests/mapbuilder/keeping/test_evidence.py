@@ -1,3 +1,6 @@
+from collections.abc import Iterable
+from pathlib import Path
+
 import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, GridMap
@@ -15,7 +18,7 @@ CELL = 1, 1
 seconds = st.integers(0, 10 * HOUR)
 
 
-def marks(occupied):
+def marks(occupied: bool) -> Marks:
     """A look that struck one cell, or looked through it."""
     one = np.zeros((4, 4), dtype=bool)
     one[CELL] = True
@@ -23,7 +26,7 @@ def marks(occupied):
     return Marks(WHOLE, one, none) if occupied else Marks(WHOLE, none, one)
 
 
-def tell(evidence, looks):
+def tell(evidence: Evidence, looks: Iterable[tuple[int, bool]]) -> Evidence:
     """Looks (seconds, occupied) in their order."""
     for second, occupied in looks:
         evidence.turn_to(second * 10**9)
@@ -31,26 +34,26 @@ def tell(evidence, looks):
     return evidence
 
 
-def ended(evidence, second):
+def ended(evidence: Evidence, second: int) -> int:
     evidence.turn_to(second * 10**9)
     return int(evidence.run[CELL])
 
 
 @given(st.integers(0, 20 * HOUR), st.lists(st.integers(0, HOUR), min_size=1, max_size=200))
-def test_what_stands_for_an_hour_is_never_seen_by_four_visits(begin, stood):
+def test_what_stands_for_an_hour_is_never_seen_by_four_visits(begin: int, stood: list[int]) -> None:
     looks = [(begin + second, True) for second in sorted(stood)]
     assert ended(tell(Evidence.of(GRID, LENGTH_S), looks), begin + 2 * HOUR) <= 3
 
 
 @given(st.lists(st.tuples(seconds, st.booleans()), max_size=120))
-def test_no_cell_has_more_visits_than_there_were(looks):
+def test_no_cell_has_more_visits_than_there_were(looks: list[tuple[int, bool]]) -> None:
     looks = sorted(looks)
     evidence = tell(Evidence.of(GRID, LENGTH_S), looks)
     assert abs(ended(evidence, 12 * HOUR)) <= len({second // 1800 for second, _ in looks})
 
 
 @given(st.lists(seconds, min_size=1, max_size=60), st.data())
-def test_robots_whose_clocks_differ_make_no_visits(times, data):
+def test_robots_whose_clocks_differ_make_no_visits(times: list[int], data: st.DataObject) -> None:
     """One robot's clock is days ahead: whichever speaks when, visits are not more than by one clock."""
     ahead = 3 * DAY_NS // 10**9
     looks = [(t + ahead * data.draw(st.integers(0, 1)), True) for t in sorted(times)]
@@ -58,7 +61,7 @@ def test_robots_whose_clocks_differ_make_no_visits(times, data):
     assert ended(evidence, ahead + 12 * HOUR) <= len({second // 1800 for second in times})
 
 
-def test_a_visit_that_says_otherwise_begins_anew():
+def test_a_visit_that_says_otherwise_begins_anew() -> None:
     evidence = Evidence.of(GRID, LENGTH_S)
     for visit in range(3):
         tell(evidence, [(visit * 1800, True)] * LOOKS)
@@ -68,12 +71,14 @@ def test_a_visit_that_says_otherwise_begins_anew():
 
 
 @pytest.mark.parametrize("looks", [[True] * (LOOKS - 1), [True] * LOOKS + [False] * LOOKS])
-def test_a_glimpse_or_a_mixed_visit_says_nothing(looks):
+def test_a_glimpse_or_a_mixed_visit_says_nothing(looks: list[bool]) -> None:
     assert ended(tell(Evidence.of(GRID, LENGTH_S), [(5, occupied) for occupied in looks]), 1800) == 0
 
 
 @given(st.lists(st.tuples(seconds, st.booleans()), max_size=60), st.integers(0, 60))
-def test_evidence_goes_on_after_a_restart(tmp_path_factory, looks, cut):
+def test_evidence_goes_on_after_a_restart(
+    tmp_path_factory: pytest.TempPathFactory, looks: list[tuple[int, bool]], cut: int
+) -> None:
     looks, store = sorted(looks), Store(tmp_path_factory.mktemp("site") / "model")
     store.save(tell(Evidence.of(GRID, LENGTH_S), looks[:cut]), GRID)
     resumed = tell(store.load(GRID, LENGTH_S), looks[cut:])
@@ -81,7 +86,7 @@ def test_evidence_goes_on_after_a_restart(tmp_path_factory, looks, cut):
     assert ended(resumed, 12 * HOUR) == ended(whole, 12 * HOUR)
 
 
-def test_evidence_of_other_cells_or_a_damaged_file_is_none(tmp_path):
+def test_evidence_of_other_cells_or_a_damaged_file_is_none(tmp_path: Path) -> None:
     store = Store(tmp_path / "model")
     evidence = tell(Evidence.of(GRID, LENGTH_S), [(0, True)] * LOOKS)
     store.save(evidence, GRID)
@@ -102,7 +107,9 @@ def test_evidence_of_other_cells_or_a_damaged_file_is_none(tmp_path):
     st.floats(-3.1, 3.1),
     st.integers(0, 2**32 - 1),
 )
-def test_a_look_marks_the_cells_on_its_beams_and_no_others(x, y, theta, turn, seed):
+def test_a_look_marks_the_cells_on_its_beams_and_no_others(
+    x: float, y: float, theta: float, turn: float, seed: int
+) -> None:
     """On a map at any place and turn, also where beams leave it."""
     grid = GridMap(np.zeros((90, 110), np.uint8), 0.05, np.array([0.3, -0.2, turn]))
     rng = np.random.default_rng(seed)

@@ -5,13 +5,14 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from eigenscan.eigenspace.folder import read_models, write_models
+from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.versions import CHANGE, KEPT, choose, choose_proposal, kept_in, versions
 from eigenscan.geometry.circle import TURN
-from eigenscan.geometry.gridmap import OCCUPIED
+from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.mapbuilder.keeping.store import PICTURE, Store
 from eigenscan.mapbuilder.site import Plan, build_site
 
@@ -20,7 +21,7 @@ from tests.mapbuilder.floorplan import box
 PLAN = Plan(step=TURN / 60, spacing=1.0)
 
 
-def changed(grid, number):
+def changed(grid: GridMap, number: int) -> SiteModel:
     """The office with a cabinet somewhere else each time."""
     after = replace(grid, cells=grid.cells.copy())
     box(after, 8.0 + 0.2 * number, 4.4, 8.6 + 0.2 * number, 5.0, OCCUPIED)
@@ -28,17 +29,17 @@ def changed(grid, number):
 
 
 @pytest.fixture
-def store(office, tmp_path):
+def store(office: GridMap, tmp_path: Path) -> Store:
     write_models(build_site(office, PLAN), tmp_path / "model")
     return Store(tmp_path / "model")
 
 
-def propose(store, site):
+def propose(store: Store, site: SiteModel) -> str:
     store.propose(site, {"since": read_models(store.folder).to_message().version}, b"a picture")
     return site.to_message().version
 
 
-def command(*arguments):
+def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "eigenscan.cli.main", "models", *map(str, arguments)],
         capture_output=True,
@@ -48,7 +49,7 @@ def command(*arguments):
     )
 
 
-def test_what_is_in_use_is_given_once_and_again_when_it_is_another(store, office):
+def test_what_is_in_use_is_given_once_and_again_when_it_is_another(store: Store, office: GridMap) -> None:
     first = store.renewed()
     assert first is not None
     assert store.renewed() is None
@@ -57,11 +58,15 @@ def test_what_is_in_use_is_given_once_and_again_when_it_is_another(store, office
     version = propose(store, changed(office, 1))
     assert store.renewed() is None
     store.accept()
-    assert store.renewed().to_message().version == version
+    accepted = store.renewed()
+    assert accepted is not None
+    assert accepted.to_message().version == version
     assert store.renewed() is None
 
 
-def test_a_folder_that_cannot_be_read_is_told_once_and_read_when_it_is_mended(store, office):
+def test_a_folder_that_cannot_be_read_is_told_once_and_read_when_it_is_mended(
+    store: Store, office: GridMap
+) -> None:
     assert store.renewed() is not None
     manifest = store.folder / "manifest.json"
     good = manifest.read_text()
@@ -73,7 +78,7 @@ def test_a_folder_that_cannot_be_read_is_told_once_and_read_when_it_is_mended(st
     assert store.renewed() is not None
 
 
-def test_an_operator_sees_accepts_and_takes_back_a_proposal(store, office):
+def test_an_operator_sees_accepts_and_takes_back_a_proposal(store: Store, office: GridMap) -> None:
     before = versions(store.folder)[0].version
     version = propose(store, changed(office, 1))
     line = command("list", store.folder).stdout.splitlines()[1]
@@ -92,14 +97,16 @@ def test_an_operator_sees_accepts_and_takes_back_a_proposal(store, office):
     assert "no change is proposed" in done.stderr
 
 
-def test_a_proposal_for_another_version_is_refused(store, office):
+def test_a_proposal_for_another_version_is_refused(store: Store, office: GridMap) -> None:
     version = propose(store, changed(office, 1))
     write_models(changed(office, 2), store.folder)
     with pytest.raises(ModelError, match="wait for a new proposal"):
         choose_proposal(versions(store.folder), version[:8], store.folder)
 
 
-def test_there_is_one_proposal_and_it_is_never_in_the_way_of_those_kept(store, office):
+def test_there_is_one_proposal_and_it_is_never_in_the_way_of_those_kept(
+    store: Store, office: GridMap
+) -> None:
     for number in range(KEPT + 2):
         write_models(changed(office, number), store.folder)
     kept = {v.version for v in versions(store.folder)}
@@ -125,7 +132,9 @@ while True:
 """
 
 
-def test_whenever_it_is_killed_there_is_no_half_version(store, office, tmp_path):
+def test_whenever_it_is_killed_there_is_no_half_version(
+    store: Store, office: GridMap, tmp_path: Path
+) -> None:
     for number in (1, 2):
         write_models(changed(office, number), tmp_path / f"other{number}")
     arguments = [store.folder, tmp_path / "other1", tmp_path / "other2"]

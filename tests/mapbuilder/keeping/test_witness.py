@@ -1,16 +1,20 @@
 from collections import Counter
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.geometry.gridmap import FREE, OCCUPIED
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_message
+from eigenscan.mapbuilder.keeping.change import Change
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 from eigenscan.mapbuilder.keeping.keeper import Keeper
+from eigenscan.mapbuilder.keeping.look import Look
 from eigenscan.mapbuilder.keeping.witness import LEAST_RECORD, PROBATION, Witness
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate, State
 from scipy.ndimage import binary_dilation
 
 from tests.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol, apart
@@ -20,13 +24,20 @@ SECOND = 1_000_000_000
 AGREED = 1.0
 
 
-def scan(time, ranges=RANGES):
+def scan(time: int, ranges: np.ndarray = RANGES) -> Scan:
     message = Scan(timestamp=stamp(time), angle_min=-0.7, angle_increment=0.016, range_max=30.0)
     message.ranges.extend(ranges)
     return message
 
 
-def claim(time, base, odometry=None, sigma=0.03, state=STATE_LOCALIZED, confidence=0.98):
+def claim(
+    time: int,
+    base: np.ndarray,
+    odometry: np.ndarray | None = None,
+    sigma: float = 0.03,
+    state: State = STATE_LOCALIZED,
+    confidence: float = 0.98,
+) -> PoseEstimate:
     message = PoseEstimate(
         timestamp=stamp(time),
         pose=to_message(base),
@@ -40,12 +51,14 @@ def claim(time, base, odometry=None, sigma=0.03, state=STATE_LOCALIZED, confiden
     return message
 
 
-def straight(count, step=0.25):
+def straight(count: int, step: float = 0.25) -> np.ndarray:
     """Poses (count, 3) along x."""
     return np.column_stack([np.arange(count) * step, np.zeros(count), np.zeros(count)])
 
 
-def hear(witness, poses, judge=AGREED, first=0, **claimed):
+def hear(
+    witness: Witness, poses: np.ndarray, judge: float = AGREED, first: int = 0, **claimed: Any
+) -> list[Look]:
     """What counts of a drive over `poses`, twice a second."""
     looks = []
     for k, pose in enumerate(poses, first):
@@ -54,20 +67,20 @@ def hear(witness, poses, judge=AGREED, first=0, **claimed):
     return looks
 
 
-def test_a_look_counts_once_ten_others_bear_it_out():
+def test_a_look_counts_once_ten_others_bear_it_out() -> None:
     looks = hear(Witness(Counter()), straight(LEAST_RECORD + 5))
     assert [look.stamp for look in looks] == [k * SECOND // 2 for k in range(LEAST_RECORD + 5 - PROBATION)]
 
 
-def test_a_robot_that_stands_sees_one_look():
-    counts = Counter()
+def test_a_robot_that_stands_sees_one_look() -> None:
+    counts = Counter[str]()
     witness = Witness(counts)
     looks = hear(witness, np.zeros((1200, 3)))
     looks += hear(witness, straight(40)[1:], first=1200)
     assert sum(look.pose[0] == 0.0 for look in looks) == 1
 
 
-def test_scans_and_poses_meet_in_whatever_order_they_come():
+def test_scans_and_poses_meet_in_whatever_order_they_come() -> None:
     poses, one, other = straight(30), [], []
     witness = Witness(Counter())
     for k, pose in enumerate(poses):
@@ -93,12 +106,12 @@ def test_scans_and_poses_meet_in_whatever_order_they_come():
         {"sigma": float("nan")},
     ],
 )
-def test_a_robot_that_is_not_sure_is_no_witness(unsure):
+def test_a_robot_that_is_not_sure_is_no_witness(unsure: dict[str, Any]) -> None:
     assert hear(Witness(Counter()), straight(60), **unsure) == []
 
 
-def test_numbers_that_make_no_sense_are_set_aside():
-    counts = Counter()
+def test_numbers_that_make_no_sense_are_set_aside() -> None:
+    counts = Counter[str]()
     witness = Witness(counts)
     poses = straight(60)
     poses[5:10, 0] = np.nan
@@ -111,14 +124,14 @@ def test_numbers_that_make_no_sense_are_set_aside():
     assert counts["looks_counted"] >= 10
 
 
-def test_a_robot_that_disagrees_with_the_map_is_no_witness():
-    counts = Counter()
+def test_a_robot_that_disagrees_with_the_map_is_no_witness() -> None:
+    counts = Counter[str]()
     assert hear(Witness(counts), straight(80), judge=0.5) == []
     assert counts["looks_withdrawn"] == 80
 
 
-def test_who_turns_out_to_have_been_elsewhere_takes_his_last_looks_back():
-    counts = Counter()
+def test_who_turns_out_to_have_been_elsewhere_takes_his_last_looks_back() -> None:
+    counts = Counter[str]()
     witness = Witness(counts)
     before = hear(witness, straight(30))
     far = straight(60) + np.array([40.0, 9.0, 0.0])
@@ -128,9 +141,9 @@ def test_who_turns_out_to_have_been_elsewhere_takes_his_last_looks_back():
     assert all(look.pose[1] == 9.0 for look in after)
 
 
-def test_a_short_error_is_bridged_by_odometry():
+def test_a_short_error_is_bridged_by_odometry() -> None:
     """Ten seconds of sure claims in the room next door, and the robot was never there."""
-    counts = Counter()
+    counts = Counter[str]()
     witness, truth = Witness(counts), straight(60, 0.22)
     odometry = compose(np.array([3.0, -2.0, 1.1]), truth)
     looks = []
@@ -143,8 +156,8 @@ def test_a_short_error_is_bridged_by_odometry():
     assert max(apart(look.pose, truth[2 * look.stamp // SECOND]) for look in looks) < 1e-6
 
 
-def test_what_was_seen_on_too_long_a_way_is_not_bridged():
-    counts = Counter()
+def test_what_was_seen_on_too_long_a_way_is_not_bridged() -> None:
+    counts = Counter[str]()
     witness, truth = Witness(counts), straight(60, 0.25)
     for k, base in enumerate(truth):
         state = STATE_LOST if 10 <= k < 40 else STATE_LOCALIZED
@@ -154,7 +167,9 @@ def test_what_was_seen_on_too_long_a_way_is_not_bridged():
     assert counts["looks_unsure"] >= 20
 
 
-def change_after(patrols, grid, every_s=VISIT_S, keeper=None):
+def change_after(
+    patrols: Iterable[Patrol], grid: GridMap, every_s: float = VISIT_S, keeper: Keeper | None = None
+) -> tuple[Change | None, Keeper]:
     """What a keeper of the known map finds, and the keeper."""
     keeper = keeper or Keeper(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     change = None
@@ -166,7 +181,7 @@ def change_after(patrols, grid, every_s=VISIT_S, keeper=None):
     return change, keeper
 
 
-def test_a_moved_cupboard_is_found_in_the_fifth_pass():
+def test_a_moved_cupboard_is_found_in_the_fifth_pass() -> None:
     change, _ = change_after([Patrol(seed) for seed in range(5)], MOVED)
     assert change
     places = [(place.is_new, place.centre) for place in change.places()]
@@ -179,7 +194,7 @@ def test_a_moved_cupboard_is_found_in_the_fifth_pass():
     assert not (change.gone & ~binary_dilation(gone, iterations=3)).any()
 
 
-def test_a_person_who_stands_for_an_hour_is_no_change():
+def test_a_person_who_stands_for_an_hour_is_no_change() -> None:
     """Robots come by every quarter of an hour, and the last comes late to end the last visit."""
     standing = ((7.2, 10.4), (3.0, 6.0))
     keeper = Keeper(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
@@ -191,7 +206,7 @@ def test_a_person_who_stands_for_an_hour_is_no_change():
             assert keeper.counts["looks_counted"] > 500
 
 
-def test_crowds_that_walk_are_no_change():
+def test_crowds_that_walk_are_no_change() -> None:
     patrols = [Patrol(k, people=12, goals=()) for k in range(6)]
     change, keeper = change_after(patrols, KNOWN)
     assert change is not None
@@ -200,7 +215,7 @@ def test_crowds_that_walk_are_no_change():
 
 
 @pytest.mark.parametrize("off", [(0.4, -0.3, 0.35), (-0.6, 0.0, 0.0), (7.0, 2.0, np.pi)])
-def test_robots_that_claim_wrong_poses_corrupt_nothing(off):
+def test_robots_that_claim_wrong_poses_corrupt_nothing(off: tuple[float, float, float]) -> None:
     change, keeper = change_after([Patrol(k, off=off) for k in range(5)], KNOWN)
     assert not change
     set_aside = keeper.counts["looks_disagreeing"] + keeper.counts["looks_withdrawn"]
@@ -208,7 +223,7 @@ def test_robots_that_claim_wrong_poses_corrupt_nothing(off):
     assert keeper.counts["looks_counted"] <= 0.02 * set_aside
 
 
-def test_a_wrong_robot_among_right_ones_neither_hides_nor_makes_a_change():
+def test_a_wrong_robot_among_right_ones_neither_hides_nor_makes_a_change() -> None:
     keeper = Keeper(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     found = None
     for k in range(5):

@@ -230,7 +230,7 @@ class Bus:
         for one in declared:
             with contextlib.suppress(zenoh.ZError):  # the link may be gone already
                 one.undeclare()
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._session.close()
 
 
 def stagger(address: Mapping[str, str]) -> float:

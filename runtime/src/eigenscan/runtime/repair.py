@@ -132,7 +132,7 @@ def _rewrite(damaged: Path, file: IO[bytes], found: Salvage, moved: Moved) -> No
                 ids[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
             )
             found.messages += 1
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
 
 
 def _register(writer: Writer, ids: dict[int, int], channel_id: int, found: Salvage) -> bool:

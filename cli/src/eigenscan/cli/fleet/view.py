@@ -116,7 +116,7 @@ class FleetView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._watch.undeclare()  # type: ignore[no-untyped-call]
+        self._watch.undeclare()
         self._bus.close()
 
     def _on_token(self, sample: Any) -> None:

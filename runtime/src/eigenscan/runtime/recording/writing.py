@@ -78,14 +78,14 @@ class RecordingWriter:
 
         Each flush costs some compression; once a second is cheap.
         """
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._writer.flush()
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """Writes metadata that is known only now, and the index, and closes the file."""
         if not self._file.closed:
             for name, entries in (metadata or {}).items():
                 self._writer.add_metadata(name, dict(entries))
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             self._file.close()
 
     def abandon(self) -> None:

@@ -76,7 +76,7 @@ class RosPort:
             with contextlib.suppress(zenoh.ZError):  # the link may be gone already
                 one.undeclare()
         if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]
+            self._session.close()
 
 
 class _Publisher:
@@ -138,7 +138,7 @@ class _Service:
             number = self._number
             self._waiting[number] = query
             if len(self._waiting) > PATIENT_REQUESTS:
-                self._waiting.popitem(last=False)[1].drop()  # type: ignore[no-untyped-call]
+                self._waiting.popitem(last=False)[1].drop()
         key = ROS_ASKED.key({"endpoint": self._endpoint.chunk, "number": str(number)})
         request = query.payload.to_bytes() if query.payload else b""
         self._inbox.put(ROS_ASKED, key, encode(BytesValue(value=request)), encoding(ROS_ASKED))
