@@ -3,14 +3,13 @@
     .venv/bin/python benchmarks/association.py [--datasets FOLDER] [--only intel] [--scans 100]
         [--embedding ring] [--components 16] [--occlude 0.3] [--json OUT]
     .venv/bin/python benchmarks/association.py --pruning [--datasets FOLDER] [--json OUT]
-    .venv/bin/python benchmarks/association.py --picture docs/images/figure_6_7.png
 
 recall: a candidate is right (0.5 m, 10 degrees). false: candidates that are not, one a neighbourhood. ahead:
 how many of these are nearer than the right one (median; - where most lists lack it). top1, listed: after
 verification and refinement. ms: CPU of the association alone, and of a scan. `--pruning`: the share of the
 poses that are not searched because the error vector is too large in their region, and of the scans whose
-right pose is among them. `--picture` draws figures 6 and 7 of the paper, at equal recall. The datasets are
-not part of the project; by default they are looked for beside it. Set OMP_NUM_THREADS=1.
+right pose is among them. The datasets are not part of the project; by default they are looked for beside it.
+Set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -183,15 +182,9 @@ def main() -> None:
     )
     parser.add_argument("--occlude", type=float, default=0.0, help="share of the beams, in random runs")
     parser.add_argument("--pruning", action="store_true", help="what region pruning skips and loses")
-    parser.add_argument("--picture", type=Path, help="draw figures 6 and 7 of the paper to this file")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    if options.picture:
-        from association_picture import draw_6_7
-
-        rows = draw_6_7(options.picture)
-    else:
-        rows = show_pruning(options) if options.pruning else show_associations(options)
+    rows = show_pruning(options) if options.pruning else show_associations(options)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1, default=float))
 

@@ -3,8 +3,12 @@
 In the paper's own space (three components of plain ranges) and at equal recall: as many nearest poses are
 listed as it takes to hold the right one as often as the volumes do. The scan drawn is the one whose two
 numbers of false hypotheses are nearest to the medians.
+
+    .venv/bin/python benchmarks/association_picture.py docs/images/figure_6_7.png [--json OUT]
 """
 
+import argparse
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +40,16 @@ class Compared:
             for lists in (self.nearest, self.volumes)
         )
         return near, held
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("picture", type=Path, help="draw to this file")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    rows = draw_6_7(options.picture)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1))
 
 
 def draw_6_7(path: Path) -> list[dict[str, Any]]:
@@ -125,3 +139,7 @@ def _arrows(axis: Any, poses: np.ndarray, colour: str) -> None:
         x, y, np.cos(heading), np.sin(heading), color=colour, pivot="mid", units="xy", scale=1.6,
         width=0.09, headwidth=4, headlength=4, headaxislength=4, zorder=3,
     )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -12,7 +12,6 @@ import json
 import os
 import resource
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +20,7 @@ from eigenscan.eigenspace.components import analyse, autocovariance
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.mapbuilder.site import Plan, build_site
 from numpy.typing import NDArray
+from raycasting import best
 from scipy.linalg import toeplitz
 
 RESOLUTION = 0.05
@@ -110,22 +110,13 @@ def pca() -> dict[str, float]:
     fast = toeplitz(autocovariance(rings)[1][:361])
     error = float(np.abs(fast - direct()).max() / fast[0, 0])
     analyse(rings, 361, count=8)
-    took = {"direct_s": least(direct), "toeplitz_s": least(lambda: toeplitz(autocovariance(rings)[1][:361]))}
+    took = {"direct_s": best(direct), "toeplitz_s": best(lambda: toeplitz(autocovariance(rings)[1][:361]))}
     ratio = took["direct_s"] / took["toeplitz_s"]
     print(
         f"covariance of 40 x 720 scans of 361 beams: direct {took['direct_s'] * 1e3:.0f} ms, Toeplitz "
         f"{took['toeplitz_s'] * 1e3:.2f} ms, {ratio:.0f} times faster, {error:.1e} apart"
     )
     return took | {"ratio": ratio, "relative_error": error}
-
-
-def least(run: Callable[[], object], times: int = 5) -> float:
-    taken = []
-    for _ in range(times):
-        began = time.process_time()
-        run()
-        taken.append(time.process_time() - began)
-    return min(taken)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from eigenscan.eigenspace.components import all_coefficients, all_norms, analyse, autocovariance
-from eigenscan.eigenspace.panorama import all_windows, windows
+from eigenscan.eigenspace.components import all_coefficients, analyse, autocovariance
+from eigenscan.eigenspace.panorama import windows
 from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.eigenspace.symmetric_toeplitz import eigenpairs
 from hypothesis import given, settings
@@ -18,6 +18,12 @@ def panoramas(count: int, turn: int, seed: int = 0) -> np.ndarray:
     )
     rings += 3.0 * (rng.random((count, turn)) < 0.05)
     return rings.astype(np.float32)
+
+
+def every_window(values: np.ndarray, beams: int) -> np.ndarray:
+    """[p, k] is the window k of panorama p, (P, N, B)."""
+    turn = values.shape[1]
+    return np.stack([np.roll(values, -k, axis=1)[:, :beams] for k in range(turn)], axis=1)
 
 
 def direct_covariance(values: np.ndarray, beams: int) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +105,7 @@ def test_scan_is_reconstruction_and_error_at_right_angles_for_any_beam_count(
 ) -> None:
     values = panoramas(count, turn, seed)
     space = analyse(values, max(1, int(turn * part)), share=share)
-    every = all_windows(values, space.beams).reshape(-1, space.beams).astype(np.float64)
+    every = every_window(values, space.beams).reshape(-1, space.beams).astype(np.float64)
     vectors = space.vectors.astype(np.float64)
     direct = np.zeros_like(every)
     for vector in vectors:
@@ -117,24 +123,13 @@ def test_scan_is_reconstruction_and_error_at_right_angles_for_any_beam_count(
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 999), turn=st.integers(4, 70), part=st.floats(0.05, 1.0), count=st.integers(1, 70))
-def test_coefficients_and_norms_of_all_headings_are_those_of_each_window(
+def test_coefficients_of_all_headings_are_those_of_each_window(
     seed: int, turn: int, part: float, count: int
 ) -> None:
     values = panoramas(count, turn, seed)
     space = analyse(values, max(1, int(turn * part)), share=0.8)
-    every = all_windows(values, space.beams)
+    every = every_window(values, space.beams)
     np.testing.assert_allclose(all_coefficients(values, space), space.project(every), atol=2e-3)
-    norms = np.linalg.norm(every.astype(np.float64) - space.mean, axis=-1)
-    np.testing.assert_allclose(all_norms(values, space), norms, atol=2e-4 * norms.max())
-
-
-def test_the_energy_bound_of_coefficients_and_norms() -> None:
-    values = panoramas(4, 72, 8)
-    space = analyse(values, 37, count=4)
-    a, n = all_coefficients(values, space), all_norms(values, space)
-    every = all_windows(values, 37)
-    squared = n.astype(np.float64) ** 2 - (a.astype(np.float64) ** 2).sum(axis=-1)
-    np.testing.assert_allclose(np.sqrt(squared), space.energy(every), rtol=1e-3, atol=1e-2)
 
 
 def test_signs_do_not_depend_on_the_solver() -> None:

@@ -36,10 +36,6 @@ def role_of(holder: str) -> Role:
     return Role.ROBOT if holder in ROBOTS else Role(holder)
 
 
-def service_of(owner: str) -> str:
-    return "tracker" if owner in ROBOTS else owner
-
-
 def key_of(channel: Channel, owner: str) -> str:
     """The channel's key that belongs to `owner`: its robot, or its instance."""
     fields = {

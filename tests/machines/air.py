@@ -90,7 +90,6 @@ class Link:
     bytes_per_s: float = float("inf")
     cut: bool = False
     passed_bytes: int = 0
-    lost_packets: int = 0
 
 
 class Air:
@@ -155,7 +154,6 @@ class Air:
             free = max(self._free.get(way, 0.0), due + link.delay_s)
             due = free + len(packet) / link.bytes_per_s + link.jitter_s * self._random.random()
             if link.cut or self._random.random() < link.loss or free - time.monotonic() > QUEUE_S:
-                link.lost_packets += 1
                 return
             link.passed_bytes += len(packet)
             self._free[way] = due

@@ -14,7 +14,6 @@ from PIL import Image
 
 from tests.mapbuilder.floorplan import two_rooms
 
-GREY = {FREE: 254, OCCUPIED: 0, 255: 205}
 ORIGIN = (0.0, 0.0, 0.0)
 
 

@@ -14,7 +14,7 @@ from ezdxf.filemanagement import new
 from ezdxf.layouts.layout import Modelspace
 
 # two rooms, 10 m by 6 m, a door of 1 m between them and one of 1 m to the outside; a pillar in the left room
-ROOM_LEFT, ROOM_RIGHT, DOOR, ENTRANCE = (2.0, 1.0), (8.0, 4.0), (5.0, 3.5), (10.0, 3.0)
+ROOM_LEFT, ROOM_RIGHT, DOOR = (2.0, 1.0), (8.0, 4.0), (5.0, 3.5)
 PILLAR, OUTSIDE = (2.5, 4.0), (10.5, 3.0)
 INNER, OUTER = [(5, 0), (5, 3), (5, 4), (5, 6)], [(10, 2.5), (10, 0), (0, 0), (0, 6), (10, 6), (10, 3.5)]
 

@@ -49,7 +49,6 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from google.protobuf.message import Message
 
 COVARIANCE = np.diag([0.03**2, 0.06**2, np.deg2rad(1.0) ** 2])
-EMPTY = float("inf")
 
 
 class Site:

@@ -126,21 +126,6 @@ def all_coefficients(values: NDArray[np.float32], space: Eigenspace) -> NDArray[
     return out
 
 
-def all_norms(values: NDArray[np.float32], space: Eigenspace) -> NDArray[np.float32]:
-    """Norms ||S - mean|| (P, N) of every window of panoramas (P, N).
-
-    With the coefficients a they give the error's energy: e^2 = norm^2 - ||a||^2.
-    """
-    beams = space.beams
-    squares = (values.astype(np.float64) - space.mean) ** 2
-    ring = np.concatenate([np.zeros((len(values), 1)), squares, squares[:, : beams - 1]], axis=1)
-    running = np.cumsum(ring, axis=1)
-    norms: NDArray[np.float32] = np.sqrt(np.maximum(running[:, beams:] - running[:, :-beams], 0.0)).astype(
-        np.float32
-    )
-    return norms
-
-
 @cache
 def _one_blas_thread() -> None:
     """From the first analysis on, linear algebra has one thread in this process.

@@ -65,22 +65,12 @@ class Sensor:
         return cls(message.angle_min, message.angle_increment, message.beams, message.range_max)
 
 
-PAPER_SENSOR = Sensor.facing(np.pi, np.deg2rad(0.5), 50.0)
-"""361 beams of half a degree, up to 50 m."""
-
-
 def windows(panoramas: NDArray[np.float32], index: ArrayLike, beams: int) -> NDArray[np.float32]:
     """Scans (..., B) that are the windows `index` (...,) of panoramas (..., N), pairwise."""
     turn = panoramas.shape[-1]
     start = np.asarray(index, dtype=np.int64)[..., None]
     taken: NDArray[np.float32] = np.take_along_axis(panoramas, (start + np.arange(beams)) % turn, axis=-1)
     return taken
-
-
-def all_windows(panorama: Floats, beams: int) -> Floats:
-    """View (..., N, B) of every window of panoramas (..., N): row k is the window k."""
-    ring = np.concatenate([panorama, panorama[..., : beams - 1]], axis=-1)
-    return np.lib.stride_tricks.sliding_window_view(ring, beams, axis=-1)
 
 
 def resample(panoramas: NDArray[np.float32], turn: int) -> NDArray[np.float32]:

@@ -12,13 +12,13 @@ import threading
 import time
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from types import TracebackType
 from typing import Any
 
 import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.keepsake import DIGEST_BYTES, digest
+from eigenscan.runtime.intake import Intake, digests_in
+from eigenscan.runtime.keepsake import digest
 from eigenscan.runtime.lately import Lately
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
@@ -27,7 +27,6 @@ from eigenscan.schemas.channels import (
     LATCHED_TEMPLATE,
     Channel,
     Priority,
-    find,
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.group import selectors
@@ -103,7 +102,7 @@ class Bus:
     def _answer(self, query: Any) -> None:
         with self._lock:
             held = [(key, *sample) for key, sample in self._latched.items()]
-        had = _digests(query.payload)
+        had = digests_in(query.payload)
         with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
             for key, channel, payload, stamp in held:
                 if query.key_expr.intersects(key) and digest(payload) not in had:
@@ -130,7 +129,7 @@ class Bus:
         """
         known = list(known)
         for channel in channels:
-            intake = _Intake([channel], inbox, known)
+            intake = Intake([channel], inbox, known)
             for selector in selectors(channel, address):
                 self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
                 if channel.qos.latched:
@@ -141,7 +140,7 @@ class Bus:
 
         Latched channels are heard from the past as well.
         """
-        intake = _Intake(channels, inbox)
+        intake = Intake(channels, inbox)
         self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
         site = selector.partition("/")[0].replace("**", "*")
         for channel in channels:
@@ -150,7 +149,7 @@ class Bus:
                 self._follow(channel, site, past, intake)
 
     def _follow(
-        self, channel: Channel, site: str, selector: str, intake: _Intake, patience_s: float = 0.0
+        self, channel: Channel, site: str, selector: str, intake: Intake, patience_s: float = 0.0
     ) -> None:
         """Asks for the newest samples of `channel` whenever somebody appears who holds some.
 
@@ -237,67 +236,3 @@ def stagger(address: Mapping[str, str]) -> float:
     """Seconds that a robot waits before it asks again: by its name, always the same; 0 for a whole site."""
     robot = address.get("robot", "")
     return STAGGER_S * zlib.crc32(robot.encode()) / 2**32 if robot else 0.0
-
-
-def _digests(payload: Any) -> frozenset[bytes]:
-    """What a query says that its asker has."""
-    listed = payload.to_bytes() if payload is not None else b""
-    return frozenset(listed[i : i + DIGEST_BYTES] for i in range(0, len(listed), DIGEST_BYTES))
-
-
-class _Intake:
-    """Puts samples into an inbox; of a latched key only what is newer than what it has put before."""
-
-    def __init__(self, channels: Sequence[Channel], inbox: Inbox, known: Iterable[Arrival] = ()) -> None:
-        self._channels = channels
-        self._held = {sample.key: digest(sample.payload) for sample in known if sample.channel in channels}
-        self._inbox = inbox
-        self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub does not say that it can be compared
-        self._lock = threading.Lock()
-
-    def digests(self) -> list[bytes]:
-        """Of the newest samples of latched keys."""
-        with self._lock:
-            return list(self._held.values())
-
-    def on_sample(self, sample: Any) -> None:
-        """A live sample."""
-        self._take(sample, live=True)
-
-    def on_reply(self, reply: Any) -> None:
-        """A held sample, or the news that there is no answer."""
-        if reply.ok is not None:
-            self._take(reply.ok, live=False)
-        else:
-            self._inbox.drop("unanswered")
-
-    def _take(self, sample: Any, live: bool) -> None:
-        key = str(sample.key_expr)
-        channel = _channel_of(key)
-        if channel is None or channel not in self._channels:
-            self._inbox.drop("foreign_key")
-        elif sample.kind != zenoh.SampleKind.PUT:
-            self._inbox.drop("deletion")
-        else:
-            payload, declared = sample.payload.to_bytes(), str(sample.encoding)
-            with self._lock:  # held over the put: a newer sample must not be overtaken by this one
-                if not channel.qos.latched or self._is_news(key, sample.timestamp, live):
-                    self._inbox.put(channel, key, payload, declared)
-                    if channel.qos.latched:
-                        self._held[key] = digest(payload)
-
-    def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
-        """Clocks of two publishers may differ: between them only a held sample must prove to be newer."""
-        if stamp is None:
-            return True
-        held = self._newest.get(key)
-        if held and (not live or held.get_id() == stamp.get_id()) and stamp <= held:
-            return False
-        self._newest[key] = stamp
-        return True
-
-
-@lru_cache(maxsize=65536)
-def _channel_of(key: str) -> Channel | None:
-    found = find(key)
-    return found[0] if found else None

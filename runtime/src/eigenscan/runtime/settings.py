@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
-from eigenscan.schemas.group import EVERY, instance_name, patterns
+from eigenscan.schemas.group import EVERY, chunk_of, instance_name, patterns
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
@@ -97,8 +97,7 @@ class ServiceSettings(BaseModel):
             from zenoh import KeyExpr
 
             for one, other in pairs:
-                first, second = (KeyExpr.autocanonize(part.replace("*", "$*")) for part in (one, other))
-                if first.intersects(second):
+                if KeyExpr(chunk_of(one)).intersects(chunk_of(other)):
                     raise ValueError(f"{one} and {other} fit the same robots: name each robot once")
         return value
 

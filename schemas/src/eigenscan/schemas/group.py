@@ -44,6 +44,11 @@ def _matcher(group: str) -> re.Pattern[str]:
     return re.compile("|".join(".*".join(map(re.escape, part.split("*"))) for part in patterns(group)))
 
 
+def chunk_of(pattern: str) -> str:
+    """The pattern as a chunk of a key expression: within a chunk Zenoh writes $* for any characters."""
+    return pattern if pattern == EVERY else pattern.replace("*", "$*")
+
+
 def selectors(channel: Channel, address: Mapping[str, str]) -> tuple[str, ...]:
     """Key expressions for all keys of a channel that fit `address`, whose robot may be a group."""
     if "robot" not in channel.fields or address.get("robot", EVERY) == EVERY:
@@ -52,10 +57,7 @@ def selectors(channel: Channel, address: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(
         channel.selector({**given, "robot": part})
         if part == EVERY or is_chunk(part)
-        # within a chunk Zenoh writes $* for any characters
-        else channel.selector({**given, "robot": "*"}).replace(
-            "/robot/*", f"/robot/{part.replace('*', '$*')}", 1
-        )
+        else channel.selector({**given, "robot": EVERY}).replace("/robot/*", f"/robot/{chunk_of(part)}", 1)
         for part in patterns(address["robot"])
     )
 

@@ -1,0 +1,77 @@
+"""Zenoh's samples on their way into an inbox: of our own keys only, and of latched ones what is news."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import zenoh
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.keepsake import DIGEST_BYTES, digest
+from eigenscan.schemas.channels import Channel, find
+
+
+class Intake:
+    """Puts samples into an inbox; of a latched key only what is newer than what it has put before."""
+
+    def __init__(self, channels: Sequence[Channel], inbox: Inbox, known: Iterable[Arrival] = ()) -> None:
+        self._channels = channels
+        self._held = {sample.key: digest(sample.payload) for sample in known if sample.channel in channels}
+        self._inbox = inbox
+        self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub does not say that it can be compared
+        self._lock = threading.Lock()
+
+    def digests(self) -> list[bytes]:
+        """Of the newest samples of latched keys: what a query says that its asker has."""
+        with self._lock:
+            return list(self._held.values())
+
+    def on_sample(self, sample: Any) -> None:
+        """A live sample."""
+        self._take(sample, live=True)
+
+    def on_reply(self, reply: Any) -> None:
+        """A held sample, or the news that there is no answer."""
+        if reply.ok is not None:
+            self._take(reply.ok, live=False)
+        else:
+            self._inbox.drop("unanswered")
+
+    def _take(self, sample: Any, live: bool) -> None:
+        key = str(sample.key_expr)
+        channel = _channel_of(key)
+        if channel is None or channel not in self._channels:
+            self._inbox.drop("foreign_key")
+        elif sample.kind != zenoh.SampleKind.PUT:
+            self._inbox.drop("deletion")
+        else:
+            payload, declared = sample.payload.to_bytes(), str(sample.encoding)
+            with self._lock:  # held over the put: a newer sample must not be overtaken by this one
+                if not channel.qos.latched or self._is_news(key, sample.timestamp, live):
+                    self._inbox.put(channel, key, payload, declared)
+                    if channel.qos.latched:
+                        self._held[key] = digest(payload)
+
+    def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
+        """Clocks of two publishers may differ: between them only a held sample must prove to be newer."""
+        if stamp is None:
+            return True
+        held = self._newest.get(key)
+        if held and (not live or held.get_id() == stamp.get_id()) and stamp <= held:
+            return False
+        self._newest[key] = stamp
+        return True
+
+
+def digests_in(payload: Any) -> frozenset[bytes]:
+    """What a query's payload says that its asker has."""
+    listed = payload.to_bytes() if payload is not None else b""
+    return frozenset(listed[i : i + DIGEST_BYTES] for i in range(0, len(listed), DIGEST_BYTES))
+
+
+@lru_cache(maxsize=65536)
+def _channel_of(key: str) -> Channel | None:
+    found = find(key)
+    return found[0] if found else None
