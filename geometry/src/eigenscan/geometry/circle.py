@@ -1,4 +1,4 @@
-"""Angles on the circle, in radians."""
+"""Angles on the circle, in radians; arrays of any shape, which broadcast."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ TURN = 2.0 * np.pi
 
 
 def wrap(angle: ArrayLike) -> NDArray[np.float64]:
-    """Same direction in [-pi, pi)."""
+    """The same directions in [-pi, pi)."""
     wrapped = np.mod(np.asarray(angle, dtype=np.float64) + np.pi, TURN) - np.pi
     # mod of a tiny negative number rounds to a full turn
     return np.where(wrapped >= np.pi, -np.pi, wrapped)
 
 
 def difference(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Shortest turn from `b` to `a`, in [-pi, pi)."""
+    """Shortest turns from `b` to `a`, in [-pi, pi)."""
     return wrap(np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64))
 
 
 def mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Direction of the weighted sum of unit vectors; 0 where they cancel out."""
+    """Direction of the weighted sum of unit vectors at `angles` (n,); 0 where they cancel out."""
     array = np.asarray(angles, dtype=np.float64)
     weight = np.ones_like(array) if weights is None else np.asarray(weights, dtype=np.float64)
     return float(np.arctan2(np.sum(weight * np.sin(array)), np.sum(weight * np.cos(array))))

@@ -23,7 +23,7 @@ def compose(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def inverse(a: ArrayLike) -> Array:
-    """Pose that composes with `a` to the identity."""
+    """Poses that compose with `a` to the identity; same shape."""
     a = np.asarray(a, dtype=np.float64)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = -cos * a[..., 0] - sin * a[..., 1]
@@ -40,7 +40,7 @@ def _side_by_side(*parts: Array) -> Array:
 
 
 def between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Pose `b` seen from `a`, so that composing `a` with it gives `b`."""
+    """Pose `b` seen from `a`, so that composing `a` with it gives `b`; shapes broadcast."""
     return compose(inverse(a), b)
 
 
@@ -90,13 +90,13 @@ def quaternion(theta: float) -> Quaternion:
 
 
 def yaw(rotation: Quaternion) -> float:
-    """Turn about z of any rotation (REP 103)."""
+    """Turn about z, rad, of any rotation (REP 103)."""
     q = rotation
     return float(np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z)))
 
 
 def to_pose3(pose: ArrayLike) -> Pose:
-    """foxglove.Pose in the plane z = 0."""
+    """foxglove.Pose of a pose (3,), in the plane z = 0."""
     x, y, theta = np.asarray(pose, dtype=np.float64).tolist()
     return Pose(position=Vector3(x=x, y=y), orientation=quaternion(theta))
 

@@ -86,7 +86,7 @@ class Judged:
 
 
 def right(position_m: ArrayLike, heading_rad: ArrayLike) -> Bools:
-    """Whether errors are within 0.5 m and 10 degrees; a NaN is not."""
+    """Which errors (n,), m and rad, are within 0.5 m and 10 degrees; a NaN is not."""
     near: Bools = np.less_equal(position_m, WITHIN_M) & np.less_equal(np.abs(heading_rad), WITHIN_RAD)
     return near
 
@@ -140,7 +140,7 @@ class Bin:
 
 
 def calibration(confidence: Floats, correct: Bools, bins: int = BINS) -> list[Bin]:
-    """The reliability diagram over equal bins of 0..1; empty bins are left out."""
+    """The reliability diagram of poses (n,) over equal bins of 0..1; empty bins are left out."""
     which = np.clip((np.clip(confidence, 0.0, 1.0) * bins).astype(np.int64), 0, bins - 1)
     found = []
     for index in np.unique(which):

@@ -63,7 +63,7 @@ class Line:
             raise LineError("garbage_line") from error
 
     def mount(self) -> NDArray[np.float64] | None:
-        """Sensor in the robot's frame, where the line tells."""
+        """Pose (3,) of the sensor in the robot's frame, m and rad, where the line tells."""
         if self.laser is None or self.odometry is None:
             return None
         return between(self.odometry, self.laser)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from math import degrees
-from types import TracebackType
 
 from eigenscan.schemas.tracking_pb2 import State
 from rich.console import Console
@@ -27,12 +26,7 @@ class StatusLine:
             self._status.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._status.stop()
 
     def show(self, text: str) -> None:

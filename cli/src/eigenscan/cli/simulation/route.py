@@ -40,7 +40,7 @@ class Planner:
         return self.grid.to_map((cells[:, ::-1] + 0.5) * scale)
 
     def draw_goal(self, random: np.random.Generator, away_from: Array, at_least: float) -> Array:
-        """A roomy point at least `at_least` m from `away_from`, or the farthest there is."""
+        """A roomy point (2,), map frame, `at_least` m from `away_from` (2,), or the farthest there is."""
         reachable = self.cost > 0
         roomy = reachable & (self.clearance > min(COMFORT, 0.8 * float(self.clearance[reachable].max())))
         goals = self.points(np.argwhere(roomy))

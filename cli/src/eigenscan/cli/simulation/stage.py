@@ -96,7 +96,7 @@ class Stage:
 
     @cached_property
     def scan_ticks(self) -> NDArray[np.int64]:
-        """Indices of the poses at which scans are taken."""
+        """Indices (k,) of the poses at which scans are taken."""
         count = int(self.scenario.seconds * self.scenario.lidar.rate)
         ticks = np.round(np.arange(count) * TICKS_PER_S / self.scenario.lidar.rate).astype(np.int64)
         ticks = ticks // ODOMETRY_EVERY * ODOMETRY_EVERY + SCAN_PHASE

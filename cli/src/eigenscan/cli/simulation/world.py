@@ -31,7 +31,7 @@ class Box:
     y_max: float
 
     def covers(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points lie inside."""
+        """Which of the points, x and y of any one shape, m, lie inside."""
         inside: NDArray[np.bool_] = (x > self.x_min) & (x < self.x_max) & (y > self.y_min) & (y < self.y_max)
         return inside
 
@@ -53,7 +53,7 @@ class Disc:
     radius: float
 
     def covers(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points lie inside."""
+        """Which of the points, x and y of any one shape, m, lie inside."""
         inside: NDArray[np.bool_] = np.hypot(x - self.x, y - self.y) < self.radius
         return inside
 

@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import islice
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from eigenscan.eigenspace.region_file import pack_region
@@ -64,9 +63,7 @@ class Workers(AbstractContextManager["Workers"]):
             ) from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for part in (self._client, self._local):
             if part is not None:
                 part.close()

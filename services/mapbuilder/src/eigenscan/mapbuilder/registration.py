@@ -41,7 +41,7 @@ class Outline:
 
     @classmethod
     def of(cls, ranges: ArrayLike, bearings: ArrayLike) -> Outline:
-        """Outline of a scan; beams that hold no positive finite range are left out."""
+        """Outline of a scan (N,), m at rad; ranges that are not positive and finite are left out."""
         distance, angle = np.asarray(ranges, dtype=np.float64), np.asarray(bearings, dtype=np.float64)
         valid = np.isfinite(distance) & (distance > 0)
         return cls(angle[valid], distance[valid])

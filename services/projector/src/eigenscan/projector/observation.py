@@ -37,7 +37,7 @@ class Observation:
         return np.isfinite(self.coarse)
 
     def weighed(self, most: int) -> NDArray[np.int64]:
-        """At most `most` of the used beams, evenly spread."""
+        """Indices (k,) of at most `most` of the used beams, evenly spread."""
         used = np.flatnonzero(self.used)
         return used[:: max(1, -(-len(used) // most))]
 

@@ -85,7 +85,7 @@ def hypotheses_message(
 
 
 def told_regions(found: Candidates) -> NDArray[np.int64]:
-    """Regions whose projections are said: of large sites those of the candidates and the best explained."""
+    """Regions (r,) whose projections are said: of large sites the candidates' and the best explained."""
     energy = found.projected.error_energy
     projected = np.flatnonzero(np.isfinite(energy))
     if len(projected) <= TOLD:
@@ -97,7 +97,7 @@ def told_regions(found: Candidates) -> NDArray[np.int64]:
 def obstacles_message(
     scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
 ) -> Obstacles:
-    """What the most likely pose does not explain."""
+    """What the most likely pose does not explain; `mount` (3,): the lidar in the base frame."""
     pose = found.poses[0]
     sensor = seen.sensor
     bearings: Array = sensor.angle_min + np.arange(sensor.beams, dtype=np.float64) * sensor.angle_increment

@@ -78,9 +78,9 @@ class Claim:
 
 
 def bridge(start: Claim, end: Claim, claims: Sequence[Claim]) -> list[Array]:
-    """Base poses of `claims` between two sure ones: by odometry, its error spread evenly over the time.
+    """Base poses (3,) of `claims` between two sure ones: by odometry, its error spread evenly over the time.
 
-    None where there is no odometry.
+    Empty without odometry.
     """
     if start.odometry is None or end.odometry is None or not claims:
         return []

@@ -74,12 +74,12 @@ def align(
 
 
 def agreement(reference: Cloud, cloud: Cloud, pose: Array) -> float:
-    """Share of the cloud's points that lie on a wall of the reference that faces the same way."""
+    """Share of the cloud's points that at `pose` (3,) lie on a parallel wall of the reference."""
     return float(np.mean(on_walls(reference, cloud, pose))) if len(cloud.points) else 0.0
 
 
 def energy(reference: Cloud, cloud: Cloud, pose: Array) -> float:
-    """Twice the negative logarithm of how likely the cloud's points are at `pose`; lower is better.
+    """Twice the negative logarithm of how likely the cloud's points are at `pose` (3,); lower is better.
 
     A point counts at most as one that is AGREE m off (Geman-McClure), as does one that meets no wall.
     """

@@ -133,7 +133,10 @@ class Closer:
     def match(
         self, one: int, other: int, expected: Array, window: Array, strict: float = 1.0
     ) -> Match | None:
-        """Pose of a submap seen from another, where it is sure; `strict` scales the overlap that is asked."""
+        """Pose of submap `other` seen from `one`, where it is sure, within `window` of `expected`.
+
+        `window` (2,), m and rad; `strict` scales the overlap that is asked.
+        """
         first, second = self.submaps[one], self.submaps[other]
         poses, heights = correlate(first.ground, second.cloud, expected, window)
         poses = poses[heights > 0.2 * strict][:5]

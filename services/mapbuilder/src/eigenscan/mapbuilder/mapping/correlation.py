@@ -44,14 +44,14 @@ class Ground:
 
     @cached_property
     def low(self) -> NDArray[np.int64]:
-        """First cell (column, row) of the raster."""
+        """First cell (2,), column and row, of the raster."""
         places = [_cells(self.cloud.points), _cells(self.free)]
         low: NDArray[np.int64] = np.concatenate(places).min(axis=0) - 2
         return low
 
     @cached_property
     def raster(self) -> Array:
-        """1 on walls, fading over a cell; -AGAINST in free space; 0 where nothing is known."""
+        """Cells (H, W): 1 on walls, fading over a cell; -AGAINST in free space; 0 where nothing is known."""
         wall, free = _cells(self.cloud.points) - self.low, _cells(self.free) - self.low
         shape = np.concatenate([wall, free]).max(axis=0) + 3
         raster = np.zeros((shape[1], shape[0]))

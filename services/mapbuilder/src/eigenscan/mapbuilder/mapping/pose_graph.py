@@ -57,7 +57,7 @@ def residuals(edges: Sequence[Edge], poses: ArrayLike) -> Array:
 
 
 def parts(count: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
-    """For each of `count` nodes the number of the connected part that it is in."""
+    """Number (count,) of the connected part that each node is in."""
     first, second = np.array([(e.first, e.second) for e in edges], dtype=np.int64).reshape(-1, 2).T
     links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
