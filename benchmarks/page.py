@@ -201,7 +201,7 @@ def place(figures: Any, where: str) -> Any:
 def written(value: Any, form: str) -> str:
     """A figure in its unit. `form`: a unit, with digits after the point behind a dot, such as `%.1`."""
     if value is None:
-        return "–"
+        return "\N{EN DASH}"
     if not isinstance(value, int | float) or isinstance(value, bool):
         return str(value)
     unit, digits = _unit(form)

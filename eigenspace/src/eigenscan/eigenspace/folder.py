@@ -59,8 +59,9 @@ def write_models(
     outlines: str | None = None,
     others: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Writes `folder`, in place of a model folder that is there; `picture` is a PNG, `outlines` GeoJSON,
-    `others` files that go with it, by name.
+    """Writes `folder`, in place of a model folder that is there.
+
+    `picture` is a PNG, `outlines` GeoJSON, `others` files that go with it, by name.
 
     Raises ModelError where something else than a model folder is there or it cannot be written.
     """

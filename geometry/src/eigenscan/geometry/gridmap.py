@@ -53,8 +53,9 @@ class GridMap:
         return inverse(self.origin)
 
     def to_grid(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Map-frame points (..., 2), m, as continuous (column, row); cell (r, c) spans
-        [c, c+1) x [r, r+1).
+        """Map-frame points (..., 2), m, as continuous (column, row).
+
+        Cell (r, c) spans [c, c+1) x [r, r+1).
         """
         return transform(self._map_in_grid, points) / self.resolution
 

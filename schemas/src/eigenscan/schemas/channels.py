@@ -101,8 +101,9 @@ class Channel:
 
     @property
     def heard_by(self) -> tuple[Role, ...]:
-        """Who may hear it through the site's router: the site hears all; a robot what no robot says, and what
-        the site says to it alone.
+        """Who may hear it through the site's router.
+
+        The site hears all; a robot what no robot says, and what the site says to it alone.
         """
         robots = Role.ROBOT not in self.said_by or self.to_one_robot
         return tuple(role for role in Role if role is not Role.ROBOT or robots)

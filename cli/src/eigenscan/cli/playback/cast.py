@@ -17,7 +17,7 @@ SPREAD_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Cast:
-    """Names to play under; None: as recorded. `robots` copies of the one robot are called r-001, r-002, …"""
+    """Names to play under; None: as recorded. Of `robots` copies of the one robot the first is r-001."""
 
     site: str | None = None
     robot: str | None = None

@@ -67,8 +67,9 @@ SAME_WALL = 0.05
 def unexpected(
     lidar: Lidar, world: RayCaster, known: RayCaster, base: Array, people: Array
 ) -> NDArray[np.bool_]:
-    """Which beams (B,) from the base pose (3,) end on what the map `known` lacks of the `world`: people
-    (n, 2), furniture.
+    """Which beams (B,) from the base pose (3,) end on what the map `known` lacks of the `world`.
+
+    That is people (n, 2), m, and furniture.
     """
     sensor = compose(base, lidar.mount)
     wall = world.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)

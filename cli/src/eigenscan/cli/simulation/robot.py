@@ -51,9 +51,7 @@ def drive_route(
     random: np.random.Generator,
     goals: Sequence[tuple[float, float]] = (),
 ) -> Array:
-    """Poses (ticks, 3), PERIOD apart, on a drive from `start` (2,) to `goals`, then one random goal after
-    the other.
-    """
+    """Poses (ticks, 3), PERIOD apart, on a drive from `start` (2,) to `goals`, then to random ones."""
     ahead = iter(goals)
     here = planner.points(np.array([planner.cell(start)]))[0]
     poses = np.empty((0, 3))

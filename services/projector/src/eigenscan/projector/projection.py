@@ -136,9 +136,7 @@ def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> 
 def _verified(
     site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, witness: Witness
 ) -> tuple[Array, Index, Index]:
-    """Poses to refine (k, 3), positions beside them (k,) and their regions (k,): the best verified, one a
-    neighbourhood.
-    """
+    """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
     once = matches.by_row()
     rows, offset = once.rows, once.offsets
     home = view.row_position[rows].astype(np.int64)
@@ -172,9 +170,7 @@ def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, hom
 
 
 def _grounded(site: Site, poses: Array, supported: Array) -> Array:
-    """Support (n,) of poses, less where they stand on what the map does not know: nothing there speaks
-    against a pose.
-    """
+    """Support (n,) of poses, less on what the map does not know: nothing there speaks against a pose."""
     return supported - UNKNOWN_GROUND * site.caster.in_dark(poses[:, :2])
 
 

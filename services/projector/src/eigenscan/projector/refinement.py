@@ -45,8 +45,10 @@ _LANES = 16
 
 @dataclass(frozen=True)
 class Fit:
-    """Poses (n, 3) of the sensor, map frame; cost (n,), 0 where all points are on walls and 1 where none is;
-    information (n, 3, 3): J'WJ of the points' distances by x, y, theta.
+    """Poses (n, 3) of the sensor, map frame.
+
+    Cost (n,): 0 where all points are on walls and 1 where none is. Information (n, 3, 3): J'WJ of the
+    points' distances by x, y, theta.
     """
 
     poses: Array

@@ -35,8 +35,9 @@ def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
 
 @dataclass(frozen=True)
 class _Rebuild:
-    """The maps of before and now, the grid positions (n, 2) that the change took and gave, and how far from
-    the nearest that there was each that was given is.
+    """The maps of before and now, and the grid positions (n, 2) that the change took and gave.
+
+    With each given one how far it is from the nearest that there was.
     """
 
     plan: Plan
