@@ -76,6 +76,14 @@ def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, content: s
     assert not list(tmp_path.glob("*.mcap*"))
 
 
+def test_a_mount_of_a_lidar_that_is_not_there_is_told(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "a.clf")
+    code, _, err = run(log, "-o", tmp_path / "a.mcap", "--mount", "rear=1,0,180")
+    assert code == 2
+    assert "--mount rear=…: no lidar that is taken has this name: there are front" in err
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
 def test_the_log_is_not_overwritten(tmp_path: Path) -> None:
     log = log_of(tmp_path / "a.mcap")
     code, _, err = run(log, "-o", log)

@@ -405,6 +405,8 @@ def test_what_is_asked_for_and_missing_is_named(tmp_path: Path) -> None:
         read(path, lidars=("/top",))
     with pytest.raises(LogError, match=r"a\.bag: no odometry topic /o: there are /odom"):
         read(path, odometry="/o")
+    with pytest.raises(LogError, match=r"a\.bag: no frame chassis in tf: there are .*base_link, front, rear"):
+        read(path, base_frame="chassis")
 
 
 def test_a_bag_without_scans_is_refused(tmp_path: Path) -> None:

@@ -144,6 +144,12 @@ def test_the_hash_of_a_service_is_that_of_ros_2(monkeypatch: pytest.MonkeyPatch)
     assert service_types.service_hash(kind) == known
 
 
+def test_the_hash_of_a_service_with_other_messages_in_it_is_that_of_ros_2() -> None:
+    """In the liveliness tokens of every ROS 2 node."""
+    known = "RIHS01_bf9803d5c74cf989a5de3e0c2e99444599a627c7ff75f97b8c05b01003675cbc"
+    assert cdr.type_hash(service_types.GET_PARAMETERS) == known
+
+
 @pytest.mark.parametrize(
     "kind", [cdr.LASER_SCAN, cdr.ODOMETRY, cdr.TRANSFORMS, cdr.POSE_WITH_COVARIANCE, cdr.OCCUPANCY_GRID]
 )

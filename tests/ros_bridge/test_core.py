@@ -244,6 +244,30 @@ def test_a_clicked_pose_is_a_relocation() -> None:
     assert (c.xx, c.yy, c.tt, c.xt) == (0.25, 0.5, 0.07, 0.01)
 
 
+def click(frame: str) -> bytes:
+    stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), np.zeros(36))
+    return cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header(frame), stated))
+
+
+def test_a_click_in_another_frame_is_not_taken_and_said_until_one_is() -> None:
+    """AMCL refuses it as well: what holds in odom says nothing about the map."""
+    bridge = core(mounts_from_tf=False)
+    hear(bridge, "%scan", scan())
+    (unknown,) = hear(bridge, "%initialpose", click("odom"))  # no map has come: it may be one's frame
+    assert unknown.channel is RELOCATION
+    tell(bridge, MAP, Grid(frame_id="map", cell_stride=1, row_stride=1, column_count=1, data=b"\0"))
+    assert hear(bridge, "%initialpose", click("odom")) == []
+    assert ask(bridge, "%set_initial_pose", click("odom")) == (b"\0\1\0\0\0", [])
+    condition = bridge.condition()
+    assert condition.status == Health.STATUS_OK
+    assert condition.counters["set_aside_initial_pose_in_another_frame"] == 2
+    assert "odom" in condition.detail
+    assert "map" in condition.detail
+    for frame in ("/map", ""):  # old tools write the slash, some write nothing
+        assert [each.channel for each in hear(bridge, "%initialpose", click(frame))] == [RELOCATION]
+    assert bridge.condition().detail == ""
+
+
 def ask(bridge: RosBridgeCore, endpoint: str, request: bytes = b"\0\1\0\0\0") -> tuple[bytes, list[Envelope]]:
     """The response to a service's request, and what was said because of it."""
     asked = Envelope(ROS_ASKED, {"endpoint": endpoint, "number": "7"}, BytesValue(value=request))

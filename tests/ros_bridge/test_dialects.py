@@ -17,6 +17,16 @@ STRING = (
 )
 
 
+PARAMETER_SERVICES = {
+    "list_parameters",
+    "get_parameters",
+    "get_parameter_types",
+    "describe_parameters",
+    "set_parameters",
+}
+"""All that a parameter client of ROS 2 waits for."""
+
+
 def ends(**settings: object) -> Endpoints:
     return endpoints(RosBridgeSettings.model_validate(settings))
 
@@ -84,7 +94,7 @@ def test_an_attachment_is_number_time_and_id() -> None:
 def test_ids_tell_endpoints_apart() -> None:
     dialect, bridge = RmwZenoh(0, "", SESSION), ends()
     ids = [dialect.attachment(endpoint, 1, 0)[17:] for endpoint in bridge]
-    assert len(set(ids)) == len(ids) == 18
+    assert len(set(ids)) == len(ids) == 28
     tokens = [token for token in dialect.tokens(bridge) if "/NN/" not in token]
     assert ids == [gid_of(token) for token in tokens]
 
@@ -100,7 +110,7 @@ def test_the_lifecycle_node_is_a_node_of_its_own() -> None:
         token.split("/")[9] for token in tokens if token.split("/")[3] == number and "/NN/" not in token
     }
     services = {"get_state", "change_state", "get_available_states", "get_available_transitions"}
-    assert of_amcl == {f"%amcl%{name}" for name in services} | {"%bond"}
+    assert of_amcl == {f"%amcl%{name}" for name in services | PARAMETER_SERVICES} | {"%bond"}
 
 
 def test_an_id_is_xxh3_low_half_first() -> None:
@@ -141,5 +151,6 @@ def test_what_is_switched_off_is_not_there() -> None:
         tf_broadcast=False,
         mounts_from_tf=False,
     )
-    assert [endpoint.name for endpoint in bridge] == ["/scan", "/tf", "/amcl_pose"]
+    parameters = [f"/eigenscan/{name}" for name in PARAMETER_SERVICES]
+    assert sorted(endpoint.name for endpoint in bridge) == sorted(["/scan", "/tf", "/amcl_pose", *parameters])
     assert [endpoint.name for endpoint in ends(lifecycle="", tf="")].count("/tf") == 0

@@ -122,7 +122,7 @@ def test_the_dds_bridge_is_told_of_the_topics(start: Start, dds: zenoh.Session, 
         return {key.split("/", 3)[3] for key in keys if f"/{name}§" in key}
 
     shown = eventually(tokens, "the tokens")
-    assert len(shown) == 18
+    assert len(shown) == 28
     assert {key.split("/")[0] for key in shown} == {"MP", "MS", "SS"}
     bridge.process.terminate()
     eventually(lambda: not tokens(), "the tokens' end")

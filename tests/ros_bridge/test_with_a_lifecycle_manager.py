@@ -15,7 +15,9 @@ from eigenscan.ros_bridge.outbound import pose_with_covariance
 from eigenscan.ros_bridge.service_types import (
     CHANGE_STATE,
     EMPTY_SERVICE,
+    GET_PARAMETERS,
     GET_STATE,
+    LIST_PARAMETERS,
     SET_INITIAL_POSE,
 )
 from eigenscan.schemas.channels import RELOCATION
@@ -102,3 +104,11 @@ def test_amcls_other_services(start: Start, robot: Robot, call: Call) -> None:
     call("/set_initial_pose", SET_INITIAL_POSE, pose=pose)
     told = eventually(lambda: bridge.ear.of(RELOCATION, Relocation), "the pose")
     assert (told[0].pose.x, told[0].pose.y) == (4.0, 5.0)
+
+
+def test_ros2_param_is_answered(start: Start, robot: Robot, call: Call) -> None:
+    start("--domain", str(robot.domain), "--odom-frame", "wheels")
+    listed = call("/amcl/list_parameters", LIST_PARAMETERS, prefixes=[], depth=0).result
+    assert "odom_frame_id" in listed.names
+    told = call("/eigenscan/get_parameters", GET_PARAMETERS, names=["odom_frame"]).values
+    assert [each.string_value for each in told] == ["wheels"]

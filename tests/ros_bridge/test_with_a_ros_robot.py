@@ -1,5 +1,6 @@
 """The bridge over a real Zenoh router, with a ROS 2 robot that is an independent program (see conftest)."""
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -265,6 +266,15 @@ def test_ros_2_topic_tools_see_it(bridge: Bridge, robot: Robot, network: Network
         "/amcl/get_available_states": ["lifecycle_msgs/srv/GetAvailableStates"],
         "/amcl/get_available_transitions": ["lifecycle_msgs/srv/GetAvailableTransitions"],
     }
+    for name in (
+        "ListParameters",
+        "GetParameters",
+        "GetParameterTypes",
+        "DescribeParameters",
+        "SetParameters",
+    ):
+        service = re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()
+        served |= {f"/{node}/{service}": [f"rcl_interfaces/srv/{name}"] for node in ("eigenscan", "amcl")}
     eventually(lambda: dict(get_service_names_and_types(**asked)) == served, "the services")
 
     def info(topic: str, publishers: int, subscribers: int) -> TopicInfo | None:

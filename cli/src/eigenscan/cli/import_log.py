@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,7 +54,7 @@ def import_log(
     mounts = dict(_mount(text) for text in mount or ())
     options = LogOptions(site, robot, tuple(lidar or ()), odometry, base_frame, mounts)
     opened = open_log(log, options)
-    summary = _write(opened, target)
+    summary = _write(opened, target, mounts)
     if wants_words(json_file):
         summary.show(Console(), opened, target)
     write_figures(summary.figures(opened, target), json_file)
@@ -77,7 +78,7 @@ def _stem(log: Path) -> str:
     return log.name.split(".")[0] or "log"
 
 
-def _write(log: Log, target: Path) -> Summary:
+def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
     """Writes beside `target` and moves it there when it is whole."""
     from eigenscan.cli.evaluation.progress import Bars
     from eigenscan.cli.importers import stamp_of
@@ -98,6 +99,12 @@ def _write(log: Log, target: Path) -> Summary:
                 summary.add(envelope, time)
                 moved(log.progress)
             moved(1.0)
+        unknown = sorted(set(mounts) - set(summary.lidars))
+        if unknown:
+            there = ", ".join(summary.lidars)
+            raise UsageError(
+                f"--mount {unknown[0]}=…: no lidar that is taken has this name: there are {there}"
+            )
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)

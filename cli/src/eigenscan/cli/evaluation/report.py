@@ -24,6 +24,7 @@ def show(figures: Figures, title: str, console: Console) -> None:
 def _lines(f: Figures) -> list[tuple[str, str]]:
     reach, error = f["to_localize"], f["error"]
     own = f["reference"] == WHOLE_DRIVE
+    off = "off that reference" if own else "error"
     lines = [
         ("reference", f["reference"] + (": agreement with that, not accuracy" if own else "")),
         (
@@ -33,10 +34,14 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         ("success", _percent(f["success_rate"])),
         ("windows with a false claim", _percent(f["false_claim_rate"])),
         *((f"to localize, {name}", _pair(reach[name], "p95")) for name in reach),
-        ("position error, m", _pair(error["position_m"], "p95")),
-        ("heading error, deg", _pair(error["heading_deg"], "p95")),
+        (f"position {off}, m", _pair(error["position_m"], "p95")),
+        (f"heading {off}, deg", _pair(error["heading_deg"], "p95")),
         ("calibration error", _percent(f["calibration_error"])),
-        ("normalised error squared", _consistency(f["normalised_error_squared"]["consistency"])),
+    ]
+    if not own:  # an estimate is not normally distributed about itself
+        consistency = f["normalised_error_squared"]["consistency"]
+        lines.append(("normalised error squared", _consistency(consistency)))
+    lines += [
         ("normalised innovation squared", _consistency(f["normalised_innovation_squared"]["consistency"])),
     ]
     if f["kidnap"]:
@@ -101,7 +106,11 @@ def _windows(rows: list[Figures]) -> Table:
 
 
 def _number(value: Any) -> str:
-    return "-" if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    if value is None:
+        return "-"
+    if abs(value) < 1e-4:
+        return "0"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def _percent(value: float | None) -> str:

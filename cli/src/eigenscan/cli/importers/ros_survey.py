@@ -120,6 +120,7 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
         survey.hear(message)
         if survey.complete(lidars, odometry):
             break
+    _check_base(bag, survey)
     placed = _place(survey, counters)
     if not placed:
         raise LogError(f"{bag.path}: holds no horizontal laser scan ({LASER_SCAN}) that can be read")
@@ -130,6 +131,13 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
     trusted = _trusted(offsets)
     counters["topics_stamped_by_recording"] += len(offsets) - len(trusted)
     return Plan(placed, [odometry] if odometry else transforms, survey.base, moves_in, trusted)
+
+
+def _check_base(bag: Bag, survey: Survey) -> None:
+    """Raises LogError where the base frame that was asked for is in no transform."""
+    base, known = survey.options.base_frame, survey.tree.frames()
+    if base is not None and base != survey.moved and known and base not in known:
+        raise LogError(f"{bag.path}: no frame {base} in tf: there are {_listed(sorted(known))}")
 
 
 def _choose_odometry(bag: Bag, options: LogOptions, topics: list[str]) -> str | None:

@@ -49,6 +49,11 @@ class Summary:
     def __init__(self) -> None:
         self._rows: dict[str, _Row] = {}
 
+    @property
+    def lidars(self) -> list[str]:
+        """Names of those that were heard."""
+        return sorted(name for name, row in self._rows.items() if row.beams)
+
     def add(self, envelope: Envelope, time: int) -> None:
         """Takes note of a message with stamp `time`, ns."""
         name = envelope.address["lidar"] if envelope.channel is SCAN_RAW else envelope.channel.name
@@ -65,7 +70,7 @@ class Summary:
     def show(self, console: Console, log: Log, target: Path) -> None:
         """Prints the table and what was set aside."""
         table = Table(title=f"{log.path} ({log.format})", title_justify="left")
-        table.add_column("")
+        table.add_column("", overflow="fold")  # the name is needed whole, for --mount and --lidar-topic
         for column in ("messages", "Hz", "s", "beams"):
             table.add_column(column, justify="right")
         table.add_column("lidar and its mount")

@@ -10,7 +10,7 @@ from typing import Any
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
-from eigenscan.ros_bridge.endpoints import Endpoint, endpoints
+from eigenscan.ros_bridge.endpoints import NODE, Endpoint, endpoints
 from eigenscan.ros_bridge.inbound import (
     frame_name,
     header_stamp,
@@ -23,6 +23,7 @@ from eigenscan.ros_bridge.inbound import (
 from eigenscan.ros_bridge.lifecycle import Lifecycle
 from eigenscan.ros_bridge.mounts import MountError, Mounts
 from eigenscan.ros_bridge.outbound import occupancy_grid, particle_cloud, pose_with_covariance, transforms
+from eigenscan.ros_bridge.parameters import Parameters
 from eigenscan.ros_bridge.service_types import SET_INITIAL_POSE
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import (
@@ -63,6 +64,12 @@ class RosBridgeCore:
         has_odometry = self._ends.odometry is not None or self._odom_frame != ""
         self._mounts = Mounts(settings.base_frame, settings.mounts_from_tf, has_odometry)
         self._lifecycle = Lifecycle(settings.lifecycle)
+        self._parameters = {
+            settings.lifecycle: Parameters.of_amcl(settings),
+            NODE: Parameters.of_bridge(settings),
+        }
+        self._map_frames: set[str] = set()
+        self._not_taken = ""
         self._counts: Counter[str] = Counter()
         self._lacks = "no scan yet on " + ", ".join(scan.name for scan in self._ends.scans)
         self._hearers = dict(self._make_hearers())
@@ -97,7 +104,7 @@ class RosBridgeCore:
         if not self._lifecycle.active:
             lacks = f"says no pose: a lifecycle manager has it {self._lifecycle.state}"
         status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
-        return Condition(status, lacks, dict(self._counts))
+        return Condition(status, lacks or self._not_taken, dict(self._counts))
 
     def _make_hearers(self) -> Iterator[tuple[str, Hearer]]:
         names = lidar_names([scan.name for scan in self._ends.scans])
@@ -124,6 +131,8 @@ class RosBridgeCore:
             yield ends.nomotion_update.chunk, lambda _request: (cdr.EMPTY_RESPONSE, [])
         for end in ends.lifecycle:
             yield end.chunk, partial(self._answer_lifecycle, end.kind)
+        for end in ends.parameters:
+            yield end.chunk, partial(self._answer_parameters, self._parameters[end.node], end.kind)
 
     def _scan_hearer(self, endpoint: Endpoint, lidar: str) -> Hearer:
         def hear(data: bytes) -> Iterator[Envelope]:
@@ -173,6 +182,15 @@ class RosBridgeCore:
         if message is None:
             self._counts["set_aside_initial_pose_not_a_pose"] += 1
             return []
+        frame = message.frame_id
+        if frame and self._map_frames and frame not in self._map_frames:  # as AMCL does
+            self._counts["set_aside_initial_pose_in_another_frame"] += 1
+            ours = ", ".join(sorted(self._map_frames))
+            self._not_taken = (
+                f"a pose said in frame {frame} is not taken: say it in {ours} (RViz: Fixed Frame)"
+            )
+            return []
+        self._not_taken = ""
         return [Envelope(RELOCATION, self._address, message)]
 
     def _hear_bond(self, data: bytes) -> Iterator[Envelope]:
@@ -198,11 +216,18 @@ class RosBridgeCore:
     def _answer_lifecycle(self, kind: str, request: bytes) -> tuple[bytes, Iterable[Envelope]]:
         return self._lifecycle.answer(kind, request), ()
 
+    def _answer_parameters(
+        self, parameters: Parameters, kind: str, request: bytes
+    ) -> tuple[bytes, Iterable[Envelope]]:
+        return parameters.answer(kind, request), ()
+
     def _tell_ros(self, heard: Envelope) -> Iterator[Envelope]:
         ends = self._ends
         if heard.channel is MAP:
+            grid = heard.open(Grid)
+            self._map_frames.add(grid.frame_id)
             if ends.map:
-                yield _said(ends.map, occupancy_grid(heard.open(Grid)))
+                yield _said(ends.map, occupancy_grid(grid))
         elif not self._lifecycle.active:
             return
         elif heard.channel is POSE and ends.pose:

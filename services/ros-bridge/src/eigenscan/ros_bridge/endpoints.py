@@ -19,9 +19,14 @@ from eigenscan.ros_bridge.service_types import (
     AVAILABLE_STATES,
     AVAILABLE_TRANSITIONS,
     CHANGE_STATE,
+    DESCRIBE_PARAMETERS,
     EMPTY_SERVICE,
+    GET_PARAMETER_TYPES,
+    GET_PARAMETERS,
     GET_STATE,
+    LIST_PARAMETERS,
     SET_INITIAL_POSE,
+    SET_PARAMETERS,
 )
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 
@@ -66,11 +71,19 @@ _SENSOR = Qos(5, reliable=False)
 _LATCHED = Qos(1, transient_local=True)
 _TF = Qos(100)
 _COMMAND = Qos(10)
+_PARAMETER = Qos(1000)
 _LIFECYCLE = (
     ("get_state", GET_STATE),
     ("change_state", CHANGE_STATE),
     ("get_available_states", AVAILABLE_STATES),
     ("get_available_transitions", AVAILABLE_TRANSITIONS),
+)
+_PARAMETERS = (
+    ("list_parameters", LIST_PARAMETERS),
+    ("get_parameters", GET_PARAMETERS),
+    ("get_parameter_types", GET_PARAMETER_TYPES),
+    ("describe_parameters", DESCRIBE_PARAMETERS),
+    ("set_parameters", SET_PARAMETERS),
 )
 
 
@@ -88,6 +101,8 @@ class Endpoints:
     nomotion_update: Endpoint | None
     lifecycle: tuple[Endpoint, ...]
     """Services of the lifecycle node that the bridge stands for."""
+    parameters: tuple[Endpoint, ...]
+    """Services of both nodes, the bridge's own and the lifecycle node."""
     bond: Endpoint | None
     bond_said: Endpoint | None
     pose: Endpoint | None
@@ -101,6 +116,7 @@ class Endpoints:
             if isinstance(endpoint, Endpoint):
                 yield endpoint
         yield from self.lifecycle
+        yield from self.parameters
 
 
 def endpoints(settings: RosBridgeSettings) -> Endpoints:
@@ -123,6 +139,12 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         return at("bond" if node else "", BOND, role, _COMMAND, node)
 
     lifecycle = [at(f"{node}/{name}", kind, Role.SERVICE, _COMMAND, node) for name, kind in _LIFECYCLE]
+    parameters = [
+        at(f"{of}/{name}", kind, Role.SERVICE, _PARAMETER, of)
+        for of in dict.fromkeys((NODE, node))
+        if of
+        for name, kind in _PARAMETERS
+    ]
     scans = [heard(name, LASER_SCAN, _SENSOR) for name in settings.scan]
     return Endpoints(
         scans=tuple(scan for scan in scans if scan),
@@ -138,6 +160,7 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         global_localization=service(settings.global_localization, EMPTY_SERVICE),
         nomotion_update=service(settings.nomotion_update, EMPTY_SERVICE),
         lifecycle=tuple(each for each in lifecycle if each and node),
+        parameters=tuple(each for each in parameters if each),
         bond=bond(Role.SUBSCRIPTION),
         bond_said=bond(Role.PUBLISHER),
         pose=said(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),

@@ -13,6 +13,11 @@ GET_STATE = "lifecycle_msgs/srv/GetState"
 CHANGE_STATE = "lifecycle_msgs/srv/ChangeState"
 AVAILABLE_STATES = "lifecycle_msgs/srv/GetAvailableStates"
 AVAILABLE_TRANSITIONS = "lifecycle_msgs/srv/GetAvailableTransitions"
+LIST_PARAMETERS = "rcl_interfaces/srv/ListParameters"
+GET_PARAMETERS = "rcl_interfaces/srv/GetParameters"
+GET_PARAMETER_TYPES = "rcl_interfaces/srv/GetParameterTypes"
+DESCRIBE_PARAMETERS = "rcl_interfaces/srv/DescribeParameters"
+SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
 
 SERVICES = {
     EMPTY_SERVICE: ("", ""),
@@ -21,6 +26,11 @@ SERVICES = {
     CHANGE_STATE: ("lifecycle_msgs/Transition transition", "bool success"),
     AVAILABLE_STATES: ("", "lifecycle_msgs/State[] available_states"),
     AVAILABLE_TRANSITIONS: ("", "lifecycle_msgs/TransitionDescription[] available_transitions"),
+    LIST_PARAMETERS: ("string[] prefixes\nuint64 depth", "rcl_interfaces/ListParametersResult result"),
+    GET_PARAMETERS: ("string[] names", "rcl_interfaces/ParameterValue[] values"),
+    GET_PARAMETER_TYPES: ("string[] names", "uint8[] types"),
+    DESCRIBE_PARAMETERS: ("string[] names", "rcl_interfaces/ParameterDescriptor[] descriptors"),
+    SET_PARAMETERS: ("rcl_interfaces/Parameter[] parameters", "rcl_interfaces/SetParametersResult[] results"),
 }
 """Fields of request and response."""
 
