@@ -179,6 +179,25 @@ def test_stamps_that_jump_are_repaired_and_remembered(tmp_path: Path) -> None:
     assert log.counters["stamps_repaired"] == 1
 
 
+def test_stamps_in_six_digits_of_an_epoch_tell_no_time(tmp_path: Path) -> None:
+    """As programs that correct a log print it: the same for hours, or one step of hours; no scan is lost."""
+    stamps = ["1.13486e+09", "1.13486e+09", "0"] * 10 + ["1.13487e+09", "1.13487e+09", "0"] * 10
+    lines = [
+        line
+        for number, stamp in enumerate(stamps)
+        for line in (
+            words("FLASER", 3, *RANGES, number, 0, 0, number, 0, 0, stamp, "host", stamp),
+            words("ODOM", number + 0.5, 0, 0, 0, 0, 0, stamp, "host", stamp),
+        )
+    ]
+    scans, moved, counters = read(write(tmp_path / "a.log", *lines))
+    assert len(scans) == len(stamps)
+    assert [m.pose.position.x for m in moved] == [0.5 * half for half in range(2 * len(stamps))]
+    seconds = [scan.timestamp.ToNanoseconds() / 1e9 for scan in scans]
+    assert seconds[-1] - seconds[0] < 60
+    assert set(counters) == {"stamps_repaired"}
+
+
 @pytest.mark.parametrize("content", ["", "# nothing\n", "hello\n", "\x00" * 100])
 def test_what_is_no_log_is_refused_by_name(tmp_path: Path, content: str) -> None:
     path = tmp_path / "no.log"

@@ -66,6 +66,28 @@ def test_kinds_that_disagree_by_more_than_lag_follow_the_lines() -> None:
     assert (np.diff(got) > 0).all()
 
 
+def test_stamps_in_no_order_leave_the_lines_a_lone_step_apart() -> None:
+    """As in a log whose stamps are leftovers of a register."""
+    shuffled = np.random.default_rng(1).permutation(2000) * (S // 7)
+    got = repair_stamps(shuffled, ["A"] * 2000)
+    assert set(np.diff(got).tolist()) == {S // 10}
+
+
+def test_rounded_stamps_still_tell_the_pace() -> None:
+    """Ten lines a second, written in whole seconds."""
+    got = repair_stamps(seconds(*np.repeat(np.arange(500.0, 800.0), 10)), ["A"] * 3000)
+    assert (np.diff(got) > 0).all()
+    assert abs((got[-1] - got[0]) / S - 300) < 2
+
+
+def test_a_clock_that_was_not_set_yet_makes_no_gap_of_years() -> None:
+    drive = 1.1e9 + 0.1 * np.arange(500)
+    logged = seconds(0.0, 0.1, *drive)
+    got = repair_stamps(logged, ["A"] * 502)
+    assert got[2:].tolist() == logged[2:].tolist()
+    assert np.diff(got)[:2].tolist() == [S // 10, S // 10]
+
+
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=60))
 def test_repaired_stamps_increase_and_as_many_as_can_be_are_kept(values: list[int]) -> None:
     logged = seconds(*values)

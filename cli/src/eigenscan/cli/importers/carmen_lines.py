@@ -102,7 +102,9 @@ def _stamp(word: str) -> int:
     if not 0.0 <= value < 2.5e11:
         raise LineError("absurd_stamp")
     # exact to the last digit, as a float is not
-    return round(Decimal(word) * NS)
+    exact = Decimal(word)
+    # 1.13486e+09, six digits of an epoch: right to hours, so no time at all
+    return 0 if int(exact.as_tuple().exponent) > 1 else round(exact * NS)
 
 
 def _need(words: list[str], count: int) -> None:

@@ -5,6 +5,8 @@ Where the stamps of each kind of line increase, they are trusted, and the kinds 
 Otherwise, or where the kinds disagree by seconds, the order of the lines is trusted: the longest
 increasing subsequence of stamps is kept as logged, so that true gaps stay, and every other line is put
 between its neighbours by its number. A clock that was set back goes on at the log's usual pace.
+Stamps of which hardly any are in order tell nothing: each line is then a lone step later. Nor is a step of
+years a gap: such a line, at 0 or by a clock that was not set yet, goes with its neighbours.
 
 A reference trajectory that was made from such a log may have the stamps as logged: a log tells which ones
 were changed (`Log.logged`).
@@ -20,8 +22,11 @@ from numpy.typing import NDArray
 
 KINDS_APART_NS = 2_000_000_000
 LONE_STEP_NS = 100_000_000
+LONGEST_GAP_NS = 365 * 86_400 * 1_000_000_000
 SQUEEZED_LINES = 10
 """So many lines in a row whose stamps would be squeezed mean that the clock was set back."""
+IN_ORDER_SHARE, ENOUGH_TO_JUDGE = 0.25, 100
+"""Of so many different stamps a good log has more than half in order, shuffled ones have a fifth at most."""
 
 
 def repair_stamps(stamps: NDArray[np.int64], kinds: Sequence[str]) -> NDArray[np.int64]:
@@ -31,14 +36,23 @@ def repair_stamps(stamps: NDArray[np.int64], kinds: Sequence[str]) -> NDArray[np
     """
     names = np.array(kinds)
     increasing = all(np.all(np.diff(stamps[names == kind]) > 0) for kind in set(kinds))
-    if increasing and np.max(np.maximum.accumulate(stamps) - stamps) < KINDS_APART_NS:
+    lag = np.max(np.maximum.accumulate(stamps) - stamps)
+    if increasing and lag < KINDS_APART_NS and not np.any(np.diff(stamps) > LONGEST_GAP_NS):
         return stamps
     kept = _longest_increasing(stamps)
+    different = len(np.unique(stamps))
+    if different > ENOUGH_TO_JUDGE and len(kept) < IN_ORDER_SHARE * different:
+        kept = kept[:1]
     steps, lines = np.diff(stamps[kept]), np.diff(kept)
-    usual = float(np.median(steps / lines)) if len(kept) > 1 else LONE_STEP_NS
+    years = steps > LONGEST_GAP_NS
+    paces = steps[~years] / lines[~years]
+    usual = float(np.median(paces)) if len(paces) else LONE_STEP_NS
     squeezed = (lines > SQUEEZED_LINES) & (steps < 0.25 * usual * lines)
-    waits = np.where(squeezed, np.round(usual * lines).astype(np.int64) - steps, 0)
-    known = stamps[kept] + np.concatenate([[0], np.cumsum(waits)])
+    waits = np.where(years | squeezed, np.round(usual * lines).astype(np.int64) - steps, 0)
+    moved = np.concatenate([[0], np.cumsum(waits)])
+    # the longest part without a step of years keeps its stamps
+    part = np.concatenate([[0], np.cumsum(years)])
+    known = stamps[kept] + moved - moved[np.argmax(part == np.argmax(np.bincount(part)))]
     # one usual step a line before the first and after the last one kept
     places = np.concatenate([[-1], kept, [len(stamps)]])
     ends = (known[0] - (kept[0] + 1) * usual, known[-1] + (len(stamps) - kept[-1]) * usual)
