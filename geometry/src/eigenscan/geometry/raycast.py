@@ -15,7 +15,7 @@ import numpy as np
 from eigenscan.geometry.distance_tiles import distance_tiles
 from eigenscan.geometry.gridmap import OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.sweep import sweep, transpose, visits
-from eigenscan.geometry.trace import DARK, LEAPS_PER_CELL, WALL, trace
+from eigenscan.geometry.trace import DARK, LEAPS_PER_CELL, WALL, onward
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
@@ -157,7 +157,10 @@ def _cast(
     limits: NDArray[np.float64],
     resolution: float,
 ) -> NDArray[np.float32]:
+    height, width = leap.shape
     cos, sin = np.cos(bearings), np.sin(bearings)
+    dx, dy, travelled = np.empty(len(bearings)), np.empty(len(bearings)), np.empty(len(bearings))
+    under_way = np.empty(len(bearings), dtype=np.uint32)
     out = np.empty((len(starts), len(bearings)), dtype=np.float32)
     for p in range(len(starts)):
         x, y, theta = starts[p]
@@ -165,9 +168,31 @@ def _cast(
             out[p] = np.nan
             continue
         ahead, aside = np.cos(theta), np.sin(theta)
+        # the first leap is the same for all rays
+        inside = 0.0 <= x < width and 0.0 <= y < height
+        free = leap[int(y), int(x)] if inside else DARK
+        first = free / LEAPS_PER_CELL if free < DARK else 0.0
         for b in range(len(bearings)):
-            dx, dy = ahead * cos[b] - aside * sin[b], aside * cos[b] + ahead * sin[b]
-            out[p, b] = trace(leap, x, y, dx, dy, limits[b], 0.0) * resolution
+            dx[b], dy[b] = ahead * cos[b] - aside * sin[b], aside * cos[b] + ahead * sin[b]
+            travelled[b], under_way[b] = first, b
+        # all rays a step, and again: the processor works at several at once
+        count = len(bearings)
+        while count > 0:
+            going = 0
+            for k in range(count):
+                b = under_way[k]
+                at_x, at_y = x + dx[b] * travelled[b], y + dy[b] * travelled[b]
+                if not (travelled[b] <= limits[b] and 0.0 <= at_x < width and 0.0 <= at_y < height):
+                    out[p, b] = np.inf
+                    continue
+                free = leap[int(at_y), int(at_x)]
+                if free >= DARK:
+                    out[p, b] = travelled[b] * resolution if free == WALL else np.inf
+                    continue
+                travelled[b] += onward(free, at_x, at_y, dx[b], dy[b])
+                under_way[going] = b
+                going += 1
+            count = going
     return out
 
 

@@ -30,21 +30,23 @@ def trace(
     them, in 1 / LEAPS_PER_CELL cells. The ray is known to be free for the first `travelled` cells.
     """
     height, width = leap.shape
-    along_x, along_y = abs(dx) > _PARALLEL, abs(dy) > _PARALLEL
-    inverse_x, inverse_y = 1.0 / dx if along_x else np.inf, 1.0 / dy if along_y else np.inf
-    ahead_x, ahead_y = 1.0 if dx > 0.0 else 0.0, 1.0 if dy > 0.0 else 0.0
     while travelled <= limit:
         at_x, at_y = x + dx * travelled, y + dy * travelled
         if not (0.0 <= at_x < width and 0.0 <= at_y < height):
             return np.inf
-        column, row = int(at_x), int(at_y)
-        free = leap[row, column]
+        free = leap[int(at_y), int(at_x)]
         if free >= DARK:
             return travelled if free == WALL else np.inf
-        if free > 0:
-            travelled += free / LEAPS_PER_CELL
-        else:
-            to_x = (column + ahead_x - at_x) * inverse_x if along_x else np.inf
-            to_y = (row + ahead_y - at_y) * inverse_y if along_y else np.inf
-            travelled += min(to_x, to_y) + _OVER
+        travelled += onward(free, at_x, at_y, dx, dy)
     return np.inf
+
+
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def onward(free: np.uint8, at_x: float, at_y: float, dx: float, dy: float) -> float:
+    """Cells that a ray can go on along (dx, dy) where `leap` is `free`: one leap, or over the cell's edge."""
+    if free > 0:
+        return free / LEAPS_PER_CELL
+    ahead_x, ahead_y = 1.0 if dx > 0.0 else 0.0, 1.0 if dy > 0.0 else 0.0
+    to_x = (int(at_x) + ahead_x - at_x) * (1.0 / dx) if abs(dx) > _PARALLEL else np.inf
+    to_y = (int(at_y) + ahead_y - at_y) * (1.0 / dy) if abs(dy) > _PARALLEL else np.inf
+    return min(to_x, to_y) + _OVER
