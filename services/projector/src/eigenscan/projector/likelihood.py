@@ -94,16 +94,24 @@ def _support(
     px, py = (seen * np.cos(bearings) / cell).astype(np.float32), np.empty(len(seen), dtype=np.float32)
     py[:] = seen * np.sin(bearings) / cell
     weight = share.astype(np.float32)
+    at, words = np.empty(len(seen), dtype=np.uint32), np.empty(len(seen), dtype=np.uint32)
     for i in range(len(poses)):
         cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
         # one cell of border lies around the grid
         x, y = np.float32(poses[i, 0] / cell + 1.0), np.float32(poses[i, 1] / cell + 1.0)
         walls, total, explained = predicted[i], zero, zero
+        # the words in a loop of their own: not every processor's vector units look up
+        for j in range(len(px)):
+            u = min(max(x + cos * px[j] - sin * py[j], zero), right)
+            v = min(max(y + sin * px[j] + cos * py[j], zero), top)
+            at[j] = np.uint32(np.int32(np.int32(v) * columns) + np.int32(u))
+        for j in range(len(px)):
+            words[j] = flat[at[j]]
         for j in range(len(px)):
             u = min(max(x + cos * px[j] - sin * py[j], zero), right)
             v = min(max(y + sin * px[j] + cos * py[j], zero), top)
             column, row = np.int32(u), np.int32(v)
-            centre, gx, gy = unpack(flat[np.uint32(np.int32(row * columns) + column)])
+            centre, gx, gy = unpack(words[j])
             d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit
             # +inf minus a range stays out of both comparisons under fast math
             beyond = seen[j] - min(walls[j], np.float32(1e9))
