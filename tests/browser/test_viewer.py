@@ -43,10 +43,11 @@ def shows_operator(pixels: Pixels) -> bool:
 
 
 def shows_researcher(pixels: Pixels) -> bool:
-    """Pale loops in the eigenspace; a blue scan, its orange reconstruction and purple eigen-scans."""
+    """A pale cloud and an orange loop in the eigenspace; a blue scan, its reconstruction, eigen-scans."""
     space, curves = pixels[120:480, : WIDTH // 2], pixels[120:400, WIDTH * 6 // 11 :]
     return (
         share(space, PLACE, tolerance=20) > 0.002
+        and share(space, HYPOTHESIS, tolerance=30) > 0.0005
         and share(curves, SCAN, tolerance=30) > 0.0005
         and share(curves, HYPOTHESIS, tolerance=30) > 0.0005
         and share(curves, TRACK, tolerance=30) > 0.002

@@ -39,6 +39,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from scipy.stats import chi2
 
@@ -102,6 +103,7 @@ def test_the_file_is_sound_and_holds_every_part_of_the_picture(tmp_path: Path) -
         "/eigenspace/r1/scan",
         "/eigenspace/r1/hypotheses",
         "/eigenspace/r1/places",
+        "/eigenspace/r1/loop",
         "/curves/r1/scan/seen",
         "/curves/r1/scan/kept",
         "/curves/r1/eigenscans",
@@ -420,9 +422,20 @@ def test_scan_pose_and_place_meet_in_one_point_of_eigenspace(components: int) ->
     # ranges travel in steps of a few millimetres
     assert manifold.scan(scan) == pytest.approx(direct, abs=1e-3)
     assert manifold.poses(base, scan)[0] == pytest.approx(direct, abs=0.05)
-    distances = [np.linalg.norm(loop - np.array(direct), axis=1).min() for loop in manifold.loops()]
-    assert int(np.argmin(distances)) == place
-    assert all(np.array_equal(loop[0], loop[-1]) for loop in manifold.loops())
+    loop = manifold.loop(base, scan)
+    # from one of its points to the next the scan turns by two degrees
+    assert np.linalg.norm(loop - np.array(direct), axis=1).min() < 0.5 * _longest_step(loop)
+    assert np.array_equal(loop[0], loop[-1])
+    elsewhere = compose([*model.index[0].tolist(), heading], inverse(mount))
+    assert np.linalg.norm(manifold.loop(elsewhere, scan) - np.array(direct), axis=1).min() > _longest_step(
+        loop
+    )
+    cloud = manifold.cloud()
+    assert np.linalg.norm(cloud[:, None] - loop, axis=2).min() == pytest.approx(0.0, abs=1e-5)
+
+
+def _longest_step(line: NDArray[np.float32]) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).max())
 
 
 def test_the_curves_are_the_scan_and_what_its_coefficients_stand_for() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import subprocess
@@ -62,6 +63,26 @@ def test_it_begins_where_it_is_asked_to_and_knows_the_map_there(tmp_path: Path) 
     assert "/world/map" in {chunk.entity_path for chunk in RrdReader(str(tmp_path / "part.rrd")).stream()}
 
 
+def test_a_time_of_day_is_a_moment_as_well(tmp_path: Path) -> None:
+    """Of a recording that goes over midnight: 00:00:01 is in it, 22:00 is not."""
+    path, messages = tmp_path / "night.mcap", list(Site("s", seconds=4.0).messages())
+    midnight = 20_000 * 86_400 * 10**9
+    with RecordingWriter(path) as writer:
+        for number, message in enumerate(messages):
+            writer.write(message, midnight - 10**9 + number * 4 * 10**9 // len(messages))
+    arguments = ["--rrd", tmp_path / "part.rrd", "--no-open", "--json", "-"]
+    result = view(path, "--at", "00:00:01", "--to", "0:00:02", *arguments)
+    assert result.returncode == 0, result.stderr
+    figures = json.loads(result.stdout)
+    assert (figures["begin_s"], figures["end_s"]) == pytest.approx((2.0, 3.0))
+    result = view(path, "--at", "22:00", *arguments)
+    assert result.returncode == 2
+    assert "night.mcap is from 2024-10-03 23:59:59 to 00:00:0" in result.stderr
+    result = view(path, "--at", "3", "--to", "2", *arguments)
+    assert result.returncode == 2
+    assert "--to: must be after --at" in result.stderr
+
+
 def test_robots_share_one_map(tmp_path: Path) -> None:
     path = tmp_path / "two.mcap"
     both = [m for robot in ("r1", "r2") for m in Site("s", robot, seconds=1.0).messages()]
@@ -89,7 +110,7 @@ def test_a_recording_that_was_cut_off_is_drawn_as_far_as_it_goes(recording: Path
         (None, ["--rrd", "a.rrd", "--no-open"], "cannot be read"),
         (b"no MCAP", ["--rrd", "a.rrd", "--no-open"], "is no readable recording"),
         (b"", ["--no-open"], "give --rrd"),
-        (b"", ["--at", "5", "--to", "4"], "--to 4: must be after --at 5"),
+        (b"", ["--at", "soon"], "give s from the recording's start, or UTC as 03:12"),
     ],
 )
 def test_what_cannot_be_drawn_is_told_in_one_line(

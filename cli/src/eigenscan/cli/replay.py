@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.frame import UsageError
+from eigenscan.cli.moment import METAVAR, START, Moment, moment
 from eigenscan.cli.process_replay.command import Request, process_replay
 
 if TYPE_CHECKING:
@@ -30,8 +31,18 @@ class Stamps(StrEnum):
 def replay(
     file: Annotated[Path, typer.Argument(help="recording, MCAP; or a folder of them, joined")],
     speed: Annotated[float, typer.Option(min=0.01, help="times faster than it was recorded")] = 1.0,
-    begin: Annotated[float, typer.Option("--from", min=0.0, help="s from the recording's start")] = 0.0,
-    end: Annotated[float | None, typer.Option("--to", help="s from the recording's start")] = None,
+    begin: Annotated[
+        Moment,
+        typer.Option(
+            "--from",
+            parser=moment,
+            metavar=METAVAR,
+            help="s from the recording's start, or its time of day, UTC",
+        ),
+    ] = START,
+    end: Annotated[
+        Moment | None, typer.Option("--to", parser=moment, metavar=METAVAR, help="the same")
+    ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -107,8 +118,8 @@ def replay(
     prepare(json_file)
     if service is not None:
         _refuse_for_service(
-            begin=begin, end=end, only=only, everything=everything, site=site, robot=robot, robots=robots,
-            commands=commands,
+            begin=begin != START, end=end, only=only, everything=everything, site=site, robot=robot,
+            robots=robots, commands=commands,
         )  # fmt: skip
         process_replay(
             Request(
@@ -134,7 +145,7 @@ def replay(
     from eigenscan.schemas.channels import CHANNELS
 
     names = only or ([channel.name for channel in CHANNELS] if everything else INPUTS)
-    selection = select(file, names, robot, begin, end)
+    selection = select(file, names, robot, *_seconds(file, begin, end))
     if robots and len(selection.robots) != 1:
         held = ", ".join(selection.robots) or "no robot"
         raise UsageError(f"--robots {robots}: needs one robot, there is {held}: choose one with --robot")
@@ -162,6 +173,15 @@ def replay(
         took = time.monotonic() - before
     figures = {"recording": str(file), "heard_by_somebody": heard, "played": dict(said), "took_s": took}
     write_figures(figures, json_file)
+
+
+def _seconds(file: Path, begin: Moment, end: Moment | None) -> tuple[float, float | None]:
+    """The same from the recording's start, which only a time of day has to be looked up for."""
+    from eigenscan.runtime.recording import contents
+
+    of_day = begin.of_day or (end is not None and end.of_day)
+    start = contents(file).begin if of_day else 0
+    return begin.after(start), end.after(start) if end else None
 
 
 def _refuse_for_service(**options: object) -> None:

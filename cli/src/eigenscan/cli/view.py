@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.frame import UsageError
+from eigenscan.cli.moment import METAVAR, START, Moment, moment, span
 from eigenscan.recorder.picture.layout import Layout
 
 if TYPE_CHECKING:
@@ -25,9 +26,16 @@ def view(
     ] = None,
     is_opened: Annotated[bool, typer.Option("--open/--no-open", help="open the web viewer")] = True,
     at: Annotated[
-        float, typer.Option(min=0.0, help="second of the recording that the picture begins and opens at")
-    ] = 0.0,
-    end: Annotated[float | None, typer.Option("--to", help="second of the recording that it ends at")] = None,
+        Moment,
+        typer.Option(
+            parser=moment,
+            metavar=METAVAR,
+            help="where the picture begins and opens: s from the recording's start, or its time of day, UTC",
+        ),
+    ] = START,
+    end: Annotated[
+        Moment | None, typer.Option("--to", parser=moment, metavar=METAVAR, help="where it ends")
+    ] = None,
     layout: Annotated[Layout, typer.Option(help="what the picture shows first")] = "operator",
     picture_hz: Annotated[
         float, typer.Option(min=0.01, help="pictures a second of the recording's time")
@@ -42,14 +50,13 @@ def view(
     \b
     Examples:
       eigenscan view recordings/site-20260131-120000.mcap
+      eigenscan view night.mcap --at 03:11 --to 03:14
       eigenscan view night.mcap --at 8040
       eigenscan view drive.mcap --layout researcher
       eigenscan view drive.mcap --rrd drive.rrd --no-open
     """  # noqa: D301 - \b keeps the lines apart in --help
     if rrd is None and not is_opened:
         raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
-    if end is not None and end <= at:
-        raise UsageError(f"--to {end:g}: must be after --at {at:g}")
     from eigenscan.recorder.settings import RecorderSettings
     from eigenscan.recorder.web_viewer import free_port
 
@@ -61,27 +68,28 @@ def view(
     with TemporaryDirectory(prefix="eigenscan-view-") as folder:
         target = rrd or Path(folder) / f"{recording.stem}.rrd"
         settings = RecorderSettings(rrd=target, layout=layout, picture_hz=picture_hz)
-        figures = {"picture": str(rrd) if rrd else None} | _draw(recording, (at, end), settings)
+        figures = {"picture": str(rrd) if rrd else None} | _draw(recording, at, end, settings)
         if is_opened:
             _open(target, port, figures, json_file)
         else:
             write_figures(figures, json_file)
 
 
-def _draw(recording: Path, stretch: tuple[float, float | None], settings: RecorderSettings) -> dict[str, Any]:
-    """Draws what lies between two seconds of a recording, message by message, with a progress bar."""
+def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderSettings) -> dict[str, Any]:
+    """Draws what lies between two moments of a recording, message by message, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
     from rich.console import Console
     from rich.progress import Progress
 
     found = contents(recording)
-    begin, end = found.stretch(*stretch)
     if not found.counts:
         raise UsageError(f"{recording}: holds no message of ours: give a file that eigenscan wrote")
-    if begin > end:
-        length = (found.end - found.begin) * 1e-9
-        raise UsageError(f"--at {stretch[0]:g}: {recording} lasts {length:.1f} s")
+    begin, end = found.stretch(at.after(found.begin), to.after(found.begin) if to else None)
+    if begin > found.end:
+        raise UsageError(f"--at: {recording} is from {span(found.begin, found.end)}")
+    if end <= begin:
+        raise UsageError("--to: must be after --at")
     sink = RerunSink(settings)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"drawing {recording.name}", total=max(end - begin, 1))

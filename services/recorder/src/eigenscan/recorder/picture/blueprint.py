@@ -65,7 +65,7 @@ def _developer(extent: Extent | None, past: Past) -> rrb.Container:
 
 def _researcher(extent: Extent | None, past: Past) -> rrb.Container:
     """What does the eigenspace make of a scan?"""
-    space = rrb.Vertical(_eigenspace(), rrb.Horizontal(_beams(), _belief(past)), row_shares=[7, 3])
+    space = rrb.Vertical(_eigenspace(), rrb.Tabs(_belief(past), _beams()), row_shares=[7, 2])
     scan = rrb.Vertical(_curves(), rrb.Tabs(_map(extent), _legend()), row_shares=[5, 4])
     return _under_the_bar(rrb.Horizontal(space, scan, column_shares=[6, 5]))
 

@@ -72,13 +72,18 @@ class EigenspacePicture:
             f"{path}/hypotheses",
             rr.Points3D(manifold.poses(poses[own], scan), colors=blend(UNLIKELY, HYPOTHESIS, share[own])),
         )
+        if own[0]:  # where a scan would lie if the robot turned on the spot at the best hypothesis
+            self._canvas.style(f"{path}/loop", _loop_style)
+            self._canvas.draw(stamp, f"{path}/loop", rr.LineStrips3D([manifold.loop(poses[0], scan)]))
+        else:
+            self._canvas.clear(stamp, f"{path}/loop")
         self._canvas.style(f"{path}/scan", _scan_style)
         self._canvas.draw(stamp, f"{path}/scan", rr.Points3D([manifold.scan(scan)]))
 
     def _draw_places(self, stamp: int, robot: str, manifold: Manifold) -> None:
         path = f"eigenspace/{robot}/places"
         self._canvas.style(path, _places_style)
-        self._canvas.draw(stamp, path, rr.LineStrips3D(manifold.loops()))
+        self._canvas.draw(stamp, path, rr.Points3D(manifold.cloud()))
 
     def _manifold(self, region: str) -> Manifold | None:
         """The region's space, of which a few are kept; None without a sound model."""
@@ -95,13 +100,21 @@ class EigenspacePicture:
         return self._manifolds.get(region)
 
 
-def _places_style() -> tuple[rr.LineStrips3D]:
-    return (rr.LineStrips3D.from_fields(colors=[PLACE], radii=rr.Radius.ui_points(0.5)),)
+def _places_style() -> tuple[rr.Points3D]:
+    return (rr.Points3D.from_fields(colors=[PLACE], radii=rr.Radius.ui_points(1.5)),)
+
+
+def _loop_style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(colors=[HYPOTHESIS], radii=rr.Radius.ui_points(1.25)),)
 
 
 def _hypotheses_style() -> tuple[rr.Points3D]:
-    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(9.0)),)
+    return (rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0)),)
 
 
 def _scan_style() -> tuple[rr.Points3D]:
-    return (rr.Points3D.from_fields(colors=[SCAN], radii=rr.Radius.ui_points(6.0)),)
+    return (
+        rr.Points3D.from_fields(
+            colors=[SCAN], radii=rr.Radius.ui_points(8.0), labels=["scan"], show_labels=True
+        ),
+    )

@@ -19,8 +19,9 @@ The **bar on top** says it in one word:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
 - **Error**: distance from the true pose, m.
 - **Beams**: observed minus predicted range of each beam, m; blue: explained, red: unexpected.
-- **Eigenspace**: the scan (blue) and its hypotheses (orange) by their first three coefficients in the best
-  region's space. Each thin loop is one place of that region, seen at all headings.
+- **Eigenspace**: the scan (blue) and its hypotheses (orange; grey: improbable) by their first three
+  coefficients in the best region's space. The pale cloud is that region, all places and headings; the orange
+  loop is the best hypothesis' place, turned once round: the scan lies on it when the place is right.
 - **Scan and eigen-scans**: the scan's ranges (blue) and what the region's eigenspace keeps of them (orange);
   below, the first eigen-scans (purple), of which it is mixed.
 - **Events**: changes of state and of the services' health.

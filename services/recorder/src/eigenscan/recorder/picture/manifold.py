@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array32 = NDArray[np.float32]
 
-PLACES_DRAWN = 30
-HEADINGS_DRAWN = 60
+PLACES_DRAWN = 60
+HEADINGS_DRAWN = 30
+LOOP_HEADINGS = 180
 FAR_SHARE = 0.99
 
 
@@ -38,12 +39,32 @@ class Manifold:
         self.far = max(float(np.quantile(self._values, FAR_SHARE)), 1e-3)
         """Range, m, that hardly any beam exceeds here."""
 
-    def loops(self) -> list[Array32]:
-        """A closed line (HEADINGS_DRAWN + 1, 3) for each of at most PLACES_DRAWN places: all its headings."""
+    def cloud(self) -> Array32:
+        """Points (n, 3): at most PLACES_DRAWN places of the region, at HEADINGS_DRAWN headings each."""
         chosen = np.linspace(0, len(self._values) - 1, min(PLACES_DRAWN, len(self._values))).astype(np.intp)
-        every = _three(all_coefficients(self._values[chosen], self._space))
-        turned = np.linspace(0, self._turn, HEADINGS_DRAWN + 1).astype(np.intp) % self._turn
-        return list(every[:, turned])
+        points: Array32 = self._turned(chosen, HEADINGS_DRAWN)[:, :-1].reshape(-1, 3)
+        return points
+
+    def loop(self, base: ArrayLike, scan: Scan) -> Array32:
+        """Closed line (n, 3): the place of the grid nearest to the lidar of `scan`, at all its headings.
+
+        `base` (3,) is the robot's.
+        """
+        place = self._nearest(compose(np.asarray(base, dtype=np.float64)[None], from_message(scan.mount)))
+        loop: Array32 = self._turned(place, LOOP_HEADINGS)[0]
+        return loop
+
+    def _turned(self, places: NDArray[np.intp], headings: int) -> Array32:
+        """Points (P, headings + 1, 3), the last of each like its first."""
+        every = _three(all_coefficients(self._values[places], self._space))
+        turned = np.linspace(0, self._turn, headings + 1).astype(np.intp) % self._turn
+        points: Array32 = every[:, turned]
+        return points
+
+    def _nearest(self, sensors: NDArray[np.float64]) -> NDArray[np.intp]:
+        offsets = sensors[:, None, :2] - self._positions
+        nearest: NDArray[np.intp] = (offsets**2).sum(axis=-1).argmin(axis=1)
+        return nearest
 
     @property
     def bearings(self) -> Array32:
@@ -82,8 +103,7 @@ class Manifold:
         By the nearest place of the grid and the nearest heading.
         """
         sensors = compose(np.asarray(bases, dtype=np.float64).reshape(-1, 3), from_message(scan.mount))
-        offsets = sensors[:, None, :2] - self._positions
-        place = (offsets**2).sum(axis=-1).argmin(axis=1)
+        place = self._nearest(sensors)
         window = np.rint(self._sensor.window_of(sensors[:, 2], self._turn)).astype(np.intp) % self._turn
         return _three(self._space.project(windows(self._values[place], window, self._space.beams)))
 

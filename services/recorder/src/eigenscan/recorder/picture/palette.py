@@ -26,7 +26,7 @@ UNLIKELY: Colour = (195, 195, 195)
 TRACK: Colour = (125, 60, 180)
 TRUTH: Colour = (20, 20, 20)
 REGION: Colour = (120, 160, 190)
-PLACE: Colour = (215, 225, 232)
+PLACE: Colour = (196, 208, 218)
 
 STATE_COLOURS = {
     STATE_LOCALIZED: LOCALIZED,

@@ -1,0 +1,62 @@
+"""A moment of a recording as people say it: seconds from its start, or the time of day."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import typer
+
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
+METAVAR = "<s or hh:mm[:ss]>"
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Seconds from a recording's start; or, `of_day`, from midnight UTC."""
+
+    seconds: float
+    of_day: bool = False
+
+    def __str__(self) -> str:
+        """As `--help` tells a default."""
+        return f"{self.seconds:g}"
+
+    def after(self, begin: int) -> float:
+        """Seconds from `begin` (log time, ns) on; a time of day that is past by then is the next day's."""
+        if not self.of_day:
+            return self.seconds
+        start = datetime.fromtimestamp(begin * 1e-9, UTC)
+        midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
+        wait = midnight + timedelta(seconds=self.seconds) - start
+        return (wait % timedelta(days=1)).total_seconds()
+
+
+START = Moment(0.0)
+"""Of any recording."""
+
+
+def moment(text: str | Moment) -> Moment:
+    """Of an option's value. Raises typer's error for what is neither."""
+    if isinstance(text, Moment):
+        return text
+    clock = _CLOCK.fullmatch(text)
+    if clock:
+        hours, minutes, seconds = int(clock[1]), int(clock[2]), float(clock[3] or 0.0)
+        if hours < 24 and minutes < 60 and seconds < 60:
+            return Moment(3600.0 * hours + 60.0 * minutes + seconds, of_day=True)
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 <= seconds < math.inf:
+        raise typer.BadParameter(f"{text!r}: give s from the recording's start, or UTC as 03:12 or 03:12:30")
+    return Moment(seconds)
+
+
+def span(begin: int, end: int) -> str:
+    """From when to when a recording goes, ns since the epoch, for people."""
+    first, last = (datetime.fromtimestamp(time * 1e-9, UTC) for time in (begin, end))
+    return f"{first:%Y-%m-%d %H:%M:%S} to {last:%H:%M:%S} UTC, {(end - begin) * 1e-9:.1f} s"
