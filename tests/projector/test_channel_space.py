@@ -1,5 +1,9 @@
 """The eigenspace against its direct, slow formulas."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients, error_squares
@@ -100,3 +104,15 @@ def test_nothing_to_analyse_is_said() -> None:
         analyse_channels(np.empty((1, 0, 12), dtype=np.float32), 4, 2)
     with pytest.raises(ValueError, match="no finite panoramas"):
         analyse_channels(np.full((1, 2, 12), np.nan, dtype=np.float32), 4, 2)
+
+
+def test_an_analysis_in_a_notebook_keeps_linear_algebra_to_one_thread() -> None:
+    # more than one spin while they wait for a busy core, and sum in an order of their own
+    code = (
+        "import numpy as np, threadpoolctl; from eigenscan.projector.channel_space import analyse_channels;"
+        "analyse_channels(np.random.default_rng(1).normal(size=(1, 2, 8)).astype(np.float32), 4, 2);"
+        "print({p['num_threads'] for p in threadpoolctl.threadpool_info() if p['user_api'] == 'blas'})"
+    )
+    env = {**os.environ, "OMP_NUM_THREADS": "4", "OPENBLAS_NUM_THREADS": "4"}
+    told = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "{1}"

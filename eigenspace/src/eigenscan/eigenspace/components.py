@@ -101,7 +101,7 @@ def analyse(
     mean, covariance = autocovariance(values, workers)
     if not np.isfinite(covariance).all():
         raise ValueError("panoramas hold values that are not finite: clip them first")
-    _one_blas_thread()
+    one_blas_thread()
     total = float(covariance[0]) * beams
     wanted = beams if count is None else min(count, beams)
     eigenvalues, vectors = eigenpairs(covariance[:beams], wanted)
@@ -127,8 +127,8 @@ def all_coefficients(values: NDArray[np.float32], space: Eigenspace) -> NDArray[
 
 
 @cache
-def _one_blas_thread() -> None:
-    """From the first analysis on, linear algebra has one thread in this process.
+def one_blas_thread() -> None:
+    """From the first analysis on, linear algebra has one thread in this process, and sums have one order.
 
     Our matrices are small, several are solved at once, and OpenBLAS's threads spin while they wait for
     a busy core: on a loaded robot that made an analysis a hundred times slower.

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.eigenspace.components import one_blas_thread
 from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
@@ -144,6 +145,7 @@ def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> C
 
     Raises ValueError for an empty set or values that are not finite.
     """
+    one_blas_thread()
     many, positions, turn = channels.shape
     if not positions or not np.isfinite(channels).all():
         raise ValueError(f"no finite panoramas to analyse: shape {channels.shape}")
