@@ -246,7 +246,9 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
     words = [
         health(text, heard_odometry=300, dropped_odometry=7),
         health(text, heard_odometry=4),
-        health(text.replace("}", ', "trust": 0.5}'), heard_odometry=5, dropped_odometry=3),
+        health(
+            text.replace("}", ', "trust": 0.5}'), heard_odometry=5, dropped_odometry=3, odometry_came_late=2
+        ),
     ]
     messages = [
         *(Timed(run.messages[0].time, word) for word in words),
@@ -257,6 +259,7 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
     assert "note: tracker t ran before the recording began (its first track here is " in ended.out
     assert "note: tracker t was started again 1 times" in ended.out
     assert "note: tracker t lost 3 odometry" in ended.out
+    assert "note: tracker t answered 2 scans before their odometry had come" in ended.out
     assert "note: tracker t was given other settings while it was recorded" in ended.out
 
 

@@ -211,6 +211,24 @@ def test_order_of_arrival_between_channels_does_not_matter(
         assert run(make_core(), shuffled, poses_of) == expected
 
 
+def test_a_scan_whose_odometry_does_not_come_in_time_is_counted(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    """The answer then hangs on what was there when: a replay must say so."""
+    odometries, hypotheses = make_stream(speaker, 30)
+    core = make_core()
+    for odometry, seen in zip(odometries[:10], hypotheses[:10], strict=True):
+        core.handle(odometry)
+        core.handle(seen)
+    assert core.condition().counters.get("odometry_came_late", 0) == 0
+    for seen in hypotheses[10:15]:  # 1.0 s to 1.4 s, the newest odometry is of 0.913 s
+        core.handle(seen)
+    for odometry in odometries[10:15]:
+        core.handle(odometry)
+    # all that are 0.2 s older than the newest: 1.0, 1.1, 1.2
+    assert core.condition().counters["odometry_came_late"] == 3
+
+
 def others(rng: np.random.Generator, count: int = 12) -> list[np.ndarray]:
     return [*rng.uniform([0, 0, -3], [40, 40, 3], (count, 3))]
 

@@ -137,6 +137,12 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
             yield f"{name} was given other settings while it was recorded: here the first hold to the end"
         for channel, count in told.lost.items() if told else ():
             yield f"{name} lost {count} {channel}: its inbox was full; here it hears all that is recorded"
+        late = told.counters.get("odometry_came_late", 0) if told else 0
+        if late:
+            yield (
+                f"{name} answered {late} scans before their odometry had come, as its patience ended: "
+                "here it may be in time, and answers differ from there on"
+            )
         for each in instance.hears:
             heard, held = told.counters.get(f"heard_{each.name}", 0) if told else 0, survey.counts[each]
             if not each.qos.latched and heard > held:

@@ -92,7 +92,10 @@ class Timeline:
         known = max(self._odometry or waited, waited)
         result = []
         while self._waiting and self._waiting[0][0] <= known:
-            result.append(heapq.heappop(self._waiting)[3])
+            seen = heapq.heappop(self._waiting)[3]
+            if self._odometry is not None and seen.stamp > self._odometry:
+                self._counts["odometry_came_late"] += 1
+            result.append(seen)
         return result
 
     def rest(self) -> list[Observation]:
