@@ -38,8 +38,9 @@ def show(result: dict[str, Any]) -> None:
     print(f"{result['robots']} robots, {result['seconds']:.0f} s, load {result['load']:.0f} at the end")
     print(f"claims: {result['claims']}, wrong: {wrong}")
     print(
-        f"poses said while recorder, router and link were there: {result['said']}; "
-        f"not heard at the site: {result['undelivered']}; heard there, not recorded: {result['unrecorded']}"
+        f"poses said while router and link were there: {result['said']}; not heard at the site: "
+        f"{result['undelivered']}, at most {result['longest_undelivered']} in a row; "
+        f"of {result['heard_at_site']} heard there, not recorded: {result['unrecorded']}"
     )
 
 

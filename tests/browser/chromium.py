@@ -34,7 +34,12 @@ def find_chromium() -> str:
     if found is None and os.geteuid() == 0 and shutil.which("apt-get"):
         environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
         for arguments in (["update", "-qq"], ["install", "-y", "-qq", "--no-install-recommends", "chromium"]):
-            subprocess.run(["apt-get", *arguments], env=environment, check=True, stdout=subprocess.DEVNULL)
+            subprocess.run(
+                ["apt-get", "-o", "Acquire::Retries=5", *arguments],
+                env=environment,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
         found = shutil.which("chromium")
     if found is None:
         raise RuntimeError("chromium is missing: install it (Debian: apt-get install chromium)")

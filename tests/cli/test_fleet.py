@@ -26,7 +26,7 @@ def grid() -> GridMap:
 
 def _simulate(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "eigenscan.cli.main", "simulate", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
 
 
 def test_a_fleet_is_one_recording_with_a_truth_for_each(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 
 def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+        [*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, timeout=600, check=False
     )
 
 

@@ -18,7 +18,7 @@ EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [EIGENSCAN, "map", *arguments], capture_output=True, text=True, timeout=200, check=False
+        [EIGENSCAN, "map", *arguments], capture_output=True, text=True, timeout=600, check=False
     )
 
 

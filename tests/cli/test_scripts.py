@@ -24,7 +24,7 @@ def _run(*arguments: object, cwd: Path, **environment: str) -> subprocess.Comple
         env=os.environ | environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
 
@@ -95,7 +95,7 @@ def test_ctrl_c_is_130(tmp_path: Path) -> None:
         assert process.stderr is not None
         assert "publishing" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 130
+        assert process.wait(240) == 130
 
 
 @pytest.mark.parametrize(

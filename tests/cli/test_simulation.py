@@ -40,7 +40,7 @@ def stage(grid: GridMap) -> Stage:
 
 
 def _simulate(*arguments: object) -> None:
-    subprocess.run([*SIMULATE, *map(str, arguments)], check=True, timeout=120)
+    subprocess.run([*SIMULATE, *map(str, arguments)], check=True, timeout=600)
 
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def imported(path: Path) -> set[str]:
 
 
 def conforms(service: str, *command: object) -> subprocess.CompletedProcess[str]:
-    words = [PROGRAMS / "eigenscan", "conform", service, "--latency", 5, "--", *command]
+    words = [PROGRAMS / "eigenscan", "conform", service, "--latency", 60, "--patience", 10, "--", *command]
     return subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False)
 
 

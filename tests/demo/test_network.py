@@ -24,12 +24,12 @@ def test_members_meet_each_other_and_strangers_stay_outside(tmp_path: Path) -> N
     first, second = open_session(members), open_session(members)
     stranger = open_session(other_members)
     try:
-        assert _hears(first, second, 10.0)
-        assert _hears(hub, first, 10.0)
-        assert _hears(other_hub, stranger, 10.0)
+        assert _hears(first, second, 120.0)
+        assert _hears(hub, first, 120.0)
+        assert _hears(other_hub, stranger, 120.0)
         assert not _hears(first, stranger, 1.0)
         hub.close()
-        assert _hears(second, first, 10.0)
+        assert _hears(second, first, 120.0)
     finally:
         for session in (first, second, stranger, hub, other_hub):
             session.close()

@@ -30,7 +30,7 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -
                "--zenoh", str(zenoh), "--no-viewer", "--out", str(tmp_path / "out")]  # fmt: skip
     with Bus(session) as bus, subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         witness = Witness(bus, site)
-        deadline = time.monotonic() + 90.0
+        deadline = time.monotonic() + 480.0
         while witness.missing(["scan-ingest", "projector", "tracker", "mapbuilder", "recorder"]):
             assert time.monotonic() < deadline
             assert process.poll() is None
@@ -44,7 +44,7 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
         process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=30)
+        output, _ = process.communicate(timeout=240)
     assert any(pose.state == STATE_LOCALIZED for pose in poses)
     assert process.returncode == 0
     assert "ready" in output
@@ -67,7 +67,7 @@ def test_a_site_that_is_no_chunk_of_a_key(tmp_path: Path) -> None:
 
 def _expect_one_line(folder: Path, flags: list[str], part: str) -> None:
     command = [*EIGENSCAN, "run", *flags, "--no-viewer", "--out", str(folder / "out")]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 2, result.stderr
     assert result.stderr.count("\n") == 1, result.stderr
     assert part in result.stderr

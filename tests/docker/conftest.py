@@ -31,7 +31,7 @@ MARKS = [
 def docker(*arguments: object, check: bool = True) -> str:
     """What docker prints. Fails where it does, if `check`."""
     done = subprocess.run(
-        ["docker", *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+        ["docker", *map(str, arguments)], capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0 or not check, f"{arguments}: {done.stderr}"
     return done.stdout + done.stderr

@@ -3,7 +3,7 @@ ARG IMAGES
 FROM ${IMAGES}/recorder AS recorder
 FROM ${IMAGES}/simulator
 USER 0:0
-RUN apt-get update -q && apt-get install -y -q --no-install-recommends systemd && apt-get clean
+RUN apt-get -o Acquire::Retries=5 update -q && apt-get -o Acquire::Retries=5 install -y -q --no-install-recommends systemd && apt-get clean
 COPY --from=recorder /opt/eigenscan /opt/eigenscan
 RUN echo /opt/own > /opt/eigenscan/lib/python3.11/site-packages/eigenscan.pth \
  && ln -s /opt/own/bin/eigenscan* /opt/eigenscan/bin/

@@ -19,7 +19,8 @@ from eigenscan.schemas.channels import CHANNELS, POSE, find
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 from tests.docker.conftest import BASE, MARKS, ROOT, compose, docker, until
-from tests.fleet.conftest import free_port, run
+from tests.fleet.conftest import run
+from tests.network import free_port
 
 SITE, ROBOTS = "hospital", ("r17", "r18")
 SERVICES = {
@@ -27,6 +28,9 @@ SERVICES = {
     "robot": ("robot-router", "scan-ingest", "projector", "tracker"),
 }
 USER = 10001
+PATIENCE_S = 600.0
+"""What a step may take on a machine that is busy."""
+QUIET_S = 3.0
 
 pytestmark = MARKS
 
@@ -179,7 +183,8 @@ def test_all_become_healthy_and_none_has_rights_it_does_not_need(fleet: Fleet) -
         return health["Status"]  # type: ignore[index]
 
     for machine, service in members:
-        until(lambda: state(machine, service) == "healthy", 120, lambda: f"{machine} {service} {fleet.log()}")  # noqa: B023
+        where = machine, service
+        until(lambda: state(*where) == "healthy", PATIENCE_S, lambda: f"{where} {fleet.log()}")  # noqa: B023
         found = fleet.inspect(machine, service)
         host = found["HostConfig"]
         assert found["Config"]["User"] == "10001:10001", service
@@ -193,25 +198,39 @@ def test_all_become_healthy_and_none_has_rights_it_does_not_need(fleet: Fleet) -
 
 def test_the_site_hears_where_each_robot_is(fleet: Fleet, heard: Counter[str]) -> None:
     for robot in ROBOTS:
-        until(lambda: heard[f"{robot} localized"] > 10, 120, lambda: f"{robot}: {heard}\n{fleet.log()}")  # noqa: B023
+        claims = f"{robot} localized"
+        until(lambda: heard[claims] > 10, PATIENCE_S, lambda: f"{claims}: {heard}\n{fleet.log()}")  # noqa: B023
 
 
 def test_what_stays_on_the_robot_does_not_come(fleet: Fleet, heard: Counter[str]) -> None:
     crossing = {channel.name for channel in CHANNELS if channel.qos.air_hz > 0}
-    until(lambda: heard["tracks"] > 3 and heard["health"] > 3, 60, lambda: str(heard))
+    until(lambda: heard["tracks"] > 3 and heard["health"] > 3, PATIENCE_S, lambda: str(heard))
     names = {name for name in heard if " " not in name}
     assert names <= crossing
     assert names >= {"pose", "tracks", "health"}
 
 
+def until_quiet(heard: Counter[str], what: str) -> None:
+    """Waits until no more of that comes: what was under way has arrived."""
+    newest, since = heard[what], time.monotonic()
+
+    def is_quiet() -> bool:
+        nonlocal newest, since
+        if heard[what] != newest:
+            newest, since = heard[what], time.monotonic()
+        return time.monotonic() - since > QUIET_S
+
+    until(is_quiet, PATIENCE_S, lambda: f"{what} goes on: {heard}")
+
+
 def test_a_robot_that_is_cut_off_goes_on_and_comes_back(fleet: Fleet, heard: Counter[str]) -> None:
     docker("network", "disconnect", fleet.name, fleet.machine("r17"))
-    time.sleep(1.0)
+    until_quiet(heard, "r17 pose")
     before, at_site = fleet.poses("r17"), heard["r17 pose"]
-    until(lambda: fleet.poses("r17") > before + 20, 30, lambda: "no pose without the site")
-    assert heard["r17 pose"] <= at_site + 1
+    until(lambda: fleet.poses("r17") > before + 20, PATIENCE_S, lambda: "no pose without the site")
+    assert heard["r17 pose"] == at_site
     docker("network", "connect", "--alias", "r17", fleet.name, fleet.machine("r17"))
-    until(lambda: heard["r17 pose"] > at_site + 10, 60, lambda: f"r17 is not back: {heard}")
+    until(lambda: heard["r17 pose"] > at_site + 10, PATIENCE_S, lambda: f"r17 is not back: {heard}")
 
 
 def test_a_stolen_robot_is_out_and_the_rest_come_back(fleet: Fleet, heard: Counter[str]) -> None:
@@ -223,12 +242,12 @@ def test_a_stolen_robot_is_out_and_the_rest_come_back(fleet: Fleet, heard: Count
     (fleet.folder / "robots/kept").rename(fleet.folder / "robots/r18")
     fleet.own(USER)
     router = fleet.container("site", "site-router")
-    until(lambda: docker("inspect", "-f", "{{.RestartCount}}", router).strip() != "0", 30, fleet.log)
+    until(lambda: docker("inspect", "-f", "{{.RestartCount}}", router).strip() != "0", PATIENCE_S, fleet.log)
     begun = heard["r17 pose"]
-    until(lambda: heard["r17 pose"] > begun + 10, 60, lambda: f"r17 is not back: {heard}")
+    until(lambda: heard["r17 pose"] > begun + 10, PATIENCE_S, lambda: f"r17 is not back: {heard}")
     out = heard["r18 pose"]
     said, still = fleet.poses("r18"), heard["r17 pose"]
-    until(lambda: heard["r17 pose"] > still + 30, 60, lambda: "r17 is gone")
+    until(lambda: heard["r17 pose"] > still + 30, PATIENCE_S, lambda: "r17 is gone")
     assert fleet.poses("r18") > said
     assert heard["r18 pose"] == out
 

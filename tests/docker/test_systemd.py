@@ -22,7 +22,7 @@ UNITS = {
 }
 RIGHTS = ("SYS_ADMIN", "NET_ADMIN", "SYS_PTRACE")
 """What systemd itself needs to shut services in; they get none of it."""
-PATIENCE_S = 180.0
+PATIENCE_S = 600.0
 
 pytestmark = MARKS
 

@@ -28,14 +28,21 @@ def _run(command: list[str], page: str, folder: Path) -> None:
         capture_output=True,
         text=True,
         stdin=subprocess.DEVNULL,
-        timeout=280,
+        timeout=800,
         check=False,
     )
     assert done.returncode == 0, f"{page}: {command[-1]}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}"
 
 
+@pytest.fixture
+def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bash of the test's own: the one that the tests are run from, if any, stays as it is."""
+    monkeypatch.setattr("typer._completion_shared._get_shell_name", lambda: "bash")
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+
 @pytest.mark.parametrize("block", READ, ids=_name)
-def test_every_command_is_one_that_there_is(block: Block) -> None:
+def test_every_command_is_one_that_there_is(block: Block, shell: None) -> None:
     """Also those that are not run: no page names an option that is gone."""
     for words in commands(block.code):
         assert refusal(words) is None

@@ -29,7 +29,7 @@ def three(tmp_path: Path) -> tuple[Path, list[str]]:
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [EIGENSCAN, "models", *arguments], capture_output=True, text=True, timeout=60, check=False
+        [EIGENSCAN, "models", *arguments], capture_output=True, text=True, timeout=600, check=False
     )
 
 

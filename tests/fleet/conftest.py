@@ -17,22 +17,21 @@ from eigenscan.cli.main import app
 from eigenscan.runtime.session import open_session
 from typer.testing import CliRunner, Result
 
+from tests import environment
+from tests.network import free_port, patient
+
 SITE = "hospital"
 ROBOTS = ("r17", "r18")
 ROUTER = "from eigenscan.runtime.router import main; main()"
 ZENOHD = os.environ.get("EIGENSCAN_TEST_ZENOHD")
 """Zenoh's own router, to be tried in place of ours with the same configuration: `cargo install zenohd`."""
-READY_S = 30.0
+READY_S = 120.0
+"""What a step may take on a machine that is busy."""
 
 
 def run(*arguments: object) -> Result:
     """`eigenscan fleet ARGUMENTS`."""
     return CliRunner().invoke(app, ["fleet", *map(str, arguments)])
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
 
 
 def until(condition: Callable[[], bool], what: str, limit_s: float = READY_S) -> None:
@@ -67,7 +66,7 @@ class Fleet:
                 text = path.read_text().replace(INSTALLED, str(target)).replace("[::]", "127.0.0.1")
                 # the plain port is the robot's own, the other one the site's
                 own = text.replace(f"tcp/127.0.0.1:{PORT}", f"tcp/127.0.0.1:{self.ports.get(machine)}")
-                new.write_text(own.replace(f":{PORT}", f":{self.ports['site']}"))
+                new.write_text(patient(own.replace(f":{PORT}", f":{self.ports['site']}")))
             else:
                 shutil.copy(path, new)
             new.replace(target / path.name)
@@ -78,9 +77,10 @@ class Fleet:
         config = self.machines / machine / "router.json5"
         ours = [sys.executable, "-c", ROUTER, "--zenoh", config, "--site", SITE, "--robot", machine]
         command = [ZENOHD, "--config", config] if ZENOHD else [*ours, "--end-on-change"]
-        clean = {name: value for name, value in os.environ.items() if not name.startswith("EIGENSCAN_")}
         with (self.machines / f"{machine}.log").open("ab") as log:
-            self.routers[machine] = subprocess.Popen(list(map(str, command)), stderr=log, env=clean)
+            self.routers[machine] = subprocess.Popen(
+                list(map(str, command)), stderr=log, env=environment.clean()
+            )
         until(lambda: self.answers(machine), f"no router on {machine}: {self.log(machine)}")
 
     def restart_with_the_new_configuration(self, machine: str) -> None:
@@ -88,7 +88,7 @@ class Fleet:
         router = self.routers[machine]
         if ZENOHD:
             router.terminate()
-        ended = router.wait(timeout=10)
+        ended = router.wait(READY_S)
         assert ZENOHD or ended == 0, "the router did not notice its new configuration"
         self.start(machine)
 
@@ -122,7 +122,7 @@ class Fleet:
         for router in self.routers.values():
             router.terminate()
         for router in self.routers.values():
-            router.wait(timeout=10)
+            router.wait(READY_S)
 
 
 def make_fleet(folder: Path) -> Fleet:

@@ -108,6 +108,32 @@ def token_of(holder: str, owner: str) -> str:
     )
 
 
+def ask(sessions: dict[str, zenoh.Session], told: Exchange) -> set[tuple[str, str, str]]:
+    """Everybody asks for what is latched; gives who was answered so far, with which key, by whom."""
+    for holder, channel in product(HOLDERS, LATCHED):
+        replies = sessions[holder].get(
+            channel.selector({"site": SITE}), target=zenoh.QueryTarget.ALL, timeout=5.0,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )  # fmt: skip
+        told.answered |= {
+            (holder, str(reply.ok.key_expr), reply.ok.payload.to_string()) for reply in replies if reply.ok
+        }
+    return told.answered
+
+
+def tokens_allowed() -> set[tuple[str, str]]:
+    """Who sees which sign of life, where the table lets it."""
+    seen = {
+        (seer, token_of(holder, holder))
+        for holder, seer in product(HOLDERS, SERVICES)
+        if seer != holder and role_of(holder) in HEALTH.said_by
+    }
+    for channel, holder, seer in product(LATCHED, HOLDERS, HOLDERS):
+        if seer != holder and role_of(holder) in channel.said_by:
+            seen.add((seer, LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session=holder)))
+    return seen
+
+
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
     """Without limits of rate: they would hold back what access control should."""
@@ -164,16 +190,13 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
         for _ in range(ROUNDS):
             speak(sessions)
             time.sleep(PAUSE_S)
-        for holder, channel in product(HOLDERS, LATCHED):
-            replies = sessions[holder].get(
-                channel.selector({"site": SITE}), target=zenoh.QueryTarget.ALL, timeout=5.0,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )  # fmt: skip
-            told.answered |= {
-                (holder, str(reply.ok.key_expr), reply.ok.payload.to_string())
-                for reply in replies
-                if reply.ok
-            }
+        answers = {
+            (hearer, key_of(channel, holder), holder)
+            for holder, channel, hearer in product(HOLDERS, LATCHED, HOLDERS)
+            if hearer != holder and may_say(holder, channel, holder) and may_hear(hearer, channel, holder)
+        }
+        until(lambda: answers <= ask(sessions, told), "not all that may answer do")
+        until(lambda: tokens_allowed() <= told.tokens, "not all signs of life that are allowed are seen")
         time.sleep(DENIED_S)
         assert len(shown) == len(HOLDERS) * (len(LATCHED) + len(HOLDERS))  # a token that nobody holds is gone
         yield told

@@ -20,7 +20,7 @@ def analyze(folder: Path, *arguments: str) -> str:
     """Output of systemd-analyze for the units in `folder`. Fails where it does."""
     done = subprocess.run(
         ["systemd-analyze", *arguments], env=os.environ | {"SYSTEMD_UNIT_PATH": f"{folder}:"},
-        capture_output=True, text=True, timeout=60, check=False,
+        capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + done.stderr

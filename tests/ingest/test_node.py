@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 import uuid
@@ -23,16 +22,21 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.wire import encode
 
-PATIENCE_S = 30.0
+from tests.network import PATIENT_QUEUE, free_port
+
+PATIENCE_S = 120.0
 SITE = f"test-{uuid.uuid4().hex[:12]}"
 FLAGS = ["--angle-step", "0.5", "--range-max", "20", "--mounts", '{"front": {"x": 0.2, "upside_down": true}}']
 
 
 @pytest.fixture
 def hub(tmp_path: Path) -> Iterator[tuple[Bus, Path]]:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-    alone = {"mode": "peer", "scouting": {"multicast": {"enabled": False}}}
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    alone = {
+        "mode": "peer",
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
+    }
     (tmp_path / "hub.json5").write_text(json.dumps(alone | {"listen": {"endpoints": [endpoint]}}))
     leaf = alone | {"listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "connect": {"endpoints": [endpoint]}}
     (tmp_path / "leaf.json5").write_text(json.dumps(leaf))
@@ -83,15 +87,15 @@ def test_the_process_says_what_the_core_says(hub: tuple[Bus, Path]) -> None:
                 answered += 1
         assert answered == 16
         service.send_signal(signal.SIGTERM)
-        assert service.wait(timeout=10) == 0
+        assert service.wait(PATIENCE_S) == 0
     finally:
         service.kill()
-        service.communicate(timeout=10)
+        service.communicate(timeout=PATIENCE_S)
 
 
 def test_wrong_settings_end_it_with_one_line() -> None:
     command = [sys.executable, "-m", "eigenscan.ingest.node", "--angle-step", "99"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert ended.returncode == 2
     assert ended.stderr.startswith("eigenscan-scan-ingest: --angle-step = '99': ")
     assert ended.stderr.count("\n") == 1

@@ -33,7 +33,7 @@ FLOORS = {"ground": office(), "first": upstairs()}
 
 def build(folder: Path, *files: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", *files, "-o", "model"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -55,7 +55,7 @@ class Space:
 
     def run(self, *words: object) -> str:
         """Output of a command in here. Fails where it does."""
-        done = subprocess.run(self.command(*words), capture_output=True, text=True, check=False, timeout=60)
+        done = subprocess.run(self.command(*words), capture_output=True, text=True, check=False, timeout=600)
         if done.returncode:
             raise RuntimeError(f"{words}: {done.stderr}")
         return done.stdout

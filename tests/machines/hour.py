@@ -4,7 +4,7 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -28,12 +28,11 @@ from tests.machines.bad_air import (
     renew_models,
     wrong_claims,
 )
-from tests.machines.site import KILL, SERVICES, SITE, TERM, Fleet, Heard, fleet
+from tests.machines.site import KILL, PATIENCE_S, SERVICES, SITE, TERM, Fleet, Heard, fleet
 
-FLUSH_S = 0.5
-"""The recorder's: so much of what came before may be lost with its disk, or when it is killed."""
 UNDER_WAY_S = 0.5
-"""From a robot to the site's file, on a busy machine."""
+"""From a robot to the site."""
+LOOK_EVERY_S = 0.3
 DISK_MB = 24
 CLOCK_S = -60.0
 BAD_LINK = Link(loss=0.1, delay_s=0.1, jitter_s=0.03)
@@ -50,13 +49,13 @@ class Event:
     name: str
     touches: tuple[str, ...] = ()
     """Robots that miss something of their own meanwhile."""
-    loses: bool = False
-    """Whether what the robots say meanwhile need not be in the site's recording."""
+    loses: tuple[str, ...] = ()
+    """Robots whose words need not be in the site's recording meanwhile."""
     at_s: float = 0.0
     away_s: float = 0.0
     """Until what was taken works again, by its own word."""
     until_s: float = 0.0
-    """Until all robots are localized and heard at the site."""
+    """Until all robots are localized, and heard and recorded at the site."""
     unlocalized_s: dict[str, float] = field(default_factory=dict)
     """Longest time without a claim, of each robot, by the stamps of its scans."""
     unrecorded: int = 0
@@ -80,31 +79,69 @@ class Hour:
     """What `eigenscan fleet status` showed while all was well."""
     cut: list[dict[str, Any]] = field(default_factory=list)
     """And at the site just before robots could reach it again."""
+    cut_s: float = 0.0
+    """For how long it had been cut off then."""
     disk: dict[str, Any] = field(default_factory=dict)
     bad_air: dict[str, Any] = field(default_factory=dict)
     new_models_s: dict[str, float] = field(default_factory=dict)
     """From the end of the cut until each robot worked with the models that were made meanwhile."""
 
     @contextmanager
-    def event(self, name: str, touches: Sequence[str] = (), loses: bool = False) -> Iterator[Event]:
-        """Notes an event; at its end all is as it was before."""
-        event = Event(name, tuple(touches), loses)
+    def event(self, name: str, touches: Sequence[str] = (), loses: Sequence[str] = ()) -> Iterator[Event]:
+        """Notes an event; at its end all is as it was before. What was heard until then is on the disk."""
+        event = Event(name, tuple(touches), tuple(loses))
+        begin = time.monotonic()
+        event.at_s = begin - self.began
+        if loses:
+            self._await_recorded(begin)
         began = time.monotonic()
-        event.at_s = began - self.began
         yield event
         back = time.monotonic()
         event.away_s = back - began
         self.fleet.await_claims(self.fleet.robots, back)
         self.fleet.await_claims(self.fleet.robots, back, at_site=True)
+        if loses:
+            self._await_any_recorded(back)
         event.until_s = time.monotonic() - self.began
         self.events.append(event)
         time.sleep(self.pause_s)
+
+    def _await_recorded(self, before: float) -> None:
+        """Waits until all that the site had heard before that moment is on the disk."""
+
+        def missing() -> set[tuple[str, int]]:
+            heard = self._arrived().items()
+            due = {key for key, at in heard if self.began < at < before and not self._is_lost(at)}
+            return due - self._recorded()
+
+        self._until_none(missing, "heard, but not recorded")
+
+    def _await_any_recorded(self, since: float) -> None:
+        """Waits until something that the site heard of each robot since then is on the disk."""
+
+        def missing() -> set[str]:
+            fresh = {key for key, at in self._arrived().items() if at > since} & self._recorded()
+            return set(self.fleet.robots) - {robot for robot, _ in fresh}
+
+        self._until_none(missing, "not recorded again")
+
+    def _recorded(self) -> set[tuple[str, int]]:
+        return recorded_poses(self.fleet.recordings)
+
+    def _until_none(self, missing: Callable[[], Collection[object]], about: str) -> None:
+        limit = time.monotonic() + PATIENCE_S
+        while found := missing():
+            assert time.monotonic() < limit, f"{about}: {found}\n{self.fleet.site.log('recorder')}"
+            time.sleep(LOOK_EVERY_S)
 
     def restart(self, name: str, service: str, how: int) -> None:
         """Ends a service of a machine and starts it at once, as whatever keeps it up would."""
         machine = self.fleet.machines[name]
         touches = (name,) if machine.kind == "robot" else ()
-        loses = name == "site" and service != "mapbuilder"
+        loses: Sequence[str] = ()
+        if service in ("router", "recorder"):
+            # a robot's router is there before its link to the site is
+            loses = self.fleet.robots if name == "site" else [name]
         word = "killed" if how == KILL else "restarted"
         with self.event(f"{name}: {service} {word}", touches, loses):
             machine.end(service, how)
@@ -121,27 +158,29 @@ class Hour:
     def spoil_a_link(self, link: Link, seconds: float) -> None:
         """The last robot's radio is bad for a while."""
         name = f"{link.loss:.0%} lost, {2e3 * link.delay_s:.0f} ms there and back"
-        with self.event(name, loses=True):
+        with self.event(name, loses=self.fleet.robots):
             self.bad_air = measure(self.fleet, self.fleet.robots[-1], link, seconds)
 
     def cut_off_the_site(self, seconds: float, step: float) -> None:
         """Nobody reaches the site, which makes new models; then all do."""
         link = self.fleet.air.links["site"]
-        with self.event(f"site cut off for {seconds:.0f} s", loses=True):
+        with self.event(f"site cut off for {seconds:.0f} s", loses=self.fleet.robots):
             link.cut = True
             began = time.monotonic()
             version = renew_models(self.fleet, step)
             time.sleep(max(0.0, seconds - (time.monotonic() - began)))
+            self.cut_s = time.monotonic() - began
             self.cut = rows(self.view)
             link.cut = False
         self.new_models_s = {
-            robot: await_version(self.fleet, robot, version) - began - seconds for robot in self.fleet.robots
+            robot: await_version(self.fleet, robot, version) - began - self.cut_s
+            for robot in self.fleet.robots
         }
 
     def fill_the_disk(self, seconds: float) -> None:
         """Somebody else's files take all that the recorder's disk has; then they are gone."""
         site, ballast = self.fleet.site, self.fleet.recordings / "ballast"
-        with self.event(f"recorder's disk full for {seconds:.0f} s", loses=True):
+        with self.event(f"recorder's disk full for {seconds:.0f} s", loses=self.fleet.robots):
             with suppress(OSError), ballast.open("wb", buffering=0) as file:
                 while file.write(b"x" * 65536):
                     pass
@@ -162,11 +201,11 @@ class Hour:
 
     def result(self) -> dict[str, Any]:
         """What it cost; ends the recorder, so that its last file is whole."""
-        time.sleep(UNDER_WAY_S)
         ended = time.monotonic()
+        self._await_recorded(ended)
         self.fleet.site.end("recorder", TERM)
         recorded = recorded_poses(self.fleet.recordings)
-        arrived = {(robot, one.stamp) for robot, said in self.fleet.site.ear.poses.items() for one in said}
+        arrived = self._arrived()
         for event in self.events:
             begin, end = event.at_s + self.began, event.until_s + self.began
             event.unlocalized_s = {
@@ -178,7 +217,10 @@ class Hour:
         said = [
             key
             for key, heard in self._said()
-            if heard.at < ended - UNDER_WAY_S and not self._is_excused(heard)
+            if heard.at < ended - UNDER_WAY_S and not self._is_excused(key[0], heard)
+        ]
+        heard_at_site = [
+            key for key, at in arrived.items() if self.began < at < ended and not self._is_lost(at)
         ]
         return {
             "robots": len(self.fleet.robots),
@@ -188,8 +230,13 @@ class Hour:
             "wrong": {robot: wrong_claims(self.fleet, robot) for robot in self.fleet.robots},
             # outside the events that may lose some
             "said": len(said),
-            "unrecorded": sum(key in arrived and key not in recorded for key in said),
             "undelivered": sum(key not in arrived for key in said),
+            "longest_undelivered": max(
+                _longest_row([key not in arrived for key in said if key[0] == robot])
+                for robot in self.fleet.robots
+            ),
+            "heard_at_site": len(heard_at_site),
+            "unrecorded": sum(key not in recorded for key in heard_at_site),
             "events": [
                 asdict(event) | {"beyond_s": {robot: event.beyond_s(robot) for robot in event.unlocalized_s}}
                 for event in self.events
@@ -197,7 +244,7 @@ class Hour:
             "disk": self.disk,
             "bad_air": self.bad_air,
             "new_models_s": self.new_models_s,
-            "status": {"whole": self.whole, "cut": self.cut},
+            "status": {"whole": self.whole, "cut": self.cut, "cut_s": self.cut_s},
         }
 
     def _poses(self, robot: str) -> list[Heard]:
@@ -213,12 +260,32 @@ class Hour:
                 if heard.at > self.began and heard.at - before.at > AIR_PERIOD_S:
                     yield (robot, heard.stamp), heard
 
-    def _is_within(self, heard: Heard, event: Event) -> bool:
-        begin = event.at_s + self.began - FLUSH_S - UNDER_WAY_S
-        return begin < heard.at < event.until_s + self.began
+    def _arrived(self) -> dict[tuple[str, int], float]:
+        """When the site heard the pose of which robot and stamp, monotonic, s."""
+        ear = self.fleet.site.ear
+        return {(robot, one.stamp): one.at for robot, said in list(ear.poses.items()) for one in list(said)}
 
-    def _is_excused(self, heard: Heard) -> bool:
-        return any(event.loses and self._is_within(heard, event) for event in self.events)
+    def _is_within(self, heard: Heard, event: Event) -> bool:
+        return event.at_s - UNDER_WAY_S < heard.at - self.began < event.until_s
+
+    def _is_excused(self, robot: str, heard: Heard) -> bool:
+        return any(robot in event.loses and self._is_within(heard, event) for event in self.events)
+
+    def _is_lost(self, at: float) -> bool:
+        """Whether the recorder, or its way to the site's router, was taken when the site heard something."""
+        everybody = set(self.fleet.robots)
+        return any(
+            set(event.loses) == everybody and event.at_s <= at - self.began < event.until_s
+            for event in self.events
+        )
+
+
+def _longest_row(holds: Iterable[bool]) -> int:
+    longest = row = 0
+    for one in holds:
+        row = row + 1 if one else 0
+        longest = max(longest, row)
+    return longest
 
 
 def recorded_poses(folder: Path) -> set[tuple[str, int]]:

@@ -117,7 +117,7 @@ def test_a_region_without_free_space_is_named(office: GridMap) -> None:
 
 def build(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [EIGENSCAN, "build", *arguments], capture_output=True, text=True, timeout=120, check=False
+        [EIGENSCAN, "build", *arguments], capture_output=True, text=True, timeout=600, check=False
     )
 
 

@@ -19,7 +19,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 def build(yaml: Path, out: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", yaml, "-o", out, "--step", "2"]
-    return subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=600, check=False)
 
 
 def save(

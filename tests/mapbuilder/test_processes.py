@@ -19,10 +19,14 @@ from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET
 from eigenscan.schemas.wire import decode
 
+from tests.network import free_port
+
+PATIENCE_S = 240
+
 
 def build(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
 def test_build_writes_models_and_tells_of_them_on_one_screen(office: GridMap, tmp_path: Path) -> None:
@@ -67,7 +71,7 @@ def test_a_users_error_is_one_line_and_leaves_nothing(
 def test_a_late_joiner_gets_the_whole_set_from_the_service(office: GridMap, tmp_path: Path) -> None:
     write_map(office, tmp_path / "map.yaml")
     alone = {"scouting": {"multicast": {"enabled": False}}}
-    site, port = f"t{uuid.uuid4().hex[:8]}", _free_port()
+    site, port = f"t{uuid.uuid4().hex[:8]}", free_port()
     service, ours = tmp_path / "service.json5", tmp_path / "ours.json5"
     service.write_text(json.dumps(alone | {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
     ours.write_text(
@@ -89,7 +93,7 @@ def test_a_late_joiner_gets_the_whole_set_from_the_service(office: GridMap, tmp_
         heard = _listen(ours, site)
     finally:
         process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     models = {key: RegionModel.from_message(m) for key, m in heard.items() if "/model/" in key}
     entries = heard[f"{site}/models"].entries
@@ -103,19 +107,12 @@ def _listen(config: Path, site: str) -> dict[str, Any]:
     inbox, heard = Inbox(), dict[str, Any]()
     with Bus(open_session(config)) as bus:
         bus.listen((MAP, MODEL, MODEL_SET), {"site": site}, inbox)
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline and len(heard) < 5:
             arrival = inbox.take(0.2)
             if arrival is not None:
                 heard[arrival.key] = decode(arrival.channel, arrival.payload, arrival.encoding)
     return heard
-
-
-def _free_port() -> int:
-    import socket
-
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
 
 
 @pytest.mark.parametrize(
@@ -132,7 +129,7 @@ def test_the_service_tells_a_wrong_setting_in_one_line(flags: list[str], says: s
         [sys.executable, "-m", "eigenscan.mapbuilder.node", *flags, "--zenoh", str(config)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert result.returncode == 2

@@ -32,7 +32,7 @@ def command(*arguments: object) -> list[str]:
 
 
 def build(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=240, check=False)
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=600, check=False)
 
 
 def published(grid: GridMap, folder: Path, plan: Plan = QUICK) -> tuple[ModelSet, int]:
@@ -115,7 +115,8 @@ def test_a_build_that_was_killed_goes_on_and_nothing_half_is_ever_there(
     write_map(office, tmp_path / "map.yaml")
     model, pieces = tmp_path / "model", tmp_path / "model.pieces"
     process = subprocess.Popen(
-        command(tmp_path / "map.yaml", "-o", model, *FINE),
+        # this process gets a processor before that one: it must not end before it is killed
+        ["nice", "-n", "19", *command(tmp_path / "map.yaml", "-o", model, *FINE)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -147,7 +148,8 @@ def test_two_workers_build_the_same_models(office: GridMap, tmp_path: Path, wher
             assert workers.client.scheduler is not None
             result = build(*flags, "--scheduler", workers.client.scheduler.address)
     assert result.returncode == 0, result.stderr
-    assert result.stderr == ""
+    # that a machine is too busy for its cluster, dask may say
+    assert not [line for line in result.stderr.splitlines() if "unresponsive" not in line]
     expected = build_site(office, QUICK).to_message()
     assert read_models(tmp_path / "model").to_message().entries == expected.entries
 
@@ -169,7 +171,7 @@ def test_without_dask_the_extra_is_named(office: GridMap, tmp_path: Path) -> Non
         [sys.executable, "-c", hidden, *map(str, flags)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     assert result.returncode == 2

@@ -137,6 +137,6 @@ def test_what_is_wrong_names_the_fix(tmp_path: Path) -> None:
 def test_models_are_built_of_a_plan(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "eigenscan.cli.main", "build", "plan.dxf", "-o", "model", "--step", "2"]
     _dxf(tmp_path, dxf_units.MM, 0.001)
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "model/map.yaml").is_file()

@@ -6,24 +6,28 @@ import json
 import queue
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.recording import Record, read
 from eigenscan.runtime.session import open_session
-from eigenscan.schemas.channels import HEALTH
+from eigenscan.schemas.channels import HEALTH, POSE
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
-PATIENCE_S = 60.0
+from tests.network import PATIENT_QUEUE, free_port
+
+PATIENCE_S = 240.0
 
 
 @dataclass
@@ -49,8 +53,25 @@ class Recorder:
                     return health
         pytest.fail(f"no such health; log:\n{self.log.read_text()}")
 
-    def await_written(self, count: int) -> Health:
-        return self.await_health(lambda health: health.counters.get("mcap_written", 0) >= count)
+    def await_written(self, said: Sequence[Envelope]) -> Health:
+        """Until all of these are in the file; of its own health there is more in it."""
+        wanted = Counter(envelope.channel.name for envelope in said if envelope.channel is not HEALTH)
+
+        def has_all(health: Health) -> bool:
+            heard = {name: health.counters.get(f"heard_{name}", 0) for name in wanted}
+            return all(heard[name] >= count for name, count in wanted.items())
+
+        return self.await_health(has_all)
+
+    def await_on_disk(self, path: Path, count: int, say: Callable[[], object]) -> list[Record]:
+        """Says more until so many messages of POSE can be read while the recorder is at work; gives them."""
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            say()
+            found = [record for record in read(path) if record.envelope.channel is POSE]
+            if len(found) >= count:
+                return found
+            assert time.monotonic() < deadline, f"{len(found)} on disk; log:\n{self.log.read_text()}"
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
@@ -63,11 +84,6 @@ class Recorder:
         return found.group(1)
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
-
-
 @pytest.fixture
 def start_recorder(tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
     """Starts a recorder with the given flags, and waits until it is heard. All end with the test."""
@@ -75,7 +91,11 @@ def start_recorder(tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
 
     def start(*flags: str) -> Recorder:
         port, number = free_port(), len(started)
-        alone = {"mode": "peer", "scouting": {"multicast": {"enabled": False}}}
+        alone = {
+            "mode": "peer",
+            "scouting": {"multicast": {"enabled": False}},
+            "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
+        }
         hub, leaf = tmp_path / f"hub{number}.json5", tmp_path / f"leaf{number}.json5"
         hub.write_text(json.dumps(alone | {"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
         leaf.write_text(json.dumps(alone | {"connect": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))

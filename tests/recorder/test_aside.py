@@ -30,7 +30,7 @@ class Slow:
 
     def write(self, heard: Envelope) -> None:
         self.writes.set()
-        self.may_write.wait(20)
+        self.may_write.wait(120)
         if self._fails_on(heard):
             raise ValueError("undrawable")
         self.written.append(heard)
@@ -39,12 +39,18 @@ class Slow:
         self.closed = True
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What waits may take its time at the end."""
+    monkeypatch.setattr("eigenscan.recorder.aside.DRAIN_S", 60.0)
+
+
 def pose(number: int) -> Envelope:
     return Envelope(POSE, ADDRESS, PoseEstimate(timestamp=stamp(number)))
 
 
 def await_that(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -54,7 +60,7 @@ def numbers(sink: Slow) -> list[int]:
     return [heard.message.timestamp.nanos for heard in sink.written if heard.channel == POSE]  # type: ignore[attr-defined]
 
 
-def test_in_order_and_whole_where_there_is_time() -> None:
+def test_in_order_and_whole_where_there_is_time(patient: None) -> None:
     sink = Slow()
     sink.may_write.set()
     aside = Aside(sink)
@@ -67,11 +73,11 @@ def test_in_order_and_whole_where_there_is_time() -> None:
     assert aside.counters == {"drawn": 7, "undrawn": 0, "undrawable": 0}
 
 
-def test_a_slow_sink_loses_the_oldest_but_never_the_map() -> None:
+def test_a_slow_sink_loses_the_oldest_but_never_the_map(patient: None) -> None:
     sink = Slow()
     aside = Aside(sink)
     aside.write(pose(0))
-    assert sink.writes.wait(20)
+    assert sink.writes.wait(120)
     aside.write(Envelope(MAP, ADDRESS, Grid()))
     for number in range(1, WAITING + 101):
         aside.write(pose(number))
@@ -88,14 +94,14 @@ def test_a_sink_that_hangs_does_not_keep_the_recorder_from_ending() -> None:
     aside = Aside(sink)
     for number in range(10):
         aside.write(pose(number))
-    assert sink.writes.wait(20)
+    assert sink.writes.wait(120)
     aside.close()
     assert not sink.closed
     assert aside.counters["undrawn"] == 9
     sink.may_write.set()
 
 
-def test_what_fails_is_counted_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_what_fails_is_counted_and_logged_once(caplog: pytest.LogCaptureFixture, patient: None) -> None:
     sink = Slow(fails_on=lambda heard: heard.message.timestamp.nanos % 2 == 1)  # type: ignore[attr-defined]
     sink.may_write.set()
     aside = Aside(sink)

@@ -373,9 +373,10 @@ def test_whatever_decodes_can_be_drawn(tmp_path: Path) -> None:
 def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tmp_path: Path) -> None:
     """A real process; it ends in time with both open, and the file is whole."""
     recorder = start_recorder("--rrd", str(tmp_path / "a.rrd"), "--viewer-port", "0", "--data-port", "0")
-    for message in Site(recorder.site, seconds=0.5).messages():
+    said = list(Site(recorder.site, seconds=0.5).messages())
+    for message in said:
         recorder.bus.say(message)
-    recorder.await_health(lambda health: health.counters.get("heard_pose", 0) >= 3)
+    recorder.await_health(lambda health: health.counters.get("drawn", 0) >= len(said))
     assert recorder.viewer().startswith("http://127.0.0.1:")
     assert recorder.stop() == 0
     assert "/world/map" in entities(tmp_path / "a.rrd")

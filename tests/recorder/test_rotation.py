@@ -131,6 +131,8 @@ def test_a_process_rotates_within_its_budget_and_replay_joins_its_files(
         recorder.bus.say(message)
         time.sleep(0.1)
     health = recorder.await_health(lambda health: health.counters.get("heard_pose", 0) == len(sent))
+    # its own health goes on, once a second
+    recorder.await_health(lambda health: health.counters.get("mcap_files", 0) >= 3)
     assert {"mcap_slow", "mcap_slowest_ms", "waiting"} <= set(health.counters)
     assert recorder.stop() == 0
     files = list(out.glob("*.mcap"))

@@ -17,6 +17,7 @@ from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import POSE
 from rerun.chunk import RrdReader
 
+from tests.recorder.conftest import PATIENCE_S
 from tests.recorder.traffic import Site
 
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main", "view"]
@@ -137,15 +138,15 @@ def test_the_viewer_is_served_on_this_machine_only_and_ends_with_the_command(
         link = re.match(r"viewer: (http://127\.0\.0\.1:\d+/)\?url=rerun", process.stdout.readline())
         assert link
         page = ""
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE_S
         while "rerun" not in page.lower():
             assert time.monotonic() < deadline
             try:
-                with urllib.request.urlopen(link.group(1), timeout=5) as answer:
+                with urllib.request.urlopen(link.group(1), timeout=PATIENCE_S) as answer:
                     page = answer.read().decode()
             except OSError:
                 time.sleep(0.1)
         process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
+        assert process.wait(PATIENCE_S) == 0
     with pytest.raises(OSError, match="refused"):
-        urllib.request.urlopen(link.group(1), timeout=5)
+        urllib.request.urlopen(link.group(1), timeout=PATIENCE_S)

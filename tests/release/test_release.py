@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(root / "tools/release"), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
 
 
 @pytest.fixture

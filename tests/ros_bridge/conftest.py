@@ -5,7 +5,6 @@ The robot is zenoh-ros2-sdk: its keys, tokens, attachments and type hashes are i
 
 import json
 import os
-import socket
 import subprocess
 import sys
 import threading
@@ -14,13 +13,13 @@ import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 import zenoh
 import zenoh_ros2_sdk.message_registry
-from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.service_types import NO_FIELDS, SERVICES
 from eigenscan.runtime.bus import Bus
@@ -32,14 +31,20 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
+from tests.network import PATIENT_QUEUE, free_port
+
 T = TypeVar("T")
 
-PATIENCE_S = 120.0
+PATIENCE_S = 240.0
 """What a step may take on a machine that is busy."""
 ALONE = {
     "scouting": {"multicast": {"enabled": False}},
     "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
 }
+
+
+DOMAINS = count(1, 2)
+"""Each robot's, and the next one's for its neighbour."""
 
 
 def eventually(what: Callable[[], T | None], about: str) -> T:
@@ -75,9 +80,16 @@ class Network:
 
 @pytest.fixture(scope="session")
 def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = int(server.getsockname()[1])
-    network = Network(port, tmp_path_factory.mktemp("zenoh") / "leaf.json5")
+    patience = PATIENT_QUEUE["congestion_control"]["drop"]["wait_before_drop"]
+    # the SDK's own sessions are as patient
+    sdk = f"transport/link/tx/queue/congestion_control/drop/wait_before_drop={patience}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ZENOH_CONFIG_OVERRIDE", sdk)
+        yield from _network(tmp_path_factory)
+
+
+def _network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
+    network = Network(free_port(), tmp_path_factory.mktemp("zenoh") / "leaf.json5")
     listening = {"listen": {"endpoints": ["tcp/127.0.0.1:0"]}, "connect": {"endpoints": [network.endpoint]}}
     network.leaf.write_text(json.dumps(ALONE | {"mode": "peer"} | listening))
     router = ALONE | {"mode": "router", "listen": {"endpoints": [network.endpoint]}}
@@ -156,7 +168,7 @@ def start(network: Network) -> Iterator[Callable[..., Bridge]]:
         yield start
         for bridge in started:
             bridge.process.terminate()
-            assert bridge.process.wait(10) == 0
+            assert bridge.process.wait(PATIENCE_S) == 0
 
 
 @dataclass
@@ -207,6 +219,6 @@ def definitions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def robot(network: Network, definitions: Path) -> Iterator[Robot]:
-    robot = Robot(network.port, domain=int.from_bytes(os.urandom(1), "big") % 200 + 1)
+    robot = Robot(network.port, domain=next(DOMAINS))
     yield robot
     robot.close()

@@ -15,9 +15,9 @@ from typing import Any
 
 import zenoh
 from cyclonedds.core import Policy, Qos
-from eigenscan.cli.launch.network import free_port
 from eigenscan.ros_bridge import cdr
 
+from tests.network import free_port
 from tests.ros_bridge import dds_robot as dds
 from tests.ros_bridge.test_core import TIME
 from tests.ros_bridge.test_recorded_dds import RECORDED

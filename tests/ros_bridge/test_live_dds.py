@@ -20,7 +20,6 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
-from eigenscan.cli.launch.network import free_port
 from eigenscan.cli.simulation.live import publish
 from eigenscan.cli.simulation.stage import Scenario, Stage
 from eigenscan.cli.simulation.world import office
@@ -36,6 +35,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Reloca
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 
+from tests.network import free_port
 from tests.ros_bridge.conftest import Bridge, Ear, Network, eventually
 
 pytestmark = pytest.mark.rust

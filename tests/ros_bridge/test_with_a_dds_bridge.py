@@ -4,8 +4,8 @@ Its sources say: topics are plain keys, transient local ones have an advanced pu
 carries `rqh`, the DDS header and the byte order beside it, its reply nothing.
 """
 
+import json
 import struct
-import time
 import uuid
 from collections.abc import Callable, Iterator
 
@@ -23,6 +23,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Reloca
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 
+from tests.network import free_port
 from tests.ros_bridge.conftest import Bridge, Network, eventually
 from tests.ros_bridge.test_core import MOUNT, odometry, scan
 
@@ -121,7 +122,7 @@ def test_the_dds_bridge_is_told_of_the_topics(start: Start, dds: zenoh.Session, 
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         return {key.split("/", 3)[3] for key in keys if f"/{name}§" in key}
 
-    shown = eventually(tokens, "the tokens")
+    shown = eventually(lambda: found if len(found := tokens()) >= 28 else None, "the tokens")
     assert len(shown) == 28
     assert {key.split("/")[0] for key in shown} == {"MP", "MS", "SS"}
     bridge.process.terminate()
@@ -141,14 +142,8 @@ def test_humble_has_keys_without_hashes(start: Start, dds: zenoh.Session, name: 
 
 def test_a_router_that_comes_later_is_found(start: Start, network: Network) -> None:
     """As at power-on, when the robot's programs start in any order."""
-    import json
-
-    from eigenscan.cli.launch.network import free_port
-
     port = free_port()
-    begun = time.monotonic()
     bridge = start("--domain", "6", ros_router=f"tcp/127.0.0.1:{port}")
-    assert time.monotonic() - begun < 30.0
     router = {"mode": "router", "listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}
     router["scouting"] = {"multicast": {"enabled": False}}
     with zenoh.open(zenoh.Config.from_json5(json.dumps(router))) as session:

@@ -40,7 +40,7 @@ def call(robot: Robot) -> Iterator[Call]:
 
     def call(name: str, kind: str, **request: Any) -> Any:
         if name not in clients:
-            about = {"domain_id": robot.domain, "router_port": robot.port, "timeout": 5.0}
+            about = {"domain_id": robot.domain, "router_port": robot.port, "timeout": 60.0}
             clients[name] = ROS2ServiceClient(name, kind, **about)
         given = request or {"structure_needs_at_least_one_member": 0}
         return eventually(lambda: clients[name].call(**given), f"the response of {name}")

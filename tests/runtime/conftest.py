@@ -1,8 +1,6 @@
 """Zenoh on loopback TCP, apart from all other traffic: a port and a site name per test."""
 
 import json
-import os
-import socket
 import subprocess
 import sys
 import uuid
@@ -12,10 +10,14 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 
+from tests import environment
+from tests.network import PATIENT_QUEUE, free_port
+
+PATIENCE_S = 120
+"""What a step may take on a machine that is busy."""
 TINY = Path(__file__).with_name("tiny_service.py")
 
 
@@ -29,11 +31,6 @@ class Net:
 
     def open(self, path: Path | None = None) -> zenoh.Session:
         return open_session(path or self.leaf)
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
 
 
 @pytest.fixture
@@ -96,10 +93,9 @@ def start(net: Net) -> Iterator[Callable[..., Started]]:
 
     def starter(*arguments: object, config: Path | None = None, program: Path = TINY) -> Started:
         command = [sys.executable, program, "--site", net.site, "--zenoh", config or net.hub]
-        clean = {name: value for name, value in os.environ.items() if not name.startswith("EIGENSCAN_")}
         process = subprocess.Popen(
             [*map(str, command), "--log-format", "json", *map(str, arguments)],
-            stderr=subprocess.PIPE, text=True, env=clean,
+            stderr=subprocess.PIPE, text=True, env=environment.clean(),
         )  # fmt: skip
         running.append(process)
         return Started(process)
@@ -108,4 +104,4 @@ def start(net: Net) -> Iterator[Callable[..., Started]]:
     for process in running:
         if process.poll() is None:
             process.kill()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)

@@ -12,6 +12,8 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.wire import decode
 
+from tests.runtime.conftest import PATIENCE_S
+
 
 def _ask(bus: Bus, net: Any, robot: str) -> None:
     address = {"site": net.site, "robot": robot, "lidar": "front"}
@@ -22,7 +24,7 @@ def _answers(inbox: Inbox, count: int) -> dict[str, int]:
     """Robots of the next answers, and how many scans had been answered before each; keys have no order."""
     robots: dict[str, int] = {}
     while len(robots) < count:
-        arrival = inbox.take(20)
+        arrival = inbox.take(PATIENCE_S)
         assert arrival is not None, f"{robots}, and no more"
         scan = decode(SCAN, arrival.payload, arrival.encoding)
         assert isinstance(scan, Scan)
@@ -38,7 +40,9 @@ def test_a_group_is_served_and_nobody_else_and_new_robots_from_their_first_word(
     service = start("--robot", "a-*,b-7", config=net.leaf)
     service.log("ready")
     for robot in ("a-1", "b-7"):
-        assert bus.wait_for_listener(SCAN_RAW.key({"site": net.site, "robot": robot, "lidar": "front"}), 20)
+        assert bus.wait_for_listener(
+            SCAN_RAW.key({"site": net.site, "robot": robot, "lidar": "front"}), PATIENCE_S
+        )
     for robot in ("a-1", "c-1", "b-70", "xa-1", "b-7", "a-new"):
         _ask(bus, net, robot)
     assert set(_answers(inbox, 3)) == {"a-1", "b-7", "a-new"}
@@ -58,7 +62,7 @@ def test_groups_have_names_of_their_own_and_one_name_twice_is_noticed(
 
     def listen_until(holds: Callable[[], bool]) -> None:
         while not holds():
-            arrival = inbox.take(20)
+            arrival = inbox.take(PATIENCE_S)
             assert arrival is not None, f"heard of {sorted(heard)}"
             health = decode(HEALTH, arrival.payload, arrival.encoding)
             assert isinstance(health, Health)

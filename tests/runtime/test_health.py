@@ -58,7 +58,9 @@ def test_prometheus_reads_the_metrics() -> None:
     monitor = Monitor("probe", "r7", "1.2.3")
     monitor.turn(OK)
     monitor.handled("scan", 0.003)
-    monitor.dealt_with("scan", time.time_ns() - 3_000_000_000)
+    stamp = time.time_ns() - 3_000_000_000
+    monitor.dealt_with("scan", stamp)
+    oldest = (time.time_ns() - stamp) * 1e-9
     families = {family.name: family for family in text_string_to_metric_families(monitor.metrics().decode())}
     assert [
         (sample.name, sample.labels, sample.value) for sample in families["eigenscan_messages"].samples
@@ -66,7 +68,7 @@ def test_prometheus_reads_the_metrics() -> None:
     assert families["eigenscan_status"].samples[0].value == Health.STATUS_OK
     assert families["eigenscan_handling_seconds"].type == "histogram"
     (age,) = (one.value for one in families["eigenscan_lag_seconds"].samples if one.name.endswith("_sum"))
-    assert 3.0 <= age < 10.0
+    assert 3.0 <= age <= oldest
     assert families["eigenscan_waiting_messages"].samples[0].value == 2
     (info,) = (
         families["eigenscan_info"].samples if "eigenscan_info" in families else families["eigenscan"].samples
@@ -89,6 +91,6 @@ def test_it_serves_while_a_client_hangs() -> None:
     port = monitor.serve("127.0.0.1", 0)
     with socket.create_connection(("127.0.0.1", port)) as idle:
         idle.send(b"GET /metr")
-        with urlopen(f"http://127.0.0.1:{port}/healthz", timeout=5) as reply:
+        with urlopen(f"http://127.0.0.1:{port}/healthz", timeout=120) as reply:
             assert reply.status == 200
     monitor.close()

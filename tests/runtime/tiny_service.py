@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Iterable
+from pathlib import Path
 
 from eigenscan.runtime import node
 from eigenscan.runtime.settings import ServiceSettings
@@ -17,6 +18,7 @@ class TinySettings(ServiceSettings):
     make_s: float = 0.0
     start_s: float = 0.0
     handle_s: float = 0.0
+    start_until: Path | None = None
     model_bytes: int = 0
     broken: bool = False
     prompt: bool = False
@@ -35,6 +37,10 @@ class TinyCore:
 
     def start(self) -> Iterable[Envelope]:
         print_waiting("start", self._settings.start_s)
+        if self._settings.start_until:
+            print_waiting("start", 0.001)
+            while not self._settings.start_until.exists():
+                time.sleep(0.01)
         if self._settings.model_bytes:
             model = RegionModel(region="hall", version="1", panoramas=bytes(self._settings.model_bytes))
             yield Envelope(MODEL, {"site": self._settings.site, "region": "hall"}, model)

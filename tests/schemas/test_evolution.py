@@ -91,7 +91,7 @@ def test_the_command_refuses_a_break(tmp_path: Path, today: FileDescriptorSet) -
     baseline.write_bytes(earlier.SerializeToString())
     ran = subprocess.run(
         [sys.executable, "-m", "eigenscan.schemas.evolution", str(baseline)],
-        capture_output=True, text=True, timeout=60, check=False,
+        capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert ran.returncode == 1
     assert "eigenscan.Scan.gone = 99 vanished" in ran.stderr

@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import uuid
 from collections.abc import Iterator
@@ -11,9 +10,9 @@ from pathlib import Path
 import pytest
 import zenoh
 from eigenscan.cli.importers import open_log, stamp_of
-from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.runtime.recording import RecordingWriter
 
+from tests.network import PATIENT_QUEUE, free_port
 from tests.system.house import (
     BEGIN_S,
     INTEL,
@@ -58,8 +57,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def house(tmp_path: Path) -> Iterator[House]:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     alone = {
         "scouting": {"multicast": {"enabled": False}},
         # a busy machine must not lose what the test counts

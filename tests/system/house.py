@@ -1,7 +1,6 @@
 """The services as processes on a router of their own, and what they are heard to say."""
 
 import csv
-import os
 import signal
 import subprocess
 import sys
@@ -19,6 +18,8 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
+from tests import environment
+
 T = TypeVar("T")
 
 INTEL = Path(__file__).parents[2].parent / "shared/datasets/intel"
@@ -26,7 +27,7 @@ BEGIN_S, LENGTH_S = 1_000_000_180.0, 30.0
 SPACING = 0.5
 PROGRAMS = Path(sys.executable).parent
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-PATIENCE_S = 90.0
+PATIENCE_S = 240.0
 """What a step may take on a machine that is busy; nothing is judged by time but what says so."""
 
 
@@ -44,6 +45,15 @@ def reference(stamps: np.ndarray) -> np.ndarray:
     with (INTEL / "log.tum").open() as file:
         rows = np.array([row[:3] for row in csv.reader(file, delimiter=" ") if row], dtype=float)
     return np.column_stack([np.interp(stamps * 1e-9, rows[:, 0], rows[:, i]) for i in (1, 2)])
+
+
+def eventually(what: Callable[[], T], about: str, seen: object = "") -> T:
+    """What `what` gives, as soon as it is true; `seen` is told where it never is."""
+    end = time.monotonic() + PATIENCE_S
+    while not (result := what()):
+        assert time.monotonic() < end, f"waited {PATIENCE_S:.0f} s in vain for {about}; {seen}"
+        time.sleep(0.1)
+    return result
 
 
 @dataclass
@@ -104,13 +114,12 @@ class House:
     def start(self, service: str, *flags: object, alias: str = "") -> None:
         """Starts a service and waits until it says how it is; `alias` names it among several of its kind."""
         before = self._words(service)
-        clean = {name: value for name, value in os.environ.items() if not name.startswith("EIGENSCAN_")}
         with (self.logs / f"{service}.log").open("ab") as log:
             self.running[alias or service] = subprocess.Popen(
                 self._command(f"eigenscan-{service}", *flags),
                 stdout=log,
                 stderr=log,
-                env=clean | ONE_THREAD,
+                env=environment.clean() | ONE_THREAD,
             )
         self.ear.wait_for(lambda _: self._words(service) > before, f"{service} to speak\n{self.log(service)}")
 
@@ -131,12 +140,11 @@ class House:
         assert found is not None
         return found
 
-    def terminate(self, service: str) -> tuple[int, float]:
-        """Ends a service as an operating system does; its exit code and the seconds that it took."""
+    def terminate(self, service: str) -> int:
+        """Ends a service as an operating system does; its exit code."""
         process = self.running.pop(service)
-        before = time.monotonic()
         process.send_signal(signal.SIGTERM)
-        return process.wait(PATIENCE_S), time.monotonic() - before
+        return process.wait(PATIENCE_S)
 
     def kill(self, service: str) -> None:
         """Ends a service without warning."""

@@ -12,7 +12,7 @@ from urllib.error import URLError
 from urllib.parse import urlencode
 from urllib.request import urlopen
 
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
 
 
 def find_programs(folder: Path) -> Path:
@@ -20,11 +20,12 @@ def find_programs(folder: Path) -> Path:
     installed = shutil.which("promtool")
     if installed:
         return Path(installed).parent
-    for command in (["apt-get", "download", "-qq", "prometheus"], ["apt-get", "update", "-qq"]):
+    apt_get = ["apt-get", "-o", "Acquire::Retries=5", "-qq"]
+    for command in ([*apt_get, "download", "prometheus"], [*apt_get, "update"]):
         if subprocess.run(command, cwd=folder, check=False, capture_output=True).returncode == 0:
             break
     if not list(folder.glob("*.deb")):
-        subprocess.run(["apt-get", "download", "-qq", "prometheus"], cwd=folder, check=True)
+        subprocess.run([*apt_get, "download", "prometheus"], cwd=folder, check=True)
     (package,) = folder.glob("*.deb")
     subprocess.run(["dpkg-deb", "-x", package, folder], check=True)
     return folder / "usr/bin"
@@ -53,7 +54,9 @@ def until_it_has(address: str, expression: str) -> list[Any]:
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         try:
-            with urlopen(f"{address}/api/v1/query?{urlencode({'query': expression})}", timeout=5) as reply:
+            with urlopen(
+                f"{address}/api/v1/query?{urlencode({'query': expression})}", timeout=PATIENCE_S
+            ) as reply:
                 found: list[Any] = json.load(reply)["data"]["result"]
             if found:
                 return found

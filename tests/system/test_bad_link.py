@@ -9,13 +9,13 @@ from itertools import pairwise
 import pytest
 from eigenscan.cli.fleet.status import listen, rows
 from eigenscan.cli.fleet.view import FleetView
-from eigenscan.cli.launch.network import free_port
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import MODEL, MODEL_SET, POSE
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
+from tests.network import free_port
 from tests.system.bad_link import BadLink
 from tests.system.house import Ear, House
 from tests.system.robot import Robot

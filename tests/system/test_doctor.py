@@ -1,10 +1,11 @@
 """`eigenscan doctor` and `eigenscan fleet status` beside real services and real faults."""
 
 import json
+import re
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import count
 from pathlib import Path
@@ -17,7 +18,7 @@ from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import encode, encoding
 
-from tests.system.house import PROGRAMS, House
+from tests.system.house import PATIENCE_S, PROGRAMS, House, eventually
 from tests.system.robot import Robot
 
 
@@ -50,36 +51,46 @@ def complaints(house: House, *flags: str) -> list[tuple[str, str]]:
     return [(finding["where"], finding["what"]) for finding in found]
 
 
+def until_it_finds(house: House, *wanted: tuple[str, str], flags: Sequence[str] = ()) -> None:
+    """Doctor finds this and nothing else: on a busy machine once all has come that it has to hear."""
+    found: list[tuple[str, str]] = []
+
+    def finds() -> bool:
+        found[:] = complaints(house, *flags)
+        return found == list(wanted)
+
+    eventually(finds, f"doctor to find {wanted}", found)
+
+
 def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> None:
     robot = Robot(house.site, house.config)
     map_file = robot.write_map(house.logs)
     for service in ("projector", "tracker", "scan-ingest"):
         house.start(service)
     where, site = "robot robot", f"site {house.site}"
-    assert complaints(house) == [
-        (site, "no mapbuilder: who starts now gets no model"),
-        (where, "no scans come"),
-    ]
+    no_map = (site, "no mapbuilder: who starts now gets no model")
+    until_it_finds(house, no_map, (where, "no scans come"))
     with robot:
-        assert (where, "projector: no model") in complaints(house)
+        eventually(lambda: (where, "projector: no model") in complaints(house), "a word on the model")
         house.start("mapbuilder", "--map", map_file, "--step", "1.0")
         house.until("tracker", lambda health: health.counters["heard_hypotheses"] > 10, "hears hypotheses")
-        assert complaints(house) == []
+        until_it_finds(house)
 
         _, seen = ask(house, "fleet", "status")
         (row,) = seen["robots"]
         assert (row["robot"], row["state"], row["model"]) == ("robot", "localized", seen["model"])
-        assert row["pose_age_s"] < 2.0
+        assert 0.0 <= row["pose_age_s"] < PATIENCE_S
         assert row["services"] == dict.fromkeys(("projector", "tracker", "scan-ingest"), "ok")
 
         robot.odometry.clear()
-        assert [what.split(":")[0] for _, what in complaints(house)] == ["no odometry comes"]
+        eventually(
+            lambda: [what.split(":")[0] for _, what in complaints(house)] == ["no odometry comes"],
+            "a word on the odometry",
+        )
         robot.odometry.set()
         house.kill("tracker")
-        assert complaints(house, "--robot", "lost") == [
-            *(("robot lost", f"no {service}") for service in ("scan-ingest", "projector", "tracker")),
-            (where, "no tracker"),
-        ]
+        nobody = [("robot lost", f"no {service}") for service in ("scan-ingest", "projector", "tracker")]
+        until_it_finds(house, *nobody, (where, "no tracker"), flags=("--robot", "lost"))
 
 
 def test_a_dead_router_is_named(house: House, tmp_path: Path) -> None:
@@ -93,7 +104,7 @@ def test_a_dead_router_is_named(house: House, tmp_path: Path) -> None:
 
 
 def test_an_empty_site_is_named(house: House) -> None:
-    assert complaints(house) == [(f"site {house.site}", "nobody is there")]
+    until_it_finds(house, (f"site {house.site}", "nobody is there"))
 
 
 @contextmanager
@@ -141,15 +152,20 @@ def stranger(house: House) -> Iterator[dict[str, Any]]:
 
 def test_another_release_a_wrong_clock_and_drops_are_named(house: House, stranger: dict[str, Any]) -> None:
     stranger |= {"status": Health.STATUS_DEGRADED, "detail": "disk full"}
-    said = [what for where, what in complaints(house) if where == "projector old"]
-    assert said[:3] == [
+    wanted = [
         "speaks version 99 of the contract, this command 1",
-        "its clock is 60 s behind",
+        "its clock is 6[0-9] s behind",
         "disk full",
+        "could not decode .*",
+        "is too slow: drops scan, .*",
     ]
-    assert said[3].startswith("could not decode ")
-    assert said[4].startswith("is too slow: drops scan, ")
-    assert len(said) == 5
+    said: list[str] = []
+
+    def finds() -> bool:
+        said[:] = [what for where, what in complaints(house) if where == "projector old"]
+        return len(said) == len(wanted) and all(map(re.fullmatch, wanted, said))
+
+    eventually(finds, "doctor to find all of it", said)
 
 
 def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(house: House) -> None:
@@ -169,9 +185,9 @@ def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(hou
                 return {"settings": told, "counters": {"heard_scan_raw": number}}
 
             stack.enter_context(speaking(house, service, instance, CONTRACT_VERSION, words))
-        found = complaints(house, "--robot", "b-2")
-    assert found[1:] == [
-        ("robot a-1", "has tracker a-+ and a-1: each spoils what the other says"),
-        ("robot a-1", "no projector searches part 2/3 of the site"),
-        ("robot b-2", "no tracker"),
-    ]
+        wanted = [
+            ("robot a-1", "has tracker a-+ and a-1: each spoils what the other says"),
+            ("robot a-1", "no projector searches part 2/3 of the site"),
+            ("robot b-2", "no tracker"),
+        ]
+        eventually(lambda: complaints(house, "--robot", "b-2")[1:] == wanted, "doctor to find all of it")

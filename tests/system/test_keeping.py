@@ -25,7 +25,7 @@ from tests.system.house import PROGRAMS, House
 
 AT_ONCE = 100
 """Messages, so that the inbox holds them."""
-LIVE_S = 0.1
+LIVE_S, LIVE_AT_ONCE = 0.1, 20
 
 
 @pytest.fixture
@@ -55,6 +55,10 @@ def drive(house: House, scans: list[int], stop: threading.Event) -> None:
                 if envelope.channel is SCAN:
                     scans.append(nanoseconds(envelope.open(Scan).timestamp))
                     time.sleep(LIVE_S)
+                    # never more of them than the projector's inbox holds
+                    while len(scans) - len(house.ear.of(HYPOTHESES, Hypotheses)) > LIVE_AT_ONCE:
+                        if stop.wait(LIVE_S):
+                            return
 
 
 def tell(house: House, messages: list[Envelope], heard: int) -> int:

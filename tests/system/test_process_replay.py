@@ -36,7 +36,7 @@ def test_a_recorded_site_replays_to_the_same_bits(
     )
     house.until("tracker", lambda health: health.counters["heard_hypotheses"] >= scans, "hears them all")
     for service in (*SERVICES, "mapbuilder", "recorder"):
-        assert house.terminate(service)[0] == 0
+        assert house.terminate(service) == 0
 
     for service in (*SERVICES, "pipeline"):
         ended = CliRunner().invoke(app, ["replay", str(recording), "--service", service, "--compare"])

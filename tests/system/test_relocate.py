@@ -7,7 +7,7 @@ from typing import Any
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
-from tests.system.house import PROGRAMS, House
+from tests.system.house import PATIENCE_S, PROGRAMS, House
 from tests.system.robot import Robot
 
 
@@ -35,16 +35,23 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
 
         newest = house.ear.wait_for(sure, "a claim")[-1]
         code, found, _ = tell(
-            house, "robot", "--pose", newest.pose.x, newest.pose.y, 57.3 * newest.pose.theta, "--seconds", 30
+            house,
+            "robot",
+            "--pose",
+            newest.pose.x,
+            newest.pose.y,
+            57.3 * newest.pose.theta,
+            "--seconds",
+            PATIENCE_S,
         )
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert found["away_m"] < 20.0  # it has driven on since
 
-        code, found, _ = tell(house, "robot", "--anew", "--seconds", 30)
+        code, found, _ = tell(house, "robot", "--anew", "--seconds", PATIENCE_S)
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert house.ear.health("tracker").counters["relocated"] == 2  # type: ignore[union-attr]
 
-        code, found, error = tell(house, "lost", "--anew", "--seconds", 3)
+        code, found, error = tell(house, "lost", "--anew", "--seconds", 8)
         assert (code, found) == (1, {})
         assert "lost: nobody tracks it" in error
         assert "robot" in error.rpartition(":")[2]

@@ -13,12 +13,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from hypothesis import settings
 from numpy.typing import ArrayLike
-
-# a busy machine is not a wrong answer
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
 
 MakeCore = Callable[..., TrackerCore]
 PosesOf = Callable[[Iterable[Envelope]], list[PoseEstimate]]

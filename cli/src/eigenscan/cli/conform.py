@@ -21,6 +21,9 @@ def conform(
     ] = 0.2,
     start: Annotated[float, typer.Option(min=1.0, help="s that the program may take to be ready")] = 60.0,
     speed: Annotated[float, typer.Option(min=0.1, help="times faster than the drive was")] = 1.0,
+    patience: Annotated[
+        float, typer.Option(min=1.0, help="times longer than the contract has it may anything else take")
+    ] = 1.0,
     json_file: JsonFile = None,
     junit_file: Annotated[
         Path | None, typer.Option("--junit", help="write the results here, JUnit XML")
@@ -66,7 +69,7 @@ def conform(
             told["recording"] = str(Path(place) / "ended")
         elif profile.asks is None:
             told["map"] = str(vectors.folder() / vectors.MAP_FILE)
-        trial = Trial(session, others, seen, Terms(start_s=start, speed=speed))
+        trial = Trial(session, others, seen, Terms(start, speed=speed, patience=patience))
         trial.prepare()
         with Candidate(command, told, Path(place) / "log.txt") as candidate:
             trial.run(candidate)
@@ -75,8 +78,8 @@ def conform(
             again = told | {"recording": str(Path(place) / "killed")}
             with Candidate(command, again, Path(place) / "killed.txt") as candidate:
                 killed = trial.kill(candidate)
-            seen.kept.append(judge_killed(Path(place) / "killed", seen.said, killed))
-    checks = judge(seen, latency)
+            seen.kept.append(judge_killed(Path(place) / "killed", seen.said, killed, patience))
+    checks = judge(seen, latency, patience)
     if wants_words(json_file):
         typer.echo(report(seen, checks))
     write_figures(figures(seen, checks, command), json_file)

@@ -35,12 +35,9 @@ from eigenscan.schemas.health_pb2 import Health
 S = TypeVar("S", bound=ServiceSettings)
 
 HEALTH_PERIOD_S = 1.0
-STOP_CORE_S = 1.0
-"""What the core gets to end its present message and say what it holds back, when told to stop."""
-CLOSE_S = 0.7
-"""What the session gets to close: a neighbour may be slow to take a large answer."""
-STOP_ALL_S = 1.9
-"""After this a process that was told to stop is ended by force."""
+STOP_CORE, CLOSE, STOP_ALL = 0.5, 0.35, 0.95
+"""Shares of `stop_s`: what the core gets to end its present message and say what it holds back; what the
+session gets to close, where a neighbour may be slow to take a large answer; when it is ended by force."""
 WHOLE_SITE_SLACK = 16
 """Who hears a whole site may fall behind so many times farther, while a disk is busy, before it drops."""
 EXIT_SETTINGS = 2
@@ -142,15 +139,15 @@ class Node:
         core = threading.Thread(target=self._run_core, name="core", daemon=True)
         core.start()
         self._tend(core)
-        faulthandler.dump_traceback_later(STOP_ALL_S, exit=True)
+        faulthandler.dump_traceback_later(STOP_ALL * settings.stop_s, exit=True)
         try:
             self._inbox.close()
-            core.join(STOP_CORE_S)
+            core.join(STOP_CORE * settings.stop_s)
             unfinished = core.is_alive()
             if self._bus:
                 closing = threading.Thread(target=self._close, args=(self._bus,), name="close", daemon=True)
                 closing.start()
-                closing.join(CLOSE_S)
+                closing.join(CLOSE * settings.stop_s)
                 unfinished = unfinished or closing.is_alive()
             self._monitor.close()
         finally:

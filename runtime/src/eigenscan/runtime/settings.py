@@ -28,7 +28,10 @@ from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 
-_OF_THE_PROCESS = {"zenoh", "keep", "metrics_port", "metrics_host", "log_level", "log_format", "behind_after"}
+_OF_THE_PROCESS = {
+    *("zenoh", "keep", "metrics_port", "metrics_host", "log_level", "log_format"),
+    *("behind_after", "stop_s"),
+}
 
 
 class SettingsError(ValueError):
@@ -75,6 +78,11 @@ class ServiceSettings(BaseModel):
         "auto",
         pattern="^(auto|json|console)$",
         description="json, console, or auto: console on a terminal",
+    )
+    stop_s: float = Field(
+        2.0,
+        gt=0.0,
+        description="s within which it ends when told to; more where the machine or its disk is very busy",
     )
 
     def told(self) -> str:

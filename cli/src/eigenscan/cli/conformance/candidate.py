@@ -68,12 +68,15 @@ class Candidate:
         self._process.kill()
         self._process.wait()
 
-    def terminate(self) -> tuple[int | None, float]:
-        """Sends SIGTERM; exit code, None where it had to be killed, and the seconds that it took."""
+    def terminate(self, patience: float = 1.0) -> tuple[int | None, float]:
+        """Sends SIGTERM; exit code, None where it had to be killed, and the seconds that it took.
+
+        `patience`: so many times longer than usual is waited for its end.
+        """
         before = time.monotonic()
         self._process.send_signal(signal.SIGTERM)
         try:
-            code = self._process.wait(KILLED_AFTER_S)
+            code = self._process.wait(KILLED_AFTER_S * patience)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -22,12 +22,18 @@ HEALTH_GAP_S = 2.5
 """Health comes once a second; a busy machine may be late by as much again."""
 
 
-def judge(seen: Observed, latency_s: float) -> list[Check]:
-    """All checks. `latency_s` is what 95 % of the answers may take."""
+def judge(seen: Observed, latency_s: float, patience: float = 1.0) -> list[Check]:
+    """All checks. `latency_s` is what 95 % of the answers may take; `patience` extends the other limits."""
     if seen.profile.records:
-        parts = (_presence, travelling, _survives)
-        return [*(one for part in parts for one in part(seen)), *seen.kept, _stops(seen)]
-    checks = [one for part in _PARTS for one in part(seen)] + [_latency(seen, latency_s), _stops(seen)]
+        return [
+            *_presence(seen, patience),
+            *travelling(seen),
+            *_survives(seen),
+            *seen.kept,
+            _stops(seen, patience),
+        ]
+    checks = [*_presence(seen, patience), *(one for part in _PARTS for one in part(seen))]
+    checks += [_latency(seen, latency_s), _stops(seen, patience)]
     if seen.heard:
         return checks
     return [
@@ -35,7 +41,7 @@ def judge(seen: Observed, latency_s: float) -> list[Check]:
     ]
 
 
-def _presence(seen: Observed) -> Iterator[Check]:
+def _presence(seen: Observed, patience: float) -> Iterator[Check]:
     key = alive_key(seen.address["site"], seen.profile.name, seen.instance)
     clause = "Presence"
     if key in seen.tokens:
@@ -53,7 +59,7 @@ def _presence(seen: Observed) -> Iterator[Check]:
     end = seen.stopped_at - (seen.stopped[1] if seen.stopped else 0.0) if seen.stopped else told[-1].at
     gaps = np.diff([one.at for one in told if one.at <= end] + [end])
     problems = []
-    if len(gaps) and gaps.max() > HEALTH_GAP_S:
+    if len(gaps) and gaps.max() > HEALTH_GAP_S * patience:
         problems.append(f"silent for {gaps.max():.1f} s, health is due once a second")
     named = {(one.address["service"], one.address["instance"]) for one in told}
     if named != {(seen.profile.name, seen.instance)}:
@@ -224,7 +230,7 @@ def _latency(seen: Observed, limit_s: float) -> Check:
     )
 
 
-def _stops(seen: Observed) -> Check:
+def _stops(seen: Observed, patience: float) -> Check:
     name, clause = "stops", "Presence"
     if seen.stopped is None:
         return Check(name, clause, FAILED, seen.ended_early or "it is gone")
@@ -233,7 +239,7 @@ def _stops(seen: Observed) -> Check:
     problems = []
     if code is None:
         problems.append(f"SIGTERM does not end it; killed after {took:.0f} s")
-    elif took > STOPS_WITHIN_S:
+    elif took > STOPS_WITHIN_S * patience:
         problems.append(f"takes {took:.1f} s to end after SIGTERM, the contract has {STOPS_WITHIN_S:.0f} s")
     elif key in seen.tokens and seen.tokens[key][1] is None:
         problems.append("its liveliness token is still there after its end")
@@ -241,7 +247,6 @@ def _stops(seen: Observed) -> Check:
 
 
 _PARTS: tuple[Callable[[Observed], Iterator[Check]], ...] = (
-    _presence,
     travelling,
     _models,
     _answers,

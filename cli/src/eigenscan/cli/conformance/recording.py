@@ -51,14 +51,14 @@ def judge_whole(folder: Path, said: Sequence[Said]) -> list[Check]:
     ]
 
 
-def judge_killed(folder: Path, said: Sequence[Said], killed: int) -> Check:
-    """What a recorder left that was killed at `killed`, ns since the epoch."""
-    due = [one for one in said if one.at < killed - LOST_S * 1e9]
+def judge_killed(folder: Path, said: Sequence[Said], killed: int, patience: float = 1.0) -> Check:
+    """What a recorder left that was killed at `killed`, ns since the epoch; `patience` extends LOST_S."""
+    due = [one for one in said if one.at < killed - LOST_S * patience * 1e9]
     try:
         whole = [raw for raws in _read(folder).values() for raw in raws]
     except RecordingError as error:
         return Check("crash", CLAUSE, FAILED, f"after a kill: {error}")
-    words = f"all {len(due)} messages that were said {LOST_S:g} s before a kill"
+    words = f"all {len(due)} messages that were said {LOST_S * patience:g} s before a kill"
     return check("crash", CLAUSE, [f"after a kill: {fault}" for fault in _lost(whole, due)], words)
 
 

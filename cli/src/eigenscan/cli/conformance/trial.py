@@ -14,7 +14,7 @@ from eigenscan.cli.conformance.candidate import Candidate
 from eigenscan.cli.conformance.check import Check
 from eigenscan.cli.conformance.hearing import Ear, Heard, alive_key
 from eigenscan.cli.conformance.profiles import Profile
-from eigenscan.cli.conformance.recording import Said
+from eigenscan.cli.conformance.recording import LOST_S, Said
 from eigenscan.cli.conformance.vectors import Vectors
 from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.simulation.live import publish
@@ -41,12 +41,14 @@ TAKEN_IN_S = 1.0
 
 @dataclass(frozen=True)
 class Terms:
-    """What a trial grants; s, but for `speed`."""
+    """What a trial grants; s, but for `speed` and `patience`."""
 
     start_s: float = 60.0
     settle_s: float = 3.0
     """Of silence, after which no more answers are awaited."""
     speed: float = 1.0
+    patience: float = 1.0
+    """So many times longer than on a machine of its own may everything take, but for the start."""
 
 
 @dataclass
@@ -103,6 +105,7 @@ class Trial:
         self._ear = Ear(session, self._site)
         self._bus = Bus(session)
         self._newest: dict[str, Envelope] = {}
+        self._token_s = TOKEN_S * terms.patience
 
     def prepare(self) -> None:
         """Says what a late joiner has to fetch."""
@@ -120,7 +123,7 @@ class Trial:
             self._play(before, candidate, "the first part of the drive")
             self._say_nonsense(candidate)
             self._play(after, candidate, "the rest of the drive")
-            time.sleep(TAKEN_IN_S)
+            time.sleep(TAKEN_IN_S * self._terms.patience)
         elif seen.profile.asks is None:
             self._join_late()
         elif candidate.lives:
@@ -130,10 +133,12 @@ class Trial:
                 self._say_other_set()
                 self._play(after, candidate, "the rest of the drive")
         if candidate.lives:
-            seen.stopped = candidate.terminate()
+            seen.stopped = candidate.terminate(self._terms.patience)
             seen.stopped_at = time.monotonic()
             token = alive_key(self._site, seen.profile.name, seen.instance)
-            self._ear.wait_for(lambda: self._ear.tokens().get(token, (0.0, 0.0))[1] is not None, TOKEN_S)
+            self._ear.wait_for(
+                lambda: self._ear.tokens().get(token, (0.0, 0.0))[1] is not None, self._token_s
+            )
         elif not seen.ended_early:
             seen.ended_early = candidate.obituary
         seen.heard, seen.tokens, seen.last_lines = self._ear.heard(), self._ear.tokens(), candidate.last_lines
@@ -147,6 +152,7 @@ class Trial:
         self._ear.wait_for(lambda: len(self._ear.heard()) > known or not candidate.lives, self._terms.start_s)
         self._seen.said = []
         self._play(self._seen.vectors.parts(FIRST_SHARE)[0], candidate, "the drive before a kill")
+        time.sleep(LOST_S * (self._terms.patience - 1.0))
         candidate.kill()
         killed = time.time_ns()
         self._bus.close()
@@ -164,17 +170,17 @@ class Trial:
             return bool(ear.tokens()) or ear.health() is not None or not candidate.lives
 
         ear.wait_for(is_there, self._terms.start_s)
-        if candidate.lives and ear.wait_for(lambda: ear.health() is not None, TOKEN_S):
+        if candidate.lives and ear.wait_for(lambda: ear.health() is not None, self._token_s):
             ear.wait_for(lambda: is_ready() or not candidate.lives, self._terms.start_s)
         self._seen.ready = is_ready()
-        ear.wait_for(lambda: bool(ear.tokens()) or not candidate.lives, TOKEN_S)
+        ear.wait_for(lambda: bool(ear.tokens()) or not candidate.lives, self._token_s)
         if not candidate.lives:
             self._seen.ended_early = f"{candidate.obituary} (at its start)"
 
     def _play(self, messages: list[Timed], candidate: Candidate, about: str) -> None:
         first = {timed.envelope.key for timed in messages}
         for key in sorted(first):
-            self._bus.wait_for_listener(key, TOKEN_S)
+            self._bus.wait_for_listener(key, self._token_s)
         publish(messages, self._ask, self._terms.speed)
         self._settle(candidate)
         if not candidate.lives and not self._seen.ended_early:
@@ -198,7 +204,9 @@ class Trial:
         """Until each question has its answers, or nothing but health comes for a while."""
         wanted = self._seen.wanted
         counted, quiet_since = -1, time.monotonic()
-        while candidate.lives and time.monotonic() - quiet_since < self._terms.settle_s:
+        while (
+            candidate.lives and time.monotonic() - quiet_since < self._terms.settle_s * self._terms.patience
+        ):
             heard = [one for one in self._ear.heard() if one.channel is not HEALTH]
             if wanted <= {(one.channel, one.stamp, one.address.get("lidar", "")) for one in heard}:
                 return
@@ -221,7 +229,9 @@ class Trial:
                 seen.ended_early = f"{candidate.obituary} (after {bad.about} on {bad.key})"
                 return
         wanted = seen.counted_before + seen.undecodable
-        self._ear.wait_for(lambda: self._counted() >= wanted or not candidate.lives, COUNTED_S)
+        self._ear.wait_for(
+            lambda: self._counted() >= wanted or not candidate.lives, COUNTED_S * self._terms.patience
+        )
         seen.counted = self._counted()
         if not candidate.lives:
             seen.ended_early = f"{candidate.obituary} (after bad input)"
@@ -247,7 +257,7 @@ class Trial:
         inbox, channels = Inbox(), self._seen.profile.says
         with Bus(open_session(self._others)) as late:
             late.listen(channels, {"site": self._site}, inbox)
-            deadline = time.monotonic() + self._terms.settle_s + TOKEN_S
+            deadline = time.monotonic() + self._terms.settle_s * self._terms.patience + self._token_s
             while time.monotonic() < deadline and not self._is_whole(self._seen.joined.values()):
                 arrival = inbox.take(0.1)
                 if arrival:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -23,8 +24,8 @@ SERVICES = {
 ROS_BRIDGE = "eigenscan.ros_bridge.node"
 """The module of the one that only robots with ROS 2 need."""
 
-STOP_S = 4.0
-"""What a child gets to end itself; then it is killed."""
+STOP_SETTING, STOP_S = "EIGENSCAN_STOP_S", 2.0
+"""What a child gives itself to end; of twice as long nothing is left to hope for, and it is killed."""
 
 LAST_LINES = 8
 
@@ -94,13 +95,20 @@ class Supervisor:
         ending = [self.children.pop(name).process for name in names]
         for process in ending:
             process.terminate()
-        deadline = time.monotonic() + STOP_S
+        deadline = time.monotonic() + 2.0 * _stop_s()
         for process in ending:
             try:
                 process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+def _stop_s() -> float:
+    """As the children read it; where it is no number they have said so already."""
+    with contextlib.suppress(ValueError):
+        return float(os.environ.get(STOP_SETTING) or STOP_S)
+    return STOP_S
 
 
 def _environment() -> Mapping[str, str]:
