@@ -38,6 +38,8 @@ CLOCK_S = -60.0
 BAD_LINK = Link(loss=0.1, delay_s=0.1, jitter_s=0.03)
 STEPS = (0.9, 1.0)
 """m, of the models that the site makes while it is cut off: never those that it has."""
+OLD_LINKS_S = 25.0
+"""Until the old links are gone: Zenoh's lease and what it gives a face to close, 10 s each."""
 SETTLE_S = 4.0
 """Until every service has said several times how it is."""
 
@@ -176,6 +178,11 @@ class Hour:
             robot: await_version(self.fleet, robot, version) - began - self.cut_s
             for robot in self.fleet.robots
         }
+
+    def settle_links(self) -> None:
+        """Old links go when new ones are there; a router that is mute after that ends and is started."""
+        with self.event("links settle", touches=self.fleet.robots, loses=self.fleet.robots):
+            time.sleep(OLD_LINKS_S)
 
     def fill_the_disk(self, seconds: float) -> None:
         """Somebody else's files take all that the recorder's disk has; then they are gone."""
@@ -351,5 +358,6 @@ def play(hour: Hour, cut_s: float, full_s: float, rounds: int, tell: Callable[[s
         hour.fill_the_disk(full_s)
         hour.spoil_a_link(BAD_LINK, full_s)
         hour.cut_off_the_site(cut_s, STEPS[number % 2])
+        hour.settle_links()
         hour.roll([*killed, "site"], KILL)
     return hour.result()

@@ -135,6 +135,13 @@ class Machine:
                 self.space.command(PROGRAMS / f"eigenscan-{service}"),
                 stdout=log, stderr=log, env=environment.clean() | self.environment, cwd=self.folder,
             )  # fmt: skip
+        if service == "router":
+            threading.Thread(target=self._keep_up, args=(self.running[service],), daemon=True).start()
+
+    def _keep_up(self, router: subprocess.Popen[bytes]) -> None:
+        """As systemd would: a router that ends by itself is started again."""
+        if router.wait() == 0 and self.running.get("router") is router:
+            self.start("router")
 
     def end(self, service: str, how: int) -> None:
         """Ends a service by a signal, and waits until it is gone."""
@@ -157,7 +164,8 @@ class Machine:
         return path.read_text(errors="replace")[-3000:] if path.exists() else ""
 
     def close(self) -> None:
-        for process in self.running.values():
+        ended, self.running = self.running, {}
+        for process in ended.values():
             process.kill()
             process.wait(PATIENCE_S)
 

@@ -38,7 +38,7 @@ def test_no_robot_claims_a_wrong_place(passed: dict[str, Any]) -> None:
 
 def test_everything_happened(passed: dict[str, Any]) -> None:
     names = [event["name"] for event in passed["events"]]
-    assert len(names) == 4 + 4 + 3 + 3 + 3, names
+    assert len(names) == 4 + 4 + 3 + 3 + 4, names
 
 
 def test_no_robot_is_unlocalized_for_long(passed: dict[str, Any]) -> None:

@@ -53,6 +53,7 @@ def main(
     whole_site: bool = False,
     make_port: Callable[[S], Port] | None = None,
     prompt: bool = False,
+    attend: Callable[[S, zenoh.Session], None] | None = None,
 ) -> None:
     """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
 
@@ -60,6 +61,7 @@ def main(
     hears keys of the site that are not of the contract, to count them, and drops later than others.
     `make_port`: carries those channels of the core that are not of the contract. `prompt`: the core takes
     each message in the thread that brings it; for one that has done with it in well under a millisecond.
+    `attend` is given the session once it is open.
     """
     wake = Wake()
     with wake.on_signals():
@@ -76,6 +78,7 @@ def main(
                 whole_site=whole_site,
                 port=port,
                 prompt=prompt,
+                attend=(lambda session: attend(settings, session)) if attend else None,
             )
             code = node.run()
         except (SettingsError, ContractError, OSError, ValueError) as error:
@@ -106,7 +109,9 @@ class Node:
         whole_site: bool = False,
         port: Port | None = None,
         prompt: bool = False,
+        attend: Callable[[zenoh.Session], None] | None = None,
     ) -> None:
+        self._attend = attend
         self.service, self.settings = service, settings
         self._whole_site, self._prompt = whole_site, prompt
         self._make_core, self._mode = make_core, mode
@@ -185,7 +190,10 @@ class Node:
         try:
             opening = open_meanwhile(self.settings.zenoh, self._mode)
             core = self._made_core()
-            bus = self._connect(core, opening.result())
+            session = opening.result()
+            if self._attend:
+                self._attend(session)
+            bus = self._connect(core, session)
             apart = self._port.channels
 
             def say(envelope: Envelope) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 import zenoh
 from eigenscan.runtime import node
 from eigenscan.runtime.logs import logger
+from eigenscan.runtime.mute import await_mute
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Envelope
@@ -26,7 +27,8 @@ class RouterSettings(ServiceSettings):
 
     end_on_change: bool = Field(
         False,
-        description="end when the Zenoh configuration changes: what keeps it up starts it with the new one",
+        description="end when the Zenoh configuration changes, or where the link to the site stands but "
+        "passes nothing: what keeps it up starts it anew",
     )
 
 
@@ -74,6 +76,19 @@ def _end_on_change(path: Path) -> None:
                 return
 
 
+def _end_when_mute(path: Path, session: zenoh.Session) -> None:
+    """Ends this process, in good order, once its link to another router is up but passes nothing."""
+    if await_mute(path, session):
+        logger().error("link_mute", path=str(path))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _attend(settings: RouterSettings, session: zenoh.Session) -> None:
+    if settings.end_on_change and settings.zenoh:
+        watch = (settings.zenoh, session)
+        threading.Thread(target=_end_when_mute, args=watch, name="mute", daemon=True).start()
+
+
 def _core(settings: RouterSettings) -> RouterCore:
     if settings.end_on_change and settings.zenoh:
         watch = threading.Thread(target=_end_on_change, args=(settings.zenoh,), name="watch", daemon=True)
@@ -83,4 +98,4 @@ def _core(settings: RouterSettings) -> RouterCore:
 
 def main() -> None:
     """Entry point of `eigenscan-router`."""
-    node.main("router", RouterSettings, _core, mode="router")
+    node.main("router", RouterSettings, _core, mode="router", attend=_attend)

@@ -1,0 +1,79 @@
+"""Notices a link to another router that stands but passes nothing of ours any more.
+
+Where a router was out of reach for longer than its lease, Zenoh 1.10 closes the old link once more some
+seconds after the new one is there, and forgets the new one: its connection stays, kept alive from both
+sides, while nothing that is said here leaves by it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+MUTE_S = 20.0
+"""Twice what Zenoh gives a connection until it is a link."""
+LOOK_EVERY_S = 1.0
+_ESTABLISHED = "01"
+_TABLES = ("/proc/self/net/tcp", "/proc/self/net/tcp6")
+
+
+def await_mute(config: Path, session: zenoh.Session) -> bool:
+    """True once for MUTE_S there was a connection to where `config` connects, and no link by it.
+
+    False where the session ends before that.
+    """
+    ports = set(ports_of(json.loads(zenoh.Config.from_file(str(config)).get_json("connect/endpoints"))))
+    since = time.monotonic()
+    while time.monotonic() - since < MUTE_S:
+        time.sleep(LOOK_EVERY_S)
+        if session.is_closed():
+            return False
+        if session.info.routers_zid() or not is_connected(ports):
+            since = time.monotonic()
+    return True
+
+
+def ports_of(endpoints: Any) -> Iterator[int]:
+    """Ports of Zenoh's endpoints: one, a list, or lists by mode."""
+    if isinstance(endpoints, str):
+        found = re.search(r":(\d+)(?:[?#]|$)", endpoints)
+        if found:
+            yield int(found[1])
+    elif isinstance(endpoints, dict):
+        yield from ports_of(list(endpoints.values()))
+    elif isinstance(endpoints, list):
+        for one in endpoints:
+            yield from ports_of(one)
+
+
+def is_connected(ports: set[int]) -> bool:
+    """Whether this process has a TCP connection to one of these ports that stands. On Linux; else False."""
+    own = _own_sockets()
+    for table in map(Path, _TABLES):
+        if not table.exists():
+            continue
+        for line in table.read_text().splitlines()[1:]:
+            words = line.split()
+            remote, state, inode = words[2], words[3], words[9]
+            if state == _ESTABLISHED and int(remote.rpartition(":")[2], 16) in ports and inode in own:
+                return True
+    return False
+
+
+def _own_sockets() -> set[str]:
+    """Inodes of this process's sockets."""
+    found = set()
+    for link in Path("/proc/self/fd").glob("*"):
+        try:
+            name = str(link.readlink())
+        except OSError:  # closed meanwhile
+            continue
+        if name.startswith("socket:["):
+            found.add(name[8:-1])
+    return found
