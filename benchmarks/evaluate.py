@@ -2,9 +2,12 @@
 
     .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--simulated] [--kidnap]
         [--json OUT]
+    .venv/bin/python benchmarks/evaluate.py --buildings FOLDER [--only aces] [--kidnap] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --from OUT --picture docs/images/reliability.png
 
-The datasets are not part of the project; by default they are looked for beside it.
+The datasets are not part of the project; by default they are looked for beside it. `--buildings` takes
+logs of your own instead: each folder in FOLDER that holds map.yaml, and a log with a reference beside it
+(drive.bag, drive.tum), is a row. windows.csv and single_scans.csv say what to try, where they are there.
 """
 
 import argparse
@@ -25,24 +28,26 @@ DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 
 @dataclass(frozen=True)
 class Case:
-    """One log on one map; `own`: windows and single scans lie beside it."""
+    """One log on one map."""
 
     name: str
     folder: str
     log: str
     reference: str
-    own: bool = False
 
 
 CASES = (
-    Case("intel", "intel", "log.clf.gz", "log.tum", own=True),
-    Case("fr079", "fr079", "log.clf.gz", "log.tum", own=True),
+    Case("intel", "intel", "log.clf.gz", "log.tum"),
+    Case("fr079", "fr079", "log.clf.gz", "log.tum"),
     Case("jarvis", "jarvis", "jarvis_complex_path_fast.bag", "jarvis_complex_path_fast.tum"),
     Case("guardian 3", "guardian", "guardian_3.bag", "guardian_3.tum"),
     Case("guardian 2", "guardian", "guardian_controller_2.bag", "guardian_controller_2.tum"),
     Case("olin", "olin_mac", "rosbag2", "rosbag2.tum"),
 )
 # jarvis's circular run made its map: it would judge nothing
+
+BESIDE = (".tum", ".csv", ".yaml", ".pgm", ".png", ".json")
+"""Files beside a log that are none."""
 
 COLUMNS = (
     ("windows", "windows", "{:d}", 1),
@@ -85,11 +90,29 @@ def main() -> None:
 
 def _run(options: argparse.Namespace) -> dict[str, Any]:
     found = {}
-    for case in CASES:
-        folder = options.datasets / case.folder
+    root = options.buildings or options.datasets
+    for case in buildings(root) if options.buildings else CASES:
+        folder = root / case.folder
         if case.folder in (options.only or [case.folder]) and (folder / "map.yaml").exists():
             found[case.name] = _evaluate(case, folder, options)
     return found | (_run_simulated(options) if options.simulated else {})
+
+
+def buildings(root: Path) -> list[Case]:
+    """Every log that has a reference, drive.tum to drive.bag, in the folders of `root` that hold a map."""
+    found = []
+    for folder in sorted(map_file.parent for map_file in root.glob("*/map.yaml")):
+        for reference in sorted(folder.glob("*.tum")):
+            named = [
+                file for file in sorted(folder.iterdir()) if f"{file.name}.".startswith(f"{reference.stem}.")
+            ]
+            logs = [file for file in named if file.suffix not in BESIDE]
+            found += [
+                Case(f"{folder.name}/{log.name}", folder.name, log.name, reference.name) for log in logs
+            ]
+    if not found:
+        sys.exit(f"{root}: no folder in it holds map.yaml and a log with its reference: drive.bag, drive.tum")
+    return found
 
 
 def _run_simulated(options: argparse.Namespace) -> dict[str, Any]:
@@ -107,6 +130,7 @@ def _options() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS, help="folder that holds the datasets")
+    parser.add_argument("--buildings", type=Path, help="folder of folders with logs of your own")
     parser.add_argument("--only", action="append", help="folder of one dataset; may be given again")
     parser.add_argument("--simulated", action="store_true", help="also made-up buildings")
     parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
@@ -125,8 +149,8 @@ def _evaluate(case: Case, folder: Path, options: argparse.Namespace) -> dict[str
         command: list[str | Path] = [EIGENSCAN, "evaluate", "--log", folder / case.log]
         command += ["--map", folder / "map.yaml", "--ground-truth", folder / case.reference]
         command += ["--json", out, "--jobs", str(options.jobs)]
-        if case.own:
-            command += ["--windows", folder / "windows.csv", "--single-scans", folder / "single_scans.csv"]
+        for option, beside in (("--windows", "windows.csv"), ("--single-scans", "single_scans.csv")):
+            command += [option, folder / beside] if (folder / beside).exists() else []
         command += ["--kidnap"] if options.kidnap else []
         command += ["--limit", str(options.limit)] if options.limit else []
         command += [word for part in options.skip for word in ("--skip", part)]

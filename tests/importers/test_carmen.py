@@ -222,6 +222,20 @@ def test_a_marker_for_no_return_is_found_in_the_ranges(tmp_path: Path) -> None:
     assert unmarked[0].range_max == pytest.approx(81.83)
 
 
+@pytest.mark.parametrize("markers", [(51.06, 51.06, 51.06, 51.11, 51.16), (32.763, 32.767)])
+def test_markers_that_scatter_are_found_in_a_short_log(tmp_path: Path, markers: tuple[float, ...]) -> None:
+    """One beam in a hundred comes back empty, in 200 scans with odometry between; no marker is a wall."""
+    rng = np.random.default_rng(3)
+    lines = []
+    for number in range(200):
+        ranges = rng.uniform(1.0, 20.0, 180)
+        ranges[rng.integers(0, 180, 2)] = rng.choice(markers, 2)
+        lines.append(words("FLASER", 180, *ranges.round(3), 0, 0, 0, 0, 0, 0, number, "host", number))
+        lines += [odom(number + 0.2 * part) for part in (1, 2, 3, 4)]
+    scans, _, _ = read(write(tmp_path / "a.log", *lines))
+    assert {scan.range_max for scan in scans} == {min(markers)}
+
+
 def test_a_lidar_that_is_not_there_is_named(tmp_path: Path) -> None:
     log = open_log(write(tmp_path / "a.log", flaser(1.0)), LogOptions(lidars=("rear",)))
     with pytest.raises(LogError, match=r"a\.log: no lidar rear: there are front"):

@@ -38,11 +38,36 @@ KNOWN_KINDS = frozenset({*LIDAR_OF, "ODOM", "PARAM", "SYNC", "TRUEPOS"})
 LINES_LOOKED_AT = 200
 LONGEST_LINE = 4_000_000
 
-SAMPLED_EVERY = 5
 SAMPLES = 2000
 SATURATED_SHARE, SAME_WALL_SHARE, ENOUGH_BESIDE = 0.002, 0.5, 100
+MARKER_SPREAD = 0.01
+"""Of the greatest range, that markers for no return differ by: a SICK has some from 51.05 to 51.16 m."""
 
 SAME_MOUNT_M, SAME_MOUNT_RAD = 0.02, 0.02
+
+
+@dataclass
+class _Samples:
+    """Ranges of SAMPLES scans at most, evenly over the log; of a short log all."""
+
+    scans: list[NDArray[np.float64]] = field(default_factory=list)
+    every: int = 1
+    heard: int = 0
+
+    def note(self, line: Line) -> None:
+        """Takes a scan's ranges, if it is its turn."""
+        if self.heard % self.every == 0:
+            with suppress(LineError):
+                self.scans.append(line.ranges())
+        self.heard += 1
+        if len(self.scans) > SAMPLES:
+            self.scans = self.scans[::2]
+            self.every *= 2
+
+    @property
+    def ranges(self) -> NDArray[np.float64]:
+        """One scan's after the other's, m."""
+        return np.concatenate([np.empty(0), *self.scans])
 
 
 @dataclass
@@ -53,7 +78,7 @@ class _Survey:
     stamps: list[int] = field(default_factory=list)
     mounts: dict[str, list[NDArray[np.float64]]] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
-    samples: dict[str, list[NDArray[np.float64]]] = field(default_factory=dict)  # ranges now and then
+    samples: dict[str, _Samples] = field(default_factory=dict)
 
     def note(self, line: Line) -> None:
         """Takes note of a line with a stamp."""
@@ -62,15 +87,13 @@ class _Survey:
         mount = line.mount()
         if mount is not None and np.isfinite(mount).all():
             self.mounts.setdefault(line.kind, []).append(mount)
-        if line.geometry is not None and len(self.kinds) % SAMPLED_EVERY == 0:
-            samples = self.samples.setdefault(line.kind, [])
-            with suppress(LineError):
-                samples.extend([line.ranges()] if len(samples) < SAMPLES else [])
+        if line.geometry is not None:
+            self.samples.setdefault(line.kind, _Samples()).note(line)
 
     def range_max(self, kind: str, stated: float) -> float:
         """Limit, m, of a kind's ranges: the least of what the line, the parameters and the ranges tell."""
         named = self.parameters.get("robot_front_laser_max", 0.0) if LIDAR_OF[kind] == "front" else 0.0
-        told = (stated, named, saturation(np.concatenate(self.samples.get(kind) or [np.empty(0)])))
+        told = (stated, named, saturation(self.samples[kind].ranges if kind in self.samples else np.empty(0)))
         return min((limit for limit in told if limit > 0.0), default=0.0)
 
     def mount(self, kind: str) -> NDArray[np.float64]:
@@ -216,17 +239,19 @@ class CarmenLog:
 
 
 def saturation(ranges: NDArray[np.float64]) -> float:
-    """Range, m, that a laser gives for no return: the greatest, where it stands out; 0 where none does.
+    """Range, m, from which on a laser means no return: the greatest ones, where they stand out; else 0.
 
-    `ranges` are those of many scans, one after the other. It stands out where it is frequent, and the beams
-    beside it are far shorter: beside the far end of a hall they are not.
+    `ranges` are those of many scans, one after the other. They stand out where they are frequent, and the
+    beams beside them are far shorter: beside the far end of a hall they are not.
     """
     with np.errstate(invalid="ignore"):
         top = float(np.max(ranges, where=np.isfinite(ranges), initial=0.0))
-        marked = ranges >= 0.999 * top
+        marked = np.isfinite(ranges) & (ranges >= (1.0 - MARKER_SPREAD) * top)
         beside = ranges[(np.roll(marked, 1) | np.roll(marked, -1)) & ~marked]
         frequent = len(beside) >= ENOUGH_BESIDE and marked.mean() > SATURATED_SHARE
-        return top if frequent and np.mean(beside > 0.9 * top) < SAME_WALL_SHARE else 0.0
+        found = frequent and np.mean(beside > 0.9 * top) < SAME_WALL_SHARE
+        # its lower edge, but for the few true ranges in that band
+        return float(np.quantile(ranges[marked], 0.05, method="lower")) if found else 0.0
 
 
 def looks_like_carmen(path: Path) -> bool:
