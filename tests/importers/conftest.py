@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers import Log, stamp_of
+from eigenscan.cli.importers import Log
 from eigenscan.geometry.gridmap import OCCUPIED, read_map
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -85,7 +85,7 @@ def every_scan(log: Log, every: int) -> Iterable[tuple[str, RawScan, int]]:
             name = envelope.address["lidar"]
             seen[name] += 1
             if seen[name] % every == 0:
-                yield name, envelope.open(RawScan), stamp_of(envelope)
+                yield name, envelope.open(RawScan), envelope.stamp
 
 
 @pytest.fixture

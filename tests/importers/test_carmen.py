@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers import LogError, LogOptions, open_log, stamp_of
+from eigenscan.cli.importers import LogError, LogOptions, open_log
 from eigenscan.cli.importers.carmen_lines import LineError, guess_geometry, read_line
 from eigenscan.geometry.pose import compose, from_message, from_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
@@ -52,7 +52,7 @@ def odom(t: float, x: float = 0.0) -> str:
 def read(path: Path, **options: object) -> tuple[list[RawScan], list[Odometry], dict[str, int]]:
     log = open_log(path, LogOptions(**options))  # type: ignore[arg-type]
     heard = list(log.envelopes())
-    stamps = [stamp_of(envelope) for envelope in heard]
+    stamps = [envelope.stamp for envelope in heard]
     assert stamps == sorted(stamps)
     assert log.progress == 1.0
     counters = {name: count for name, count in log.counters.items() if count}
@@ -173,7 +173,7 @@ def test_odometry_of_one_stamp_is_said_once(tmp_path: Path) -> None:
 
 def test_stamps_that_jump_are_repaired_and_remembered(tmp_path: Path) -> None:
     log = open_log(write(tmp_path / "a.log", *(flaser(t) for t in (1, 2, 7, 4, 5))))
-    stamps = [stamp_of(e) / 1e9 for e in log.envelopes() if e.channel is SCAN_RAW]
+    stamps = [e.stamp / 1e9 for e in log.envelopes() if e.channel is SCAN_RAW]
     assert stamps == [1, 2, 3, 4, 5]
     assert log.logged == {3_000_000_000: 7_000_000_000}
     assert log.counters["stamps_repaired"] == 1

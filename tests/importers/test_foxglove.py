@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers import open_log, stamp_of
+from eigenscan.cli.importers import open_log
 from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import stamp
@@ -76,7 +76,7 @@ def test_scans_mounts_and_odometry(tmp_path: Path) -> None:
     moved = [from_pose3(e.open(Odometry).pose)[0] for e in heard if e.channel is ODOMETRY]
     assert len(scans) == 10
     assert moved == list(range(10))
-    assert stamp_of(heard[0]) == S
+    assert heard[0].stamp == S
     np.testing.assert_allclose(from_message(scans[3].mount), [0.25, 0, 0])
     assert (scans[3].angle_min, scans[3].angle_increment, scans[3].range_max) == (-1.0, 0.5, 0.0)
     assert list(scans[3].ranges) == [1, 2, 3, math.inf, 5]

@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from eigenscan.cli.importers import LogError, LogOptions, open_log, stamp_of
+from eigenscan.cli.importers import LogError, LogOptions, open_log
 from eigenscan.cli.importers.log import odometry, raw_scan
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import HEALTH, ODOMETRY, SCAN_RAW
@@ -25,14 +25,14 @@ def moved(time: float, robot: str = "robot") -> Envelope:
 def record(path: Path, envelopes: list[Envelope], delay: float = 0.0) -> Path:
     with RecordingWriter(path) as writer:
         for envelope in envelopes:
-            writer.write(envelope, stamp_of(envelope) + round(delay * S))
+            writer.write(envelope, envelope.stamp + round(delay * S))
             writer.flush()
     return path
 
 
 def keys(path: Path, **options: object) -> list[tuple[str, float]]:
     log = open_log(path, LogOptions(**options))  # type: ignore[arg-type]
-    return [(envelope.key, stamp_of(envelope) / S) for envelope in log.envelopes()]
+    return [(envelope.key, envelope.stamp / S) for envelope in log.envelopes()]
 
 
 def test_scans_and_odometry_come_back_as_they_were(tmp_path: Path) -> None:

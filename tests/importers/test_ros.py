@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers import LogError, LogOptions, Mount, open_log, stamp_of
+from eigenscan.cli.importers import LogError, LogOptions, Mount, open_log
 from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -166,7 +166,7 @@ def usual(ros1: bool, seconds: int = 3) -> Story:
 def read(path: Path, **options: Any) -> tuple[dict[str, list[RawScan]], list[Odometry], dict[str, int]]:
     log = open_log(path, LogOptions(**options))
     heard = list(log.envelopes())
-    stamps = [stamp_of(envelope) for envelope in heard]
+    stamps = [envelope.stamp for envelope in heard]
     assert stamps == sorted(stamps)
     assert log.progress == 1.0
     scans: dict[str, list[RawScan]] = {}
@@ -457,7 +457,7 @@ def test_random_damage_never_crashes(tmp_path: Path, container: str) -> None:
             heard = list(open_log(path).envelopes())
         except LogError:
             continue
-        stamps = [stamp_of(envelope) for envelope in heard]
+        stamps = [envelope.stamp for envelope in heard]
         assert stamps == sorted(stamps)
         read_some += bool(heard)
     assert read_some > 2

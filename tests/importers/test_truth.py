@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers import LogOptions, open_log, stamp_of
+from eigenscan.cli.importers import LogOptions, open_log
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
 
@@ -62,7 +62,7 @@ def first_lines(source: Path, lines: int, target: Path) -> Path:
 def scans_of(path: Path) -> Iterator[tuple[int, RawScan]]:
     for envelope in open_log(path).envelopes():
         if envelope.channel is SCAN_RAW:
-            yield stamp_of(envelope), envelope.open(RawScan)
+            yield envelope.stamp, envelope.open(RawScan)
 
 
 def signature(scan: RawScan) -> bytes:
@@ -81,7 +81,7 @@ def test_the_original_logs_tell_the_same(
     known = {}
     for envelope in converted.envelopes():
         if envelope.channel is SCAN_RAW:
-            stamp = stamp_of(envelope)
+            stamp = envelope.stamp
             known[signature(envelope.open(RawScan))] = converted.logged.get(stamp, stamp)
     original = first_lines(DATASETS / dataset / f"{dataset}.clf.bz2", lines, tmp_path / "original.clf.bz2")
     shares, stamps, matched = [], [], []
@@ -111,7 +111,7 @@ def test_odometry_goes_with_the_scans(tmp_path: Path) -> None:
         for envelope in open_log(log).envelopes():
             if envelope.channel is ODOMETRY:
                 position = envelope.message.pose.position  # type: ignore[attr-defined]
-                way.append((stamp_of(envelope) * 1e-9, position.x, position.y))
+                way.append((envelope.stamp * 1e-9, position.x, position.y))
         times, x, y = np.array(way).T
         rows = np.loadtxt(DATASETS / dataset / f"{name}.tum")
         inside = (rows[:, 0] > times[0]) & (rows[:, 0] < times[-1])

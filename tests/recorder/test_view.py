@@ -12,7 +12,6 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from eigenscan.cli.importers import stamp_of
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import POSE
 from rerun.chunk import RrdReader
@@ -52,10 +51,10 @@ def drawn_times(rrd: Path, path: str) -> list[int]:
 
 def test_it_begins_where_it_is_asked_to_and_knows_the_map_there(tmp_path: Path) -> None:
     path, messages = tmp_path / "long.mcap", list(Site("s", seconds=6.0).messages())
-    first = min(stamp_of(m) for m in messages if m.channel is POSE)
+    first = min(m.stamp for m in messages if m.channel is POSE)
     with RecordingWriter(path) as writer:
         for message in messages:
-            writer.write(message, first if message.channel.qos.latched else max(first, stamp_of(message)))
+            writer.write(message, first if message.channel.qos.latched else max(first, message.stamp))
     result = view(path, "--at", 2, "--to", 4, "--rrd", tmp_path / "part.rrd", "--no-open")
     assert result.returncode == 0, result.stderr
     times = drawn_times(tmp_path / "part.rrd", "/world/robots/r1/tracks")

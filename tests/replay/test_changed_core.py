@@ -13,7 +13,7 @@ from eigenscan.cli.process_replay.survey import survey
 from eigenscan.cli.process_replay.trial import Outcome, Trial, run
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, Channel
-from eigenscan.schemas.envelope import Condition, Core, Envelope, nanoseconds
+from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -116,7 +116,7 @@ def test_a_wrong_component_is_caught_where_it_begins(
     of_channel = [timed.envelope for timed in run.messages if timed.envelope.channel is channel]
     expected = of_channel[SPOILT]
     assert (first.channel, first.key) == (channel, expected.key)
-    assert first.stamp == nanoseconds(expected.message.timestamp)  # type: ignore[attr-defined]
+    assert first.stamp == expected.stamp
     assert first.fields[0].path == path
     assert path in report(outcome)
     tally = outcome.comparison.tallies[channel]

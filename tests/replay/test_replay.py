@@ -24,7 +24,7 @@ from eigenscan.schemas.channels import (
     TRANSFORM,
     Channel,
 )
-from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode
@@ -42,10 +42,6 @@ def only(messages: Sequence[Timed], *channels: Channel) -> list[Timed]:
 
 def without(messages: Sequence[Timed], *channels: Channel) -> list[Timed]:
     return [timed for timed in messages if timed.envelope.channel not in channels]
-
-
-def stamp_of(timed: Timed) -> int:
-    return nanoseconds(timed.envelope.message.timestamp)  # type: ignore[attr-defined]
 
 
 def at(stamp: int) -> str:
@@ -88,7 +84,7 @@ def test_another_setting_is_caught_at_the_first_message_that_it_changes(
     first = next(a for a, b in pairs if encode(a.envelope.message) != encode(b.envelope.message))
     ended = eigenscan("replay", recording, "--service", "tracker", "--compare", "--set", "trust=0.6")
     assert ended.code == 1
-    assert f"first difference: {first.envelope.channel.name} {at(stamp_of(first))}" in ended.out
+    assert f"first difference: {first.envelope.channel.name} {at(first.envelope.stamp)}" in ended.out
     assert "trust = 0.6" in ended.out
     assert ended.err.count("\n") == 1
 
@@ -105,7 +101,7 @@ def test_one_changed_bit_is_shown_with_its_path_stamp_and_both_values(
     assert ended.code == 1
     assert "pose: 1 different, 0 missing, 0 too many" in ended.err
     _, _, shown = ended.out.partition("first difference: ")
-    assert shown.startswith(f"pose {at(stamp_of(pose))} on site/robot/robot/pose\n")
+    assert shown.startswith(f"pose {at(pose.envelope.stamp)} on site/robot/robot/pose\n")
     assert shown.splitlines()[2].split()[:3] == ["pose.x", str(nudged), str(x)]
     assert len(shown.splitlines()) == 4  # the last tells where both sides are drawn
     assert eigenscan(*command, "--tolerant").code == 0
@@ -136,7 +132,7 @@ def test_both_sides_of_a_difference_are_drawn_on_the_map(
             values = batch.column("Scalars:scalars").to_pylist()
             stamps = [time.value for time in batch.column("time")]
             apart |= {stamp: value for stamp, (value,) in zip(stamps, values, strict=True)}
-    assert apart.pop(stamp_of(pose)) == pytest.approx(2.0)
+    assert apart.pop(pose.envelope.stamp) == pytest.approx(2.0)
     assert apart
     assert set(apart.values()) == {0.0}
 
@@ -180,7 +176,7 @@ def test_counts_and_order_are_compared(
     assert counted in ended.err
     # the place in a wrong order is that of the stamp that comes too early
     at_fault = following if change == "swapped" else pose
-    assert f"first difference: pose {at(stamp_of(at_fault))}" in ended.out
+    assert f"first difference: pose {at(at_fault.envelope.stamp)}" in ended.out
 
 
 def test_hypotheses_that_arrive_later_give_the_same_poses(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.importers import open_log, stamp_of
+from eigenscan.cli.importers import open_log
 from eigenscan.runtime.recording import RecordingWriter
 
 from tests.network import PATIENT_QUEUE, free_port
@@ -33,11 +33,11 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     taken = []
     with RecordingWriter(folder / "intel.mcap") as writer:
         for envelope in open_log(INTEL / "log.clf.gz").envelopes():
-            at = stamp_of(envelope) * 1e-9 - BEGIN_S
+            at = envelope.stamp * 1e-9 - BEGIN_S
             if at > LENGTH_S:
                 break
             if at >= 0.0:
-                writer.write(envelope, stamp_of(envelope))
+                writer.write(envelope, envelope.stamp)
                 taken.append(envelope)
     return Drive(folder / "intel.mcap", INTEL / "map.yaml", taken)
 

@@ -4,7 +4,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from eigenscan.cli.importers import stamp_of
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.wire import encode
 
@@ -13,8 +12,8 @@ from tests.system.house import PROGRAMS, Drive, House
 
 @pytest.mark.dataset
 def test_a_stretch_of_a_recording_is_said_as_it_was(drive: Drive, house: House) -> None:
-    start = stamp_of(drive.envelopes[0])
-    wanted = [e for e in drive.envelopes if 2.0 <= (stamp_of(e) - start) * 1e-9 <= 8.0]
+    start = drive.envelopes[0].stamp
+    wanted = [e for e in drive.envelopes if 2.0 <= (e.stamp - start) * 1e-9 <= 8.0]
     assert len(wanted) > 20
     house.replay(drive.recording, "--from", 2, "--to", 8, "--speed", 20)
     house.ear.wait_for(lambda heard: len(heard) >= len(wanted), "all that was recorded")

@@ -81,7 +81,6 @@ def _stem(log: Path) -> str:
 def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
     """Writes beside `target` and moves it there when it is whole."""
     from eigenscan.cli.evaluation.progress import Bars
-    from eigenscan.cli.importers import stamp_of
     from eigenscan.cli.importers.summary import Summary
     from eigenscan.runtime.recording import RecordingWriter
     from eigenscan.schemas.channels import SCAN_RAW
@@ -92,7 +91,7 @@ def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
         with Bars() as bars, RecordingWriter(part, {"import": _metadata(log)}) as writer:
             moved = bars.start_share("import")
             for envelope in log.envelopes():
-                time = stamp_of(envelope)
+                time = envelope.stamp
                 # a reference trajectory may have the stamps as logged
                 logged = log.logged.get(time, time) if envelope.channel is SCAN_RAW else time
                 writer.write(envelope, time, publish_time=logged)

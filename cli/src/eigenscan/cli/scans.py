@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from eigenscan.cli.evaluation.reference import Trajectory
 from eigenscan.cli.importers import LogError, LogOptions, open_log
-from eigenscan.cli.importers.log import stamp_of
 from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
@@ -79,7 +78,7 @@ def read_scans(
     for envelope in opened.envelopes():
         moved(opened.progress)
         if envelope.channel is ODOMETRY:
-            steps.append((stamp_of(envelope), from_pose3(envelope.open(Odometry).pose)))
+            steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
             scans += [said.open(Scan) for said in ingest.handle(envelope)]
     moved(1.0)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.cli.importers import LogOptions, open_log
-from eigenscan.cli.importers.log import stamp_of
 from eigenscan.cli.scans import odometry_at
 from eigenscan.geometry.pose import from_pose3
 from eigenscan.localize.scan import Scan
@@ -28,7 +27,7 @@ def read_log(
     scans, steps = list[RawScan](), list[tuple[int, NDArray[np.float64]]]()
     for envelope in open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ())).envelopes():
         if envelope.channel is ODOMETRY:
-            steps.append((stamp_of(envelope), from_pose3(envelope.open(Odometry).pose)))
+            steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
             scans.append(envelope.open(RawScan))
     poses = odometry_at(steps, np.array([scan.timestamp.ToNanoseconds() for scan in scans], dtype=np.int64))

@@ -27,6 +27,11 @@ class Envelope:
         """The full key."""
         return self.channel.key(self.address)
 
+    @property
+    def stamp(self) -> int:
+        """The message's own, ns since the epoch. Raises AttributeError where its kind has none."""
+        return nanoseconds(self.message.timestamp)  # type: ignore[attr-defined]
+
     def open(self, kind: type[M]) -> M:
         """The message as `kind`. Raises ContractError where it is of another."""
         if not isinstance(self.message, kind):

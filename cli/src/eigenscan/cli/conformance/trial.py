@@ -16,7 +16,6 @@ from eigenscan.cli.conformance.hearing import Ear, Heard, alive_key
 from eigenscan.cli.conformance.profiles import Profile
 from eigenscan.cli.conformance.recording import LOST_S, Said
 from eigenscan.cli.conformance.vectors import Vectors
-from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.simulation.live import publish
 from eigenscan.cli.simulation.stage import Timed
 from eigenscan.eigenspace.model import set_version
@@ -189,7 +188,7 @@ class Trial:
     def _ask(self, envelope: Envelope) -> None:
         seen = self._seen
         if envelope.channel is seen.profile.asks:
-            question = (envelope.address["lidar"], stamp_of(envelope))
+            question = (envelope.address["lidar"], envelope.stamp)
             seen.asked[question] = time.monotonic()
             if seen.undecodable:
                 seen.asked_again.add(question)

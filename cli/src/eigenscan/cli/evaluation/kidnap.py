@@ -14,7 +14,7 @@ from eigenscan.cli.evaluation.reference import Trajectory
 from eigenscan.cli.evaluation.windows import Window
 from eigenscan.geometry.pose import between, compose, from_pose3, to_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.envelope import Envelope, stamp
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
 
@@ -58,18 +58,14 @@ def splice(before: Sequence[Envelope], after: Sequence[Envelope]) -> Splice:
     scans = _stamps(after)
     period = int(np.median(np.diff(scans))) if len(scans) > 1 else 100_000_000
     # nothing of the later stretch may come before the end of the earlier one
-    jump = max(_stamp(e) for e in before) + max(period, 1)
-    moved = jump - min(_stamp(e) for e in after)
+    jump = max(e.stamp for e in before) + max(period, 1)
+    moved = jump - min(e.stamp for e in after)
     step = _odometry_step(before, after)
     return Splice([*before, *(_moved(envelope, moved, step) for envelope in after)], jump, moved)
 
 
-def _stamp(envelope: Envelope) -> int:
-    return nanoseconds(envelope.message.timestamp)  # type: ignore[attr-defined]
-
-
 def _stamps(envelopes: Sequence[Envelope]) -> list[int]:
-    return sorted(_stamp(envelope) for envelope in envelopes if envelope.channel == SCAN_RAW)
+    return sorted(envelope.stamp for envelope in envelopes if envelope.channel == SCAN_RAW)
 
 
 def _odometry_step(before: Sequence[Envelope], after: Sequence[Envelope]) -> NDArray[np.float64]:
@@ -85,7 +81,7 @@ def _odometry_step(before: Sequence[Envelope], after: Sequence[Envelope]) -> NDA
 def _moved(envelope: Envelope, by: int, step: NDArray[np.float64]) -> Envelope:
     message = type(envelope.message)()
     message.CopyFrom(envelope.message)
-    message.timestamp.CopyFrom(stamp(_stamp(envelope) + by))  # type: ignore[attr-defined]
+    message.timestamp.CopyFrom(stamp(envelope.stamp + by))  # type: ignore[attr-defined]
     if isinstance(message, Odometry):
         message.pose.CopyFrom(to_pose3(compose(step, from_pose3(message.pose))))
     return Envelope(envelope.channel, envelope.address, message)

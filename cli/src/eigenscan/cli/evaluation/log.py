@@ -10,7 +10,6 @@ import numpy as np
 from eigenscan.cli.evaluation.reference import NS
 from eigenscan.cli.evaluation.windows import Window
 from eigenscan.cli.importers import LogOptions, open_log
-from eigenscan.cli.importers.log import stamp_of
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
@@ -98,7 +97,7 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
     heard = []
     for envelope in opened.envelopes():
         if envelope.channel in (SCAN_RAW, ODOMETRY):
-            heard.append(Heard(stamp_of(envelope), envelope))
+            heard.append(Heard(envelope.stamp, envelope))
             moved(opened.progress)
     moved(1.0)
     is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))

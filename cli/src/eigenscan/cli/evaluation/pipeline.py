@@ -98,7 +98,7 @@ class Pipeline:
             spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
             said += _poses(answers, spent)
             if envelope.channel == SCAN_RAW:
-                scans.append(nanoseconds(envelope.message.timestamp))  # type: ignore[attr-defined]
+                scans.append(envelope.stamp)
                 cpu_ms.append((spent - at_last_scan) / 1e6)
                 at_last_scan = spent
         said += _poses(loop.finish(), spent)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from eigenscan.cli.importers.log import Log, LogError, LogOptions, Mount, stamp_of
+from eigenscan.cli.importers.log import Log, LogError, LogOptions, Mount
 
-__all__ = ["Log", "LogError", "LogOptions", "Mount", "open_log", "stamp_of"]
+__all__ = ["Log", "LogError", "LogOptions", "Mount", "open_log"]
 
 Opener = Callable[[Path, LogOptions], Log]
 

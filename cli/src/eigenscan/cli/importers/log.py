@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from eigenscan.geometry.pose import to_message, to_pose3
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, ODOMETRY, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import ArrayLike
@@ -71,12 +71,6 @@ class Log(Protocol):
         ...
 
 
-def stamp_of(envelope: Envelope) -> int:
-    """The message's own stamp, ns since the epoch."""
-    message: Any = envelope.message
-    return nanoseconds(message.timestamp)
-
-
 def raw_scan(options: LogOptions, lidar: str, time: int, mount: ArrayLike, **fields: Any) -> Envelope:
     """Envelope of a RawScan; `mount` (3,) is the sensor in the base frame, `time` in ns."""
     message = RawScan(timestamp=stamp(time), mount=to_message(mount), **fields)
@@ -125,7 +119,7 @@ def in_order(envelopes: Iterable[Envelope], horizon: int, counters: Counter[str]
             counters[f"{envelope.channel.name}_{reason}"] += 1
 
     for number, envelope in enumerate(envelopes):
-        time = stamp_of(envelope)
+        time = envelope.stamp
         newest = max(newest, time)
         heapq.heappush(waiting, (time, envelope.channel is not ODOMETRY, number, envelope))
         while waiting[0][0] < newest - horizon:

@@ -6,7 +6,6 @@ from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.process_replay.fields import Difference, differences
 from eigenscan.cli.process_replay.playing import Event, Side
 from eigenscan.schemas.channels import Channel
@@ -88,7 +87,7 @@ class Comparison:
         envelope, tally = event.envelope, self.tallies[event.envelope.channel]
         tally.recorded += event.side is Side.RECORDED
         tally.replayed += event.side is Side.REPLAYED
-        key, stamp = envelope.key, stamp_of(envelope)
+        key, stamp = envelope.key, envelope.stamp
         waiting = self._waiting.setdefault((key, stamp), deque())
         if waiting and waiting[0].side is not event.side:
             pair = {waiting[0].side: waiting.popleft().envelope, event.side: envelope}

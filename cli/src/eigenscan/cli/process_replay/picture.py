@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.process_replay.playing import Event, Side
 from eigenscan.geometry.pose import from_message
 from eigenscan.recorder.picture.blueprint import UNKNOWN_FLOOR, eye
@@ -45,7 +44,7 @@ def draw(target: Path, events: Iterable[Event], latched: Iterable[Envelope], fir
     for event in events:
         if event.envelope.channel.qos.latched:
             continue
-        away = stamp_of(event.envelope) - first
+        away = event.envelope.stamp - first
         if away > 2 * AROUND_NS:
             break
         if abs(away) <= AROUND_NS and event.side in COLOURS:
@@ -77,7 +76,7 @@ class _Picture:
         points = lift(scan_points(said.open(Scan), np.zeros(3)), 0.0)
         place = f"scan/{side.value}/{said.address['robot']}/{said.address['lidar']}"
         radius = rr.Radius.ui_points(WIDTHS[side])
-        self.canvas.draw(stamp_of(said), place, rr.Points3D(points, colors=[COLOURS[side]], radii=radius))
+        self.canvas.draw(said.stamp, place, rr.Points3D(points, colors=[COLOURS[side]], radii=radius))
 
     def _draw_hypotheses(self, side: Side, said: Envelope) -> None:
         poses = np.array([from_message(one.pose) for one in said.open(Hypotheses).hypotheses]).reshape(-1, 3)
@@ -93,7 +92,7 @@ class _Picture:
         pose = from_message(message.pose)
         strips = list(arrows(pose, POSE_M, 0.1)) if message.track_id and is_place(pose) else []
         self._draw_lines(side, said, "pose", strips)
-        stamp = stamp_of(said)
+        stamp = said.stamp
         path = f"confidence/{robot}/{side.value}"
         self.canvas.style(path, lambda: (rr.SeriesLines(colors=[COLOURS[side]], names=[side.value]),))
         self.canvas.draw(stamp, path, rr.Scalars(message.confidence))
@@ -107,7 +106,7 @@ class _Picture:
     def _draw_lines(self, side: Side, said: Envelope, what: str, strips: list[Array32]) -> None:
         place = f"world/{said.address['robot']}/{side.value}/{what}"
         lines = rr.LineStrips3D(strips, colors=[COLOURS[side]], radii=rr.Radius.ui_points(WIDTHS[side]))
-        self.canvas.draw(stamp_of(said), place, lines)
+        self.canvas.draw(said.stamp, place, lines)
 
 
 def _difference_first(report: str) -> str:

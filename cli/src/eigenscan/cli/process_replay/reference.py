@@ -11,7 +11,6 @@ from itertools import chain
 from pathlib import Path
 
 from eigenscan.cli.frame import UsageError
-from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.process_replay.playing import Event, Side
 from eigenscan.cli.process_replay.services import CHOICES, PARTS
 from eigenscan.runtime.recording import RecordingWriter, read, read_metadata
@@ -58,7 +57,7 @@ def open_beside(recording: Path) -> Reference | None:
     choices = tuple(name for name in entry.get("choices", "").split() if name in CHOICES)
     spans: dict[str, tuple[int, int]] = {}
     for record in read(path):
-        key, stamp = record.envelope.key, stamp_of(record.envelope)
+        key, stamp = record.envelope.key, record.envelope.stamp
         first, last = spans.get(key, (stamp, stamp))
         spans[key] = min(first, stamp), max(last, stamp)
     return Reference(path, spans, entry.get("made_with", ""), choices)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.cli.frame import UsageError
-from eigenscan.cli.importers import stamp_of
 from eigenscan.cli.process_replay.services import PARTS, said_by
 from eigenscan.runtime.recording import Record, is_complete, read, read_metadata
 from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, TRACKS, Channel
@@ -88,7 +87,7 @@ class Survey:
         if channel.qos.latched:
             self.latched.setdefault(key, envelope)
         if channel in _SAID:
-            stamp = stamp_of(envelope)
+            stamp = envelope.stamp
             first, last = self.spans.get(key, (stamp, stamp))
             self.spans[key] = min(first, stamp), max(last, stamp)
             self._look_back(envelope)
