@@ -54,6 +54,41 @@ def _typed_wrongly(error: Exception) -> str:
     return said[:1].lower() + said[1:]
 
 
+def _told(error: Exception, command: str, is_known: bool) -> tuple[str, int] | None:
+    """What is said of an error of `command`, and the exit code; None for Typer's own exit, abort and help."""
+    if type(error).__module__.startswith("typer."):
+        mistake = _typed_wrongly(error)
+        place = command if is_known else command.rpartition(" ")[0]
+        return (f"{place}: {mistake}: see {place} --help", EXIT_USAGE) if mistake else None
+    if isinstance(error, FailedError):
+        return f"{command}: {error}", EXIT_FAILED
+    if by_users(error):
+        return f"{command}: {one_line(error)}", EXIT_USAGE
+    line = f"{command}: {type(error).__name__}: {one_line(error)}"
+    return f"{line} (a fault of ours; eigenscan --debug shows the trace)", EXIT_FAILED
+
+
+def _load(name: str, place: str) -> Any:
+    """The command or group `name` at `module:function` or `module:table`."""
+    module, _, function = place.partition(":")
+    source = importlib.import_module(module)
+    target = getattr(source, function)
+    if isinstance(target, Mapping):
+        group = typer.Typer(
+            name=name,
+            cls=lazy_group(target),
+            help=source.__doc__,
+            no_args_is_help=True,
+            add_completion=False,
+            rich_markup_mode=None,
+        )
+        group.callback()(lambda: None)
+        return typer.main.get_command(group)
+    single = typer.Typer(rich_markup_mode=None, add_completion=False)
+    single.command(name)(target)
+    return typer.main.get_command(single)
+
+
 def lazy_group(
     commands: Mapping[str, tuple[str, str]], headings: Mapping[str, Sequence[str]] | None = None
 ) -> type[TyperGroup]:
@@ -71,23 +106,7 @@ def lazy_group(
         def get_command(self, _ctx: Any, cmd_name: str) -> Any:
             if cmd_name not in commands:
                 return None
-            module, _, function = commands[cmd_name][0].partition(":")
-            source = importlib.import_module(module)
-            target = getattr(source, function)
-            if isinstance(target, Mapping):
-                group = typer.Typer(
-                    name=cmd_name,
-                    cls=lazy_group(target),
-                    help=source.__doc__,
-                    no_args_is_help=True,
-                    add_completion=False,
-                    rich_markup_mode=None,
-                )
-                group.callback()(lambda: None)
-                return typer.main.get_command(group)
-            single = typer.Typer(rich_markup_mode=None, add_completion=False)
-            single.command(cmd_name)(target)
-            return typer.main.get_command(single)
+            return _load(cmd_name, commands[cmd_name][0])
 
         def format_commands(self, _ctx: Any, formatter: Any) -> None:
             named = {name for names in (headings or {}).values() for name in names}
@@ -118,19 +137,11 @@ def lazy_group(
                     raise
                 names = [ctx.info_name] if ctx.parent else []
                 command = " ".join(["eigenscan", *filter(None, names), ctx.invoked_subcommand or "?"])
-                if type(error).__module__.startswith("typer."):
-                    if not (mistake := _typed_wrongly(error)):
-                        raise  # the frame's own: Exit, Abort, help
-                    place = command if ctx.invoked_subcommand in commands else command.rpartition(" ")[0]
-                    typer.echo(f"{place}: {mistake}: see {place} --help", err=True)
-                    raise typer.Exit(EXIT_USAGE) from None
-                if isinstance(error, FailedError):
-                    typer.echo(f"{command}: {error}", err=True)
-                    raise typer.Exit(EXIT_FAILED) from None
-                expected = by_users(error)
-                line = one_line(error) if expected else f"{type(error).__name__}: {one_line(error)}"
-                hint = "" if expected else " (a fault of ours; eigenscan --debug shows the trace)"
-                typer.echo(f"{command}: {line}{hint}", err=True)
-                raise typer.Exit(EXIT_USAGE if expected else EXIT_FAILED) from None
+                told = _told(error, command, ctx.invoked_subcommand in commands)
+                if told is None:
+                    raise
+                line, exit_code = told
+                typer.echo(line, err=True)
+                raise typer.Exit(exit_code) from None
 
     return LazyGroup
