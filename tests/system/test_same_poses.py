@@ -19,8 +19,7 @@ Said = dict[int, tuple[float, float, float, int]]
 def evaluated(drive: Drive, folder: Path) -> Said:
     """What `eigenscan evaluate` says for one window over the whole recording."""
     windows, poses = folder / "windows.csv", folder / "poses.csv"
-    stamps = [e.message.timestamp for e in drive.envelopes]  # type: ignore[attr-defined]
-    first, last = (nanoseconds(stamps[i]) for i in (0, -1))
+    first, last = (drive.envelopes[i].stamp for i in (0, -1))
     windows.write_text(f"start_time,end_time\n{first / 1e9:.9f},{(last + 1000) / 1e9:.9f}\n")
     subprocess.run(
         [

@@ -11,7 +11,7 @@ from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.tally import Tally
 from eigenscan.runtime.wake import Wake
 from eigenscan.schemas.channels import ContractError
-from eigenscan.schemas.envelope import Condition, Core, Envelope, nanoseconds
+from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
@@ -87,14 +87,14 @@ class Work:
             self._tally.set_aside("foreign_key", arrival.key)
             return
         try:
-            message = decode(channel, arrival.payload, arrival.encoding)
+            heard = Envelope(channel, address, decode(channel, arrival.payload, arrival.encoding))
         except ContractError as error:
             self._tally.set_aside("undecodable", arrival.key, error)
             return
         self._tally.counts[f"heard_{channel.name}"] += 1
         began = time.perf_counter()
         try:
-            self._say(self._core.handle(Envelope(channel, address, message)))
+            self._say(self._core.handle(heard))
         except Exception as error:
             # the shell outlives a fault of the core: the next scan may be fine
             if not self._wake.stopping:
@@ -103,7 +103,7 @@ class Work:
         if channel.qos.latched:
             self._keep(arrival)
         if channel.qos.rate_hz:  # what has a rate has a stamp
-            self._monitor.dealt_with(channel.name, nanoseconds(message.timestamp))  # type: ignore[attr-defined]
+            self._monitor.dealt_with(channel.name, heard.stamp)
 
     def _say(self, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
