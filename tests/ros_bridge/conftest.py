@@ -5,6 +5,7 @@ The robot is zenoh-ros2-sdk: its keys, tokens, attachments and type hashes are i
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -125,6 +126,30 @@ class Ear:
     def health(self) -> Health | None:
         """The bridge's newest."""
         return next((h for h in reversed(self.of(HEALTH, Health)) if h.service == "ros-bridge"), None)
+
+
+@contextmanager
+def pipeline(
+    network: Network, out: Path, dialect: str, ros_router: str, *flags: object, **environment: str
+) -> Iterator[Ear]:
+    """`eigenscan run` with the bridge, once the projector has its model; gives what it says."""
+    site = f"test-{uuid.uuid4().hex[:12]}"
+    command = [sys.executable, "-m", "eigenscan.cli.main", "run", "--site", site, "--zenoh", network.leaf]
+    command += ["--no-viewer", "--out", out, "--ros2", dialect, "--ros2-router", ros_router, *flags]
+
+    def ready(ear: Ear) -> bool:
+        newest = {health.service: health.status for health in ear.of(HEALTH, Health)}
+        return {"ros-bridge", "tracker"} <= newest.keys() and newest.get("projector") == Health.STATUS_OK
+
+    with Ear.on(network, site) as ear:
+        with subprocess.Popen(list(map(str, command)), env=network.environment | environment) as process:
+            try:
+                eventually(lambda: process.poll() is not None or ready(ear), "the pipeline")
+                assert process.poll() is None
+                yield ear
+            finally:
+                process.send_signal(signal.SIGINT)
+        assert process.returncode == 0
 
 
 @dataclass(frozen=True)

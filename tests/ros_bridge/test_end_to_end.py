@@ -3,14 +3,10 @@
 It is as little as AMCL needs: odometry in tf, no topic of it, and the clock of a simulation (use_sim_time).
 """
 
-import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -23,16 +19,15 @@ from eigenscan.geometry.pose import compose, from_pose3
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.inbound import header_stamp, on_plane
 from eigenscan.ros_bridge.outbound import occupancy_grid
-from eigenscan.schemas.channels import HEALTH, MAP, ODOMETRY, SCAN_RAW
+from eigenscan.schemas.channels import MAP, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
-from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from zenoh_ros2_sdk import get_topic_info
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
-from tests.ros_bridge.conftest import Ear, Network, Robot, eventually, fields
+from tests.ros_bridge.conftest import Ear, Network, Robot, eventually, fields, pipeline
 from tests.ros_bridge.test_core import header, scan, transform
 
 SECONDS = 8.0
@@ -95,26 +90,9 @@ def map_server(robot: Robot, stage: Stage) -> Iterator[None]:
 @pytest.fixture
 def ear(network: Network, robot: Robot, map_server: None, tmp_path: Path) -> Iterator[Ear]:
     """What the running pipeline says."""
-    site = f"test-{uuid4().hex[:12]}"
-    command = [sys.executable, "-m", "eigenscan.cli.main", "run", "--site", site]
-    command += ["--zenoh", str(network.leaf), "--no-viewer", "--out", str(tmp_path / "out")]
-    command += ["--ros2", "rmw_zenoh", "--ros2-router", network.endpoint]
-    with Ear.on(network, site) as ear:
-        environment = {"ROS_DOMAIN_ID": str(robot.domain)}
-        with subprocess.Popen(command, env=network.environment | environment) as process:
-            try:
-                eventually(lambda: process.poll() is not None or _ready(ear), "the pipeline")
-                assert process.poll() is None
-                yield ear
-            finally:
-                process.send_signal(signal.SIGINT)
-        assert process.returncode == 0
-
-
-def _ready(ear: Ear) -> bool:
-    """Whether the bridge is there, and the projector has its model."""
-    newest = {health.service: health.status for health in ear.of(HEALTH, Health)}
-    return {"ros-bridge", "tracker"} <= newest.keys() and newest.get("projector") == Health.STATUS_OK
+    domain = str(robot.domain)
+    with pipeline(network, tmp_path / "out", "rmw_zenoh", network.endpoint, ROS_DOMAIN_ID=domain) as ear:
+        yield ear
 
 
 def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, robot: Robot) -> None:

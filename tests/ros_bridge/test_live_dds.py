@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -27,16 +24,15 @@ from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge.inbound import header_stamp, on_plane
-from eigenscan.schemas.channels import HEALTH, MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
+from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
-from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Track, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 
 from tests.network import free_port
-from tests.ros_bridge.conftest import Bridge, Ear, Network, eventually
+from tests.ros_bridge.conftest import Bridge, Network, eventually, pipeline
 
 pytestmark = pytest.mark.rust
 
@@ -257,36 +253,13 @@ def test_a_robot_on_a_dds_is_localized(
     poses = robot.hears("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.quality(1000, latched=True))
     tf = robot.hears("rt/tf", dds.TFMessage, dds.quality(1000))
     driver = DdsDriver(robot, dds)
-    site = f"test-{uuid4().hex[:12]}"
-    command = [
-        sys.executable,
-        "-m",
-        "eigenscan.cli.main",
-        "run",
-        "--site",
-        site,
-        "--map",
-        tmp_path / "map.yaml",
-    ]
-    command += ["--zenoh", network.leaf, "--no-viewer", "--out", tmp_path / "out"]
-    command += ["--ros2", "ros2dds", "--ros2-router", router]
-    with (
-        Ear.on(network, site) as ear,
-        subprocess.Popen([str(part) for part in command], env=network.environment) as process,
-    ):
-        try:
-            eventually(lambda: process.poll() is not None or _ready(ear), "the pipeline")
-            stage.epoch = time.time_ns()
-            publish(stage.messages(), driver.say)
-            heard = poses.take(2000)
-            anchors = [
-                item
-                for message in tf.take(5000)
-                for item in message.transforms
-                if item.child_frame_id == "odom"
-            ]
-        finally:
-            process.send_signal(signal.SIGINT)
+    with pipeline(network, tmp_path / "out", "ros2dds", router, "--map", tmp_path / "map.yaml"):
+        stage.epoch = time.time_ns()
+        publish(stage.messages(), driver.say)
+        heard = poses.take(2000)
+        anchors = [
+            item for message in tf.take(5000) for item in message.transforms if item.child_frame_id == "odom"
+        ]
     errors = [
         np.hypot(*(np.array(on_plane(m.pose.pose.position, m.pose.pose.orientation)) - at)[:2])
         for m in heard
@@ -297,8 +270,3 @@ def test_a_robot_on_a_dds_is_localized(
     assert np.median(errors) < 0.1
     assert max(errors) < 0.5
     assert {item.header.frame_id for item in anchors} == {"map"}
-
-
-def _ready(ear: Ear) -> bool:
-    newest = {health.service: health.status for health in ear.of(HEALTH, Health)}
-    return {"ros-bridge", "tracker"} <= newest.keys() and newest.get("projector") == Health.STATUS_OK
