@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.runtime import lately
+from eigenscan.runtime import recently_used
 from eigenscan.runtime.settings import SettingsError, load
 from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -276,7 +276,7 @@ def test_settings_that_do_not_hold_are_named(flags: list[str], named: str) -> No
 def test_lidars_without_end_are_served_and_those_that_are_gone_forgotten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(lately, "AMONG", 100)
+    monkeypatch.setattr(recently_used, "AMONG", 100)
     ingest = core()
     first = heard(raw(), robot="first")
     assert [scan.sequence for scan in scans(ingest.handle(first))] == [0]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from eigenscan.runtime import lately
+from eigenscan.runtime import recently_used
 from eigenscan.runtime.bus import STAGGER_S, Bus, stagger
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
@@ -282,7 +282,7 @@ def test_what_is_said_after_the_end_is_refused(net: Any) -> None:
 def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
     buses: Callable[[], Bus], net: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lately, "AMONG", 20)
+    monkeypatch.setattr(recently_used, "AMONG", 20)
     hub, leaf, inbox = buses(), buses(), Inbox()
     hub.listen([SCAN], {"site": net.site}, inbox)
     robots = [f"r{number}" for number in range(200)]

@@ -4,7 +4,7 @@ import gc
 
 import numpy as np
 import pytest
-from eigenscan.runtime import lately
+from eigenscan.runtime import recently_used
 from eigenscan.schemas.channels import TRANSFORM
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.robot import RobotTracker
@@ -26,7 +26,7 @@ def trackers() -> int:
 def test_who_is_gone_is_forgotten_and_begins_anew_and_who_stays_does_not(
     make_core: MakeCore, speaker: Speaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lately, "AMONG", AMONG)
+    monkeypatch.setattr(recently_used, "AMONG", AMONG)
     before, core = trackers(), make_core()
 
     def knows(robot: str, time: float) -> bool:

@@ -18,7 +18,7 @@ import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
 from eigenscan.runtime.keepsake import digest
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,
@@ -51,7 +51,7 @@ class Bus:
         self._session = session
         self._prompt = prompt
         self._idle: list[Any] = []
-        self._publishers: Lately[str, Any] = Lately(self._idle.append)
+        self._publishers: RecentlyUsed[str, Any] = RecentlyUsed(self._idle.append)
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
         self._lock = threading.Lock()
         self._declared: list[Any] = []
@@ -219,7 +219,7 @@ class Bus:
         with self._lock:
             declared = [*self._declared, *(publisher for _, publisher in self._publishers.items())]
             self._declared.clear()
-            self._publishers = Lately()
+            self._publishers = RecentlyUsed()
         for one in declared:
             with contextlib.suppress(zenoh.ZError):  # the link may be gone already
                 one.undeclare()

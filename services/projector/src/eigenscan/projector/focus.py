@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.geometry.pose import covariance_from_message
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Focus:
     """
 
     def __init__(self) -> None:
-        self._robots: Lately[str, _Known] = Lately()
+        self._robots: RecentlyUsed[str, _Known] = RecentlyUsed()
 
     def hear(self, robot: str, estimate: PoseEstimate) -> None:
         """Takes a pose."""

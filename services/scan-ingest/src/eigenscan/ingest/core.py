@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.ingest.normalize import FARTHEST, Ranges, ScanError, Sweep, limit, orient, resample
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import SCAN, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -39,7 +39,7 @@ class ScanIngestCore:
     def __init__(self, settings: ScanIngestSettings) -> None:
         self._settings = settings
         self._step = None if settings.angle_step is None else math.radians(settings.angle_step)
-        self._lidars: Lately[tuple[str, str], _Lidar] = Lately()
+        self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
         self._counts: Counter[str] = Counter(heard=0, published=0, lidars=0)
         self._recent: deque[str] = deque(maxlen=RECENT)
 

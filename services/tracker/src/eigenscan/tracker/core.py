@@ -14,7 +14,7 @@ from eigenscan.geometry.pose import (
     to_message,
     yaw,
 )
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
@@ -51,7 +51,7 @@ class TrackerCore:
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
         self._counts: Counter[str] = Counter()
-        self._robots: Lately[tuple[str, str], _Tracked] = Lately()
+        self._robots: RecentlyUsed[tuple[str, str], _Tracked] = RecentlyUsed()
 
     def start(self) -> Iterable[Envelope]:
         """Nothing: a tracker that heard nothing knows nothing."""

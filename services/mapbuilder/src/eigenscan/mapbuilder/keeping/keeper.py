@@ -11,7 +11,7 @@ from eigenscan.mapbuilder.keeping.change import Change, find_change
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 from eigenscan.mapbuilder.keeping.look import Look, mark
 from eigenscan.mapbuilder.keeping.witness import Witness
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
@@ -25,7 +25,7 @@ class Keeper:
         self.evidence = evidence
         self.counts: Counter[str] = Counter()
         self._visits, self._frame_id = visits, frame_id
-        self._witnesses: Lately[str, dict[str, Witness]] = Lately()
+        self._witnesses: RecentlyUsed[str, dict[str, Witness]] = RecentlyUsed()
         """By robot, then lidar."""
         self.trust(grid)
 

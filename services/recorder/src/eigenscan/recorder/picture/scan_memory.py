@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from eigenscan.recorder.picture.canvas import stamp_of
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
 
@@ -16,7 +16,7 @@ class ScanMemory:
     """Keeps SCANS_KEPT scans of each lidar of each robot."""
 
     def __init__(self) -> None:
-        self._scans: Lately[tuple[str, str], deque[tuple[int, Scan]]] = Lately()
+        self._scans: RecentlyUsed[tuple[str, str], deque[tuple[int, Scan]]] = RecentlyUsed()
 
     def keep(self, heard: Envelope) -> None:
         """Remembers the scan, where its stamp is a time."""

@@ -1,8 +1,8 @@
 """A dictionary that forgets."""
 
 import pytest
-from eigenscan.runtime import lately
-from eigenscan.runtime.lately import Lately
+from eigenscan.runtime import recently_used
+from eigenscan.runtime.recently_used import RecentlyUsed
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,8 +13,8 @@ AMONG = 5
 def test_just_what_was_used_among_the_last_uses_is_remembered(keys: list[int]) -> None:
     gone: list[int] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lately, "AMONG", AMONG)
-        kept: Lately[int, list[int]] = Lately(lambda value: gone.append(value[0]))
+        patch.setattr(recently_used, "AMONG", AMONG)
+        kept: RecentlyUsed[int, list[int]] = RecentlyUsed(lambda value: gone.append(value[0]))
     for number, key in enumerate(keys):
         fresh = key not in keys[max(0, number - AMONG) : number]
         value = kept.use(key, lambda key=key: [key])  # type: ignore[misc]
@@ -32,8 +32,8 @@ def test_just_what_was_used_among_the_last_uses_is_remembered(keys: list[int]) -
 
 
 def test_to_look_at_something_is_no_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lately, "AMONG", 2)
-    kept: Lately[str, int] = Lately()
+    monkeypatch.setattr(recently_used, "AMONG", 2)
+    kept: RecentlyUsed[str, int] = RecentlyUsed()
     kept.use("a", lambda: 1)
     kept.use("b", lambda: 2)
     assert kept.get("a") == 1

@@ -17,8 +17,8 @@ AMONG = 100_000
 process can serve."""
 
 
-class Lately(Generic[K, V]):
-    """A dictionary that forgets what was not used among the last AMONG uses."""
+class RecentlyUsed(Generic[K, V]):
+    """A dictionary that forgets what was not among the last AMONG uses, the least recently used first."""
 
     def __init__(self, forget: Callable[[V], object] = lambda _: None) -> None:
         """`forget` is called with each value that goes."""
