@@ -14,7 +14,6 @@ healths, payload and key.
 """
 
 import argparse
-import heapq
 import json
 import subprocess
 import sys
@@ -23,7 +22,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +34,6 @@ from eigenscan.cli.simulation.stage import Scenario, Stage
 from eigenscan.cli.simulation.world import office
 from eigenscan.eigenspace.folder import read_models
 from eigenscan.geometry.gridmap import to_message, write_map
-from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
@@ -48,89 +44,20 @@ from eigenscan.schemas.channels import (
     HYPOTHESES,
     MAP,
     MODEL_SET,
-    ODOMETRY,
     POSE,
     SCAN,
-    SCAN_RAW,
     TRACKS,
 )
-from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from fleet_robots import RATE_HZ, SITE, SPREAD_S, Heard, canonical, drive, name_of
 
 PROGRAM = Path(sys.executable).with_name("eigenscan")
-SITE = "scale"
-SPREAD_S = 20.0
-"""The robots follow each other along one drive, within so many seconds."""
 SETTLE_S = 5.0
 ENOUGH = 0.95
-RIGHT_M = 0.5
-RATE_HZ = 10.0
 ALONE_SCANS = 150
-ON_ROBOT = ("scan-ingest", "projector", "tracker")
-
-
-@dataclass
-class Heard:
-    """What came back within the window."""
-
-    stage: Stage
-    begin: float = np.inf
-    end: float = np.inf
-    sent: dict[tuple[str, int], tuple[float, int]] = field(default_factory=dict)
-    """Robot and stamp -> when the scan was said, s, and its time in the drive, ns."""
-    said: int = 0
-    waits: list[float] = field(default_factory=list)
-    wrong: int = 0
-    claims: int = 0
-    sizes: dict[str, list[int]] = field(default_factory=lambda: {"pose": [], "tracks": [], "health": []})
-
-    def on_pose(self, sample: zenoh.Sample) -> None:
-        now = time.monotonic()
-        self._size("pose", sample)
-        pose = PoseEstimate.FromString(sample.payload.to_bytes())
-        said = self.sent.pop((str(sample.key_expr).split("/")[2], nanoseconds(pose.timestamp)), None)
-        if said is None or not self.begin <= said[0] < self.end:
-            return
-        self.waits.append(now - said[0])
-        if pose.state == STATE_LOCALIZED:
-            x, y, _ = self.stage.pose_at(said[1])
-            self.claims += 1
-            self.wrong += bool(np.hypot(pose.pose.x - x, pose.pose.y - y) > RIGHT_M)
-
-    def on_tracks(self, sample: zenoh.Sample) -> None:
-        self._size("tracks", sample)
-
-    def on_health(self, sample: zenoh.Sample) -> None:
-        self._size("health", sample)
-
-    def _size(self, name: str, sample: zenoh.Sample) -> None:
-        self.sizes[name].append(len(sample.payload) + len(str(sample.key_expr)))
-
-    def air(self, rate_hz: float) -> float:
-        """Bytes a second that leave one robot."""
-        typical = {name: float(np.mean(sizes or [0])) for name, sizes in self.sizes.items()}
-        return rate_hz * typical["pose"] + typical["tracks"] + len(ON_ROBOT) * typical["health"]
-
-
-def canonical(stage: Stage, rate_hz: float) -> list[tuple[int, Envelope]]:
-    """Time in the drive, ns, and what the robot says then: canonical scans and odometry, every so many."""
-    ingest, said, every = ScanIngestCore(ScanIngestSettings()), [], round(RATE_HZ / rate_hz)
-    count = {SCAN_RAW: 0, ODOMETRY: 0}
-    for timed in stage.messages():
-        channel = timed.envelope.channel
-        if channel not in count:
-            continue
-        count[channel] += 1
-        if (count[channel] - 1) % every:
-            continue
-        if channel is SCAN_RAW:
-            said += [(timed.time, envelope) for envelope in ingest.handle(timed.envelope)]
-        else:
-            said.append((timed.time, timed.envelope))
-    return said
 
 
 def cores_alone(folder: Path, said: list[tuple[int, Envelope]]) -> dict[str, float]:
@@ -155,47 +82,6 @@ def cores_alone(folder: Path, said: list[tuple[int, Envelope]]) -> dict[str, flo
             spent["tracker"] += time.thread_time() - between
         scans += envelope.channel is SCAN
     return {name: one / (scans - ALONE_SCANS // 10) * 1e3 for name, one in spent.items()}
-
-
-def name_of(robot: int, groups: int) -> str:
-    """Robots are dealt to the groups g0-*, g1-*, ... in turn."""
-    return f"g{robot % groups}-{robot}"
-
-
-def drive(
-    bus: Bus,
-    said: list[tuple[int, Envelope]],
-    names: list[str],
-    heard: Heard,
-    stop: threading.Event,
-) -> None:
-    """Says what the robots of these names say, each message when its time has come, with stamps of now."""
-    first, began, robots = said[0][0], time.monotonic(), len(names)
-    rate_hz = sum(envelope.channel is SCAN for _, envelope in said) / (said[-1][0] - first) * 1e9
-    wall = time.time_ns()
-    times = np.array([at for at, _ in said])
-    due: list[tuple[float, int, int, int]] = []
-    for robot in range(robots):
-        offset = int(robot * SPREAD_S / robots * 1e9)
-        begin = int(np.searchsorted(times, first + offset))
-        # robots are not in step: each has its own moment between two scans
-        heapq.heappush(due, (robot / robots / rate_hz, robot, begin, int(times[begin])))
-    while due and not stop.is_set():
-        at, robot, index, origin = heapq.heappop(due)
-        if (wait := began + at - time.monotonic()) > 0 and stop.wait(wait):
-            return
-        drive_time, envelope = said[index]
-        now = wall + int(at * 1e9)
-        envelope.message.timestamp.CopyFrom(stamp(now))  # type: ignore[attr-defined]
-        name = names[robot]
-        if envelope.channel is SCAN:
-            moment = time.monotonic()
-            heard.sent[name, now] = (moment, drive_time)
-            heard.said += heard.begin <= moment < heard.end
-        bus.say(Envelope(envelope.channel, {"site": SITE, "robot": name, "lidar": "front"}, envelope.message))
-        if index + 1 < len(said):
-            later = (said[index + 1][0] - drive_time) * 1e-9
-            heapq.heappush(due, (at + later, robot, index + 1, origin))
 
 
 @contextmanager

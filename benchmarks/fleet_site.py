@@ -49,7 +49,8 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
-from fleet import PROGRAM, canonical
+from fleet import PROGRAM
+from fleet_robots import canonical
 
 SITE = "scale"
 DRIVE_S, SETTLE_S, PERIOD_NS = 30.0, 8.0, 100_000_000

@@ -32,7 +32,8 @@ from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import HEALTH, ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
-from fleet import PROGRAM, SITE, prepare, wait_for_models
+from fleet import PROGRAM, prepare, wait_for_models
+from fleet_robots import SITE
 
 SCANS, ODOMETRIES = 10, 500
 ROWS = 10
