@@ -28,6 +28,7 @@ from eigenscan.schemas.wire import decode
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 from tests.docker.conftest import MARKS, PROFILES, ROOT, compose, docker, until
+from tests.environment import PATIENT
 
 SERVICES = (
     "router",
@@ -58,6 +59,8 @@ class Stack:
     port: int
     viewer_port: int
     data_port: int
+    patient: Path
+    """Gives its services time to end."""
 
     def compose(self, *arguments: str, over: Sequence[Path] = ()) -> str:
         """Runs docker-compose; `over` are files that change docker-compose.yml."""
@@ -71,7 +74,7 @@ class Stack:
             "EIGENSCAN_ROS_ROUTER": "tcp/router:7447",
             "EIGENSCAN_RUST": str(RUST_TARGET / "release"),
         }
-        files = ("docker-compose.yml", *map(str, over))
+        files = ("docker-compose.yml", str(self.patient), *map(str, over))
         return compose("-p", self.project, *PROFILES, *arguments, environment=environment, files=files)
 
     def container(self, service: str) -> str:
@@ -86,12 +89,15 @@ class Stack:
 
 
 @pytest.fixture(scope="module")
-def stack(images: str) -> Iterator[Stack]:
+def stack(images: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     name = f"eigenscan-test-{uuid.uuid4().hex[:8]}"
     with ExitStack() as taken:
         servers = [taken.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(3)]
-        ports = [server.getsockname()[1] for server in servers]
-    stack = Stack(name, images, name, *ports)
+        port, viewer_port, data_port = (int(server.getsockname()[1]) for server in servers)
+    patient = tmp_path_factory.mktemp("stack") / "patient.yml"
+    more = {"environment": PATIENT, "stop_grace_period": "120s"}
+    patient.write_text(json.dumps({"services": dict.fromkeys(SERVICES, more)}))
+    stack = Stack(name, images, name, port, viewer_port, data_port, patient)
     try:
         stack.compose("up", "-d")
         yield stack

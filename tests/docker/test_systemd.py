@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.docker.conftest import MARKS, ROOT
+from tests.environment import PATIENT
 from tests.fleet.conftest import run
 
 SITE, ROBOT = "hospital", "r17"
@@ -109,6 +110,11 @@ def begin(computer: Computer, network: str, part: Path) -> None:
     computer.run("systemd-sysusers", "/root/systemd/eigenscan.sysusers")
     computer.run("chown", "-R", "10001", "/etc/eigenscan")
     computer.run("sh", "-c", "cp -r /root/systemd/eigenscan@* /root/systemd/*.target /etc/systemd/system")
+    # a busy machine may need more than two seconds to end a service
+    more = [f"Environment={name}={value}" for name, value in PATIENT.items()]
+    told = "\\n".join(["[Service]", *more, "TimeoutStopSec=120"])
+    extra = "/etc/systemd/system/eigenscan@.service.d"
+    computer.run("sh", "-c", f"mkdir -p {extra} && printf '{told}\\n' > {extra}/patient.conf")
     computer.run("systemctl", "daemon-reload")
     computer.run("systemctl", "enable", "--now", f"eigenscan-{computer.kind}.target")
 
