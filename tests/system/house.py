@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -116,15 +116,17 @@ class House:
         before = self._words(service)
         with (self.logs / f"{service}.log").open("ab") as log:
             self.running[alias or service] = subprocess.Popen(
-                self._command(f"eigenscan-{service}", *flags),
+                self._command(f"eigenscan-{service}", flags=flags),
                 stdout=log,
                 stderr=log,
                 env=environment.clean() | ONE_THREAD,
             )
         self.ear.wait_for(lambda _: self._words(service) > before, f"{service} to speak\n{self.log(service)}")
 
-    def _command(self, program: str, *words: object) -> list[str]:
-        return [str(PROGRAMS / program), *map(str, words), "--site", self.site, "--zenoh", str(self.config)]
+    def _command(self, *program: object, flags: Iterable[object] = ()) -> list[str]:
+        """A program in the house, `flags` after the house's own: of two the latter counts."""
+        own = ("--site", self.site, "--zenoh", self.config)
+        return [str(PROGRAMS / str(program[0])), *map(str, (*program[1:], *own, *flags))]
 
     def _words(self, service: str) -> int:
         return sum(e.channel is HEALTH and e.address["service"] == service for e in self.ear.heard)
@@ -158,7 +160,7 @@ class House:
     def replay(self, recording: Path, *flags: object) -> None:
         """Plays a recording into the site, from its start to its end."""
         done = subprocess.run(
-            self._command("eigenscan", "replay", recording, *flags),
+            self._command("eigenscan", "replay", recording, flags=flags),
             capture_output=True,
             text=True,
             check=False,
