@@ -8,8 +8,10 @@ tracker say them on a simulated drive, are said by each robot with its own certi
 site is as `eigenscan fleet certify` configures it: its router with access control and limits, the recorder
 with its live picture, the mapbuilder that keeps the map true, `fleet metrics`. "arrived" is the share of
 poses that an operator hears, "held back" the share that the router's limit against floods takes, because
-this benchmark was late and said two at once; latency is from a pose's stamp to the operator; "dropped" and
-"lost" are the recorder's own counters; bytes are payloads and keys.
+this benchmark was late and said two at once; "in the file" is the share that the recorder wrote and "nowhere"
+that which neither has: what is missing in both was lost before the site's router, or in it, what in one on the
+way from it. Latency is from a pose's stamp to the operator; "dropped" and "lost" are the recorder's own
+counters; bytes are payloads and keys.
 """
 
 import argparse
@@ -41,6 +43,8 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.health import Monitor
 from eigenscan.runtime.loopback import Loopback
+from eigenscan.runtime.recording import parts
+from eigenscan.runtime.recording.files import messages, opened
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import HEALTH, MAP, POSE, TRACKS, Channel
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -97,12 +101,13 @@ def generate(
     lines: list[Line],
     ready: Event,
     stop: Event,
+    window: Any,
     poses: Any,
 ) -> None:
     """Says what the robots of `configs` (name, configuration) say, until told to stop.
 
-    `poses`: said so far; and of them those that the site's router holds back, for they come sooner after the
-    robot's last one than it lets through: this process was late before.
+    `poses`: said so far with stamps (ns) within `window`; and of them those that the site's router holds back, for
+    they come sooner after the robot's last one than it lets through: this process was late before.
     """
     least_s = 1.0 / (POSE.qos.air_hz * FLOOD)
     passed: dict[str, float] = {}
@@ -118,7 +123,8 @@ def generate(
             time.sleep(wait)
         name, (when, channel, where, payload) = configs[number][0], lines[index]
         message = channel.message.FromString(payload)
-        message.timestamp.CopyFrom(stamp(wall + int((time.monotonic() - began) * 1e9)))  # type: ignore[attr-defined]
+        moment = wall + int((time.monotonic() - began) * 1e9)
+        message.timestamp.CopyFrom(stamp(moment))  # type: ignore[attr-defined]
         key = channel.key({"site": SITE, "robot": name, "instance": name, **where})
         if key not in publishers:
             publishers[key] = sessions[name].declare_publisher(
@@ -128,8 +134,9 @@ def generate(
         publishers[key].put(encode(message))
         if channel == POSE:  # a copy, in this process
             held = time.monotonic() - passed.get(key, 0.0) < least_s
-            poses[0] += 1
-            poses[1] += held
+            if window[0] <= moment < window[1]:
+                poses[0] += 1
+                poses[1] += held
             if not held:
                 passed[key] = time.monotonic()
         later = lines[(index + 1) % len(lines)][0] - when
@@ -140,11 +147,23 @@ def generate(
         session.close()
 
 
+def recorded_poses(folder: Path, begin: int, end: int) -> set[tuple[str, int]]:
+    """Key and stamp of each pose in the recorder's files with a stamp from `begin` to before `end`, ns."""
+    found = set()
+    for path in parts(folder):
+        with opened(path) as file:
+            for _, channel, message in messages(file):
+                if POSE.parse(channel.topic) and begin <= message.publish_time < end:
+                    found.add((channel.topic, message.publish_time))
+    return found
+
+
 @dataclass
 class Ear:
     """What an operator hears within a window."""
 
-    waits: list[float] = field(default_factory=list)
+    waits: dict[tuple[str, int], float] = field(default_factory=dict)
+    """Of a pose by key and stamp, ns: ms."""
     robots: set[str] = field(default_factory=set)
     bytes: int = 0
     recorder: dict[str, int] = field(default_factory=dict)
@@ -154,7 +173,7 @@ class Ear:
         self.bytes += len(sample.payload) + len(key)
         if POSE.parse(key):
             pose = PoseEstimate.FromString(sample.payload.to_bytes())
-            self.waits.append((now - nanoseconds(pose.timestamp)) * 1e-6)
+            self.waits[key, nanoseconds(pose.timestamp)] = (now - nanoseconds(pose.timestamp)) * 1e-6
             self.robots.add(key)
         elif "/health/recorder/" in key:
             self.recorder = dict(Health.FromString(sample.payload.to_bytes()).counters)
@@ -181,12 +200,13 @@ def configure(folder: Path, names: list[str], port: int) -> dict[str, Path]:
 
 def measure(
     lines: list[Line], configs: list[tuple[str, str]], operator: Path, seconds: float,
-    processes: dict[str, psutil.Process],
+    processes: dict[str, psutil.Process], recordings: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """One row of the table."""
     spawn = multiprocessing.get_context("spawn")
-    ready, stop, poses = spawn.Event(), spawn.Event(), spawn.Array("q", 2, lock=False)
-    robots = spawn.Process(target=generate, args=(configs, lines, ready, stop, poses), daemon=True)
+    ready, stop = spawn.Event(), spawn.Event()
+    window, poses = spawn.Array("q", 2, lock=False), spawn.Array("q", 2, lock=False)
+    robots = spawn.Process(target=generate, args=(configs, lines, ready, stop, window, poses), daemon=True)
     robots.start()
     ready.wait(300.0)
     ear = Ear()
@@ -194,28 +214,34 @@ def measure(
         session.declare_subscriber(f"{SITE}/**", ear.on_sample)
         time.sleep(SETTLE_S)
         used = {name: sum(one.cpu_times()[:2]) for name, one in processes.items()}
-        before, ear.bytes, ear.waits, said = dict(ear.recorder), 0, [], list(poses)
-        began = time.monotonic()
+        before, ear.bytes, began = dict(ear.recorder), 0, time.time_ns()
+        window[1] = began + int(seconds * 1e9)
+        window[0] = began
         time.sleep(seconds)
-        passed = time.monotonic() - began
-        waits, heard, said = (
-            np.array(ear.waits or [np.nan]),
-            ear.bytes,
-            [now - then for now, then in zip(poses, said, strict=True)],
-        )
+        passed, heard = (time.time_ns() - began) * 1e-9, ear.bytes
         cores = {n: (sum(one.cpu_times()[:2]) - used[n]) / passed for n, one in processes.items()}
         time.sleep(1.5)
         after = dict(ear.recorder)
-    stop.set()
-    robots.join(60.0)
+        stop.set()
+        robots.join(60.0)
+        deadline = time.monotonic() + 60.0
+        ear.recorder = {}
+        while ear.recorder.get("waiting", 1) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(1.0)  # what it has taken is in the file
+    said, held = poses
+    waits = {pose: ms for pose, ms in ear.waits.items() if window[0] <= pose[1] < window[1]}
+    written = recorded_poses(recordings, window[0], window[1])
+    ms = np.array(list(waits.values()) or [np.nan])
 
     def grew(*names: str) -> int:
         return sum(after.get(name, 0) - before.get(name, 0) for name in after if name.startswith(names))
 
     return {
         "robots": len(configs), "heard_of": len(ear.robots), "load": psutil.getloadavg()[0],
-        "poses_per_s": said[0] / passed, "arrived": len(waits) / said[0], "held_back": said[1] / said[0],
-        "p50_ms": float(np.median(waits)), "p99_ms": float(np.quantile(waits, 0.99)),
+        "poses_per_s": said / passed, "arrived": len(waits) / said, "held_back": held / said,
+        "in_file": len(written) / said, "nowhere": 1.0 - len(written | waits.keys()) / said,
+        "p50_ms": float(np.median(ms)), "p99_ms": float(np.quantile(ms, 0.99)),
         "kb_per_s": heard / passed / 1e3, "cores": cores,
         "rss_mb": {n: one.memory_info().rss / 1e6 for n, one in processes.items()},
         "dropped": grew("dropped_"), "lost": grew("mcap_lost"), "recorded": grew("heard_"),
@@ -225,7 +251,8 @@ def measure(
 def show(row: dict[str, Any]) -> None:
     cores = " ".join(f"{row['cores'][name]:5.2f} {row['rss_mb'][name]:5.0f}" for name in row["cores"])
     print(
-        f"{row['robots']:6} {row['poses_per_s']:7.0f} {row['arrived']:8.1%} {row['held_back']:9.1%} "
+        f"{row['robots']:6} {row['poses_per_s']:7.0f} {row['arrived']:8.1%} {row['in_file']:11.1%} "
+        f"{row['nowhere']:7.1%} {row['held_back']:9.1%} "
         f"{row['p50_ms']:7.1f} {row['p99_ms']:7.1f} {row['kb_per_s']:7.0f} | {cores} | "
         f"{row['recorded']:8} {row['dropped']:7} {row['lost']:5} | {row['load']:5.1f}",
         flush=True,
@@ -277,11 +304,21 @@ def main() -> None:
         ]  # fmt: skip
         head = " ".join(f"{name:>11}" for name in processes)
         print(
-            f"{'robots':>6} {'poses/s':>7} {'arrived':>8} {'held back':>9} {'p50 ms':>7} {'p99 ms':>7} "
+            f"{'robots':>6} {'poses/s':>7} {'arrived':>8} {'in the file':>11} {'nowhere':>7} {'held back':>9} "
+            f"{'p50 ms':>7} {'p99 ms':>7} "
             f"{'kB/s':>7} | {head} (cores, MB) | {'recorded':>8} {'dropped':>7} {'lost':>5} | {'load':>5}"
         )
         for count in counts:
-            rows.append(measure(lines, configs[:count], files["operator"], options.seconds, processes))
+            rows.append(
+                measure(
+                    lines,
+                    configs[:count],
+                    files["operator"],
+                    options.seconds,
+                    processes,
+                    folder / "recordings",
+                )
+            )
             show(rows[-1])
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
