@@ -284,6 +284,38 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
 
 
+def test_a_clock_that_is_set_back_delays_neither_flush_nor_retry(tmp_path: Path) -> None:
+    clock = Clock()
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    clock.now += S
+    sink.write(pose(1))
+    clock.now -= 60 * S
+    sink.write(pose(2))
+    clock.now += S
+    sink.write(pose(3))
+    assert {record.publish_time for record in read(tmp_path / "a.mcap")} == {1, 2, 3}
+    assert sink.counters["mcap_clock_set_back"] == 1
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))  # no file may grow: a full disk
+    try:
+        clock.now += S
+        sink.write(pose(4))
+        assert sink.problem
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    clock.now -= 60 * S
+    sink.write(pose(5))
+    assert sink.problem  # it is not yet time
+    clock.now += int(RETRY_S * S)
+    sink.write(pose(6))
+    assert sink.problem == ""
+    sink.close()
+    assert sink.counters["mcap_clock_set_back"] == 2
+    kept = [record.publish_time for path in tmp_path.glob("*.mcap") for record in read(path)]
+    assert sorted(kept) == [1, 2, 3, 6]
+    assert sink.counters["mcap_lost"] == 2
+
+
 def test_on_a_full_disk_each_message_is_in_a_file_or_counted_and_no_empty_files_pile_up(
     tmp_path: Path,
 ) -> None:

@@ -52,7 +52,7 @@ class McapSink:
         self._problem = ""
         self._retry_at = 0
         self._pending = 0
-        self._flushed_at = clock()
+        self._now = self._flushed_at = clock()
         self._writer: RecordingWriter | None = self._begin(self._flushed_at)
 
     @property
@@ -67,12 +67,15 @@ class McapSink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """`mcap_written` (flushed), `_lost`, `_files`, `_deleted`; of writes `_slow` and `_slowest_ms`."""
+        """`mcap_written` (flushed), `_lost`, `_files`, `_deleted`, `_clock_set_back`; of writes `_slow`, `_slowest_ms`."""
         return self._counts
 
     def write(self, heard: Envelope) -> None:
         """Adds a message: log time is now, publish time the message's own stamp."""
         now, before = self._clock(), perf_counter()
+        if now < self._now:
+            self._follow_back(now)
+        self._now = now
         try:
             self._pending += 1
             writer = self._rotated(now) if self._writer else self._reopen(now)
@@ -97,6 +100,14 @@ class McapSink:
             except OSError as error:
                 self._fail(error, self._clock())
             self._writer = None
+
+    def _follow_back(self, now: int) -> None:
+        """The clock was set back: what is due is due as soon as it would have been."""
+        self._counts["mcap_clock_set_back"] += 1
+        back = self._now - now
+        self._flushed_at -= back
+        self._opened_at -= back
+        self._retry_at -= back
 
     def _flush(self, writer: RecordingWriter, now: int) -> None:
         if now - self._flushed_at >= self._flush_ns:

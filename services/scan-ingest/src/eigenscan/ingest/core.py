@@ -18,6 +18,8 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 RECENT = 50
+GAP_NS = 1_000_000_000
+"""Between two scans: the lidar paused, or its clock was set forward; its stamps do not tell which."""
 
 
 @dataclass
@@ -119,6 +121,8 @@ class ScanIngestCore:
         back (or ran ahead once): then the new time holds.
         """
         if lidar.newest is None or stamp > lidar.newest:
+            if lidar.newest is not None and stamp - lidar.newest > GAP_NS:
+                self._counts["stamp_gaps"] += 1
             return
         if stamp == lidar.newest:
             raise ScanError("duplicate_stamp")
