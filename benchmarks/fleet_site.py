@@ -8,10 +8,10 @@ tracker say them on a simulated drive, are said by each robot with its own certi
 site is as `eigenscan fleet certify` configures it: its router with access control and limits, the recorder
 with its live picture, the mapbuilder that keeps the map true, `fleet metrics`. "arrived" is the share of
 poses that an operator hears, "held back" the share that the router's limit against floods takes, because
-this benchmark was late and said two at once; "in the file" is the share that the recorder wrote and "nowhere"
-that which neither has: what is missing in both was lost before the site's router, or in it, what in one on the
-way from it. Latency is from a pose's stamp to the operator; "dropped" and "lost" are the recorder's own
-counters; bytes are payloads and keys.
+this benchmark was late and said two at once; "in the file" is the share that the recorder wrote, "nowhere"
+that which neither has: it was lost before the site's router or by it, what only one lacks on the way from it.
+Latency is from a pose's stamp to the operator; "dropped" and "lost" are the recorder's own counters; bytes
+are payloads and keys.
 """
 
 import argparse
@@ -106,8 +106,8 @@ def generate(
 ) -> None:
     """Says what the robots of `configs` (name, configuration) say, until told to stop.
 
-    `poses`: said so far with stamps (ns) within `window`; and of them those that the site's router holds back, for
-    they come sooner after the robot's last one than it lets through: this process was late before.
+    `poses`: said so far with stamps (ns) within `window`; and of them those that the site's router holds back,
+    for they come sooner after the robot's last one than it lets through: this process was late before.
     """
     least_s = 1.0 / (POSE.qos.air_hz * FLOOD)
     passed: dict[str, float] = {}
@@ -304,8 +304,8 @@ def main() -> None:
         ]  # fmt: skip
         head = " ".join(f"{name:>11}" for name in processes)
         print(
-            f"{'robots':>6} {'poses/s':>7} {'arrived':>8} {'in the file':>11} {'nowhere':>7} {'held back':>9} "
-            f"{'p50 ms':>7} {'p99 ms':>7} "
+            f"{'robots':>6} {'poses/s':>7} {'arrived':>8} {'in the file':>11} {'nowhere':>7} "
+            f"{'held back':>9} {'p50 ms':>7} {'p99 ms':>7} "
             f"{'kB/s':>7} | {head} (cores, MB) | {'recorded':>8} {'dropped':>7} {'lost':>5} | {'load':>5}"
         )
         for count in counts:

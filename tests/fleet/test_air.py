@@ -1,5 +1,6 @@
 """What leaves a robot for its site: what the contract's table lets go, as often and urgently as it says."""
 
+import json
 import math
 import subprocess
 import sys
@@ -115,7 +116,8 @@ def test_the_table_decides_what_leaves_the_robot(driven: Driven, channel: Channe
         assert (driven.at_site[key] > 0) == (channel.qos.air_hz > 0)
 
 
-def test_urgency_over_the_air_is_the_tables_whatever_the_publisher_chose(fleet: Fleet) -> None:
+def pose_at_site(fleet: Fleet) -> zenoh.Sample:
+    """A pose as the recorder hears it, that was said on the robot with other words on its urgency."""
     samples: list[zenoh.Sample] = []
     with fleet.at_site("recorder") as site, fleet.on_robot(ROBOT) as speaker:
         site.declare_subscriber(POSE.key(ADDRESS), samples.append)
@@ -128,9 +130,31 @@ def test_urgency_over_the_air_is_the_tables_whatever_the_publisher_chose(fleet: 
             return bool(samples)
 
         until(arrives, "nothing arrives")
-    assert samples[0].priority == zenoh.Priority.INTERACTIVE_HIGH
-    assert samples[0].congestion_control == zenoh.CongestionControl.DROP
-    assert samples[0].express
+    return samples[0]
+
+
+def test_urgency_over_the_air_is_the_tables_whatever_the_publisher_chose(tmp_path: Path) -> None:
+    fleet = make_fleet(tmp_path)
+    router = fleet.machines / "site" / "router.json5"
+    as_it_comes = json.loads(router.read_text())
+    del as_it_comes["qos"]  # what the site's router makes of it
+    router.write_text(json.dumps(as_it_comes))
+    try:
+        for machine in ("site", ROBOT):
+            fleet.start(machine)
+        pose = pose_at_site(fleet)
+    finally:
+        fleet.stop()
+    assert pose.priority == zenoh.Priority.INTERACTIVE_HIGH
+    assert pose.congestion_control == zenoh.CongestionControl.DROP
+    assert pose.express
+
+
+def test_from_the_sites_router_poses_of_many_robots_leave_together(fleet: Fleet) -> None:
+    """Each in a batch of its own, those of 200 robots would not fit into a hearer's queue."""
+    pose = pose_at_site(fleet)
+    assert pose.priority == zenoh.Priority.INTERACTIVE_HIGH
+    assert not pose.express
 
 
 def test_a_robot_that_is_asked_sends_raw_scans_and_the_others_do_not(tmp_path: Path) -> None:
