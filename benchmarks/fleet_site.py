@@ -106,8 +106,8 @@ def generate(
 ) -> None:
     """Says what the robots of `configs` (name, configuration) say, until told to stop.
 
-    `poses`: said so far with stamps (ns) within `window`; and of them those that the site's router holds back,
-    for they come sooner after the robot's last one than it lets through: this process was late before.
+    `poses`: said so far with stamps (ns) within `window`; and of them those that the site's router holds
+    back, for they come sooner after the robot's last one than it lets through: this process was late before.
     """
     least_s = 1.0 / (POSE.qos.air_hz * FLOOD)
     passed: dict[str, float] = {}

@@ -1,8 +1,9 @@
-"""A robot's clock steps while it drives (NTP at last, a minute off): its services from scan to pose, as cores."""
+"""A robot's clock steps while it drives, as NTP sets it at last: its services from scan to pose, as cores."""
 
 import subprocess
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.envelope import Core, Envelope, nanoseconds, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
@@ -26,7 +27,7 @@ from eigenscan.tracker.settings import TrackerSettings
 PROGRAM = Path(sys.executable).with_name("eigenscan")
 SITE, STEP_AT_S, SECONDS, RIGHT_M = "site", 6.0, 12.0, 0.5
 BACK_WITHIN_S = 3.0
-"""Ten scans until scan-ingest believes the new time, five more until the tracker does, and some to find itself."""
+"""Ten scans until scan-ingest believes the new time, five until the tracker does, some to find itself."""
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def stage() -> Stage:
 def models(stage: Stage, tmp_path_factory: pytest.TempPathFactory) -> list[Envelope]:
     folder = tmp_path_factory.mktemp("clock")
     write_map(stage.grid, folder / "map.yaml")
-    command = [PROGRAM, "build", folder / "map.yaml", "-o", folder / "model"]
+    command = [str(PROGRAM), "build", str(folder / "map.yaml"), "-o", str(folder / "model")]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     site = read_models(folder / "model")
     return [
@@ -60,7 +61,7 @@ def drive(stage: Stage, models: list[Envelope], step_s: float) -> tuple[list[Cla
     projector = ProjectorCore(ProjectorSettings())
     for model in models:
         projector.handle(model)
-    cores = [ScanIngestCore(ScanIngestSettings()), projector, TrackerCore(TrackerSettings())]
+    cores: list[Core] = [ScanIngestCore(ScanIngestSettings()), projector, TrackerCore(TrackerSettings())]
     pipeline, claims, off, first = Loopback(cores), list[Claim](), 0, 0
     for said in stage.messages():
         envelope = said.envelope
@@ -96,7 +97,7 @@ def test_a_clock_that_steps_costs_seconds_and_no_wrong_claim(
     after = [claim for claim in claims if claim.at >= STEP_AT_S]
     assert len(before) > 30
     assert after[0].at < STEP_AT_S + BACK_WITHIN_S
-    assert max(b.at - a.at for a, b in zip(after, after[1:], strict=False)) < 0.5  # and stays so
+    assert max(b.at - a.at for a, b in pairwise(after)) < 0.5  # and stays so
     if step_s <= -60.0:
         assert counters["clock_steps"] == counters["clock_set_back"] == counters["odometry_restarted"] == 1
     elif step_s < 0.0:  # passed before it is believed

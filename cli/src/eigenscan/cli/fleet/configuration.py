@@ -16,9 +16,10 @@ INSTALLED = "/etc/eigenscan"
 PORT = 7447
 MOST_ROBOTS = 10_000
 """Links that the site's router takes; Zenoh's own limit is 1,000."""
-FLOOD = 2.0
-"""So many times faster than it should may a robot speak. Of what waited for a bad link and comes at once this
-lets only the first message pass: Zenoh's limit is from sample to sample."""
+FLOOD = 10.0
+"""So many times faster than it should may a robot speak: one gone mad costs the site what ten robots do.
+Zenoh's limit is from sample to sample: of what waited, for a bad link or a busy server, and comes at once
+only the first message passes. The higher it is, the less of that is lost."""
 LARGEST_BYTES = 1_000_000
 """Of one message from a robot: a raw scan has some tens of kilobytes."""
 
@@ -162,7 +163,7 @@ def _urgency(site: str, robot: str, air: access.Air) -> list[dict[str, Any]]:
 
 
 def _together(site: str) -> dict[str, Any]:
-    """What robots say goes on from the site's router together with what waits, not each in a batch of its own.
+    """What robots say goes on from the site's router together, not each in a batch of its own.
 
     Express samples of 200 robots, 2,000 a second to each hearer, fill the deepest queue that Zenoh has, of 16
     batches, whenever its thread gets no turn for 8 ms. What waits for none leaves at once either way.

@@ -34,7 +34,7 @@ TEMPLATE = """\
 # A fleet of robots on one site. After a change: eigenscan fleet configure -o THIS FOLDER
 site = {site}
 addresses = {addresses}  # of the site's router; robots connect to the first
-# The site's router takes messages of a robot at twice its rate at most. Where the air is bad they come in
+# The site's router takes messages of a robot at ten times its rate at most. Where the air is bad they come in
 # bursts, of which that leaves one: false lets all pass, and a robot that floods the site as well.
 hold_back_floods = true
 

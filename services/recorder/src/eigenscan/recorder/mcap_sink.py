@@ -67,7 +67,10 @@ class McapSink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """`mcap_written` (flushed), `_lost`, `_files`, `_deleted`, `_clock_set_back`; of writes `_slow`, `_slowest_ms`."""
+        """`mcap_written` (flushed), `_lost`, `_files`, `_deleted`, `_clock_set_back`.
+
+        Of writes `_slow` and `_slowest_ms`.
+        """
         return self._counts
 
     def write(self, heard: Envelope) -> None:

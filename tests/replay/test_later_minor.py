@@ -1,0 +1,83 @@
+"""A neighbour of a later minor version: fields and enum values that nobody here knows change nothing."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.runtime.recording import read
+from eigenscan.schemas.envelope import Core, Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.wire import decode, encode, encoding
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from google.protobuf.message import Message
+
+DEPOT = Path(__file__).parent / "first_release/depot.mcap"
+LATER = bytes([0xFA, 0x7F, 3]) + b"new"
+"""Field 2047 of three bytes; in messages within messages as well."""
+CORES: dict[str, Callable[[], Core]] = {
+    "scan-ingest": lambda: ScanIngestCore(ScanIngestSettings()),
+    "projector": lambda: ProjectorCore(ProjectorSettings()),
+    "tracker": lambda: TrackerCore(TrackerSettings()),
+}
+
+
+def later(message: Message) -> bytes:
+    """The bytes of a later version: a field more in each message, those within it and in its lists too."""
+    new = type(message)()
+    new.CopyFrom(message)
+
+    def add(one: Message) -> None:
+        for field, value in one.ListFields():
+            if field.message_type is None or field.message_type.GetOptions().map_entry:
+                continue
+            for each in value if field.is_repeated else [value]:
+                add(each)
+        one.MergeFromString(LATER)
+
+    add(new)
+    return encode(new)
+
+
+def said(core: Core, heard: list[Envelope], payload: Callable[[Message], bytes]) -> Iterator[bytes]:
+    """What a core answers to messages that come as these bytes; not what it hands on unread, as stamps."""
+    answers = list[Envelope]()
+    for one in heard:
+        message = decode(one.channel, payload(one.message), encoding(one.channel))
+        answers += core.handle(Envelope(one.channel, one.address, message))
+    for each in [*answers, *core.finish()]:
+        each.message.DiscardUnknownFields()
+        yield encode(each.message)
+
+
+@pytest.fixture(scope="module")
+def traffic() -> list[Envelope]:
+    return [record.envelope for record in read(DEPOT)]
+
+
+@pytest.mark.parametrize("service", CORES)
+def test_fields_of_a_later_version_change_no_answer(service: str, traffic: list[Envelope]) -> None:
+    core, other = CORES[service](), CORES[service]()
+    heard = [one for one in traffic if one.channel in core.hears]
+    assert all(LATER in later(one.message) for one in heard)
+    today = list(said(core, heard, encode))
+    assert len(today) >= 20
+    assert list(said(other, heard, later)) == today
+    assert core.condition() == other.condition()
+
+
+def test_an_unknown_status_counts_as_unspecified(traffic: list[Envelope]) -> None:
+    def with_status(number: int) -> list[bytes]:
+        def changed(message: Message) -> bytes:
+            if isinstance(message, Hypotheses):
+                message.status = number  # type: ignore[assignment]
+            return encode(message)
+
+        core = CORES["tracker"]()
+        return list(said(core, [one for one in traffic if one.channel in core.hears], changed))
+
+    assert with_status(99) == with_status(Hypotheses.STATUS_UNSPECIFIED)
