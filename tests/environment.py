@@ -1,6 +1,13 @@
-"""The environment of the programs under test."""
+"""The environment of the programs under test, and where they and the logs are."""
 
 import os
+import sys
+from pathlib import Path
+
+PROGRAMS = Path(sys.executable).parent
+EIGENSCAN = PROGRAMS / "eigenscan"
+DATASETS = Path(__file__).parents[2] / "shared/datasets"
+"""Real logs, beside the project; tests of them are marked `dataset`."""
 
 PATIENT = {
     # that services get to end: on a busy machine the two seconds that they take by default may be too few

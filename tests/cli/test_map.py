@@ -2,7 +2,6 @@
 
 import gzip
 import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,8 +11,7 @@ from eigenscan.cli.evaluation.reference import read_trajectory
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, read_map
 from eigenscan.geometry.pose import between
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
-EIGENSCAN = Path(sys.executable).parent / "eigenscan"
+from tests.environment import DATASETS, EIGENSCAN
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

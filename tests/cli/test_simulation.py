@@ -24,7 +24,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+from tests.environment import DATASETS
+
 SIMULATE = [sys.executable, "-m", "eigenscan.cli.main", "simulate"]
 SQUARE = FloorPlan(rooms={"square": Box(0.0, 0.0, 6.0, 6.0)}, doors=(), furniture=(Disc(2.0, 3.0, 0.25),))
 

@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-PROGRAMS = Path(sys.executable).parent
+from tests.environment import PROGRAMS
+
 ODD_INGEST = Path(__file__).parent / "odd_ingest.py"
 AT_ONCE = 5
 """Runs mostly wait for their drive."""

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-PROGRAMS = Path(sys.executable).parent
+from tests.environment import PROGRAMS
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PROJECTOR = EXAMPLES / "exhaustive-projector"
 RUST_INGEST = EXAMPLES / "scan-ingest-rust"

@@ -1,6 +1,5 @@
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,8 +8,7 @@ from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.versions import KEPT, choose, exchange, kept_in, versions
 
 from tests.eigenspace.test_model import model, site
-
-EIGENSCAN = Path(sys.executable).parent / "eigenscan"
+from tests.environment import EIGENSCAN
 
 
 def build(folder: Path, seed: int, at: int) -> str:

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from eigenscan.runtime.recording import RecordingWriter, read
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 
-EIGENSCAN = Path(sys.executable).parent / "eigenscan"
+from tests.environment import EIGENSCAN
+
 SPREAD = {"median": float, "p95": float}
 SPREAD_99 = {"median": float, "p99": float}
 # the JSON of the evaluation's definition, figure by figure

@@ -4,13 +4,13 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.environment import PROGRAMS
+
 UNITS = Path(__file__).parents[2] / "deploy/systemd"
-PROGRAMS = Path(sys.executable).parent
 WORST_EXPOSURE = 20  # of 100, as systemd-analyze security counts: OK
 
 pytestmark = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")

@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from eigenscan.geometry.trace import DARK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+from tests.environment import DATASETS
 
 
 def dark_cells(cells: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation, Slerp
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+from tests.environment import DATASETS
 
 Pose = NDArray[np.float64]
 PoseAt = Callable[[int], Pose | None]

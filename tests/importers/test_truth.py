@@ -17,7 +17,7 @@ from eigenscan.cli.importers import LogOptions, open_log
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+from tests.environment import DATASETS
 
 pytestmark = pytest.mark.dataset
 Judging = Callable[[str], Any]

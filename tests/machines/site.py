@@ -4,7 +4,6 @@ import shutil
 import signal
 import struct
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -29,6 +28,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 from tests import environment
+from tests.environment import PROGRAMS
 from tests.machines.air import Air, Space, door
 from tests.network import patient
 
@@ -37,7 +37,6 @@ SERVICES = {
     "site": ("router", "mapbuilder", "recorder"),
     "robot": ("router", "scan-ingest", "projector", "tracker"),
 }
-PROGRAMS = Path(sys.executable).parent
 PATIENCE_S = 300.0
 """What a step may take on a machine that is busy."""
 SCANS_HZ = 5.0

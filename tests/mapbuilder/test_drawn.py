@@ -1,6 +1,5 @@
 import json
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from eigenscan.mapbuilder.regions import Division, Regions
 from eigenscan.mapbuilder.site import Plan, lay_out
 from numpy.typing import ArrayLike
 
-EIGENSCAN = Path(sys.executable).parent / "eigenscan"
+from tests.environment import EIGENSCAN
+
 ALONE = Division(margin=0.0)
 
 

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, read_map
@@ -8,9 +6,8 @@ from eigenscan.mapbuilder.regions import Division, Regions, divide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.environment import DATASETS
 from tests.mapbuilder.floorplan import blank, box, room
-
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 
 
 def core_at(regions: Regions, *points: tuple[float, float]) -> list[int]:

@@ -12,6 +12,7 @@ from eigenscan.mapbuilder.composite import composite, composite_map
 from eigenscan.mapbuilder.registration import Outline, Registration, register
 from eigenscan.mapbuilder.site import Plan, build_site
 
+from tests.environment import DATASETS
 from tests.mapbuilder.floorplan import blank, box, room
 
 BEARINGS = np.deg2rad(np.arange(-180, 180, 0.5))
@@ -139,9 +140,6 @@ def test_a_map_of_no_scans_is_refused(furnished: GridMap) -> None:
     with pytest.raises(ValueError, match="no scan"):
         composite_map([one], np.full((1, 3), np.nan))
     assert composite_map([one, one], np.array([[0.0, 0, 0], [np.nan] * 3])).free_area > 15
-
-
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 
 
 def carmen_scans(path: Path) -> Iterator[tuple[float, np.ndarray]]:

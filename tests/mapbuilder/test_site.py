@@ -1,6 +1,5 @@
 import io
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,8 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from PIL import Image
 from pydantic import ValidationError
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
+from tests.environment import DATASETS
+
 QUICK = Plan(step=TURN / 180)
 
 

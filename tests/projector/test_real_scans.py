@@ -1,7 +1,6 @@
 """Scans of real buildings: at home they are found, in another building's map they are not squeezed in."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +13,9 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 
+from tests.environment import DATASETS
 from tests.projector.office import hear, ready, scan_at
 
-DATASETS = Path(__file__).parents[2].parent / "shared/datasets"
 LOGS = {
     "intel": ("log.clf.gz", ()),
     "guardian": ("guardian_3.bag", ("/scan",)),

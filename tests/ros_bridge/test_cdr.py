@@ -4,7 +4,6 @@ import contextlib
 import sqlite3
 import struct
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,9 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-BAG = Path(__file__).parents[2].parent / "shared/datasets/olin_mac/rosbag2/macfirst_floor_take_2_0.db3"
+from tests.environment import DATASETS
+
+BAG = DATASETS / "olin_mac/rosbag2/macfirst_floor_take_2_0.db3"
 HEARD = (cdr.LASER_SCAN, cdr.ODOMETRY, cdr.TRANSFORMS, cdr.POSE_WITH_COVARIANCE)
 TIME = 1_700_000_000_250_000_000
 

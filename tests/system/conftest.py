@@ -12,19 +12,9 @@ import zenoh
 from eigenscan.cli.importers import open_log
 from eigenscan.runtime.recording import RecordingWriter
 
+from tests.environment import PROGRAMS
 from tests.network import PATIENT_QUEUE, free_port
-from tests.system.house import (
-    BEGIN_S,
-    INTEL,
-    LENGTH_S,
-    ONE_THREAD,
-    PATIENCE_S,
-    PROGRAMS,
-    SPACING,
-    Drive,
-    Ear,
-    House,
-)
+from tests.system.house import BEGIN_S, INTEL, LENGTH_S, ONE_THREAD, PATIENCE_S, SPACING, Drive, Ear, House
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 import csv
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -19,13 +18,13 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode
 
 from tests import environment
+from tests.environment import DATASETS, PROGRAMS
 
 T = TypeVar("T")
 
-INTEL = Path(__file__).parents[2].parent / "shared/datasets/intel"
+INTEL = DATASETS / "intel"
 BEGIN_S, LENGTH_S = 1_000_000_180.0, 30.0
 SPACING = 0.5
-PROGRAMS = Path(sys.executable).parent
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 PATIENCE_S = 240.0
 """What a step may take on a machine that is busy; nothing is judged by time but what says so."""

@@ -18,7 +18,8 @@ from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import encode, encoding
 
-from tests.system.house import PATIENCE_S, PROGRAMS, House, eventually
+from tests.environment import PROGRAMS
+from tests.system.house import PATIENCE_S, House, eventually
 from tests.system.robot import Robot
 
 

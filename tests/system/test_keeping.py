@@ -20,8 +20,9 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
 
+from tests.environment import PROGRAMS
 from tests.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
-from tests.system.house import PROGRAMS, House
+from tests.system.house import House
 
 AT_ONCE = 100
 """Messages, so that the inbox holds them."""

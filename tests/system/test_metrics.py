@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.environment import PROGRAMS
 from tests.network import free_port
-from tests.system.house import PATIENCE_S, PROGRAMS, House
+from tests.system.house import PATIENCE_S, House
 from tests.system.prometheus import find_programs, serving, until_it_has
 from tests.system.robot import Robot
 

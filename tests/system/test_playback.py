@@ -20,7 +20,8 @@ from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from typer.testing import CliRunner
 
-from tests.system.house import PATIENCE_S, PROGRAMS, House
+from tests.environment import PROGRAMS
+from tests.system.house import PATIENCE_S, House
 
 S = 1_000_000_000
 START = 1_000 * S

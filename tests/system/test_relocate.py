@@ -7,7 +7,8 @@ from typing import Any
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
-from tests.system.house import PATIENCE_S, PROGRAMS, House
+from tests.environment import PROGRAMS
+from tests.system.house import PATIENCE_S, House
 from tests.system.robot import Robot
 
 

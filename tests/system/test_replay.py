@@ -7,7 +7,8 @@ import pytest
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.wire import encode
 
-from tests.system.house import PROGRAMS, Drive, House
+from tests.environment import PROGRAMS
+from tests.system.house import Drive, House
 
 
 @pytest.mark.dataset

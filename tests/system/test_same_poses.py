@@ -11,7 +11,8 @@ from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
-from tests.system.house import INTEL, PROGRAMS, SPACING, Drive, House
+from tests.environment import PROGRAMS
+from tests.system.house import INTEL, SPACING, Drive, House
 
 Said = dict[int, tuple[float, float, float, int]]
 
