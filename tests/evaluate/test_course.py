@@ -1,6 +1,7 @@
 """Whole evaluations of a simulated drive: what comes out, and that it does not depend on what it must not."""
 
 import json
+import math
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,10 +10,12 @@ from typing import Any
 import pytest
 from eigenscan.cli.evaluation.course import Task, evaluate
 from eigenscan.cli.evaluation.progress import Bars
+from eigenscan.cli.evaluation.report import remarks
 from eigenscan.cli.importers import LogOptions
 from eigenscan.runtime.recording import RecordingWriter, read
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import RawScan
 
 from tests.environment import EIGENSCAN
 
@@ -206,9 +209,27 @@ def test_a_log_without_odometry_and_one_with_two_lidars(drive: Drive, tmp_path: 
     alone = run(replace(drive.task, log=rewritten(drive, tmp_path / "a.mcap", without_odometry)))
     both = run(replace(drive.task, log=rewritten(drive, tmp_path / "b.mcap", two_lidars)))
     assert alone["log"]["odometry"] == 0
+    assert remarks(alone) == ["no odometry in the log: by the scans alone"]
+    assert remarks(both) == []
     assert alone["per_window"][0]["judged"] > 0
     assert len(both["log"]["lidars"]) == 2
     assert both["per_window"][0]["scans"] == 2 * alone["per_window"][0]["scans"]
+
+
+def test_a_lidar_that_is_mounted_otherwise_than_told_is_noticed(drive: Drive, tmp_path: Path) -> None:
+    """Its scans fit the map all the same: only odometry objects."""
+
+    def turned(envelope: Envelope) -> list[Envelope]:
+        if envelope.channel is not SCAN_RAW:
+            return [envelope] if envelope.channel is ODOMETRY else []  # a log without its truth
+        message = RawScan()
+        message.CopyFrom(envelope.open(RawScan))
+        message.mount.theta += math.pi / 2
+        return [replace(envelope, message=message)]
+
+    log = rewritten(drive, tmp_path / "turned.mcap", turned)
+    (remark,) = remarks(run(replace(drive.task, log=log, reference=None, windows=None)))
+    assert "--mount" in remark
 
 
 def test_a_reference_with_other_stamps_fits_with_its_offset(drive: Drive, tmp_path: Path) -> None:

@@ -16,9 +16,25 @@ def show(figures: Figures, title: str, console: Console) -> None:
     for name, value in _lines(figures):
         table.add_row(name, value)
     console.print(table)
+    for remark in remarks(figures):
+        console.print(remark, highlight=False)
     bad = [row for row in figures["per_window"] or [] if not row["success"] or row["false_claims"]]
     if bad:
         console.print(_windows(bad))
+
+
+def remarks(f: Figures) -> list[str]:
+    """What a reader of the figures should look after before believing them."""
+    said = []
+    if f["log"]["odometry"] == 0:
+        said.append("no odometry in the log: by the scans alone")
+    apart = f["normalised_innovation_squared"]["consistency"]
+    if apart["mean"] is not None and apart["high"] is not None and apart["mean"] > apart["high"]:
+        said.append(
+            "odometry and scans disagree by more than their error allows: is the lidar's place on the "
+            "robot right (eigenscan import --mount), and the odometry (--odometry-topic)?"
+        )
+    return said
 
 
 def _lines(f: Figures) -> list[tuple[str, str]]:
@@ -59,13 +75,15 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
             ("single scan, first is right", f"{_percent(single['top1'])} of {single['n']}"),
             ("single scan, right is listed", listed),
             ("single scan, CPU ms", _pair(single["cpu_ms"], "p99")),
-            (
-                "exhaustive, first is right",
-                f"{_percent(single['exhaustive_top1'])} of {single['exhaustive_n']}",
-            ),
-            ("exhaustive, CPU ms", _pair(single["exhaustive_cpu_ms"], "p99")),
         ]
+        if single["exhaustive_n"]:
+            right = f"{_percent(single['exhaustive_top1'])} of {single['exhaustive_n']}"
+            lines += [
+                ("exhaustive, first is right", right),
+                ("exhaustive, CPU ms", _pair(single["exhaustive_cpu_ms"], "p99")),
+            ]
     model = f["model"]
+    memory = "" if model["memory_mb"] is None else f", {_number(model['memory_mb'])} MB in memory"
     return [
         *lines,
         ("CPU a scan, ms", _pair(f["cpu_ms_per_scan"], "p99")),
@@ -73,8 +91,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         ("map, m²", _number(f["map_m2"])),
         (
             "model",
-            f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire, "
-            f"{_number(model['memory_mb'])} MB in memory",
+            f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire{memory}",
         ),
     ]
 
