@@ -58,7 +58,7 @@ def _operator(extent: Extent | None, past: Past) -> rrb.Container:
 
 def _developer(extent: Extent | None, past: Past) -> rrb.Container:
     """Which service did what, when?"""
-    time = rrb.Vertical(_state(past), _belief(past), *_errors(past), row_shares=[1.2, 2, 2, 2])
+    time = rrb.Vertical(_state(past), _belief(past), *_errors(past), row_shares=[1.8, 2, 2, 2])
     here = rrb.Vertical(_map(extent), rrb.Tabs(_beams(), _legend()), row_shares=[7, 3])
     return _under_the_bar(rrb.Horizontal(here, rrb.Vertical(time, _events(), row_shares=[3, 2])))
 
