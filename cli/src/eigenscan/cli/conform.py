@@ -62,7 +62,7 @@ def conform(
     vector = vectors.load(profile.file, profile.hears, (*profile.says, *profile.reference), address)
     seen = Observed(profile, vector, address, instance="candidate")
     with tempfile.TemporaryDirectory() as place:
-        session, others = open_hub(Path(place))
+        session, others = open_hub(Path(place), patience)
         (endpoint,) = json.loads(others.read_text(encoding="utf-8"))["connect"]["endpoints"]
         told = {"zenoh": str(others), "endpoint": endpoint, **address, "instance": seen.instance}
         if profile.records:

@@ -11,9 +11,10 @@ from eigenscan.runtime.session import URGENT_BATCHES, open_session
 from eigenscan.schemas.channels import ContractError
 
 ATTEMPTS = 5
+WAIT_US = 20_000
 PATIENT_QUEUE = {
     "size": {"real_time": URGENT_BATCHES, "interactive_high": URGENT_BATCHES},
-    "congestion_control": {"drop": {"wait_before_drop": 20_000}},
+    "congestion_control": {"drop": {"wait_before_drop": WAIT_US}},
 }
 """us before a message is dropped, by default 1,000: on one machine a link never hangs, it is only busy."""
 
@@ -25,16 +26,17 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def open_hub(folder: Path) -> tuple[zenoh.Session, Path]:
+def open_hub(folder: Path, patience: float = 1.0) -> tuple[zenoh.Session, Path]:
     """This process's session, and the configuration with which others meet it and each other.
 
-    Both are written to `folder`. Raises ContractError where no session opens.
+    Both are written to `folder`. `patience`: so many times longer than by PATIENT_QUEUE is waited before a
+    message is dropped. Raises ContractError where no session opens.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(ATTEMPTS):
         address = f"tcp/127.0.0.1:{free_port()}"
-        hub = _write(folder / "zenoh-hub.json5", listen=address, connect=[])
-        others = _write(folder / "zenoh.json5", listen="tcp/127.0.0.1:0", connect=[address])
+        hub = _write(folder / "zenoh-hub.json5", address, [], patience)
+        others = _write(folder / "zenoh.json5", "tcp/127.0.0.1:0", [address], patience)
         try:
             return open_session(hub), others
         except ContractError:
@@ -44,14 +46,15 @@ def open_hub(folder: Path) -> tuple[zenoh.Session, Path]:
     raise AssertionError("unreachable")
 
 
-def _write(path: Path, listen: str, connect: list[str]) -> Path:
+def _write(path: Path, listen: str, connect: list[str], patience: float) -> Path:
+    drop = {"drop": {"wait_before_drop": round(WAIT_US * patience)}}
     config = {
         "mode": "peer",
         "listen": {"endpoints": [listen]},
         "connect": {"endpoints": connect},
         # those who meet at the hub learn of each other by gossip
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
-        "transport": {"link": {"tx": {"queue": PATIENT_QUEUE}}},
+        "transport": {"link": {"tx": {"queue": PATIENT_QUEUE | {"congestion_control": drop}}}},
     }
     path.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
     return path
