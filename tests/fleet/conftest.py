@@ -57,7 +57,8 @@ class Fleet:
 
     def install(self, machine: str) -> Path:
         """Copies a machine's part of the folder to it; gives where."""
-        source = self.folder / (machine if machine in ("site", "operator") else f"robots/{machine}")
+        whole = machine in ("site", "operator") or machine.startswith("groups/")
+        source = self.folder / (machine if whole else f"robots/{machine}")
         target = self.machines / machine
         target.mkdir(parents=True, exist_ok=True)
         for path in source.iterdir():

@@ -6,16 +6,30 @@ what it denies: a denied sample does not arrive, a denied query gets no answer.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, LATCHED_TEMPLATE, Channel, Role
+from eigenscan.schemas.channels import (
+    ALIVE_TEMPLATE,
+    CHANNELS,
+    HEALTH,
+    HYPOTHESES,
+    LATCHED_TEMPLATE,
+    OBSTACLES,
+    SCAN,
+    Channel,
+    Role,
+)
+from eigenscan.schemas.group import holds, selectors
 
 EVERY_MESSAGE = [
     "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable",
     "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
 ]  # fmt: skip
+
+ANSWERS = (HYPOTHESES, OBSTACLES)
+"""What a projector says to a robot."""
 
 Air = Mapping[str, float]
 """Channel name -> samples a second that a robot may send over the air, for every channel."""
@@ -65,10 +79,13 @@ class Rights:
         ]
 
 
-def of_robot(site: str, robot: str, air: Air) -> Rights:
-    """A robot says its own keys that cross the air, and hears what the site says to all or to it."""
+def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights:
+    """A robot says its own keys that cross the air, and hears what the site says to all or to it.
+
+    `served`: a projector elsewhere answers its scans.
+    """
     says = [one for one in CHANNELS if Role.ROBOT in one.said_by and air[one.name] > 0]
-    hears = [one for one in CHANNELS if Role.ROBOT in one.heard_by]
+    hears = [one for one in CHANNELS if Role.ROBOT in one.heard_by or (served and one in ANSWERS)]
     # its services are instances of the robot's name
     address = {"site": site, "robot": robot, "instance": robot}
     return Rights(
@@ -102,15 +119,48 @@ def of_service(site: str, role: Role) -> Rights:
     )
 
 
-def at_site(site: str, robots: Mapping[str, tuple[str, Air]], services: Mapping[Role, str]) -> dict[str, Any]:
+def of_projector(site: str, group: str, name: str) -> Rights:
+    """A projector called `name` hears maps, models and its robots' scans, and answers these robots alone."""
+    hears = [SCAN, *(one for one in CHANNELS if one.qos.latched)]
+    address = {"site": site, "robot": group, "projector": name, "service": "projector", "instance": name}
+
+    def keys(channels: Sequence[Channel]) -> tuple[str, ...]:
+        return tuple(key for one in channels for key in selectors(one, address))
+
+    return Rights(
+        site,
+        says=keys([*ANSWERS, HEALTH]),
+        answers=(),
+        shows=(_alive(site, name, "projector"),),
+        hears=keys(hears),
+        subscribes=keys([*hears, HEALTH]),  # of its own name, to notice another one
+        asks=keys([one for one in hears if one.qos.latched]),
+        sees=_tokens(hears, site),
+    )
+
+
+def at_site(
+    site: str,
+    robots: Mapping[str, tuple[str, Air]],
+    services: Mapping[Role, str],
+    groups: Mapping[str, tuple[str, str]],
+) -> dict[str, Any]:
     """Access control of the site's router.
 
-    `robots`: name -> common name of its certificate and what crosses the air; `services`: common names.
+    `robots`: name -> common name of its certificate and what crosses the air; `services`: common names;
+    `groups`: name -> common name of its projector's certificate and its robots.
     """
-    holders = {name: (common_name, of_robot(site, name, air)) for name, (common_name, air) in robots.items()}
+    holders = {
+        name: (common_name, of_robot(site, name, air, served=is_served(name, groups)))
+        for name, (common_name, air) in robots.items()
+    }
     # no robot's name has a dot in it
     holders |= {
         f"site.{role.value}": (common_name, of_service(site, role)) for role, common_name in services.items()
+    }
+    holders |= {
+        f"group.{name}": (common_name, of_projector(site, group, name))
+        for name, (common_name, group) in groups.items()
     }
     return _control(
         {
@@ -120,7 +170,12 @@ def at_site(site: str, robots: Mapping[str, tuple[str, Air]], services: Mapping[
     )
 
 
-def on_robot(site: str, robot: str, air: Air) -> dict[str, Any]:
+def is_served(robot: str, groups: Mapping[str, tuple[str, str]]) -> bool:
+    """Whether a projector elsewhere answers this robot's scans."""
+    return any(holds(group, robot) for _, group in groups.values())
+
+
+def on_robot(site: str, robot: str, air: Air, *, served: bool) -> dict[str, Any]:
     """Access control of a robot's own router: everything among its services, by its rights over the air."""
     inside = {
         "id": "inside",
@@ -131,7 +186,10 @@ def on_robot(site: str, robot: str, air: Air) -> dict[str, Any]:
     }
     return _control(
         {
-            "air": ({"link_protocols": ["tls"]}, of_robot(site, robot, air).rules("air", at_site=False)),
+            "air": (
+                {"link_protocols": ["tls"]},
+                of_robot(site, robot, air, served=served).rules("air", at_site=False),
+            ),
             "inside": ({"link_protocols": ["tcp"]}, [inside]),
         }
     )

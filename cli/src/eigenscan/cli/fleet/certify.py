@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.frame import UsageError
@@ -29,7 +29,8 @@ def certify(
     """Make a site's certificates and configuration, or add robots to it.
 
     What is there already is kept: it makes what is missing. The authority's key signs certificates; keep it
-    away from robots and servers. Private keys are for their owner only, and not encrypted.
+    away from robots and servers. Private keys are for their owner only, and not encrypted. Groups of robots
+    whose scans a projector elsewhere answers are named in fleet.toml.
 
     \b
     Examples:
@@ -46,12 +47,17 @@ def certify(
         layout.begin(folder, fleet.site, fleet.addresses)
     authority = Authority.load(folder / "authority")
     _certify_site(authority, folder, fleet.addresses, days)
+    for name in fleet.groups:
+        if not (folder / "groups" / name / "projector.crt").exists():
+            authority.issue(folder / "groups" / name, "projector", f"group.{name}", days)
     for name in names:
         authority.issue(folder / "robots" / name, "robot", f"robot.{name}", days)
     layout.configure(folder)
     typer.echo(f"{folder / 'authority'}: signs certificates; keep it away from robots and servers")
     typer.echo(f"{folder / 'site'}: copy it to {layout.INSTALLED} on the site's server")
     typer.echo(f"{folder / 'operator'}: copy it to {layout.INSTALLED} where the fleet is looked after")
+    for name in fleet.groups:
+        typer.echo(f"{folder / 'groups' / name}: copy it to {layout.INSTALLED} where its projector runs")
     for name in names:
         typer.echo(f"{folder / 'robots' / name}: copy it to {layout.INSTALLED} on {name}")
 
@@ -66,11 +72,14 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
             raise UsageError(
                 "a new fleet needs --site NAME and --address HOST, where robots reach its router"
             )
-        wanted = {"site": site, "addresses": addresses}
+        wanted: dict[str, Any] = {"site": site, "addresses": addresses}
     elif site is not None or addresses:
         raise UsageError(f"--site, --address: {settings} has them; change them there")
     else:
         wanted = layout.read(folder).model_dump()
+    both = {*names, *layout.robots(folder)} & set(wanted.get("groups", ()))
+    if both:
+        raise UsageError(f"{settings}: groups.{both.pop()}: is a robot's name as well: choose another")
     for name in names:
         if name in layout.robots(folder) or names.count(name) > 1:
             raise UsageError(

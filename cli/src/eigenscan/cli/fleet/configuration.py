@@ -65,9 +65,14 @@ def site_router(
     site: str,
     robots: Mapping[str, tuple[str, access.Air]],
     services: Mapping[Role, str],
+    groups: Mapping[str, tuple[str, str]],
     hold_back_floods: bool = True,
 ) -> dict[str, Any]:
-    """The site's router. `robots`: name -> common name of its certificate and what crosses the air."""
+    """The site's router.
+
+    `robots`: name -> common name of its certificate and what crosses the air; `groups`: name -> common name
+    of its projector's certificate and its robots.
+    """
     most = {one.name: max((air[one.name] for _, air in robots.values()), default=0.0) for one in CHANNELS}
     return {
         "mode": "router",
@@ -79,7 +84,7 @@ def site_router(
             "shared_memory": {"enabled": False},
         },
         "qos": {"network": [_together(site)]},
-        "access_control": access.at_site(site, robots, services),
+        "access_control": access.at_site(site, robots, services, groups),
         "downsampling": _limits("flood", "ingress", {"site": site}, most, FLOOD) if hold_back_floods else [],
         "low_pass_filter": [
             {
@@ -93,9 +98,12 @@ def site_router(
     }
 
 
-def robot_router(site: str, robot: str, air: access.Air, router: str) -> dict[str, Any]:
+def robot_router(
+    site: str, robot: str, air: access.Air, router: str, *, served: bool = False
+) -> dict[str, Any]:
     """A robot's own router: its services meet there, and only what may cross the air leaves for `router`.
 
+    `served`: a projector elsewhere answers its scans.
     It is a peer to the site's router: routers would tell each other of all routers of the site.
     """
     return {
@@ -104,7 +112,7 @@ def robot_router(site: str, robot: str, air: access.Air, router: str) -> dict[st
         "connect": {"endpoints": [_endpoint(router)], **_PATIENT},
         "scouting": _NO_SCOUTING,
         "transport": {"link": {"tls": _tls("robot", "connect"), "tx": _DEEP_QUEUES}},
-        "access_control": access.on_robot(site, robot, air),
+        "access_control": access.on_robot(site, robot, air, served=served),
         "downsampling": _limits("air", "egress", {"site": site, "robot": robot}, air),
         "qos": {"network": _urgency(site, robot, air)},
     }
@@ -126,6 +134,13 @@ def settings(site: str, robot: str | None = None) -> str:
     text = SETTINGS.replace("{names}", names).replace("{services}", services)
     quoted = {"site": json.dumps(site, ensure_ascii=False), "robot": json.dumps(robot, ensure_ascii=False)}
     return text.format(installed=INSTALLED, **quoted)
+
+
+def group_settings(site: str, name: str, group: str) -> str:
+    """eigenscan.toml of a machine whose projector serves a group of robots."""
+    given = {"site": site, "instance": name, "robot": group, "zenoh": f"{INSTALLED}/projector.json5"}
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in given.items()]
+    return "\n".join([*lines, 'log_format = "json"', ""])
 
 
 def _limits(

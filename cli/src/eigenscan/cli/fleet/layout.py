@@ -4,12 +4,14 @@ fleet.toml       site, the router's addresses, what crosses the air: for its own
 authority/       the key that signs certificates: on no server, on no robot
 site/            /etc/eigenscan of the site's server
 robots/NAME/     /etc/eigenscan of one robot
+groups/NAME/     /etc/eigenscan of a machine whose projector serves several robots
 revoked/         certificates that are shut out
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import tomllib
@@ -18,12 +20,13 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any
 
-from eigenscan.cli.fleet import configuration
+from eigenscan.cli.fleet import access, configuration
 from eigenscan.cli.fleet.access import Air
 from eigenscan.cli.fleet.authority import common_name
 from eigenscan.cli.fleet.configuration import INSTALLED
 from eigenscan.cli.frame import UsageError
-from eigenscan.schemas.channels import CHANNELS, Role, by_name, is_chunk
+from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
+from eigenscan.schemas.group import holds, patterns
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 __all__ = ["INSTALLED", "begin", "checked", "configure", "read", "revoke", "robots", "services"]
@@ -37,6 +40,11 @@ addresses = {addresses}  # of the site's router; robots connect to the first
 # The site's router takes messages of a robot at ten times its rate at most. Where the air is bad they come in
 # bursts, of which that leaves one: false lets all pass, and a robot that floods the site as well.
 hold_back_floods = true
+
+# Robots whose scans a projector elsewhere answers, by its name: certify makes its certificate. Their scans
+# cross the air then.
+[groups]
+# lab = "a-*,b-7"
 
 # Samples a second that a robot may send to the site where it is not what the contract says; 0: none.
 # Of all keys of the channel together, so of all lidars.
@@ -67,6 +75,11 @@ def _robot(name: str) -> str:
     return name
 
 
+def _group(robots: str) -> str:
+    patterns(robots)
+    return robots
+
+
 def _host(name: str) -> str:
     try:
         ip_address(name)
@@ -79,6 +92,7 @@ def _host(name: str) -> str:
 Hertz = Annotated[float, Field(ge=0.0)]
 Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
 RobotName = Annotated[str, AfterValidator(_robot)]
+GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
 
 
 class Fleet(BaseModel):
@@ -89,12 +103,15 @@ class Fleet(BaseModel):
     site: Annotated[str, AfterValidator(_chunk)]
     addresses: Annotated[tuple[Annotated[str, AfterValidator(_host)], ...], Field(min_length=1)]
     hold_back_floods: bool = True
+    groups: dict[GroupName, Annotated[str, AfterValidator(_group)]] = {}
     air: Rates = {}
     robots: dict[RobotName, Rates] = {}
 
     def air_of(self, robot: str) -> Air:
         """Samples a second of each channel that this robot may send over the air."""
         usual = {one.name: one.qos.air_hz for one in CHANNELS}
+        if any(holds(group, robot) for group in self.groups.values()):
+            usual[SCAN.name] = math.inf
         return usual | self.air | self.robots.get(robot, {})
 
 
@@ -157,11 +174,22 @@ def configure(folder: Path) -> None:
     for role, own in certified.items():
         router = fleet.addresses[0] if role is Role.OPERATOR else "localhost"
         _write(own / f"{role.value}.json5", configuration.site_service(role.value, router))
+    groups = {
+        name: (common_name(own / "projector.crt"), fleet.groups[name])
+        for name in fleet.groups
+        if ((own := folder / "groups" / name) / "projector.crt").exists()
+    }
+    for name, (_, group) in groups.items():
+        own = folder / "groups" / name
+        _write(own / "projector.json5", configuration.site_service("projector", fleet.addresses[0]))
+        _begin(own / "eigenscan.toml", configuration.group_settings(fleet.site, name, group))
     for name in members:
-        own = folder / "robots" / name
+        own, served = folder / "robots" / name, access.is_served(name, groups)
         _write(
             own / "router.json5",
-            configuration.robot_router(fleet.site, name, fleet.air_of(name), fleet.addresses[0]),
+            configuration.robot_router(
+                fleet.site, name, fleet.air_of(name), fleet.addresses[0], served=served
+            ),
         )
         _write(own / "service.json5", configuration.robot_service())
         _begin(own / "eigenscan.toml", configuration.settings(fleet.site, name))
@@ -175,6 +203,7 @@ def configure(folder: Path) -> None:
                 for name in members
             },
             {role: common_name(own / f"{role.value}.crt") for role, own in certified.items()},
+            groups,
             fleet.hold_back_floods,
         ),
     )
@@ -187,6 +216,7 @@ def revoke(folder: Path, name: str) -> Path:
     """
     read(folder)  # what is no fleet is to be called so
     of_service = {role.value: own / f"{role.value}.crt" for role, own in services(folder).items()}
+    of_service |= {name: folder / "groups" / name / "projector.crt" for name in read(folder).groups}
     held = of_service.get(name, folder / "robots" / name / "robot.crt")
     if not held.exists():
         raise UsageError(f"{name}: has no certificate; there are {', '.join([*robots(folder), *of_service])}")

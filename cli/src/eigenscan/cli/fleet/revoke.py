@@ -9,7 +9,7 @@ import typer
 
 
 def revoke(
-    name: Annotated[str, typer.Argument(help="robot, or service of the site", metavar="NAME")],
+    name: Annotated[str, typer.Argument(help="robot, service of the site, or group", metavar="NAME")],
     folder: Annotated[Path, typer.Option("-o", "--fleet", help="the fleet's folder")] = Path("fleet"),
 ) -> None:
     """Shut out a robot whose certificate is in wrong hands: stolen, lost, sold.
