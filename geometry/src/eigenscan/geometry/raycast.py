@@ -196,11 +196,13 @@ def _cast(
     return out
 
 
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _stop_at(leap: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Value of `leap` at continuous (column, row) (P, 2); DARK outside."""
     height, width = leap.shape
-    column, row = np.floor(points).astype(np.int64).T
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    row, column = np.minimum(np.maximum(row, 0), height - 1), np.minimum(np.maximum(column, 0), width - 1)
-    values = leap[row, column]
-    return np.where(inside, values, DARK).astype(np.uint8)
+    values = np.full(len(points), DARK)
+    for p in range(len(points)):
+        x, y = points[p]
+        if 0.0 <= x < width and 0.0 <= y < height:
+            values[p] = leap[int(y), int(x)]
+    return values

@@ -46,19 +46,22 @@ def find_obstacles(
     Where no wall is in sight an end point on free ground is on an obstacle; off the known map it is nothing.
     """
     seen = np.isfinite(ranges)
-    r = np.where(seen, ranges, 0.0).astype(np.float64)
-    points = np.column_stack([r * np.cos(bearings), r * np.sin(bearings)])
-    ends = transform(pose, points)
     with np.errstate(invalid="ignore"):
         error = np.where(seen, ranges - predicted, np.nan).astype(np.float32)
         error[np.isinf(error)] = np.nan
-        shorter = predicted - ranges > THRESHOLD
-    inside = np.isfinite(predicted) | (grid.at(ends) == FREE)
-    obstacle = seen & shorter & inside & (walls.at(ends) > THRESHOLD)
+        short = np.flatnonzero(seen & (predicted - ranges > THRESHOLD))
+    # of a beam that reaches its wall no more is asked: mostly they are few
+    r, bearing = ranges[short].astype(np.float64), bearings[short]
+    points = np.column_stack([r * np.cos(bearing), r * np.sin(bearing)])
+    ends = transform(pose, points)
+    inside = np.isfinite(predicted[short]) | (grid.at(ends) == FREE)
+    on_it = inside & (walls.at(ends) > THRESHOLD)
+    obstacle = np.zeros(len(ranges), dtype=bool)
+    obstacle[short[on_it]] = True
     mask = np.where(seen, np.where(obstacle, OBSTACLE, EXPLAINED), MISSING).astype(np.uint8)
     known = error[np.isfinite(error)]
-    bounded = np.clip(known, -_LARGEST_ERROR, _LARGEST_ERROR)
+    bounded = np.minimum(np.abs(known), np.float32(_LARGEST_ERROR))
     energy = float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
     robust = float(np.sqrt(np.mean(bounded**2))) if len(known) else np.inf
     confidence = float(np.exp(-0.5 * (robust / USUAL_ERROR) ** 2))
-    return ObstacleMask(mask, error, energy, confidence, points[obstacle], ends[obstacle])
+    return ObstacleMask(mask, error, energy, confidence, points[on_it], ends[on_it])
