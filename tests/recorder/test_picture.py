@@ -30,11 +30,11 @@ from eigenscan.recorder.picture.palette import LOCALIZED, LOST
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.recorder.settings import RecorderSettings
-from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRUTH
+from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRACKS, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate, Track, Tracks
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
 from hypothesis import given
@@ -292,6 +292,19 @@ def test_the_board_tells_of_every_robot(tmp_path: Path) -> None:
     changed = [moment for moment, a, b in zip(moments[2:], second, second[1:], strict=False) if a != b]
     assert len(changed) == 1
     assert 4 * S <= changed[0] <= 6.2 * S
+
+
+def test_only_tracks_in_play_are_drawn(tmp_path: Path) -> None:
+    address = {"site": "s", "robot": "r1"}
+    drawn = []
+    for number, shares in enumerate(((0.6, 0.3, 0.005), (0.004, 0.003))):  # then none of them is likely
+        tracks = [
+            Track(id=1 + i, pose=to_message((i, 2.0, 0.0)), probability=p) for i, p in enumerate(shares)
+        ]
+        drawn.append(Envelope(TRACKS, address, Tracks(timestamp=stamp((1 + number) * S), tracks=tracks)))
+    draw(tmp_path / "a.rrd", drawn)
+    points = rows(tmp_path / "a.rrd", "/world/robots/r1/tracks", "Points3D:positions")
+    assert [sorted(x for x, _, _ in there or []) for _, there in points] == [[0.0, 1.0], []]
 
 
 def test_every_pose_is_plotted_however_few_pictures_are_drawn(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from eigenscan.schemas.tracking_pb2 import Tracks
 
 HYPOTHESES_DRAWN = 200
 TRACKS_DRAWN = 50
+IN_PLAY = 0.01
+"""Probability from which a track is drawn: the dozens that a tracker keeps below it would hide the map."""
 
 
 def probabilities(log_likelihoods: Array, unlisted: float) -> Array:
@@ -58,7 +60,7 @@ class BeliefPicture:
         )
 
     def draw_tracks(self, heard: Envelope) -> None:
-        """The trajectory of each track, the fainter the less probable."""
+        """The trajectory of each track that is in play, the fainter the less probable."""
         message = heard.open(Tracks)
         path = f"world/robots/{heard.address['robot']}/tracks"
         stamp = stamp_of(message.timestamp)
@@ -66,6 +68,8 @@ class BeliefPicture:
             return
         ways, shares = [], []
         for track in message.tracks[:TRACKS_DRAWN]:
+            if track.probability < IN_PLAY:
+                continue
             way = np.array([[p.x, p.y] for p in (*track.history, track.pose)])
             if is_place(way):
                 ways.append(lift(way, 0.03))

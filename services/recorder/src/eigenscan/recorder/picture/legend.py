@@ -13,7 +13,7 @@ The **bar on top** says it in one word:
 - **red points**: unexpected; the map does not explain them
 - **black arrow**: the true pose, where a simulator tells it
 - **orange arrows**: hypotheses of the last scan; grey: improbable
-- **purple lines**: tracks and their past; grey: improbable
+- **purple lines**: tracks and their past, from 1 % on; grey: improbable
 
 **Panels**:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
