@@ -97,11 +97,15 @@ def heard(fleet: Fleet) -> Iterator[Heard]:
                 session.declare_subscriber(selector, on_sample, allowed_origin=zenoh.Locality.REMOTE)
         expected = {
             *((LAB, key_of(SCAN, robot), robot) for robot in SERVED),
-            *((robot, key_of(HYPOTHESES, robot), LAB) for robot in SERVED),
-            *((robot, key_of(OBSTACLES, robot), LAB) for robot in SERVED),
+            *(
+                (who, key_of(channel, robot), LAB)
+                for channel in (HYPOTHESES, OBSTACLES)
+                for robot in SERVED
+                for who in (robot, "mapbuilder", "recorder")
+            ),
             *(("recorder", key_of(POSE, robot), robot) for robot in ROBOTS),
             *((LAB, key_of(channel, "mapbuilder"), "mapbuilder") for channel in (MAP, MODEL, MODEL_SET)),
-            ("recorder", key_of(HEALTH, LAB), LAB),
+            *((who, key_of(HEALTH, LAB), LAB) for who in ("mapbuilder", "recorder")),
         }
 
         def said() -> bool:
