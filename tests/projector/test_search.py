@@ -3,25 +3,28 @@
 from dataclasses import replace
 
 import numpy as np
+from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.distance_field import DistanceField
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.association.manifold import Sheets
 from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.likelihood import support
 from eigenscan.projector.observation import ANALYSIS_TURN, by_reach, observe
-from eigenscan.projector.projection import project
+from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
+from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, foreseen, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.projector.office import free_poses, office, ready, scan_at, site
+from tests.projector.office import Array, free_poses, office, ready, scan_at, site
 
 
 @settings(max_examples=50, deadline=None)
@@ -209,3 +212,29 @@ def test_the_nearest_panorama_foresees_what_a_pose_sees() -> None:
     heading = np.rint((truth[:, 2] + sensor.angle_min) / (TURN / ANALYSIS_TURN)).astype(int)
     expected = lattice.panoramas[nearest[:, None], (heading[:, None] + beams) % ANALYSIS_TURN]
     assert np.array_equal(ranges, np.where(expected < RANGE_CAP, expected, np.inf))
+
+
+def candidates_verified(built: SiteModel) -> int:
+    core, grid = ready(built), built.grid
+    assert core._site is not None
+    seen = observe(scan_at(free_poses(1, 7, grid)[0], grid=grid))
+    counts: dict[str, int] = {}
+
+    def note(stage: str, poses: Array) -> None:
+        counts[stage] = len(poses)
+
+    find_candidates(core._site, core._site.view(seen.sensor), seen, ProjectorSettings(), note)
+    return counts["verified"]
+
+
+def test_a_large_site_keeps_more_candidates_for_more_places_look_alike() -> None:
+    """A hundred rooms of one size, 1,600 m2 of them, each with a cupboard elsewhere."""
+    cells = np.full((430, 430), FREE, dtype=np.uint8)
+    cells[::42], cells[:, ::42] = OCCUPIED, OCCUPIED
+    cells[21::42], cells[:, 21::42] = FREE, FREE  # doors
+    rng = np.random.default_rng(5)
+    for room in np.ndindex(10, 10):
+        row, column = np.array(room) * 42 + rng.integers(4, 34, 2)
+        cells[row : row + 4, column : column + 4] = OCCUPIED
+    rooms = build_site(GridMap(cells, 0.1, np.zeros(3)), Plan(spacing=0.5))
+    assert candidates_verified(site()) <= 200 < candidates_verified(rooms)

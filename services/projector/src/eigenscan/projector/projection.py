@@ -27,6 +27,8 @@ Witness = Callable[[str, Array], None]
 
 PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
 """Of the candidates this near to each other only the best is refined."""
+USUAL_AREA = 1000.0
+"""m2, up to which the refined candidates are enough: in a larger site more places look like the right one."""
 SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
 """Refined poses this near to each other are one."""
 POLISHED = 48
@@ -85,7 +87,8 @@ def find_candidates(
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
     projected, matches = _associate(view, seen, settings.candidates, scope)
-    seeds, home, region = _verified(site, view, seen, matches, settings.refined, witness)
+    refined = settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA))
+    seeds, home, region = _verified(site, view, seen, matches, round(refined), witness)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
     slid = fit(site.coarse_walls, seeds, sliding, SLIDE)

@@ -30,7 +30,11 @@ class ProjectorSettings(ServiceSettings):
         0.5, ge=0, le=1, description="of its size that a scan may lie outside of a triangle or tetrahedron"
     )
     candidates: int = Field(3000, ge=1, description="nearest poses in eigenspace that are verified")
-    refined: int = Field(200, ge=2, description="candidates that are polished below the grid")
+    refined: int = Field(
+        200,
+        ge=2,
+        description="candidates polished below the grid on 1,000 m2; on more by the root of the size",
+    )
     published: int = Field(30, ge=1, le=30, description="hypotheses of a scan at most")
     part: str = Field(
         "1/1",
