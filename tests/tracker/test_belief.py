@@ -340,6 +340,26 @@ def test_wheels_that_slip_do_not_lose_the_robot(
     assert message.state == STATE_LOCALIZED
 
 
+@pytest.mark.parametrize("metres", [1.0, 2.0, 4.0])
+def test_between_sparse_scans_wheels_slip_and_the_next_list_tells(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, metres: float
+) -> None:
+    """That the robot was right metres ago is no word on the way since."""
+    core, rng = make_core(), np.random.default_rng(12)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    step = np.array([metres, 0.0, 0.3])
+    for scan in range(20):
+        time = 10.0 + metres * scan
+        truth, odometry = compose(truth, step), compose(odometry, step)
+        if scan == 10:
+            odometry = compose(odometry, np.array([0.4 * metres, 0.4, 0.1]))
+        core.handle(speaker.odometry(time, odometry))
+        poses = [truth + rng.normal(size=3) * [0.03, 0.03, 0.01], *others(rng, 4)]
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, [14.0, 9.0, 9.0, 8.0, 8.0])))[0]
+        assert message.state != STATE_LOCALIZED or is_right(message, truth)
+        assert message.state == STATE_LOCALIZED or scan < 3 or scan == 10
+
+
 def test_off_the_map_the_claim_ends(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core, rng = make_core(), np.random.default_rng(10)
     heard = drive(core, speaker, poses_of, scans=30)

@@ -206,6 +206,7 @@ class Belief:
         seen = seen.likelier_than_unlisted()
         frame = self.frame_index(seen.frame, seen.area)
         source = self.source_index(seen.source)
+        self._bank(source, share.progress)
         self._release(share.carried * np.exp(-present_evidence(self.tracks)))
         if share.broken:
             self._break_off(source)
@@ -226,6 +227,12 @@ class Belief:
         self.tracks = share_twins(join([*others, grown, new]))
         part.search(source, share)
         self.normalise()
+
+    def _bank(self, source: int, progress: float) -> None:
+        """As the robot moves on, what was seen at the last place speaks for a track for good."""
+        evidence = self.tracks.evidence.copy()
+        evidence[:, source] *= np.exp(-progress)
+        self.tracks = replace(self.tracks, evidence=evidence)
 
     def _by_frame(self, frame: int) -> tuple[Tracks, list[Tracks]]:
         """The tracks of a frame, and those of others, mostly none."""

@@ -44,7 +44,6 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
     # which of several hypotheses is the track's: scans from one place repeat each other's preference
     np.logaddexp.at(preference, origin, share.novelty * fit)
     evidence = old.evidence.copy()
-    evidence[:, source] *= np.exp(-share.progress)
     gained = share.novelty * (total - evidence[:, source])
     evidence[:, source] += gained
     explained, of_others, twin = explained_by_twins(twins_go_on(old.twin, share.progress), gained)
