@@ -10,6 +10,11 @@ tracker's own figures (services/tracker, evidence.py) stand beside it.
 Then how often more hypotheses of a list go on in a later one as the robot moved than as if it had moved
 backwards, and the other way round: what tells the sign of the way (services/tracker, direction.py).
 
+Then how many of a list's ten likeliest go on in the next list, and how many where the robot was carried to
+another place in between: what tells that it was (services/tracker, continuity.py).
+
+And how often one list leaves out what the lists before and after it have (services/tracker, belief.py).
+
 And twins: of the wrong tracks those that look right, by this table; and of these, how many still do so 1, 2,
 4 and 6 steps on. Were scans from new places independent evidence, no more of them would than of all.
 
@@ -17,6 +22,7 @@ The datasets are not part of the project; by default they are looked for beside 
 """
 
 import argparse
+import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,9 +42,13 @@ from eigenscan.geometry.pose import between, compose
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
-from eigenscan.tracker.continuity import going_on
-from eigenscan.tracker.direction import NEAR_M, NEAR_RAD, REACH_M
+from eigenscan.tracker.belief import MISSES
+from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, NEAR_M, goes_on, going_on
+from eigenscan.tracker.direction import NEAR_M as SIGN_NEAR_M
+from eigenscan.tracker.direction import NEAR_RAD as SIGN_NEAR_RAD
+from eigenscan.tracker.direction import REACH_M
 from eigenscan.tracker.evidence import ENDS, EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
+from eigenscan.tracker.odometry import Motion
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 CASES = {
@@ -53,14 +63,17 @@ STEP_M, STEP_RAD = 0.5, 0.5
 LOOKS_RIGHT = 2.0
 """Nats by which a hypothesis speaks for its track, from which on the track looks right."""
 GOES_ON = (1, 2, 4, 6)
+AWAY_M = 3.0
+"""A place nearer than this is none that a robot was carried to."""
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
 AHEAD = np.array([-np.inf, 0.0, 1.0, 3.0, 5.0, np.inf])
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The list of one scan, poses (k, 3) and log-likelihoods (k,), and the true pose (3,)."""
+    """The list of one lidar's scan, poses (k, 3) and log-likelihoods (k,), and the true pose (3,)."""
 
+    lidar: str
     poses: np.ndarray
     likelihoods: np.ndarray
     truth: np.ndarray
@@ -83,8 +96,12 @@ def answers(datasets: Path, case: str) -> Iterator[list[Answer]]:
         raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
         stamps = [nanoseconds(envelope.open(RawScan).timestamp) for envelope in raw]
         truths, known = reference.at(stamps)
-        said = [(pipeline.answer(e), t) for e, t, there in zip(raw, truths, known, strict=True) if there]
-        yield [Answer(a.poses, a.log_likelihoods, truth) for a, truth in said]
+        said = [
+            (e.address["lidar"], pipeline.answer(e), truth)
+            for e, truth, there in zip(raw, truths, known, strict=True)
+            if there
+        ]
+        yield [Answer(lidar, a.poses, a.log_likelihoods, truth) for lidar, a, truth in said]
 
 
 def independent_way(scans: list[Answer]) -> np.ndarray:
@@ -178,6 +195,19 @@ def hiding(windows: list[list[Answer]]) -> dict[str, float]:
     }
 
 
+def missing(windows: list[list[Answer]]) -> dict[str, float]:
+    """Of lists between two from nearby that have the true pose, how many leave it out."""
+    left_out = lists = 0
+    for scans in windows:
+        for lidar in {scan.lidar for scan in scans}:
+            own = [scan for scan in scans if scan.lidar == lidar]
+            for before, scan, after in zip(own, own[1:], own[2:], strict=False):
+                near = np.hypot(*(after.truth - before.truth)[:2]) <= NEAR_M
+                if near and before.near(before.truth).any() and after.near(after.truth).any():
+                    lists, left_out = lists + 1, left_out + (not scan.near(scan.truth).any())
+    return {"missing": left_out / max(lists, 1)}
+
+
 def signs(windows: list[list[Answer]]) -> dict[str, float]:
     """How often lists some way apart speak for the true direction of that way, against it, or not at all."""
     for_it = against = total = 0
@@ -185,7 +215,7 @@ def signs(windows: list[list[Answer]]) -> dict[str, float]:
         for start, seen in reaching(scans):
             moved = between(start.truth, seen.truth)
             true, back = (
-                going_on(compose(start.poses, moved * sign), seen.poses, NEAR_M, NEAR_RAD)
+                going_on(compose(start.poses, moved * sign), seen.poses, SIGN_NEAR_M, SIGN_NEAR_RAD)
                 for sign in (np.ones(3), np.array([-1.0, -1.0, 1.0]))
             )
             for_it, against, total = for_it + (true > back), against + (true == 0 < back), total + 1
@@ -201,6 +231,29 @@ def reaching(scans: list[Answer]) -> Iterator[tuple[Answer, Answer]]:
         if abs(between(start.truth, seen.truth)[0]) >= REACH_M:
             yield start, seen
             start = seen
+
+
+def continuity(windows: list[list[Answer]]) -> dict[str, list[float]]:
+    """Shares of lists of which 0 to COMPARED go on: in the next one, and in one at least AWAY_M off."""
+    together, apart = np.zeros(COMPARED + 1), np.zeros(COMPARED + 1)
+    for scans in windows:
+        last = dict[str, Answer]()
+        for after in scans:
+            before, last[after.lidar] = last.get(after.lidar, after), after
+            if before is after:
+                continue
+            x, y, turn = between(before.truth, after.truth)
+            moved = Motion((x, y, turn), float(np.hypot(x, y)), abs(turn), 0.0, 0.0, 0.0, 0.0)
+            count = goes_on(before.poses, after.poses, moved)
+            if count is not None and moved.way <= NEAR_M:
+                together[count] += 1
+    places = [scans[at] for scans in windows if scans for at in (0, len(scans) // 2)]
+    still = Motion((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for before, after in itertools.permutations(places, 2):
+        count = goes_on(before.poses, after.poses, still)
+        if count is not None and np.hypot(*(after.truth - before.truth)[:2]) >= AWAY_M:
+            apart[count] += 1
+    return {name: (n / max(n.sum(), 1)).tolist() for name, n in (("together", together), ("apart", apart))}
 
 
 def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
@@ -222,7 +275,9 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
             ),
         }
         | hiding(windows)
+        | missing(windows)
         | signs(windows)
+        | continuity(windows)
         | twins(windows)
     )
 
@@ -230,7 +285,12 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
 def show(row: dict[str, Any]) -> None:
     print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks, {row['wrong_tracks']:.0f} wrong ones")
     print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
+    print(f"left out between two lists that have it: {row['missing']:.1%} (tracker {MISSES:.1%})")
     print(f"the way's sign: right {row['sign_right']:.1%}, wrong {row['sign_wrong']:.1%} of the stretches")
+    for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
+        print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))
+    ratio = [BY_CHANCE - count for count in range(COMPARED + 1)]
+    print(f"{'tracker, ln of their ratio':<30} " + "".join(f"{nats:>+7.0f}" for nats in ratio))
     later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["twins_go_on"].items())
     print(f"twins: {row['twins']:.1%} of wrong tracks (tracker {TWINS:.1%}); of these {later}, ", end="")
     print(f"({', '.join(f'{np.exp(-ENDS * steps):.0%}' for steps in GOES_ON)})")

@@ -251,6 +251,44 @@ def test_carried_away_is_noticed_at_once_and_found_again(
     assert all(m.state == STATE_LOCALIZED for m, _ in [*messages[5:30], *messages[35:]])
 
 
+def test_carried_away_is_noticed_where_two_of_ten_go_on_by_chance(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core, rng = make_core(), np.random.default_rng(6)
+    speaker.clutter, time, messages = 0, 10.0, []
+    same = others(rng, 2)
+    for place in (np.array([2.0, 3.0, 0.4]), np.array([17.0, 8.0, -2.0])):
+        aliases = [*same, *others(rng, 10)]
+        for _ in range(30):
+            time += 0.1
+            core.handle(speaker.odometry(time, np.zeros(3)))
+            said = core.handle(speaker.hypotheses(time, [place, *aliases], [19.0] + [9.0] * 12))
+            messages += [(message, place) for message in poses_of(said)]
+    claims = [(m.state == STATE_LOCALIZED, is_right(m, place)) for m, place in messages]
+    assert all(claim == (True, True) for claim in [*claims[5:30], *claims[40:]])
+    assert (True, False) not in claims[33:]
+
+
+def test_sparse_lists_of_what_the_map_lacks_do_not_end_the_claim(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Nothing of them goes on over most of a metre, but odometry is still sure."""
+    core, rng = make_core(), np.random.default_rng(13)
+    speaker.clutter = 0
+    truth, odometry, step = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.array([0.8, 0.0, 0.1])
+    for scan in range(14):
+        time = 10.0 + 2.0 * scan
+        truth, odometry = compose(truth, step), compose(odometry, step)
+        core.handle(speaker.odometry(time, odometry))
+        lacking = scan >= 11
+        poses, logs = [truth, *others(rng)], [17.0] + [6.0] * 12
+        said = core.handle(speaker.hypotheses(time, poses[lacking:], logs[lacking:]))
+        if scan > 2:
+            message = poses_of(said)[0]
+            assert message.state == STATE_LOCALIZED
+            assert is_right(message, truth)
+
+
 def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:

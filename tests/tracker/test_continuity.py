@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
-from eigenscan.tracker.continuity import goes_on
+from eigenscan.tracker.continuity import COMPARED, carried_ratio, goes_on
 from eigenscan.tracker.odometry import Motion
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,18 +24,43 @@ def test_one_that_goes_on_is_enough(seed: int, x: float, turn: float, which: int
     rng = np.random.default_rng(seed)
     before, after = somewhere(rng, 20), somewhere(rng, 20)
     after[17] = compose(before[which], np.array([x, 0.0, turn])) + rng.uniform(-1, 1, 3) * [0.15, 0.15, 0.09]
-    assert goes_on(before, after, moved(x, turn)) is True
+    assert goes_on(before, after, moved(x, turn)) >= 1
 
 
 def test_a_list_of_elsewhere_breaks_off() -> None:
     rng = np.random.default_rng(0)
-    broken = [goes_on(somewhere(rng, 20), somewhere(rng, 20), moved(0.05, 0.02)) is False for _ in range(100)]
+    broken = [goes_on(somewhere(rng, 20), somewhere(rng, 20), moved(0.05, 0.02)) == 0 for _ in range(100)]
     assert np.mean(broken) > 0.95
 
 
 def test_the_same_place_by_wrong_odometry_breaks_off() -> None:
     before = somewhere(np.random.default_rng(1), 10)
-    assert goes_on(before, compose(before, np.array([0.9, 0.0, 0.0])), moved(0.05, 0.0)) is False
+    assert goes_on(before, compose(before, np.array([0.9, 0.0, 0.0])), moved(0.05, 0.0)) == 0
+
+
+@given(st.integers(0, 10_000), st.integers(0, COMPARED))
+def test_those_that_go_on_are_counted(seed: int, stay: int) -> None:
+    """Of ten places far apart as many as have a neighbour in the next list, wherever they stand in it."""
+    rng = np.random.default_rng(seed)
+    before = np.column_stack([10.0 * np.arange(COMPARED), np.zeros(COMPARED), np.zeros(COMPARED)])
+    step = np.array([0.05, 0.0, 0.02])
+    strange = before + np.array([0.0, 50.0, 0.0])
+    after = rng.permutation(np.vstack([compose(before, step)[:stay], strange]))
+    assert goes_on(before, after, moved(0.05, 0.02)) == stay
+
+
+def test_the_more_go_on_the_less_was_the_robot_carried_away() -> None:
+    near, far = moved(0.05, 0.02), moved(0.8, 0.02)
+    ratios = [carried_ratio(count, near) for count in range(COMPARED + 1)]
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[2] > 1.0 > ratios[8]
+    # a metre or a turn on, fewer go on anyhow: their number tells little, but that there is none does
+    for moved_on in (far, moved(0.05, 0.4)):
+        none, *some = (carried_ratio(count, moved_on) for count in range(COMPARED + 1))
+        assert none > 1.0 > some[0]
+        assert none < ratios[0]
+        assert len(set(some)) == 1
+    assert carried_ratio(None, near) == 1.0
 
 
 @pytest.mark.parametrize(

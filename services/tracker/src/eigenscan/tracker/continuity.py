@@ -6,7 +6,7 @@ none of a list goes on in the next one, the sensor was covered or uncovered, or 
 
 from __future__ import annotations
 
-from math import hypot
+from math import exp, hypot
 
 import numpy as np
 from eigenscan.geometry.pose import compose
@@ -27,14 +27,18 @@ ODOMETRY_SHARE = 0.5
 """Of the way and the turn between two scans, what odometry may err by here."""
 FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
 """Beyond this way, turn, or time without odometry, two scans are not compared."""
-UNNOTICED = 0.03
-"""Of robots carried elsewhere, those that find one of a list's hypotheses again by chance."""
+BY_CHANCE = 4.0
+"""So many of a list go on about as often where the robot was carried elsewhere as where it was not."""
+FAR_NONE, FAR_SOME = 10.0, 0.1
+"""That ratio between lists farther apart, where none goes on, and where some do: one in ten lists of what
+the map lacks has none in common with the one before."""
 
 
-def goes_on(before: Array, after: Array, moved: Motion) -> bool | None:
-    """Whether any pose of a list (n, 3) goes on in the next one (k, 3), both likeliest first.
+def goes_on(before: Array, after: Array, moved: Motion) -> int | None:
+    """How many of a list's COMPARED likeliest (n, 3) go on in the next one (k, 3), both likeliest first.
 
-    None where they cannot be compared: too few of them, or too much between them.
+    Of shorter lists as many as of COMPARED would. None where they cannot be compared: too few of them, or
+    too much between them.
     """
     if len(before) < ENOUGH or len(after) < ENOUGH:
         return None
@@ -42,7 +46,26 @@ def goes_on(before: Array, after: Array, moved: Motion) -> bool | None:
         return None
     expected = compose(before[:COMPARED], np.asarray(moved.delta))
     near, turned = NEAR_M + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
-    return going_on(expected, after, near, turned) > 0
+    share = going_on(expected, after, near, turned) / min(len(expected), len(after))
+    return min(round(COMPARED * share), COMPARED)
+
+
+def are_neighbours(moved: Motion) -> bool:
+    """Whether two lists are so near to each other that hardly anything of the one is missing in the other."""
+    return moved.way <= NEAR_M and moved.turn <= NEAR_RAD
+
+
+def carried_ratio(count: int | None, moved: Motion) -> float:
+    """How much oftener `count` of a list go on where the robot was carried elsewhere than where it was not.
+
+    Where it was not, eight or nine of ten go on. A line through the logarithms of what ten logs have in
+    common (benchmarks/evidence.py).
+    """
+    if count is None:
+        return 1.0
+    if are_neighbours(moved):
+        return exp(BY_CHANCE - count)
+    return FAR_SOME if count else FAR_NONE
 
 
 def going_on(expected: Array, found: Array, near: float, turned: float) -> int:

@@ -11,7 +11,7 @@ from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.confidence import Verdict, judge, next_state
-from eigenscan.tracker.continuity import UNNOTICED, goes_on
+from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.direction import Direction
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
@@ -172,8 +172,8 @@ class RobotTracker:
         moved = self._motion(source.last, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
-        continued = goes_on(before, seen.poses, moved)
-        broken = continued is False
+        count = goes_on(before, seen.poses, moved)
+        broken = count == 0 and are_neighbours(moved)
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
@@ -183,10 +183,12 @@ class RobotTracker:
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         novelty = max(1.0 / source.scans, fresh)
         # who was carried away would hardly see his hypotheses go on
-        rate = self._settings.kidnap_rate * (UNNOTICED if continued else 1.0) / len(self._sources)
-        carried = happened(rate * seconds)
+        ratio = carried_ratio(count, moved)
+        carried = happened(self._settings.kidnap_rate * ratio * seconds / len(self._sources))
         precision = min(1.0, progress)
-        return Share(novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1)
+        return Share(
+            novelty / peers, progress / peers, precision / peers, carried, ratio > 1.0, broken, peers > 1
+        )
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
