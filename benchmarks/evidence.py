@@ -43,7 +43,7 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.tracker.belief import MISSES
-from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, NEAR_M, goes_on, going_on
+from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on, going_on
 from eigenscan.tracker.direction import NEAR_M as SIGN_NEAR_M
 from eigenscan.tracker.direction import NEAR_RAD as SIGN_NEAR_RAD
 from eigenscan.tracker.direction import REACH_M
@@ -289,7 +289,7 @@ def show(row: dict[str, Any]) -> None:
     print(f"the way's sign: right {row['sign_right']:.1%}, wrong {row['sign_wrong']:.1%} of the stretches")
     for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
         print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))
-    ratio = [BY_CHANCE - count for count in range(COMPARED + 1)]
+    ratio = [max(BY_CHANCE - count, np.log(LEAST)) for count in range(COMPARED + 1)]
     print(f"{'tracker, ln of their ratio':<30} " + "".join(f"{nats:>+7.0f}" for nats in ratio))
     later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["twins_go_on"].items())
     print(f"twins: {row['twins']:.1%} of wrong tracks (tracker {TWINS:.1%}); of these {later}, ", end="")

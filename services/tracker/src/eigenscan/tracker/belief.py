@@ -21,7 +21,6 @@ from eigenscan.tracker.evidence import (
     SHOWN_YET_MISSED,
     SHOWS,
     Merit,
-    present_evidence,
     share_twins,
     slipped,
     twins_of,
@@ -203,9 +202,7 @@ class Belief:
         frame = self.frame_index(seen.frame, seen.area)
         source = self.source_index(seen.source)
         self._bank(source, share.progress)
-        # what spoke for a track at another place than this one is none of this scan's
-        shown_here = np.where(share.elsewhere, 0.0, present_evidence(self.tracks))
-        self._release(share.carried * np.exp(-shown_here))
+        self._release(np.full(len(self.tracks), share.carried))
         if share.broken:
             self._break_off(source)
         old, others = self._by_frame(frame)

@@ -29,6 +29,8 @@ FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
 """Beyond this way, turn, or time without odometry, two scans are not compared."""
 BY_CHANCE = 4.0
 """So many of a list go on about as often where the robot was carried elsewhere as where it was not."""
+LEAST = 0.03
+"""That ratio at least: a few are carried on along the same hallway."""
 FAR_NONE, FAR_SOME = 10.0, 0.1
 """That ratio between lists farther apart, where none goes on, and where some do: one in ten lists of what
 the map lacks has none in common with the one before."""
@@ -64,7 +66,7 @@ def carried_ratio(count: int | None, moved: Motion) -> float:
     if count is None:
         return 1.0
     if are_neighbours(moved):
-        return exp(BY_CHANCE - count)
+        return max(exp(BY_CHANCE - count), LEAST)
     return FAR_SOME if count else FAR_NONE
 
 

@@ -139,7 +139,7 @@ LEAST_MASS = float(np.log(1e-4))
 def present_evidence(tracks: Tracks) -> Array:
     """What the present place says for each track (n,), >= 0.
 
-    If the robot was carried away or slipped just now, the track is shown where it was predicted by chance:
+    If the robot slipped just now, the track is shown where it was predicted by chance:
     then this evidence does not count.
     """
     result: Array = tracks.evidence.clip(min=0.0).sum(axis=1)

@@ -183,12 +183,10 @@ class RobotTracker:
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         novelty = max(1.0 / source.scans, fresh)
         # who was carried away would hardly see his hypotheses go on
-        ratio = carried_ratio(count, moved)
-        carried = happened(self._settings.kidnap_rate * ratio * seconds / len(self._sources))
+        rate = self._settings.kidnap_rate * carried_ratio(count, moved) / len(self._sources)
+        carried = happened(rate * seconds)
         precision = min(1.0, progress)
-        return Share(
-            novelty / peers, progress / peers, precision / peers, carried, ratio > 1.0, broken, peers > 1
-        )
+        return Share(novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1)
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""

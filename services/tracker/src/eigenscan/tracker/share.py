@@ -12,15 +12,14 @@ class Share:
     `novelty` 0..1: its share in what its source said of the present place. `progress`: how far the robot
     moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
     covariance's information is independent of earlier scans. `carried`: probability that the robot was
-    carried away since the source's last scan. `elsewhere`: so few of the source's last list go on in this
-    one as rather do where a robot was carried away; `broken`: none does. `in_part`: other projectors answer
-    for the same lidar, so that this one may have searched a part of the site.
+    carried away since the source's last scan. `broken`: nothing of the source's last list goes on in this
+    one. `in_part`: other projectors answer for the same lidar, so that this one may have searched a part of
+    the site.
     """
 
     novelty: float
     progress: float
     precision: float
     carried: float = 0.0
-    elsewhere: bool = False
     broken: bool = False
     in_part: bool = False
