@@ -73,6 +73,7 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
         ({"resolution": None}, "resolution is missing"),
         ({"resolution": 0}, "resolution = 0"),
         ({"resolution": -0.05}, "resolution"),
+        ({"resolution": 5.0}, "resolution = 5.0: give metres per pixel, such as 0.05"),
         ({"resolution": ".nan"}, "resolution"),
         ({"resolution": "fine"}, "resolution = 'fine'"),
         ({"origin": None}, "origin = None"),

@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, 255
 FIELD = "occupancy"
+COARSEST_M = 1.0
+"""m a cell, at most: in coarser ones there are no rooms; mostly a slip of the decimal point."""
 _SAVED_UNKNOWN = 205.0
 """Grey that map savers write for unknown; a free_thresh above 0.196, such as Nav2's 0.25, makes it free."""
 
@@ -94,7 +96,7 @@ def read_map(path: Path) -> GridMap:
     if not isinstance(meta, dict):
         raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
     resolution = _number(path, meta, "resolution", None)
-    if not 0 < resolution < 10:
+    if not 0 < resolution <= COARSEST_M:
         raise MapError(f"{path}: resolution = {resolution}: give metres per pixel, such as 0.05")
     origin = meta.get("origin")
     if not (
@@ -114,7 +116,7 @@ def read_image(path: Path, metres_per_pixel: float) -> GridMap:
 
     Its frame begins at the lower left corner. Raises MapError.
     """
-    if not 0 < metres_per_pixel < 10:
+    if not 0 < metres_per_pixel <= COARSEST_M:
         raise MapError(f"{path}: {metres_per_pixel} metres per pixel: give a scale such as 0.05")
     cells = _cells(path, {"image": path.name})
     return GridMap(np.ascontiguousarray(cells[::-1]), metres_per_pixel, np.zeros(3))
@@ -215,8 +217,8 @@ def from_message(message: Grid) -> GridMap:
     if not width or message.row_stride != width or message.cell_stride != 1 or len(message.data) % width:
         raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")
     resolution = message.cell_size.x
-    if not 0 < resolution < 10 or resolution != message.cell_size.y:
-        raise MapError(f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares")
+    if not 0 < resolution <= COARSEST_M or resolution != message.cell_size.y:
+        raise MapError(f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares of 1 m at most")
     cells = np.frombuffer(message.data, dtype=np.uint8).reshape(-1, width)
     origin = from_pose3(message.pose)
     if not np.isfinite(origin).all():
