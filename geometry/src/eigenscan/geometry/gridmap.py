@@ -218,7 +218,9 @@ def from_message(message: Grid) -> GridMap:
         raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")
     resolution = message.cell_size.x
     if not 0 < resolution <= COARSEST_M or resolution != message.cell_size.y:
-        raise MapError(f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares of 1 m at most")
+        raise MapError(
+            f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares of 1 m at most"
+        )
     cells = np.frombuffer(message.data, dtype=np.uint8).reshape(-1, width)
     origin = from_pose3(message.pose)
     if not np.isfinite(origin).all():
