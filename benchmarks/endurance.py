@@ -33,8 +33,7 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, nanoseconds
-from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 
@@ -114,7 +113,7 @@ def costs(log: Log, loop: Loopback) -> Iterator[tuple[float, float]]:
         loop.hear(envelope)
         spent += (time.process_time() - before) * 1e3
         if envelope.channel == SCAN_RAW:
-            yield nanoseconds(envelope.open(RawScan).timestamp) * 1e-9, spent
+            yield envelope.stamp * 1e-9, spent
             spent = 0.0
 
 

@@ -40,8 +40,6 @@ from eigenscan.cli.importers import LogOptions
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import between, compose
 from eigenscan.schemas.channels import SCAN_RAW
-from eigenscan.schemas.envelope import nanoseconds
-from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on, going_on
 from eigenscan.tracker.direction import NEAR_M as SIGN_NEAR_M
@@ -94,7 +92,7 @@ def answers(datasets: Path, case: str) -> Iterator[list[Answer]]:
     pipeline = Pipeline(build(place / "map.yaml", 0.5, lambda _: None).models)
     for window in windows:
         raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
-        stamps = [nanoseconds(envelope.open(RawScan).timestamp) for envelope in raw]
+        stamps = [envelope.stamp for envelope in raw]
         truths, known = reference.at(stamps)
         said = [
             (e.address["lidar"], pipeline.answer(e), truth)

@@ -15,9 +15,7 @@ from eigenscan.cli.fleet.status import rows
 from eigenscan.cli.fleet.view import FleetView
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import POSE
-from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
 from tests.machines.air import Link
 from tests.machines.bad_air import (
@@ -301,8 +299,7 @@ def recorded_poses(folder: Path) -> set[tuple[str, int]]:
     for path in sorted(folder.glob("*.mcap")):
         for record in read(path):
             if record.envelope.channel is POSE:
-                pose = record.envelope.open(PoseEstimate)
-                found.add((record.envelope.address["robot"], nanoseconds(pose.timestamp)))
+                found.add((record.envelope.address["robot"], record.envelope.stamp))
     return found
 
 

@@ -46,10 +46,8 @@ _PRIORITY = {priority: getattr(zenoh.Priority, priority.name) for priority in Pr
 class Bus:
     """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
-    def __init__(self, session: zenoh.Session, *, prompt: bool = False) -> None:
-        """`prompt`: what is heard comes in the session's own thread, which is quicker by a thread's turn."""
+    def __init__(self, session: zenoh.Session) -> None:
         self._session = session
-        self._prompt = prompt
         self._idle: list[Any] = []
         self._publishers: RecentlyUsed[str, Any] = RecentlyUsed(self._idle.append)
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}

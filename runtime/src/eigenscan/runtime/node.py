@@ -230,7 +230,7 @@ class Node:
         address = {"site": settings.site}
         if settings.robot != "*":
             address["robot"] = settings.robot
-        bus = self._bus = Bus(session, prompt=self._prompt)
+        bus = self._bus = Bus(session)
         apart = self._port.channels
         hears = [channel for channel in core.hears if channel not in apart]
         bus.offer([channel for channel in core.says if channel not in apart], address)

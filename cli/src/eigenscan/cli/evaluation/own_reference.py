@@ -14,7 +14,6 @@ from eigenscan.cli.importers.recording import RecordingLog
 from eigenscan.geometry.pose import from_pose3
 from eigenscan.runtime.recording import RecordingError, read
 from eigenscan.schemas.channels import TRUTH
-from eigenscan.schemas.envelope import nanoseconds
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from numpy.typing import NDArray
 
@@ -34,9 +33,8 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
         for record in read(path):
             heard = record.envelope
             if heard.channel == TRUTH:
-                message = heard.open(PoseInFrame)
                 poses = told.setdefault(heard.address["robot"], {})
-                poses[nanoseconds(message.timestamp)] = from_pose3(message.pose)
+                poses[heard.stamp] = from_pose3(heard.open(PoseInFrame).pose)
     # one robot alone is judged under any name, as its scans are
     poses = told.get(robot) or (next(iter(told.values())) if len(told) == 1 else {})
     return _trajectory(poses) if poses else None
