@@ -14,7 +14,7 @@ RUN python -m venv /tools && python -m venv --without-pip /opt/eigenscan \
 FROM tools AS own
 COPY . /src
 WORKDIR /src
-RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./geometry ./eigenspace ./runtime ./services/* ./cli \
+RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./geometry ./eigenspace ./runtime ./services/* ./library ./workbench ./fleet ./cli \
  && for service in router scan-ingest projector tracker mapbuilder ros-bridge recorder; do \
       set -- /wheels/eigenscan_schemas-* /wheels/eigenscan_geometry-* /wheels/eigenscan_eigenspace-* /wheels/eigenscan_runtime-*; \
       own=/wheels/eigenscan_$(echo $service | tr - _)-*; [ $service = router ] || set -- "$@" $own; \

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 from build import office
-from eigenscan.cli.evaluation.metrics import WITHIN_M, WITHIN_RAD, errors, right
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import read_map
 from eigenscan.geometry.pose import compose, from_message, to_message
@@ -37,6 +36,7 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.workbench.evaluation.metrics import WITHIN_M, WITHIN_RAD, errors, right
 from single_scan import CASES, DATASETS, occluded, samples
 
 SIMULATED = "office (simulated)"

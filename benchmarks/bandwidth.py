@@ -22,16 +22,16 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from eigenscan.cli.fleet.configuration import INSTALLED, PORT
 from eigenscan.cli.launch.network import free_port
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
+from eigenscan.fleet.configuration import INSTALLED, PORT
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import CHANNELS, find
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 SITE, ROBOT = "hospital", "r17"
 ROUTER = "eigenscan.runtime.router"

@@ -16,11 +16,11 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from eigenscan.cli.importers.carmen import saturation
-from eigenscan.cli.importers.carmen_lines import NS, Line, LineError, read_line
 from eigenscan.geometry.carving import Carving
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.pose import between, compose, transform
+from eigenscan.workbench.logs.carmen import saturation
+from eigenscan.workbench.logs.carmen_lines import NS, Line, LineError, read_line
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -22,11 +22,6 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from eigenscan.cli.evaluation.kidnap import splice
-from eigenscan.cli.evaluation.log import Log, read_log
-from eigenscan.cli.evaluation.models import build
-from eigenscan.cli.evaluation.windows import Window
-from eigenscan.cli.importers import LogOptions
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.projector.core import ProjectorCore
@@ -36,6 +31,11 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.evaluation.kidnap import splice
+from eigenscan.workbench.evaluation.log import Log, read_log
+from eigenscan.workbench.evaluation.models import build
+from eigenscan.workbench.evaluation.windows import Window
+from eigenscan.workbench.logs import LogOptions
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"

@@ -30,13 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.cli.evaluation.log import read_log
-from eigenscan.cli.evaluation.metrics import errors, right
-from eigenscan.cli.evaluation.models import build
-from eigenscan.cli.evaluation.pipeline import Pipeline
-from eigenscan.cli.evaluation.reference import read_trajectory
-from eigenscan.cli.evaluation.windows import plan_windows, read_windows
-from eigenscan.cli.importers import LogOptions
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import between, compose
 from eigenscan.schemas.channels import SCAN_RAW
@@ -47,6 +40,13 @@ from eigenscan.tracker.direction import NEAR_RAD as SIGN_NEAR_RAD
 from eigenscan.tracker.direction import REACH_M
 from eigenscan.tracker.evidence import ENDS, EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
 from eigenscan.tracker.odometry import Motion
+from eigenscan.workbench.evaluation.log import read_log
+from eigenscan.workbench.evaluation.metrics import errors, right
+from eigenscan.workbench.evaluation.models import build
+from eigenscan.workbench.evaluation.pipeline import Pipeline
+from eigenscan.workbench.evaluation.reference import read_trajectory
+from eigenscan.workbench.evaluation.windows import plan_windows, read_windows
+from eigenscan.workbench.logs import LogOptions
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 CASES = {

@@ -30,8 +30,6 @@ import psutil
 import zenoh
 from eigenscan.cli.launch.network import free_port
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.eigenspace.folder import read_models
 from eigenscan.geometry.gridmap import to_message, write_map
 from eigenscan.mapbuilder.core import announce_models
@@ -52,6 +50,8 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from fleet_robots import RATE_HZ, SITE, SPREAD_S, Heard, canonical, drive, name_of
 
 PROGRAM = Path(sys.executable).with_name("eigenscan")

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import zenoh
-from eigenscan.cli.simulation.stage import Stage
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.runtime.bus import Bus
 from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.simulation.stage import Stage
 
 SITE = "scale"
 RATE_HZ = 10.0

@@ -31,12 +31,10 @@ from typing import Any
 import numpy as np
 import psutil
 import zenoh
-from eigenscan.cli.fleet.configuration import FLOOD, INSTALLED, PORT
 from eigenscan.cli.launch.network import free_port
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.eigenspace.folder import read_models
+from eigenscan.fleet.configuration import FLOOD, INSTALLED, PORT
 from eigenscan.geometry.gridmap import to_message, write_map
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.projector.core import ProjectorCore
@@ -53,8 +51,11 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
-from fleet import PROGRAM
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from fleet_robots import canonical
+
+from fleet import PROGRAM
 
 SITE = "scale"
 DRIVE_S, SETTLE_S, PERIOD_NS = 30.0, 8.0, 100_000_000

@@ -19,9 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.stage import EPOCH_NS, Scenario, Stage
-from eigenscan.cli.simulation.world import CUPBOARD, Box, office
 from eigenscan.eigenspace.folder import write_models
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.pose import from_message
@@ -40,6 +37,9 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.stage import EPOCH_NS, Scenario, Stage
+from eigenscan.workbench.simulation.world import CUPBOARD, Box, office
 
 VISIT_S = 1800.0
 MOVES = {"to the opposite wall": (-4.85, -1.2), "along its wall": (0.0, -1.9), "into the room": (-1.2, 0.0)}

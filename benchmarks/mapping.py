@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.cli.evaluation.reference import NS, Trajectory, read_trajectory
 from eigenscan.geometry.pose import between, compose, inverse, transform
+from eigenscan.workbench.evaluation.reference import NS, Trajectory, read_trajectory
 from numpy.typing import NDArray
 
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"

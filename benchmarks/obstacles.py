@@ -14,10 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.cli.evaluation.metrics import errors, right
-from eigenscan.cli.simulation.lidar import Lidar, unexpected
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.pose import from_message
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.site import Plan, build_site
@@ -25,6 +21,10 @@ from eigenscan.schemas.channels import SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.workbench.evaluation.metrics import errors, right
+from eigenscan.workbench.simulation.lidar import Lidar, unexpected
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from single_scan import projector
 
 NEAR = 8.0

@@ -21,9 +21,6 @@ import numpy as np
 import psutil
 import zstandard
 from eigenscan.cli.launch.network import open_hub
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.recording import read
@@ -33,6 +30,9 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import decode, encode
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 SITE = "benchmark"
 SIMULATED_S, NOISE_M = 10.0, 0.015

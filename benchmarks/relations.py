@@ -19,9 +19,9 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-from eigenscan.cli.evaluation.metrics import errors, right
-from eigenscan.cli.evaluation.reference import nanoseconds_of, read_trajectory
 from eigenscan.geometry.pose import between
+from eigenscan.workbench.evaluation.metrics import errors, right
+from eigenscan.workbench.evaluation.reference import nanoseconds_of, read_trajectory
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"

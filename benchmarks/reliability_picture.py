@@ -5,7 +5,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from eigenscan.cli.evaluation.metrics import BINS, Bin, calibration_error
+from eigenscan.workbench.evaluation.metrics import BINS, Bin, calibration_error
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Okabe and Ito's, told apart by the colour-blind too; then again with the next mark."""

@@ -18,20 +18,20 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from eigenscan.cli.process_replay.casting import cast
-from eigenscan.cli.process_replay.one_thread import one_thread
-from eigenscan.cli.process_replay.playing import Event, Side, play
-from eigenscan.cli.process_replay.services import PARTS
-from eigenscan.cli.process_replay.survey import Survey, survey
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.live import Metronome
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.wire import encode
+from eigenscan.workbench.one_thread import one_thread
+from eigenscan.workbench.replay.casting import cast
+from eigenscan.workbench.replay.playing import Event, Side, play
+from eigenscan.workbench.replay.services import PARTS
+from eigenscan.workbench.replay.survey import Survey, survey
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.live import Metronome
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 
 def main() -> None:

@@ -21,14 +21,14 @@ from pathlib import Path
 
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.schemas.channels import ALIVE_TEMPLATE, HYPOTHESES, MODEL_SET, POSE, SCAN, Channel
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 SITE, ROBOT = "restart", "robot"
 ANSWERS = {"scan-ingest": SCAN, "projector": HYPOTHESES, "tracker": POSE, "mapbuilder": MODEL_SET}

@@ -7,8 +7,8 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import GridMap, write_map
+from eigenscan.workbench.simulation.world import office
 from floors import floor
 
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"

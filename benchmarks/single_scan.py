@@ -17,11 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.cli.evaluation.exhaustive import Gallery, best_poses, gallery
-from eigenscan.cli.evaluation.log import Log, read_log
-from eigenscan.cli.evaluation.metrics import errors, right
-from eigenscan.cli.evaluation.reference import NS, read_trajectory
-from eigenscan.cli.importers.log import LogOptions
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import read_map, to_message
 from eigenscan.geometry.pose import compose, covariance_from_message, from_message
@@ -37,6 +32,11 @@ from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.workbench.evaluation.exhaustive import Gallery, best_poses, gallery
+from eigenscan.workbench.evaluation.log import Log, read_log
+from eigenscan.workbench.evaluation.metrics import errors, right
+from eigenscan.workbench.evaluation.reference import NS, read_trajectory
+from eigenscan.workbench.logs.log import LogOptions
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 

@@ -26,14 +26,15 @@ import psutil
 import zenoh
 from eigenscan.cli.launch.network import PATIENT_QUEUE
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import HEALTH, ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
-from fleet import PROGRAM, prepare, wait_for_models
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from fleet_robots import SITE
+
+from fleet import PROGRAM, prepare, wait_for_models
 
 SCANS, ODOMETRIES = 10, 500
 ROWS = 10

@@ -15,9 +15,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from eigenscan.cli.conformance.vectors import DRIVE, folder
-from eigenscan.cli.playback.cast import shifted
 from eigenscan.runtime.recording import RecordingWriter, read
+from eigenscan.workbench.conformance.vectors import DRIVE, folder
+from eigenscan.workbench.playback.cast import shifted
 
 GAP_NS = 100_000_000
 """Between the end of the drive and its start."""

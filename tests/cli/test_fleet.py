@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.simulation.fleet import Fleet
-from eigenscan.cli.simulation.lidar import LIDARS
-from eigenscan.cli.simulation.people import RADIUS
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.unmapped import put_boxes
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, read_map
 from eigenscan.geometry.pose import transform
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import SCAN_RAW, TRUTH
+from eigenscan.workbench.simulation.fleet import Fleet
+from eigenscan.workbench.simulation.lidar import LIDARS
+from eigenscan.workbench.simulation.people import RADIUS
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.unmapped import put_boxes
+from eigenscan.workbench.simulation.world import office
 from scipy.ndimage import label
 
 

@@ -150,9 +150,9 @@ def test_the_version_is_printed() -> None:
 
 
 def test_live_simulation_keeps_the_pace(tmp_path: Path) -> None:
-    from eigenscan.cli.simulation.live import publish
-    from eigenscan.cli.simulation.stage import Scenario, Stage
-    from eigenscan.cli.simulation.world import office
+    from eigenscan.workbench.simulation.live import publish
+    from eigenscan.workbench.simulation.stage import Scenario, Stage
+    from eigenscan.workbench.simulation.world import office
 
     stage = Stage(office().render(), Scenario(seconds=1.0, people=0))
     said: list[str] = []

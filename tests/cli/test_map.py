@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.evaluation.reference import read_trajectory
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, read_map
 from eigenscan.geometry.pose import between
+from eigenscan.workbench.evaluation.reference import read_trajectory
 
 from tests.environment import DATASETS, EIGENSCAN
 

@@ -6,12 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.simulation.lidar import Lidar, to_discs
-from eigenscan.cli.simulation.people import PERSONAL_SPACE, RADIUS, draw_walkers, positions
-from eigenscan.cli.simulation.robot import OdometryNoise, odometry
-from eigenscan.cli.simulation.route import plan
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import Box, Disc, FloorPlan, office
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, MapError, read_map, write_map
 from eigenscan.geometry.pose import between, compose, from_pose3, inverse
 from eigenscan.geometry.raycast import RayCaster
@@ -19,6 +13,12 @@ from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW, TRUTH
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.simulation.lidar import Lidar, to_discs
+from eigenscan.workbench.simulation.people import PERSONAL_SPACE, RADIUS, draw_walkers, positions
+from eigenscan.workbench.simulation.robot import OdometryNoise, odometry
+from eigenscan.workbench.simulation.route import plan
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import Box, Disc, FloorPlan, office
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from hypothesis import given, settings
 from hypothesis import strategies as st

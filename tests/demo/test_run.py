@@ -10,12 +10,12 @@ from uuid import uuid4
 import psutil
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.witness import Witness
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.fleet.configuration import INSTALLED, PORT
+from eigenscan.fleet.configuration import INSTALLED, PORT
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import CHANNELS, POSE, find
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.fleet.configuration import INSTALLED, PORT
 from eigenscan.cli.main import app
+from eigenscan.fleet.configuration import INSTALLED, PORT
 from eigenscan.runtime.session import open_session
 from typer.testing import CliRunner, Result
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.fleet.configuration import FLOOD as FLOODS_HELD_AT
+from eigenscan.fleet.configuration import FLOOD as FLOODS_HELD_AT
 from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, RELOCATION, SCAN_RAW, Channel, Role
 
 from tests.fleet.conftest import READY_S, SITE, Fleet, make_fleet, run, until

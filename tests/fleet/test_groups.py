@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.fleet.configuration import INSTALLED
-from eigenscan.cli.simulation.world import office
+from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.schemas.channels import (
     CHANNELS,
@@ -27,6 +26,7 @@ from eigenscan.schemas.channels import (
     Channel,
 )
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.simulation.world import office
 
 from tests.fleet.conftest import SITE, Fleet, run, until
 from tests.network import free_port

@@ -11,7 +11,7 @@ from typing import Any
 import psutil
 import pytest
 import zenoh
-from eigenscan.cli.fleet.authority import Authority
+from eigenscan.fleet.authority import Authority
 
 from tests.fleet.conftest import Fleet, until
 from tests.network import free_port

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eigenscan.cli.fleet.status import rows
-from eigenscan.cli.fleet.view import FleetView
+from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.health_pb2 import Health

@@ -3,9 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from eigenscan.cli.simulation.lidar import Lidar, unexpected
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office as furnished
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.raycast import RayCaster
@@ -15,6 +12,9 @@ from eigenscan.projector.wall_field import REACH, WallField
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.workbench.simulation.lidar import Lidar, unexpected
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office as furnished
 
 from tests.projector.office import hear, is_right, poses_of, ready
 

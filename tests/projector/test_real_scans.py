@@ -4,14 +4,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from eigenscan.cli.evaluation.log import Log, read_log
-from eigenscan.cli.importers.log import LogOptions
 from eigenscan.geometry.gridmap import read_map
 from eigenscan.geometry.pose import covariance_from_message
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.workbench.evaluation.log import Log, read_log
+from eigenscan.workbench.logs.log import LogOptions
 
 from tests.environment import DATASETS
 from tests.projector.office import hear, ready, scan_at

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.eigenspace.components import Eigenspace, analyse
 from eigenscan.eigenspace.model import RANGE_UNIT, quantize
 from eigenscan.eigenspace.model import RegionModel as Model
@@ -45,6 +42,9 @@ from eigenscan.schemas.tracking_pb2 import (
     Track,
     Tracks,
 )
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from google.protobuf.message import Message
 

@@ -41,7 +41,7 @@ def workspace(tmp_path: Path) -> Path:
 def test_everything_is_built_installed_and_used(tmp_path: Path) -> None:
     result = _release(ROOT, "build", "--out", tmp_path)
     assert result.returncode == 0, result.stderr
-    with tarfile.open(next(tmp_path.glob("eigenscan-0*.tar.gz"))) as sdist:
+    with tarfile.open(next(tmp_path.glob("eigenscan_localize-0*.tar.gz"))) as sdist:
         names = sdist.getnames()
     assert any(name.endswith("eigenscan/localize/py.typed") for name in names)
     assert not any("__pycache__" in name for name in names)

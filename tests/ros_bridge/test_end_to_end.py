@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import from_message
 from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import compose, from_pose3
@@ -22,6 +19,9 @@ from eigenscan.ros_bridge.outbound import occupancy_grid
 from eigenscan.schemas.channels import MAP, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from zenoh_ros2_sdk import get_topic_info

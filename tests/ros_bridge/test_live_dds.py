@@ -17,9 +17,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import from_pose3, to_message
@@ -28,6 +25,9 @@ from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Track, Tracks
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.cli.importers.bag import BagMessage
-from eigenscan.cli.importers.ros2 import Ros2Bag
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
 from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import from_pose3, to_message
@@ -24,6 +22,8 @@ from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Track, Tracks
+from eigenscan.workbench.logs.bag import BagMessage
+from eigenscan.workbench.logs.ros2 import Ros2Bag
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from zenoh_ros2_sdk import (

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.cli.importers import open_log
 from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.workbench.logs import open_log
 
 from tests.environment import PROGRAMS
 from tests.network import PATIENT_QUEUE, free_port

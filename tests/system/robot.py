@@ -4,16 +4,16 @@ import threading
 import time
 from pathlib import Path
 
-from eigenscan.cli.conformance.generation import wing
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import ODOMETRY
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.conformance.generation import wing
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 
 class Robot:

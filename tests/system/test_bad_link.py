@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 from eigenscan.cli.fleet.status import listen, rows
-from eigenscan.cli.fleet.view import FleetView
+from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import MODEL, MODEL_SET, POSE
 from eigenscan.schemas.envelope import Envelope, nanoseconds

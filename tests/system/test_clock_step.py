@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.eigenspace.folder import read_models
 from eigenscan.geometry.gridmap import to_message, write_map
 from eigenscan.ingest.core import ScanIngestCore
@@ -23,6 +21,8 @@ from eigenscan.schemas.envelope import Core, Envelope, nanoseconds, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 PROGRAM = Path(sys.executable).with_name("eigenscan")
 SITE, STEP_AT_S, SECONDS, RIGHT_M = "site", 6.0, 12.0, 0.5

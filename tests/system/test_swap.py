@@ -12,11 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from eigenscan.cli.conformance.generation import wing
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
-from eigenscan.cli.simulation.world import office
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
@@ -24,6 +19,11 @@ from eigenscan.schemas.channels import HEALTH, HYPOTHESES, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.conformance.generation import wing
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
 
 from tests.system.house import ONE_THREAD, PATIENCE_S, House
 

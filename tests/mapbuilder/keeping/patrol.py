@@ -4,9 +4,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.cli.simulation.lidar import Lidar
-from eigenscan.cli.simulation.stage import EPOCH_NS, Scenario, Stage
-from eigenscan.cli.simulation.world import CUPBOARD, office
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.pose import between, compose, covariance_to_message, inverse, to_message
 from eigenscan.ingest.core import ScanIngestCore
@@ -14,6 +11,9 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.stage import EPOCH_NS, Scenario, Stage
+from eigenscan.workbench.simulation.world import CUPBOARD, office
 
 VISIT_S = 1800.0
 ERROR = np.array([0.02, 0.02, np.deg2rad(0.3)])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
-from eigenscan.cli.frame import FailedError, UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -88,8 +88,8 @@ def build(
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not frame_id:
         raise UsageError("--frame-id: give the map frame a name, such as map")
-    from eigenscan.cli.plans import PlanOptions, read_plan
     from eigenscan.eigenspace.pieces import Pieces
+    from eigenscan.geometry.plans import PlanOptions, read_plan
     from eigenscan.mapbuilder.cluster import Workers
     from eigenscan.mapbuilder.drawn import outlines
     from eigenscan.mapbuilder.floors import name_by_floor

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import FailedError, UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 
 
 def conform(
@@ -43,15 +43,15 @@ def conform(
       eigenscan conform recorder -- eigenscan-recorder --mcap {recording}
       eigenscan conform scan-ingest -- ./my-ingest --connect {endpoint} --site {site} --robot {robot}
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.conformance import vectors
-    from eigenscan.cli.conformance.candidate import Candidate
-    from eigenscan.cli.conformance.check import FAILED
-    from eigenscan.cli.conformance.checks import judge
-    from eigenscan.cli.conformance.profiles import PROFILES
-    from eigenscan.cli.conformance.recording import judge_killed, judge_whole
-    from eigenscan.cli.conformance.report import figures, junit, report
-    from eigenscan.cli.conformance.trial import Observed, Terms, Trial
     from eigenscan.cli.launch.network import open_hub
+    from eigenscan.workbench.conformance import vectors
+    from eigenscan.workbench.conformance.candidate import Candidate
+    from eigenscan.workbench.conformance.check import FAILED
+    from eigenscan.workbench.conformance.checks import judge
+    from eigenscan.workbench.conformance.profiles import PROFILES
+    from eigenscan.workbench.conformance.recording import judge_killed, judge_whole
+    from eigenscan.workbench.conformance.report import figures, junit, report
+    from eigenscan.workbench.conformance.trial import Observed, Terms, Trial
 
     for file in (json_file, junit_file):
         prepare(file)

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import EXIT_FAILED, UsageError
+from eigenscan.cli.frame import EXIT_FAILED
+from eigenscan.runtime.errors import UsageError
 
 
 def demo(
@@ -39,9 +40,9 @@ def demo(
       eigenscan demo --map MAP.yaml --seed 7 --seconds 120
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.demonstration.show import Demonstration
-    from eigenscan.cli.simulation.stage import Scenario
-    from eigenscan.cli.simulation.world import SQUARE_ROOM, office
     from eigenscan.geometry.gridmap import read_map
+    from eigenscan.workbench.simulation.stage import Scenario
+    from eigenscan.workbench.simulation.world import SQUARE_ROOM, office
 
     folder = out or Path("out") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
     if (folder / "demo.mcap").exists():

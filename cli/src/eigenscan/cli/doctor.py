@@ -13,7 +13,7 @@ from eigenscan.cli.frame import EXIT_FAILED
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 if TYPE_CHECKING:
-    from eigenscan.cli.fleet.diagnosis import Finding
+    from eigenscan.fleet.diagnosis import Finding
 
 LEAST_FREE_MB = 1000
 """Of this machine's disk, below which a recorder on it soon ends."""
@@ -49,9 +49,9 @@ def doctor(
 
 def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds: float) -> list[Finding]:
     from eigenscan.cli.fleet.connection import NoRouterError, connect
-    from eigenscan.cli.fleet.diagnosis import Finding, diagnose
     from eigenscan.cli.fleet.status import listen
-    from eigenscan.cli.fleet.view import FleetView
+    from eigenscan.fleet.diagnosis import Finding, diagnose
+    from eigenscan.fleet.view import FleetView
 
     try:
         session = connect(zenoh)
@@ -64,7 +64,7 @@ def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds
 
 
 def _of_this_machine() -> list[Finding]:
-    from eigenscan.cli.fleet.diagnosis import Finding
+    from eigenscan.fleet.diagnosis import Finding
 
     free = shutil.disk_usage(Path.cwd()).free // 1_000_000
     if free >= LEAST_FREE_MB:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import UsageError
+from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 PARTS = ("windows", "single-scans", "exhaustive", "memory")
 
 
@@ -77,12 +75,14 @@ def evaluate(
     if unknown:
         raise UsageError(f"--skip {unknown[0]}: there are {', '.join(PARTS)}")
     # before numpy is imported: CPU is process time on one core
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    from eigenscan.cli.evaluation.course import Task
-    from eigenscan.cli.evaluation.course import evaluate as run
-    from eigenscan.cli.evaluation.progress import Bars
-    from eigenscan.cli.evaluation.report import show
-    from eigenscan.cli.importers import LogOptions
+    from eigenscan.workbench.one_thread import one_thread
+
+    one_thread()
+    from eigenscan.workbench.evaluation.course import Task
+    from eigenscan.workbench.evaluation.course import evaluate as run
+    from eigenscan.workbench.evaluation.report import show
+    from eigenscan.workbench.logs import LogOptions
+    from eigenscan.workbench.progress import Bars
     from rich.console import Console
 
     task = Task(

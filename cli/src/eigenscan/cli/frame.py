@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
+from eigenscan.runtime.errors import FailedError, by_users, one_line
 from typer.core import TyperGroup
 
 EXIT_FAILED = 1
@@ -18,32 +19,6 @@ EXIT_USAGE = 2
 
 _MISTYPED: Any = typer.BadParameter.__mro__[1]
 """Typer's own error for what was typed wrongly, which it does not export."""
-
-
-class UsageError(ValueError):
-    """What was asked for cannot be done; the message names the option or file and the fix."""
-
-
-class FailedError(RuntimeError):
-    """What was asked for was tried and failed; the message says why."""
-
-
-def by_users(error: Exception) -> bool:
-    """Whether `error` says what is wrong with the input, and so needs no trace.
-
-    These are the errors that this project raises itself (SettingsError, MapError, ...) and files that
-    cannot be read or written.
-    """
-    if isinstance(error, OSError):
-        return error.filename is not None
-    return isinstance(error, ValueError) and type(error).__module__.startswith("eigenscan.")
-
-
-def one_line(error: Exception) -> str:
-    """The error without line breaks."""
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _typed_wrongly(error: Exception) -> str:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import UsageError
+from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
-    from eigenscan.cli.importers import Log, Mount
-    from eigenscan.cli.importers.summary import Summary
+    from eigenscan.workbench.logs import Log, Mount
+    from eigenscan.workbench.logs.summary import Summary
 
 
 def import_log(
@@ -44,7 +44,7 @@ def import_log(
       eigenscan import drive.bag -o drive.mcap --lidar-topic /front/scan --robot r17
       eigenscan import no_tf.bag --mount scan=0.2,0,180
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.importers import LogOptions, open_log
+    from eigenscan.workbench.logs import LogOptions, open_log
     from rich.console import Console
 
     target = out or Path(_stem(log) + ".mcap")
@@ -61,7 +61,7 @@ def import_log(
 
 
 def _mount(text: str) -> tuple[str, Mount]:
-    from eigenscan.cli.importers import Mount
+    from eigenscan.workbench.logs import Mount
 
     lidar, _, place = text.partition("=")
     numbers, upside_down = place.removesuffix(",upside-down"), place.endswith(",upside-down")
@@ -80,10 +80,10 @@ def _stem(log: Path) -> str:
 
 def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
     """Writes beside `target` and moves it there when it is whole."""
-    from eigenscan.cli.evaluation.progress import Bars
-    from eigenscan.cli.importers.summary import Summary
     from eigenscan.runtime.recording import RecordingWriter
     from eigenscan.schemas.channels import SCAN_RAW
+    from eigenscan.workbench.logs.summary import Summary
+    from eigenscan.workbench.progress import Bars
 
     summary = Summary()
     part = target.with_name(target.name + ".part")

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
-from eigenscan.cli.frame import UsageError
+from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from eigenscan.cli.evaluation.progress import Bars
-    from eigenscan.cli.scans import Scans
     from eigenscan.mapbuilder.mapping.survey import Mapped
+    from eigenscan.workbench.logs.scans import Scans
+    from eigenscan.workbench.progress import Bars
 
 
 def map_log(
@@ -47,13 +47,13 @@ def map_log(
       eigenscan map drive.bag -o office.yaml
       eigenscan build office.yaml -o model
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.evaluation.progress import Bars
-    from eigenscan.cli.importers import LogOptions
-    from eigenscan.cli.scans import read_scans
     from eigenscan.geometry.gridmap import write_map
     from eigenscan.mapbuilder.mapping.drawing import draw_way
     from eigenscan.mapbuilder.mapping.pose_graph import check_installed
     from eigenscan.mapbuilder.mapping.survey import MappingError, Survey, survey
+    from eigenscan.workbench.logs import LogOptions
+    from eigenscan.workbench.logs.scans import read_scans
+    from eigenscan.workbench.progress import Bars
 
     target = out or Path((log.name.split(".")[0] or "map") + ".yaml")
     if target.suffix not in (".yaml", ".yml"):

@@ -52,9 +52,9 @@ def models(
       eigenscan models rollback MODEL 7ce7719a
       eigenscan models accept MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.frame import UsageError
     from eigenscan.eigenspace.folder import read_models
     from eigenscan.eigenspace.versions import accept, choose, choose_proposal, replace, versions
+    from eigenscan.runtime.errors import UsageError
 
     if action is Action.LIST:
         if version is not None:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
-from eigenscan.cli.frame import UsageError
 from eigenscan.cli.moment import METAVAR, START, Moment, moment
-from eigenscan.cli.process_replay.command import Request, process_replay
+from eigenscan.cli.process_replay import Request, process_replay
+from eigenscan.runtime.errors import UsageError
 
 if TYPE_CHECKING:
-    from eigenscan.cli.playback.player import Score
     from eigenscan.schemas.envelope import Envelope
+    from eigenscan.workbench.playback.player import Score
 
 
 class Stamps(StrEnum):
@@ -136,13 +136,13 @@ def replay(
         return
     if compare or out or model or changes or tolerant or strict or ignore or rrd:
         raise UsageError("--compare and what goes with it: give --service NAME as well")
-    from eigenscan.cli.playback.cast import Cast
-    from eigenscan.cli.playback.controls import controls
-    from eigenscan.cli.playback.player import Player, Score
-    from eigenscan.cli.playback.selection import INPUTS, select
     from eigenscan.runtime.bus import Bus
     from eigenscan.runtime.session import open_session
     from eigenscan.schemas.channels import CHANNELS
+    from eigenscan.workbench.playback.cast import Cast
+    from eigenscan.workbench.playback.controls import controls
+    from eigenscan.workbench.playback.player import Player, Score
+    from eigenscan.workbench.playback.selection import INPUTS, select
 
     names = only or ([channel.name for channel in CHANNELS] if everything else INPUTS)
     selection = select(file, names, robot, *_seconds(file, begin, end))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import FailedError, UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 
 
 def replay_test(
@@ -40,11 +40,11 @@ def replay_test(
       eigenscan replay-test incidents --junit results.xml
       eigenscan replay-test incidents --service tracker --update
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.process_replay.one_thread import one_thread
+    from eigenscan.workbench.one_thread import one_thread
 
     one_thread()
-    from eigenscan.cli.process_replay import suite
-    from eigenscan.cli.process_replay.services import CHOICES, PIPELINE
+    from eigenscan.workbench.replay import suite
+    from eigenscan.workbench.replay.services import CHOICES, PIPELINE
 
     for name in service or ():
         if name not in CHOICES:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 from eigenscan.cli.figures import JsonFile, events, prepare, wants_words
-from eigenscan.cli.frame import UsageError
+from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 MAP_S = 30.0

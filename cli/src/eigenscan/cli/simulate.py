@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
-from eigenscan.cli.frame import UsageError
+from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
-    from eigenscan.cli.simulation.fleet import Fleet
-    from eigenscan.cli.simulation.lidar import Lidar
-    from eigenscan.cli.simulation.stage import Stage, Timed
     from eigenscan.geometry.gridmap import GridMap
+    from eigenscan.workbench.simulation.fleet import Fleet
+    from eigenscan.workbench.simulation.lidar import Lidar
+    from eigenscan.workbench.simulation.stage import Stage, Timed
 
 
 CARRIED_M = 0.5
@@ -78,10 +78,10 @@ def simulate(
         raise UsageError("nothing to do: give -o FILE.mcap, --truth FILE.tum, --save-map FILE.yaml or --live")
     if kidnap is not None and not 0 < kidnap < seconds:
         raise UsageError(f"--kidnap {kidnap:g}: give a second between 0 and --seconds {seconds:g}")
-    from eigenscan.cli.simulation.fleet import Fleet
-    from eigenscan.cli.simulation.robot import OdometryNoise
-    from eigenscan.cli.simulation.stage import Scenario
     from eigenscan.geometry.gridmap import write_map
+    from eigenscan.workbench.simulation.fleet import Fleet
+    from eigenscan.workbench.simulation.robot import OdometryNoise
+    from eigenscan.workbench.simulation.stage import Scenario
 
     prepare(json_file)
     grid = _map(map_file)
@@ -135,7 +135,7 @@ def _driven(stage: Stage) -> dict[str, Any]:
 def _lidar(model: str, fov: float | None, changes: Mapping[str, Any]) -> Lidar:
     from dataclasses import replace
 
-    from eigenscan.cli.simulation.lidar import LIDARS
+    from eigenscan.workbench.simulation.lidar import LIDARS
 
     if model not in LIDARS:
         raise UsageError(f"--lidar {model}: there are {', '.join(LIDARS)}")
@@ -150,14 +150,14 @@ def _lidar(model: str, fov: float | None, changes: Mapping[str, Any]) -> Lidar:
 def _with_boxes(grid: GridMap, boxes: int, seed: int) -> GridMap:
     """The building as it is, not as its map shows it."""
     import numpy as np
-    from eigenscan.cli.simulation.unmapped import put_boxes
+    from eigenscan.workbench.simulation.unmapped import put_boxes
 
     return put_boxes(grid, boxes, np.random.default_rng([seed, boxes])) if boxes else grid
 
 
 def _map(path: Path | None) -> GridMap:
-    from eigenscan.cli.simulation.world import office
     from eigenscan.geometry.gridmap import read_map
+    from eigenscan.workbench.simulation.world import office
 
     return read_map(path) if path else office().render()
 
@@ -196,9 +196,9 @@ def _watched(fleet: Fleet) -> Iterator[Timed]:
 
 
 def _publish(fleet: Fleet, seconds: float, zenoh: Path | None, speed: float) -> None:
-    from eigenscan.cli.simulation.live import publish
     from eigenscan.runtime.bus import Bus
     from eigenscan.runtime.session import open_session
+    from eigenscan.workbench.simulation.live import publish
 
     with Bus(open_session(zenoh)) as bus:
         typer.echo(f"publishing for {seconds:.0f} s; Ctrl-C ends it", err=True)

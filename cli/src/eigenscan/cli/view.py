@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import UsageError
 from eigenscan.cli.moment import METAVAR, START, Moment, moment, span
 from eigenscan.recorder.picture.layout import Layout
+from eigenscan.runtime.errors import UsageError
 
 if TYPE_CHECKING:
     from eigenscan.recorder.settings import RecorderSettings

@@ -15,14 +15,14 @@ from eigenscan.cli.launch.screen import StatusLine, error_text, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import Supervisor
 from eigenscan.cli.launch.witness import Witness
-from eigenscan.cli.simulation.live import publish
-from eigenscan.cli.simulation.stage import Scenario, Stage
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.pose import from_message
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.wake import Wake
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.simulation.live import publish
+from eigenscan.workbench.simulation.stage import Scenario, Stage
 
 LAST_WORDS_S = 5.0
 """What the pipeline gets to answer the last scan."""

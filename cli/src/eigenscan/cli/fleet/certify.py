@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from eigenscan.cli.frame import UsageError
+from eigenscan.runtime.errors import UsageError
 
 if TYPE_CHECKING:
-    from eigenscan.cli.fleet.authority import Authority
-    from eigenscan.cli.fleet.layout import Fleet
+    from eigenscan.fleet.authority import Authority
+    from eigenscan.fleet.layout import Fleet
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 
@@ -37,8 +37,8 @@ def certify(
       eigenscan fleet certify --site hospital --address 10.0.0.5 --robot r17 --robot r18 -o fleet
       eigenscan fleet certify --robot r19 -o fleet
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.fleet import layout
-    from eigenscan.cli.fleet.authority import Authority
+    from eigenscan.fleet import layout
+    from eigenscan.fleet.authority import Authority
 
     names, is_new = robot or [], not (folder / "fleet.toml").exists()
     fleet = _planned(folder, site, address or [], names)
@@ -64,7 +64,7 @@ def certify(
 
 def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Sequence[str]) -> Fleet:
     """The fleet that is there or is to be, with new robots. Raises UsageError before anything is written."""
-    from eigenscan.cli.fleet import layout
+    from eigenscan.fleet import layout
 
     settings = folder / "fleet.toml"
     if not settings.exists():
@@ -90,7 +90,7 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
 
 def _certify_site(authority: Authority, folder: Path, addresses: Sequence[str], days: int) -> None:
     """Certificates of the router and the site's services that have none."""
-    from eigenscan.cli.fleet import layout
+    from eigenscan.fleet import layout
 
     if not (folder / "site/router.crt").exists():
         authority.issue(folder / "site", "router", "site.router", days, serves=[*LOCAL, *addresses])

@@ -22,7 +22,7 @@ def configure(
     then
       eigenscan fleet configure -o fleet
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.fleet import layout
+    from eigenscan.fleet import layout
 
     layout.configure(folder)
     typer.echo(f"{folder}: configured for {', '.join(layout.robots(folder)) or 'no robot yet'}")

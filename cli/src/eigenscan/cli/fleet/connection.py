@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import zenoh
-from eigenscan.cli.frame import FailedError
+from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.session import open_meanwhile
 
 OPEN_S = 5.0

@@ -12,7 +12,7 @@ import typer
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 if TYPE_CHECKING:
-    from eigenscan.cli.fleet.view import FleetView
+    from eigenscan.fleet.view import FleetView
     from prometheus_client.core import GaugeMetricFamily, Metric
 
 UPDATE_S = 0.2
@@ -35,8 +35,8 @@ def metrics(
       eigenscan fleet metrics --site hospital --port 9300 --host 0.0.0.0
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.fleet.connection import connect
-    from eigenscan.cli.fleet.view import FleetView
-    from eigenscan.cli.frame import UsageError
+    from eigenscan.fleet.view import FleetView
+    from eigenscan.runtime.errors import UsageError
     from eigenscan.runtime.wake import Wake
     from prometheus_client import CollectorRegistry, start_http_server
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
-from eigenscan.cli.frame import FailedError, UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 from eigenscan.schemas.channels import DEFAULT_SITE, RELOCATION, is_chunk
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, Relocation
 
 if TYPE_CHECKING:
-    from eigenscan.cli.fleet.view import FleetView, Service
+    from eigenscan.fleet.view import FleetView, Service
 
 TURN_SHARE = math.radians(15.0) / 0.5
 """rad a m: who clicks half a metre off also aims 15 degrees off."""
@@ -45,7 +45,7 @@ def relocate(
       eigenscan fleet relocate r17 --anew
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.fleet.connection import connect
-    from eigenscan.cli.fleet.view import FleetView
+    from eigenscan.fleet.view import FleetView
 
     if (pose is None) == (not anew):
         raise UsageError("give either --pose X Y DEG or --anew")

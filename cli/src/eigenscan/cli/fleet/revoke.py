@@ -22,7 +22,7 @@ def revoke(
     Example:
       eigenscan fleet revoke r17 -o fleet
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.fleet import layout
+    from eigenscan.fleet import layout
 
     kept = layout.revoke(folder, name)
     router = folder / "site" / "router.json5"

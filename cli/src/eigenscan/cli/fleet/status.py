@@ -11,7 +11,7 @@ from eigenscan.cli.figures import JsonFile, wants_words, write_figures
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 if TYPE_CHECKING:
-    from eigenscan.cli.fleet.view import FleetView, Service
+    from eigenscan.fleet.view import FleetView, Service
     from rich.table import Table
 
 OLD_S = 3.0
@@ -37,7 +37,7 @@ def status(
       eigenscan fleet status --site hospital --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.fleet.connection import connect
-    from eigenscan.cli.fleet.view import FleetView
+    from eigenscan.fleet.view import FleetView
     from rich.console import Console
     from rich.live import Live
 
@@ -143,7 +143,7 @@ _COLOURS = {"localized": "green", "ambiguous": "yellow"}
 
 
 def _services(row: dict[str, Any]) -> str:
-    from eigenscan.cli.fleet.view import ROBOT_SERVICES
+    from eigenscan.fleet.view import ROBOT_SERVICES
 
     troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
     troubles += [f"[yellow]{name} {word}[/]" for name, word in row["services"].items() if word != "ok"]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from eigenscan.cli.frame import FailedError
 from eigenscan.cli.launch.screen import StatusLine
 from eigenscan.cli.launch.supervision import ROS_BRIDGE, SERVICES, Supervisor
 from eigenscan.cli.launch.witness import Witness
+from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.wake import Wake
 
 READY_S = 180.0

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from eigenscan.cli.frame import FailedError
+from eigenscan.runtime.errors import FailedError
 
 SERVICES = {
     "scan-ingest": "eigenscan.ingest.node",

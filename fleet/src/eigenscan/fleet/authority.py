@@ -1,0 +1,158 @@
+"""A site's certificate authority, and the certificates that it signs.
+
+Profile: RFC 5280; ECDSA on P-256 with SHA-256. Only the router's certificate may serve, the others are for
+clients: a robot's cannot pass itself off as the site's router.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from eigenscan.runtime.errors import UsageError
+
+try:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+except ModuleNotFoundError as error:
+    raise UsageError("certificates need cryptography: pip install 'eigenscan[fleet]'") from error
+
+AUTHORITY_DAYS = 3650
+SLOW_CLOCK = timedelta(days=1)
+"""Valid since then, for machines whose clock is behind."""
+LONGEST_NAME = 64
+"""Of a common name (RFC 5280, ub-common-name)."""
+
+
+@dataclass(frozen=True)
+class Authority:
+    """Signs for one site. Its key signs whoever it pleases: it belongs on no robot and no server."""
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+    @staticmethod
+    def create(site: str) -> Authority:
+        """A new one."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = _name(f"{site} fleet")
+        usage = x509.KeyUsage(
+            key_cert_sign=True, crl_sign=True, digital_signature=False, content_commitment=False,
+            key_encipherment=False, data_encipherment=False, key_agreement=False, encipher_only=False,
+            decipher_only=False,
+        )  # fmt: skip
+        certificate = (
+            _builder(name, name, key.public_key(), AUTHORITY_DAYS)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(usage, critical=True)
+            .sign(key, hashes.SHA256())
+        )
+        return Authority(certificate, key)
+
+    @staticmethod
+    def load(folder: Path) -> Authority:
+        """The one that `save` wrote. Raises UsageError naming the file that is none."""
+        key = serialization.load_pem_private_key((folder / "ca.key").read_bytes(), password=None)
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise UsageError(
+                f"{folder / 'ca.key'}: is no elliptic curve key: give the folder that certify made"
+            )
+        return Authority(read_certificate(folder / "ca.crt"), key)
+
+    def save(self, folder: Path) -> None:
+        """Writes ca.crt and, for its owner only, ca.key."""
+        write_pair(folder, "ca", self.certificate, self.key)
+
+    def issue(self, folder: Path, name: str, identity: str, days: int, serves: Sequence[str] = ()) -> None:
+        """Writes name.crt and name.key of a new key to `folder`, and the authority's certificate beside them.
+
+        `identity` begins the common name; what is random behind it tells this certificate from others of the
+        same holder. `serves`: host names and addresses of a router; without any it is a client's.
+        """
+        key = ec.generate_private_key(ec.SECP256R1())
+        subject = _name(f"{identity}.{secrets.token_hex(4)}")
+        use = ExtendedKeyUsageOID.SERVER_AUTH if serves else ExtendedKeyUsageOID.CLIENT_AUTH
+        builder = (
+            _builder(subject, self.certificate.subject, key.public_key(), days)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(x509.ExtendedKeyUsage([use]), critical=True)
+        )
+        if serves:
+            names = x509.SubjectAlternativeName([_served(host) for host in serves])
+            builder = builder.add_extension(names, critical=False)
+        write_pair(folder, name, builder.sign(self.key, hashes.SHA256()), key)
+        _write(folder / "ca.crt", _pem(self.certificate), 0o644)
+
+
+def read_certificate(path: Path) -> x509.Certificate:
+    """Certificate in `path`. Raises UsageError where it is none."""
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except ValueError as error:
+        raise UsageError(f"{path}: is no certificate: {error}") from error
+
+
+def common_name(path: Path) -> str:
+    """Whom the certificate in `path` is for, as access rules name it."""
+    (name,) = read_certificate(path).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(name.value)
+
+
+def write_pair(
+    folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
+) -> None:
+    """Writes name.crt and, for its owner only, name.key. Raises FileExistsError where one is there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    private = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    _write(folder / f"{name}.key", private, 0o600)
+    _write(folder / f"{name}.crt", _pem(certificate), 0o644)
+
+
+def _pem(certificate: x509.Certificate) -> bytes:
+    return certificate.public_bytes(serialization.Encoding.PEM)
+
+
+def _write(path: Path, content: bytes, mode: int) -> None:
+    # no moment in which others could read it, and no old file that is replaced
+    flags = os.O_WRONLY | os.O_CREAT | (os.O_EXCL if path.name != "ca.crt" else os.O_TRUNC)
+    with os.fdopen(os.open(path, flags, mode), "wb") as file:
+        file.write(content)
+
+
+def _name(text: str) -> x509.Name:
+    if len(text.encode()) > LONGEST_NAME:
+        raise UsageError(
+            f"{text}: too long by {len(text.encode()) - LONGEST_NAME} bytes for a certificate: shorten it"
+        )
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+
+def _served(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int
+) -> x509.CertificateBuilder:
+    now = datetime.now(UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - SLOW_CLOCK)
+        .not_valid_after(now + timedelta(days=days))
+    )

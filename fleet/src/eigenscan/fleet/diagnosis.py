@@ -1,0 +1,159 @@
+"""What is wrong with a site, by what its services say, and how to mend it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from eigenscan.fleet.view import ROBOT_SERVICES, FleetView, Service
+from eigenscan.schemas.channels import CONTRACT_VERSION
+from eigenscan.schemas.health_pb2 import Health
+
+CLOCK_S = 1.0
+"""A robot's clock may be so far from ours, the way of a message included."""
+SILENT_S = 3.0
+"""A service that has not said its health for so long is not well, or its link is down."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong."""
+
+    where: str
+    what: str
+    mend: str
+
+
+def diagnose(view: FleetView, expected: tuple[str, ...] = ()) -> list[Finding]:
+    """All findings on a site that was listened to for some seconds; `expected`: robots that must be there."""
+    if not any(service.contracts for service in view.services.values()):
+        return [
+            Finding(
+                f"site {view.site}",
+                "nobody is there",
+                "start the services, or check --site and --zenoh: both must be as the services have them",
+            )
+        ]
+    found = [*_of_the_site(view)]
+    for service in view.services.values():
+        found += _of_a_service(service)
+    for robot in sorted({*view.robot_names(), *expected}):
+        found += _of_a_robot(view, robot)
+    return found
+
+
+def _of_the_site(view: FleetView) -> Iterator[Finding]:
+    builders = [each for each in view.services.values() if each.name == "mapbuilder" and each.contracts]
+    where = f"site {view.site}"
+    if not builders:
+        yield Finding(
+            where,
+            "no mapbuilder: who starts now gets no model",
+            f"eigenscan-mapbuilder --site {view.site} --model MODEL (made by eigenscan build)",
+        )
+    elif not view.model_version:
+        yield Finding(where, "no models yet", "wait for mapbuilder, or see its log")
+
+
+def _of_a_service(service: Service) -> Iterator[Finding]:
+    where = f"{service.name} {service.instance}"
+    for contract in sorted(service.contracts - {str(CONTRACT_VERSION)}):
+        yield Finding(
+            where,
+            f"speaks version {contract} of the contract, this command {CONTRACT_VERSION}",
+            "bring both to the same release",
+        )
+    health = service.health
+    if not service.contracts or health is None:
+        return
+    if time.monotonic() - service.heard_at > SILENT_S:
+        yield Finding(where, "is there, but silent", "look at its log; its machine or link may be overloaded")
+    offset = service.clock_offset_s or 0.0
+    if abs(offset) > CLOCK_S:
+        yield Finding(
+            where,
+            f"its clock is {abs(offset):.0f} s {'ahead' if offset > 0 else 'behind'}",
+            "synchronise the machines' clocks (chrony or systemd-timesyncd)",
+        )
+    if health.status == Health.STATUS_DEGRADED:
+        yield Finding(where, health.detail or "degraded", "see the words beside it and its log")
+    if lost := service.grew("undecodable"):
+        yield Finding(
+            where,
+            f"could not decode {lost} messages",
+            "somebody speaks another version: see its log for keys",
+        )
+    for channel, dropped in service.drops.items():
+        if service.grew(f"dropped_{channel}"):
+            yield Finding(
+                where,
+                f"is too slow: drops {channel}, {dropped} so far",
+                "give it more processor time, or fewer robots (--robot) or regions (--part)",
+            )
+
+
+def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
+    where = f"robot {robot}"
+    there: dict[str, list[Service]] = {name: [] for name in ROBOT_SERVICES}
+    for service in view.serving(robot):
+        if service.contracts:
+            there[service.name].append(service)
+    for name, services in there.items():
+        if not services:
+            yield Finding(
+                where,
+                f"no {name}",
+                f"start it: eigenscan-{name} --site {view.site} --robot {robot} --zenoh FILE",
+            )
+    yield from _of_sharing(where, there)
+    if there["scan-ingest"] and not any(each.grew("heard_scan_raw") for each in there["scan-ingest"]):
+        yield Finding(
+            where,
+            "no scans come",
+            f"let the lidar's driver publish on {view.site}/robot/{robot}/scan/raw/LIDAR",
+        )
+        return
+    if there["projector"] and all(_lacks_model(each) for each in there["projector"]):
+        detail = next(each.health.detail for each in there["projector"] if each.health is not None)
+        yield Finding(where, f"projector: {detail}", "start mapbuilder, or check the link to the site")
+    if any(each.grew("heard_hypotheses") for each in there["tracker"]) and not any(
+        each.grew("heard_odometry") for each in there["tracker"]
+    ):
+        yield Finding(
+            where,
+            "no odometry comes: it localizes, but slower and less surely",
+            f"publish it on {view.site}/robot/{robot}/odom",
+        )
+    newest, pose = view.model_version, view.robots[robot].pose if robot in view.robots else None
+    if newest and pose is not None and pose.model_version != newest:
+        yield Finding(
+            where,
+            f"works with model {pose.model_version[:8]}, the site's newest is {newest[:8]}",
+            "wait half a minute; if it stays so, check the link and restart its projector",
+        )
+
+
+def _of_sharing(where: str, there: dict[str, list[Service]]) -> Iterator[Finding]:
+    """Two that speak for one robot on the same key, and shares of the site that nobody searches."""
+    for name in ("scan-ingest", "tracker"):
+        if len(there[name]) > 1:
+            both = " and ".join(sorted(service.instance for service in there[name]))
+            yield Finding(where, f"has {name} {both}: each spoils what the other says", "end all but one")
+    shares: dict[int, set[int]] = {}
+    for service in there["projector"]:
+        k, n = map(int, service.setting("part", "1/1").split("/"))
+        shares.setdefault(n, set()).add(k)
+    missing = {n: sorted({*range(1, n + 1)} - held) for n, held in shares.items()}
+    if missing and all(missing.values()):
+        n, lacking = min(missing.items(), key=lambda each: len(each[1]))
+        words = ", ".join(f"{k}/{n}" for k in lacking)
+        yield Finding(
+            where,
+            f"no projector searches part {words} of the site",
+            f"start one with --part {lacking[0]}/{n}",
+        )
+
+
+def _lacks_model(projector: Service) -> bool:
+    return projector.health is not None and projector.health.status == Health.STATUS_WAITING

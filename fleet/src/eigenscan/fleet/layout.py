@@ -1,0 +1,245 @@
+"""A fleet's folder: what is on which machine, and what the fleet's owner wants of it.
+
+fleet.toml       site, the router's addresses, what crosses the air: for its owner to edit
+authority/       the key that signs certificates: on no server, on no robot
+site/            /etc/eigenscan of the site's server
+robots/NAME/     /etc/eigenscan of one robot
+groups/NAME/     /etc/eigenscan of a machine whose projector serves several robots
+revoked/         certificates that are shut out
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+import tomllib
+from collections.abc import Mapping, Sequence
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any
+
+from eigenscan.fleet import access, configuration
+from eigenscan.fleet.access import Air
+from eigenscan.fleet.authority import common_name
+from eigenscan.fleet.configuration import INSTALLED
+from eigenscan.runtime.errors import UsageError
+from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
+from eigenscan.schemas.group import holds, patterns
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+__all__ = ["INSTALLED", "begin", "checked", "configure", "read", "revoke", "robots", "services"]
+
+HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
+
+TEMPLATE = """\
+# A fleet of robots on one site. After a change: eigenscan fleet configure -o THIS FOLDER
+site = {site}
+addresses = {addresses}  # of the site's router; robots connect to the first
+# The site's router takes messages of a robot at ten times its rate at most. Where the air is bad they come in
+# bursts, of which that leaves one: false lets all pass, and a robot that floods the site as well.
+hold_back_floods = true
+
+# Robots whose scans a projector elsewhere answers, by its name: certify makes its certificate. Their scans
+# cross the air then.
+[groups]
+# lab = "a-*,b-7"
+
+# Samples a second that a robot may send to the site where it is not what the contract says; 0: none.
+# Of all keys of the channel together, so of all lidars.
+[air]
+# scan = 1.0
+
+# [robots.r17]  # for one robot only
+# scan_raw = 5.0
+"""
+
+
+def _channel(name: str) -> str:
+    channel = by_name(name)
+    if Role.ROBOT not in channel.said_by:
+        raise ValueError(f"{name} does not come from robots")
+    return name
+
+
+def _chunk(name: str) -> str:
+    if not is_chunk(name):
+        raise ValueError("must be one chunk of a key: not empty, no blanks, none of / * $ # ? @")
+    return name
+
+
+def _robot(name: str) -> str:
+    if {".", ","} & {*_chunk(name)} or name in {role.value for role in Role}:
+        raise ValueError("a robot's name has no dot and no comma, and is not that of a service of the site")
+    return name
+
+
+def _group(robots: str) -> str:
+    patterns(robots)
+    return robots
+
+
+def _host(name: str) -> str:
+    try:
+        ip_address(name)
+    except ValueError:
+        if not HOST_NAME.fullmatch(name):
+            raise ValueError("must be a host name or an IP address, without a port") from None
+    return name
+
+
+Hertz = Annotated[float, Field(ge=0.0)]
+Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
+RobotName = Annotated[str, AfterValidator(_robot)]
+GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
+
+
+class Fleet(BaseModel):
+    """What fleet.toml says."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    site: Annotated[str, AfterValidator(_chunk)]
+    addresses: Annotated[tuple[Annotated[str, AfterValidator(_host)], ...], Field(min_length=1)]
+    hold_back_floods: bool = True
+    groups: dict[GroupName, Annotated[str, AfterValidator(_group)]] = {}
+    air: Rates = {}
+    robots: dict[RobotName, Rates] = {}
+
+    def air_of(self, robot: str) -> Air:
+        """Samples a second of each channel that this robot may send over the air."""
+        usual = {one.name: one.qos.air_hz for one in CHANNELS}
+        if any(holds(group, robot) for group in self.groups.values()):
+            usual[SCAN.name] = math.inf
+        return usual | self.air | self.robots.get(robot, {})
+
+
+def read(folder: Path) -> Fleet:
+    """fleet.toml of `folder`. Raises UsageError naming the file, the field and the fix."""
+    path = folder / "fleet.toml"
+    if not path.exists():
+        raise UsageError(
+            f"{path}: is not there: make a fleet with eigenscan fleet certify --site NAME -o {folder}"
+        )
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: is not TOML: {error}") from error
+    return checked(content, str(path))
+
+
+def checked(content: Mapping[str, Any], source: str) -> Fleet:
+    """`content` as a fleet. Raises UsageError naming `source`, the field and what would be accepted."""
+    try:
+        return Fleet.model_validate(content)
+    except ValidationError as error:
+        faults = [
+            f"{'.'.join(map(str, one['loc'])).removesuffix('.[key]')} = {one['input']!r}: "
+            f"{one['msg'].removeprefix('Value error, ')}"
+            for one in error.errors()
+        ]
+        raise UsageError(f"{source}: {'; '.join(faults)}") from error
+
+
+def begin(folder: Path, site: str, addresses: Sequence[str]) -> None:
+    """Writes fleet.toml of a new fleet."""
+    text = TEMPLATE.format(site=json.dumps(site), addresses=json.dumps(list(addresses)))
+    _begin(folder / "fleet.toml", text)
+
+
+def robots(folder: Path) -> tuple[str, ...]:
+    """Names of the robots that hold a certificate."""
+    return tuple(sorted(path.parent.name for path in (folder / "robots").glob("*/robot.crt")))
+
+
+def services(folder: Path) -> dict[Role, Path]:
+    """Who else holds a certificate than routers and robots, and the folder that has it."""
+    return {
+        role: folder / ("operator" if role is Role.OPERATOR else "site")
+        for role in Role
+        if role is not Role.ROBOT
+    }
+
+
+def configure(folder: Path) -> None:
+    """Writes the configuration of every router and service of the fleet."""
+    fleet, members = read(folder), robots(folder)
+    if unknown := sorted(set(fleet.robots) - set(members)):
+        known = ", ".join(members)
+        raise UsageError(
+            f"{folder / 'fleet.toml'}: robots.{unknown[0]}: has no certificate; there are {known}"
+        )
+    certified = {role: own for role, own in services(folder).items() if (own / f"{role.value}.crt").exists()}
+    for role, own in certified.items():
+        router = fleet.addresses[0] if role is Role.OPERATOR else "localhost"
+        _write(own / f"{role.value}.json5", configuration.site_service(role.value, router))
+    groups = {
+        name: (common_name(own / "projector.crt"), fleet.groups[name])
+        for name in fleet.groups
+        if ((own := folder / "groups" / name) / "projector.crt").exists()
+    }
+    for name, (_, group) in groups.items():
+        own = folder / "groups" / name
+        _write(own / "projector.json5", configuration.site_service("projector", fleet.addresses[0]))
+        _begin(own / "eigenscan.toml", configuration.group_settings(fleet.site, name, group))
+    for name in members:
+        own, served = folder / "robots" / name, access.is_served(name, groups)
+        _write(
+            own / "router.json5",
+            configuration.robot_router(
+                fleet.site, name, fleet.air_of(name), fleet.addresses[0], served=served
+            ),
+        )
+        _write(own / "service.json5", configuration.robot_service())
+        _begin(own / "eigenscan.toml", configuration.settings(fleet.site, name))
+    _begin(folder / "site" / "eigenscan.toml", configuration.settings(fleet.site))
+    _write(
+        folder / "site" / "router.json5",
+        configuration.site_router(
+            fleet.site,
+            {
+                name: (common_name(folder / "robots" / name / "robot.crt"), fleet.air_of(name))
+                for name in members
+            },
+            {role: common_name(own / f"{role.value}.crt") for role, own in certified.items()},
+            groups,
+            fleet.hold_back_floods,
+        ),
+    )
+
+
+def revoke(folder: Path, name: str) -> Path:
+    """Shuts out the certificate of a robot or a service of the site; gives where it is kept.
+
+    Its private key is deleted here; no other machine's copy is. Raises UsageError where `name` has none.
+    """
+    read(folder)  # what is no fleet is to be called so
+    of_service = {role.value: own / f"{role.value}.crt" for role, own in services(folder).items()}
+    of_service |= {name: folder / "groups" / name / "projector.crt" for name in read(folder).groups}
+    held = of_service.get(name, folder / "robots" / name / "robot.crt")
+    if not held.exists():
+        raise UsageError(f"{name}: has no certificate; there are {', '.join([*robots(folder), *of_service])}")
+    kept = folder / "revoked" / f"{common_name(held)}.crt"
+    kept.parent.mkdir(exist_ok=True)
+    held.rename(kept)
+    held.with_suffix(".key").unlink(missing_ok=True)
+    if name in of_service:
+        held.with_suffix(".json5").unlink(missing_ok=True)
+    else:
+        shutil.rmtree(held.parent)
+    configure(folder)
+    return kept
+
+
+def _begin(path: Path, content: str) -> None:
+    """Writes what is its owner's to edit from then on."""
+    if not path.exists():
+        path.write_text(content, encoding="utf-8")
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    """In one step: a router that looks at the file never sees half of it."""
+    new = path.with_suffix(".new")
+    new.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    new.replace(path)

@@ -1,0 +1,61 @@
+"""Walls of a DXF drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.plans.raster import Walls
+
+OUTLINES = frozenset({"LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"})
+"""What may be a wall. Text, dimensions and hatches are not."""
+SMOOTH = 0.01
+"""m that a straight piece may lie off the curve that it stands for."""
+
+
+def read_dxf(path: Path, metres_per_unit: float | None, layers: Collection[str]) -> Walls:
+    """Lines of the model space, blocks included, in m. Raises MapError."""
+    try:
+        from ezdxf.enums import InsertUnits
+        from ezdxf.filemanagement import readfile
+        from ezdxf.lldxf.const import DXFError
+        from ezdxf.path import make_path
+        from ezdxf.units import conversion_factor
+    except ImportError as error:
+        raise MapError(f"{path}: reading DXF needs ezdxf: pip install 'eigenscan[plans]'") from error
+    try:
+        drawing = readfile(path)
+    except (DXFError, OSError, UnicodeDecodeError) as error:
+        raise MapError(f"{path}: is no DXF that can be read: {error}") from error
+    scale = metres_per_unit
+    if scale is None:
+        if not drawing.units:
+            raise MapError(
+                f"{path}: does not say its unit: give --metres-per-unit, such as 0.001 for millimetres"
+            )
+        scale = float(conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters))
+    walls = list(_walls(drawing.modelspace()))
+    if missing := sorted(set(layers) - {layer for layer, _ in walls}):
+        there = ", ".join(sorted({layer for layer, _ in walls}))
+        raise MapError(f"{path}: no wall on the layer {missing[0]}: there are {there}")
+    lines = []
+    for layer, entity in walls:
+        if not layers or layer in layers:
+            points = make_path(entity).flattening(SMOOTH / scale)
+            lines.append(np.array([(point.x, point.y) for point in points]).reshape(-1, 2) * scale)
+    return Walls(lines)
+
+
+def _walls(space: Iterable[Any]) -> Iterator[tuple[str, Any]]:
+    """Layers and what may be a wall; in a block, layer 0 is the layer that the block is placed on."""
+    from ezdxf.disassemble import recursive_decompose
+
+    for placed in space:
+        if placed.dxftype() in OUTLINES | {"INSERT"}:
+            for entity in recursive_decompose([placed]):
+                if entity.dxftype() in OUTLINES:
+                    layer = entity.dxf.layer
+                    yield placed.dxf.layer if layer == "0" else layer, entity

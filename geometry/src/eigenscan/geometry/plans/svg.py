@@ -1,0 +1,90 @@
+"""Walls of an SVG drawing: what has a stroke, and what is filled with a dark colour."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+import numpy as np
+from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.plans.raster import Array, Walls
+
+LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
+SMOOTH = 0.05
+"""m between the points that a curve becomes."""
+MOST_POINTS = 1000
+"""A curve becomes at most so many."""
+DARK = 128
+"""A fill whose mean of red, green and blue (0..255) is below this is a wall; paper is not."""
+
+
+def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str]) -> Walls:
+    """Outlines in m, y up, the drawing's lower left corner at 0, 0; `layers`: ids or labels of groups.
+
+    Raises MapError.
+    """
+    try:
+        from svgelements import SVG, Shape
+        from svgelements import Path as Outline
+    except ImportError as error:
+        raise MapError(f"{path}: reading SVG needs svgelements: pip install 'eigenscan[plans]'") from error
+    if metres_per_unit is None:
+        raise MapError(
+            f"{path}: an SVG does not say its scale: give --metres-per-unit, 0.01 where 1 m is 100 units"
+        )
+    try:
+        drawing = SVG.parse(str(path))
+    except (ParseError, ValueError, OSError, UnicodeDecodeError) as error:
+        raise MapError(f"{path}: is no SVG that can be read: {error}") from error
+    groups = list(_groups(drawing, layers))
+    if layers and not groups:
+        raise MapError(f"{path}: no group with the id or label {', '.join(layers)}")
+    lines, filled = list[Array](), list[Array]()
+    for element in (each for group in groups or [drawing] for each in group.select()):
+        if isinstance(element, Shape):
+            for part in Outline(element).as_subpaths():
+                points = _points(Outline(part), metres_per_unit)
+                if _is_dark(element.fill):
+                    filled.append(points)
+                if element.stroke.value is not None:
+                    lines.append(points)
+    return _upright(Walls(lines, filled))
+
+
+def _groups(drawing: Any, layers: Collection[str]) -> Iterator[Any]:
+    """The groups that are named."""
+    for element in drawing.elements(lambda each: hasattr(each, "select")):
+        if {element.id, element.values.get(LABEL)} & set(layers):
+            yield element
+
+
+def _is_dark(colour: Any) -> bool:
+    return (
+        colour.value is not None
+        and colour.opacity > 0
+        and (colour.red + colour.green + colour.blue) / 3 < DARK
+    )
+
+
+def _points(outline: Any, scale: float) -> Array:
+    """Points (n, 2), m: corners of straight pieces, a row of points of curves."""
+    points = []
+    for segment in outline:
+        straight = type(segment).__name__ in ("Move", "Line", "Close")
+        count = 1 if straight else min(MOST_POINTS, max(8, int(segment.length(error=1e-3) * scale / SMOOTH)))
+        points += [segment.point(k / count) for k in range(1, count + 1)]
+    return np.array([(point.x, point.y) for point in points if point is not None]).reshape(-1, 2) * scale
+
+
+def _upright(walls: Walls) -> Walls:
+    """SVG's y runs down."""
+    every = [line for line in (*walls.lines, *walls.filled) if len(line)]
+    if not every:
+        return walls
+    corner = np.array([np.concatenate(every)[:, 0].min(), np.concatenate(every)[:, 1].max()])
+    turn = np.array([1.0, -1.0])
+    return Walls(
+        [(line - corner) * turn for line in walls.lines], [(line - corner) * turn for line in walls.filled]
+    )

@@ -1,0 +1,123 @@
+"""The cores behind one small object."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from eigenscan.eigenspace.floors import floor_of
+from eigenscan.eigenspace.folder import SiteModel, read_models
+from eigenscan.geometry.gridmap import GridMap, to_message
+from eigenscan.geometry.plans import PlanOptions, read_plan
+from eigenscan.geometry.pose import to_pose3
+from eigenscan.localize.answers import Estimate, Hypotheses
+from eigenscan.localize.scan import Scan, ScanError
+from eigenscan.mapbuilder.core import announce_models
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.schemas import hypotheses_pb2
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, ODOMETRY, POSE
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ROBOT = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT}
+
+
+class Localizer:
+    """Tells where scans were taken in one map: alone (`localize`), or with all that came before (`track`).
+
+    Not for several threads at once. One object serves lidars of any kind, but tracks one robot.
+    """
+
+    def __init__(self, site: SiteModel) -> None:
+        self.site = site
+        self._projector = ProjectorCore(ProjectorSettings())
+        self._projector_hears(site)
+        self._tracker = TrackerCore(TrackerSettings())
+        self._newest: int | None = None
+
+    @classmethod
+    def from_map(
+        cls,
+        path: str | os.PathLike[str],
+        metres_per_unit: float | None = None,
+        layers: Collection[str] = (),
+    ) -> Localizer:
+        """Of a map, whose models are built now, or of a folder that `eigenscan build` wrote.
+
+        A map is a map_server yaml, an image (black wall, white floor, grey unknown; give the m a pixel), or a
+        floor plan, DXF or SVG, whose walls are on `layers`. Raises MapError or ModelError, both ValueError,
+        naming the file, the field and the fix.
+        """
+        place = Path(path)
+        if place.is_dir():
+            return cls(read_models(place))
+        return cls.from_grid(read_plan(place, PlanOptions(metres_per_unit, layers)))
+
+    @classmethod
+    def from_grid(cls, grid: GridMap) -> Localizer:
+        """Of cells in memory. Raises ModelError where no place in them is free."""
+        return cls(build_site(grid, Plan(threads=os.cpu_count() or 1)))
+
+    def localize(self, scan: Scan) -> Hypotheses:
+        """Where `scan` may have been taken, by itself. Raises ScanError where it cannot be used."""
+        return Hypotheses.of(self._answer(scan).open(hypotheses_pb2.Hypotheses), scan)
+
+    def track(self, scan: Scan, odometry: ArrayLike | None = None) -> Estimate:
+        """Where the robot is by `scan` and all before it; `scan.time` must increase.
+
+        `odometry` (3,): the base in the odometry's own frame at the scan's time, m, m, rad; without it the
+        robot may have gone anywhere within its greatest speed. Raises ScanError where it cannot be used.
+        """
+        if self._newest is not None and scan.stamp <= self._newest:
+            raise ScanError(f"time = {scan.time}: must be after that of the scan before")
+        found = self._answer(scan)
+        self._newest = scan.stamp
+        if odometry is not None:
+            message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(np.asarray(odometry, np.float64)))
+            list(self._tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
+        # nothing else comes that hypotheses could wait for
+        said = [*self._tracker.handle(found), *self._tracker.finish()]
+        (estimate,) = (each.open(PoseEstimate) for each in said if each.channel is POSE)
+        return Estimate.of(estimate)
+
+    def floor(self, pose: ArrayLike) -> tuple[str, NDArray[np.float64]] | None:
+        """Of a pose (3,) that was found: the name of its floor, and the pose in that floor's own map frame.
+
+        None where the models have no floors, or it is on none.
+        """
+        found = floor_of(self.site.floors, pose)
+        return None if found is None else (found.name, found.own(pose))
+
+    def forget(self) -> None:
+        """Tracks anew, from nothing."""
+        self._tracker, self._newest = TrackerCore(TrackerSettings()), None
+
+    def plot(self, found: Hypotheses | None = None, axes: Axes | None = None) -> Axes:
+        """Draws the map and `found`. Needs matplotlib: pip install 'eigenscan[plot]'."""
+        from eigenscan.localize.drawing import draw
+
+        return draw(self.site.grid, found, axes)
+
+    def _projector_hears(self, site: SiteModel) -> None:
+        grid = Envelope(MAP, {"site": DEFAULT_SITE}, to_message(site.grid, site.frame_id))
+        for said in (grid, *announce_models(site, DEFAULT_SITE)):
+            list(self._projector.handle(said))
+
+    def _answer(self, scan: Scan) -> Envelope:
+        said = list(self._projector.handle(scan.canonical()))
+        found = [each for each in said if each.channel is HYPOTHESES]
+        if not found:
+            raise ScanError(f"the projector set the scan aside: {self._projector.condition().detail}")
+        return found[0]

@@ -1,0 +1,34 @@
+"""Scans of a log, for those who have no robot at hand."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from eigenscan.geometry.pose import from_pose3
+from eigenscan.localize.scan import Scan
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs import LogOptions, open_log
+from eigenscan.workbench.logs.scans import odometry_at
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from numpy.typing import NDArray
+
+
+def read_log(
+    path: str | os.PathLike[str], lidar: str | None = None
+) -> list[tuple[Scan, NDArray[np.float64] | None]]:
+    """Scans in order of time, each with the odometry (3,) of its moment, m, m, rad; None where there is none.
+
+    Reads what `eigenscan import` reads. `lidar`: topic or name, needed where there are several.
+    Raises LogError (ValueError) where the log cannot be read.
+    """
+    scans, steps = list[RawScan](), list[tuple[int, NDArray[np.float64]]]()
+    for envelope in open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ())).envelopes():
+        if envelope.channel is ODOMETRY:
+            steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
+        elif envelope.channel is SCAN_RAW:
+            scans.append(envelope.open(RawScan))
+    poses = odometry_at(steps, np.array([scan.timestamp.ToNanoseconds() for scan in scans], dtype=np.int64))
+    return [(Scan.of(scan), pose) for scan, pose in zip(scans, poses, strict=True)]

@@ -1,0 +1,29 @@
+"""Errors that say what to mend, in one line."""
+
+from __future__ import annotations
+
+
+class UsageError(ValueError):
+    """What was asked for cannot be done; the message names the option or file and the fix."""
+
+
+class FailedError(RuntimeError):
+    """What was asked for was tried and failed; the message says why."""
+
+
+def by_users(error: Exception) -> bool:
+    """Whether `error` says what is wrong with the input, and so needs no trace.
+
+    These are the errors that this project raises itself (SettingsError, MapError, ...) and files that
+    cannot be read or written.
+    """
+    if isinstance(error, OSError):
+        return error.filename is not None
+    return isinstance(error, ValueError) and type(error).__module__.startswith("eigenscan.")
+
+
+def one_line(error: Exception) -> str:
+    """The error without line breaks."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split()) or type(error).__name__

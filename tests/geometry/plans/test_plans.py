@@ -1,0 +1,142 @@
+"""Floor plans become the maps that they show."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError, write_map
+from eigenscan.geometry.plans import PlanOptions, read_plan
+from ezdxf import units as dxf_units
+from ezdxf.filemanagement import new
+from ezdxf.layouts.layout import Modelspace
+
+# two rooms, 10 m by 6 m, a door of 1 m between them and one of 1 m to the outside; a pillar in the left room
+ROOM_LEFT, ROOM_RIGHT, DOOR = (2.0, 1.0), (8.0, 4.0), (5.0, 3.5)
+PILLAR, OUTSIDE = (2.5, 4.0), (10.5, 3.0)
+INNER, OUTER = [(5, 0), (5, 3), (5, 4), (5, 6)], [(10, 2.5), (10, 0), (0, 0), (0, 6), (10, 6), (10, 3.5)]
+
+
+def _draw(space: Modelspace, unit: float) -> None:
+    def at(x: float, y: float) -> tuple[float, float]:
+        return x / unit, y / unit
+
+    space.add_lwpolyline([at(*point) for point in OUTER], dxfattribs={"layer": "WALLS"})
+    space.add_line(at(*INNER[0]), at(*INNER[1]), dxfattribs={"layer": "WALLS"})
+    space.add_line(at(*INNER[2]), at(*INNER[3]), dxfattribs={"layer": "WALLS"})
+    space.add_blockref("PILLAR", at(*PILLAR), dxfattribs={"layer": "WALLS"})
+    space.add_line(at(5, 3), at(5, 4), dxfattribs={"layer": "DOORS"})
+    space.add_text("hall", height=1 / unit, dxfattribs={"insert": at(1, 1)})
+
+
+def _dxf(folder: Path, units: int, unit: float) -> Path:
+    drawing = new(units=units)
+    drawing.blocks.new("PILLAR").add_circle((0, 0), 0.3 / unit)
+    _draw(drawing.modelspace(), unit)
+    path = folder / "plan.dxf"
+    drawing.saveas(path)
+    return path
+
+
+def _svg(folder: Path) -> Path:
+    def way(points: Sequence[tuple[float, float]]) -> str:
+        return "M" + " L".join(f"{100 * x + 20},{620 - 100 * y}" for x, y in points)
+
+    path = folder / "plan.svg"
+    path.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1100 700">'
+        '<rect width="1100" height="700" fill="white"/><g id="walls" stroke="black" fill="none">'
+        f'<path d="{way(OUTER)}"/><path d="{way(INNER[:2])} {way(INNER[2:])}"/>'
+        f'<circle cx="{100 * PILLAR[0] + 20}" cy="{620 - 100 * PILLAR[1]}" r="30" fill="#333"/></g>'
+        f'<g id="doors"><path stroke="red" d="{way(INNER[1:3])}"/></g></svg>'
+    )
+    return path
+
+
+def _expect_rooms(grid: GridMap, door: int = FREE) -> None:
+    assert grid.at(np.array([ROOM_LEFT, ROOM_RIGHT])).tolist() == [FREE, FREE]
+    assert grid.at(np.array([PILLAR, OUTSIDE])).tolist() == [OCCUPIED, UNKNOWN]
+    # the line's two cells lie to either side of it
+    beside = grid.at(np.array([[x + off, y] for x, y in (DOOR, (5.0, 1.0)) for off in (-0.03, 0.03)]))
+    assert (beside[:2] == OCCUPIED).any() == (door == OCCUPIED)
+    assert (beside[2:] == OCCUPIED).any()
+    # walls take 5 cm to either side of their line
+    assert grid.free_area == pytest.approx(60 - np.pi * 0.35**2 - 0.05 * 31 - 0.1 * 5, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("units", "unit", "said"),
+    [
+        (dxf_units.MM, 0.001, None),
+        (dxf_units.M, 1.0, None),
+        (dxf_units.IN, 0.0254, None),
+        (0, 0.01, 0.01),
+        (dxf_units.MM, 0.5, 0.5),
+    ],
+)
+def test_a_dxf_in_any_unit(tmp_path: Path, units: int, unit: float, said: float | None) -> None:
+    _expect_rooms(read_plan(_dxf(tmp_path, units, unit), PlanOptions(said, ("WALLS",))))
+
+
+def test_all_layers_count_where_none_is_named(tmp_path: Path) -> None:
+    _expect_rooms(read_plan(_dxf(tmp_path, dxf_units.MM, 0.001), PlanOptions()), door=OCCUPIED)
+
+
+def test_an_svg_stands_upright_and_its_paper_is_no_wall(tmp_path: Path) -> None:
+    path = _svg(tmp_path)
+    _expect_rooms(read_plan(path, PlanOptions(0.01, ("walls",))))
+    _expect_rooms(read_plan(path, PlanOptions(0.01)), door=OCCUPIED)
+
+
+def test_the_inside_of_a_double_wall_is_wall(tmp_path: Path) -> None:
+    drawing = new(units=dxf_units.M)
+    for grown in (0.0, 0.4):
+        low, high = -grown, 6 + grown
+        drawing.modelspace().add_lwpolyline([(low, low), (high, low), (high, high), (low, high)], close=True)
+    drawing.saveas(tmp_path / "plan.dxf")
+    grid = read_plan(tmp_path / "plan.dxf", PlanOptions())
+    assert grid.at(np.array([[3, 3], [3, -0.2], [-0.2, 6.2], [3, -0.6]])).tolist() == [0, 100, 100, 255]
+
+
+def test_an_image_with_a_scale(tmp_path: Path) -> None:
+    plan = read_plan(_dxf(tmp_path, dxf_units.MM, 0.001), PlanOptions(layers=("WALLS",)))
+    write_map(plan, tmp_path / "map.yaml")
+    grid = read_plan(tmp_path / "map.pgm", PlanOptions(0.1))
+    assert grid.free_area == pytest.approx(4 * plan.free_area)
+
+
+def test_what_is_wrong_names_the_fix(tmp_path: Path) -> None:
+    dxf, svg = _dxf(tmp_path, 0, 1.0), _svg(tmp_path)
+    (tmp_path / "bad.dxf").write_text("rubbish")
+    (tmp_path / "bad.svg").write_text("<svg")
+    (tmp_path / "empty.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
+    (tmp_path / "picture.png").write_text("rubbish")
+    for path, options, words in (
+        (dxf, PlanOptions(), "--metres-per-unit"),
+        (dxf, PlanOptions(1.0, ("WAND",)), "no wall on the layer WAND: there are DOORS, WALLS"),
+        (dxf, PlanOptions(1000.0), "too large"),
+        (dxf, PlanOptions(0.01), "enclose nothing"),
+        (svg, PlanOptions(), "--metres-per-unit"),
+        (svg, PlanOptions(0.01, ("wand",)), "no group with the id or label wand"),
+        (tmp_path / "bad.dxf", PlanOptions(), "no DXF that can be read"),
+        (tmp_path / "bad.svg", PlanOptions(1.0), "no SVG that can be read"),
+        (tmp_path / "empty.svg", PlanOptions(1.0), "no wall in it"),
+        (tmp_path / "picture.png", PlanOptions(), "m a pixel"),
+        (tmp_path / "picture.png", PlanOptions(0.05), "cannot be read"),
+        (tmp_path / "absent.dxf", PlanOptions(), "is not there"),
+        (tmp_path / "map.yaml", PlanOptions(0.05), "leave --metres-per-unit out"),
+    ):
+        with pytest.raises(MapError) as raised:
+            read_plan(path, options)
+        assert str(raised.value).startswith(f"{path}: ")
+        assert words in str(raised.value)
+
+
+def test_models_are_built_of_a_plan(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "eigenscan.cli.main", "build", "plan.dxf", "-o", "model", "--step", "2"]
+    _dxf(tmp_path, dxf_units.MM, 0.001)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "model/map.yaml").is_file()

@@ -1,0 +1,169 @@
+"""The library on a simulated drive whose truth is known."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.gridmap import OCCUPIED, MapError, write_map
+from eigenscan.localize import Estimate, Localizer, Scan, ScanError, read_log
+from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.world import office
+from numpy.typing import NDArray
+from PIL import Image
+
+STAGE = Stage(office().render(), Scenario(seconds=12.0, lidar=Lidar(rate=5.0)))
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the map and the drive."""
+    folder = tmp_path_factory.mktemp("drive")
+    write_map(STAGE.grid, folder / "map.yaml")
+    with RecordingWriter(folder / "drive.mcap", {}) as writer:
+        for timed in STAGE.messages():
+            writer.write(timed.envelope, timed.time)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def localizer(drive: Path) -> Localizer:
+    return Localizer.from_map(drive / "map.yaml")
+
+
+@pytest.fixture(autouse=True)
+def _from_nothing(localizer: Localizer) -> None:
+    localizer.forget()
+
+
+def _off(pose: NDArray[np.float64], scan: Scan) -> tuple[float, float]:
+    truth = STAGE.pose_at(scan.stamp)
+    return float(np.hypot(*(pose[:2] - truth[:2]))), float(abs(wrap(pose[2] - truth[2])))
+
+
+def test_most_single_scans_are_found_first(localizer: Localizer, drive: Path) -> None:
+    scans = [scan for scan, _ in read_log(drive / "drive.mcap")][::5]
+    errors = np.array([_off(localizer.localize(scan).poses[0], scan) for scan in scans])
+    assert np.mean((errors < (0.3, 0.1)).all(axis=1)) > 0.7
+
+
+def test_a_drive_is_tracked(localizer: Localizer, drive: Path) -> None:
+    last: Estimate | None = None
+    for scan, odometry in read_log(drive / "drive.mcap"):
+        last = localizer.track(scan, odometry)
+    assert last is not None
+    assert last.state == "localized"
+    assert last.confidence > 0.9
+    distance, turn = _off(last.pose, scan)
+    assert distance < 0.1
+    assert turn < 0.05
+    assert np.linalg.eigvalsh(last.covariance).min() > 0
+
+
+def test_without_odometry_each_scan_has_an_answer(localizer: Localizer, drive: Path) -> None:
+    states = [localizer.track(scan).state for scan, _ in read_log(drive / "drive.mcap")[:10]]
+    assert len(states) == 10
+    assert set(states) <= {"lost", "ambiguous", "localized"}
+
+
+def test_a_model_folder_an_image_and_the_yaml_are_the_same_map(
+    localizer: Localizer, drive: Path, tmp_path: Path
+) -> None:
+    from eigenscan.eigenspace.folder import write_models
+
+    write_models(localizer.site, tmp_path / "model")
+    grey = np.where(STAGE.grid.cells == OCCUPIED, 0, np.where(STAGE.grid.cells == 255, 205, 254))
+    Image.fromarray(grey[::-1].astype(np.uint8)).save(tmp_path / "floor.png")
+    scan, _ = read_log(drive / "drive.mcap")[0]
+    expected = localizer.localize(scan).poses
+    assert np.array_equal(Localizer.from_map(tmp_path / "model").localize(scan).poses, expected)
+    drawn = Localizer.from_map(tmp_path / "floor.png", metres_per_unit=STAGE.grid.resolution)
+    # an image's frame begins at its corner
+    assert np.allclose(drawn.localize(scan).poses[0], expected[0] - STAGE.grid.origin, atol=0.01)
+
+
+def test_an_upside_down_lidar_is_turned(localizer: Localizer, drive: Path) -> None:
+    from eigenscan.schemas.channels import SCAN_RAW
+    from eigenscan.schemas.scan_pb2 import RawScan
+
+    raw = next(t.envelope.open(RawScan) for t in STAGE.messages() if t.envelope.channel is SCAN_RAW)
+    flipped = RawScan()
+    flipped.CopyFrom(raw)
+    flipped.upside_down = True
+    flipped.angle_min, flipped.angle_increment = -raw.angle_min, -raw.angle_increment
+    assert np.array_equal(localizer.localize(Scan.of(flipped)).poses, localizer.localize(Scan.of(raw)).poses)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"ranges": []}, "no beams"),
+        ({"ranges": [[1.0, 2.0]]}, "shape"),
+        ({"ranges": [np.nan] * 361}, "no valid range"),
+        ({"angle_increment": 0.0}, "angle"),
+        ({"mount": (np.nan, 0.0, 0.0)}, "mount"),
+        ({"range_min": 40.0}, "limits"),
+    ],
+)
+def test_what_is_wrong_with_a_scan_is_said(
+    localizer: Localizer, change: dict[str, object], words: str
+) -> None:
+    good = {"ranges": [2.0] * 361, "angle_min": -1.57, "angle_increment": np.pi / 360, "range_max": 30.0}
+    with pytest.raises(ScanError, match=words):
+        localizer.localize(Scan(**(good | change)))  # type: ignore[arg-type]
+
+
+def test_a_scan_that_shows_nothing_has_no_poses(localizer: Localizer) -> None:
+    found = localizer.localize(Scan([np.inf] * 361, -np.pi / 2, np.pi / 360, 30.0))
+    assert found.poses.shape == (0, 3)
+    assert found.covariances.shape == (0, 3, 3)
+    localizer.plot(found)
+
+
+def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:
+    scan, odometry = read_log(drive / "drive.mcap")[0]
+    localizer.track(scan, odometry)
+    with pytest.raises(ScanError, match="time"):
+        localizer.track(scan, odometry)
+
+
+def test_an_image_needs_a_scale(tmp_path: Path) -> None:
+    (tmp_path / "floor.png").write_bytes(b"")
+    with pytest.raises(MapError, match="--metres-per-unit"):
+        Localizer.from_map(tmp_path / "floor.png")
+    with pytest.raises(MapError, match="metres per pixel"):
+        Localizer.from_map(tmp_path / "floor.png", metres_per_unit=0.0)
+
+
+def test_the_plot_shows_the_scan_on_the_walls(localizer: Localizer, drive: Path) -> None:
+    scan, _ = read_log(drive / "drive.mcap")[0]
+    found = localizer.localize(scan)
+    axes = localizer.plot(found)
+    (points,) = (each for each in axes.collections if each.get_label() == "its scan")
+    (best,) = (each for each in axes.collections if each.get_label() == "best pose")
+    assert np.allclose(best.get_offsets(), found.poses[0, :2])
+    walls = np.argwhere(STAGE.grid.cells == OCCUPIED)[:, ::-1] + 0.5
+    grid = STAGE.grid.to_grid(np.asarray(points.get_offsets()))
+    nearest = np.array([np.hypot(*(walls - point).T).min() for point in grid]) * STAGE.grid.resolution
+    assert np.mean(nearest < 0.15) > 0.9
+
+
+def test_zenoh_is_not_imported(drive: Path) -> None:
+    code = (
+        "import json, sys\n"
+        "from eigenscan.localize import Localizer, read_log\n"
+        "localizer = Localizer.from_map('map.yaml')\n"
+        "for scan, odometry in read_log('drive.mcap')[:3]:\n"
+        "    estimate = localizer.track(scan, odometry)\n"
+        "heavy = {'zenoh', 'rerun', 'matplotlib', 'typer'} & set(sys.modules)\n"
+        "print(json.dumps([estimate.state, sorted(heavy)]))\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=drive, capture_output=True, text=True, check=True)
+    state, heavy = json.loads(ran.stdout)
+    assert state in ("lost", "ambiguous", "localized")
+    assert heavy == []

@@ -1,0 +1,310 @@
+"""Whole evaluations of a simulated drive: what comes out, and that it does not depend on what it must not."""
+
+import json
+import math
+import subprocess
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from eigenscan.runtime.recording import RecordingWriter, read
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.evaluation.course import Task, evaluate
+from eigenscan.workbench.evaluation.report import remarks
+from eigenscan.workbench.logs import LogOptions
+from eigenscan.workbench.progress import Bars
+
+from tests.environment import EIGENSCAN
+
+SPREAD = {"median": float, "p95": float}
+SPREAD_99 = {"median": float, "p99": float}
+# the JSON of the evaluation's definition, figure by figure
+TESTED = {"consistency": {"n": int, "mean": float, "low": float, "high": float}}
+SCHEMA: dict[str, Any] = {
+    "windows": int,
+    "success_rate": float,
+    "false_claim_rate": float,
+    "to_localize": {"scans": SPREAD, "metres": SPREAD, "seconds": SPREAD, "cpu_s": SPREAD},
+    "error": {"position_m": SPREAD, "heading_deg": SPREAD},
+    "calibration_error": float,
+    "normalised_error_squared": TESTED,
+    "normalised_innovation_squared": TESTED,
+    "kidnap": {"noticed_s": SPREAD, "recovered_s": SPREAD, "recovered_rate": float},
+    "single_scan": {
+        "n": int,
+        "top1": float,
+        "in_list": float,
+        "list_length": float,
+        "cpu_ms": SPREAD_99,
+        "exhaustive_top1": float,
+        "exhaustive_cpu_ms": SPREAD_99,
+    },
+    "cpu_ms_per_scan": SPREAD_99,
+    "peak_rss_mb": float,
+    "map_m2": float,
+    "model": {"build_s": float, "wire_mb": float, "memory_mb": float},
+    "per_window": list,
+}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A simulated drive of 16 s."""
+
+    recording: Path
+    truth: Path
+    map: Path
+    windows: Path
+
+    @property
+    def task(self) -> Task:
+        return Task(
+            log=self.recording,
+            map=self.map,
+            reference=self.truth,
+            windows=self.windows,
+            single_scans=None,
+            kidnap=False,
+            skip=frozenset({"single-scans", "memory"}),
+            spacing=0.5,
+            offset_s=0.0,
+            limit=None,
+            jobs=1,
+            poses=None,
+            options=LogOptions(),
+        )
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    folder = tmp_path_factory.mktemp("drive")
+    made = Drive(folder / "d.mcap", folder / "d.tum", folder / "map.yaml", folder / "w.csv")
+    command: list[str | Path] = [
+        EIGENSCAN,
+        "simulate",
+        "-o",
+        made.recording,
+        "--truth",
+        made.truth,
+        "--save-map",
+        made.map,
+    ]
+    subprocess.run([*command, "--seconds", "16", "--rate", "5", "--beams", "181", "--seed", "4"], check=True)
+    first, last = (float(made.truth.read_text().splitlines()[line].split()[0]) for line in (0, -1))
+    middle = (first + last) / 2
+    made.windows.write_text(f"start_time,end_time\n{first:.9f},{middle:.9f}\n{middle:.9f},{last:.9f}\n")
+    return made
+
+
+def run(task: Task) -> dict[str, Any]:
+    with Bars() as bars:
+        return evaluate(task, bars)
+
+
+def rewritten(drive: Drive, path: Path, change: Any) -> Path:
+    """A recording with every message changed; None leaves one out."""
+    with RecordingWriter(path) as writer:
+        for record in read(drive.recording):
+            for envelope in change(record.envelope):
+                writer.write(envelope, record.log_time)
+    return path
+
+
+def check(figures: Any, schema: Any, name: str) -> None:
+    if isinstance(schema, dict):
+        for key, inner in schema.items():
+            assert key in figures, f"{name}.{key} is missing"
+            check(figures[key], inner, f"{name}.{key}")
+    elif schema is float:
+        assert figures is None or (isinstance(figures, float | int) and not isinstance(figures, bool)), name
+    else:
+        assert isinstance(figures, schema), name
+
+
+def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
+    # relative paths, from another folder
+    out = subprocess.run(
+        [
+            *(EIGENSCAN, "evaluate", "--log", "d.mcap", "--map", "map.yaml", "--ground-truth", "d.tum"),
+            *(
+                "--windows",
+                "w.csv",
+                "--kidnap",
+                "--limit",
+                "4",
+                "--spacing",
+                "0.5",
+                "--json",
+                tmp_path / "o.json",
+            ),
+        ],
+        cwd=drive.recording.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert out.returncode == 0, out.stderr
+    figures = json.loads((tmp_path / "o.json").read_text())
+    check(figures, SCHEMA, "figures")
+    assert figures["windows"] == len(figures["per_window"]) == 2
+    assert figures["single_scan"]["n"] == 4
+    assert figures["kidnap"]["kidnaps"] >= 1
+    assert 0 < figures["cpu_ms_per_scan"]["median"] < figures["cpu_ms_per_scan"]["p99"]
+    assert "success" in out.stdout
+    for square in ("normalised_error_squared", "normalised_innovation_squared"):
+        tested = figures[square]["consistency"]
+        assert tested["n"] > 5
+        assert f"of {tested['n']} scans 0.5 m apart" in out.stdout
+    assert "kidnaps recovered" in out.stdout
+
+
+def test_what_is_not_asked_for_is_null(drive: Drive) -> None:
+    figures = run(replace(drive.task, skip=frozenset({"windows", "single-scans", "memory"})))
+    assert figures["kidnap"] is None
+    assert figures["single_scan"] is None
+    assert figures["success_rate"] is None
+    assert figures["to_localize"]["scans"] == {"median": None, "p95": None}
+
+
+def test_poses_are_the_same_each_time_in_any_number_of_processes_and_whatever_the_reference_says(
+    drive: Drive, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere.tum"
+    rows = [line.split() for line in drive.truth.read_text().splitlines()]
+    elsewhere.write_text("\n".join(" ".join([t, str(float(x) + 3), *rest]) for t, x, *rest in rows))
+    task = drive.task
+    tasks = [task, replace(task, jobs=2), replace(task, reference=elsewhere)]
+    files = [tmp_path / f"{number}.csv" for number in range(3)]
+    results = [run(replace(one, poses=file)) for one, file in zip(tasks, files, strict=True)]
+    texts = [file.read_text() for file in files]
+    assert len(texts[0].splitlines()) > 60
+    assert texts[0] == texts[1] == texts[2]
+    assert results[0]["error"] == results[1]["error"]
+    assert results[2]["success_rate"] == 0.0
+
+
+def test_a_reference_of_half_the_log_judges_that_half(drive: Drive, tmp_path: Path) -> None:
+    lines = drive.truth.read_text().splitlines()
+    half = tmp_path / "half.tum"
+    half.write_text("\n".join(lines[: len(lines) // 2 - 10]) + "\n")
+    figures = run(replace(drive.task, reference=half))
+    assert figures["windows"] == 1
+    assert figures["windows_left_out"] == 1
+    (row,) = figures["per_window"]
+    assert row["judged"] < row["scans"]
+
+
+def test_a_log_without_odometry_and_one_with_two_lidars(drive: Drive, tmp_path: Path) -> None:
+    def without_odometry(envelope: Envelope) -> list[Envelope]:
+        return [envelope] if envelope.channel is not ODOMETRY else []
+
+    def two_lidars(envelope: Envelope) -> list[Envelope]:
+        if envelope.channel is not SCAN_RAW:
+            return [envelope]
+        return [envelope, Envelope(SCAN_RAW, {**envelope.address, "lidar": "second"}, envelope.message)]
+
+    alone = run(replace(drive.task, log=rewritten(drive, tmp_path / "a.mcap", without_odometry)))
+    both = run(replace(drive.task, log=rewritten(drive, tmp_path / "b.mcap", two_lidars)))
+    assert alone["log"]["odometry"] == 0
+    assert remarks(alone) == ["no odometry in the log: by the scans alone"]
+    assert remarks(both) == []
+    assert alone["per_window"][0]["judged"] > 0
+    assert len(both["log"]["lidars"]) == 2
+    assert both["per_window"][0]["scans"] == 2 * alone["per_window"][0]["scans"]
+
+
+def test_a_lidar_that_is_mounted_otherwise_than_told_is_noticed(drive: Drive, tmp_path: Path) -> None:
+    """Its scans fit the map all the same: only odometry objects."""
+
+    def turned(envelope: Envelope) -> list[Envelope]:
+        if envelope.channel is not SCAN_RAW:
+            return [envelope] if envelope.channel is ODOMETRY else []  # a log without its truth
+        message = RawScan()
+        message.CopyFrom(envelope.open(RawScan))
+        message.mount.theta += math.pi / 2
+        return [replace(envelope, message=message)]
+
+    log = rewritten(drive, tmp_path / "turned.mcap", turned)
+    (remark,) = remarks(run(replace(drive.task, log=log, reference=None, windows=None)))
+    assert "--mount" in remark
+
+
+def test_a_reference_with_other_stamps_fits_with_its_offset(drive: Drive, tmp_path: Path) -> None:
+    moved = tmp_path / "moved.tum"
+    rows = [line.partition(" ") for line in drive.truth.read_text().splitlines()]
+    moved.write_text("\n".join(f"{float(t) - 1000:.6f} {rest}" for t, _, rest in rows))
+    figures = run(replace(drive.task, reference=moved, windows=None, offset_s=1000.0))
+    assert figures["windows"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("broken", "text", "named"),
+    [
+        ("log", None, "cannot be read"),
+        ("log", "not a log\n", "is of no known format"),
+        ("map", "image: map.pgm\norigin: [0, 0, 0]\n", "resolution is missing"),
+        ("truth", "1 2 3\n", "line 1"),
+        ("truth", "5 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n", "covers 5.000 to 6.000 s"),
+        ("windows", "start_time,end_time\n9,8\n", "end_time is not after start_time"),
+        ("windows", "start_time,end_time\n1,2\n", "no window holds 3 scans"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    drive: Drive, tmp_path: Path, broken: str, text: str | None, named: str
+) -> None:
+    given = {"log": drive.recording, "map": drive.map, "truth": drive.truth, "windows": drive.windows}
+    given[broken] = tmp_path / "bad.yaml"
+    if text is not None:
+        given[broken].write_text(text)
+    out = subprocess.run(
+        [
+            *(EIGENSCAN, "evaluate", "--log", given["log"], "--map", given["map"]),
+            *("--ground-truth", given["truth"], "--windows", given["windows"], "--spacing", "0.5"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert out.returncode == 2
+    complaint = [line for line in out.stderr.splitlines() if line.startswith("eigenscan evaluate: ")]
+    assert len(complaint) == 1
+    assert "bad.yaml" in complaint[0]
+    assert named in complaint[0]
+    assert "Traceback" not in out.stderr
+
+
+def test_a_recording_judges_by_its_own_truth(drive: Drive) -> None:
+    told, by_file = (evaluate(replace(drive.task, reference=r), Bars()) for r in (None, drive.truth))
+    assert told["reference"] == "the recording's own truth"
+    for figure in ("windows", "success_rate", "false_claim_rate"):
+        assert told[figure] == by_file[figure]
+    # the file has six decimals, the recording all of them
+    assert told["error"]["position_m"]["median"] == pytest.approx(
+        by_file["error"]["position_m"]["median"], abs=1e-5
+    )
+
+
+def test_without_any_truth_cold_starts_are_compared_with_the_whole_drive(
+    drive: Drive, tmp_path: Path
+) -> None:
+    blind = tmp_path / "blind.mcap"
+    with RecordingWriter(blind, {}) as writer:
+        for record in read(drive.recording):
+            if record.envelope.channel in (SCAN_RAW, ODOMETRY):
+                writer.write(record.envelope, record.log_time)
+    own = evaluate(replace(drive.task, log=blind, reference=None), Bars())
+    judged = evaluate(replace(drive.task, log=blind), Bars())
+    assert own["reference"] == "the drive as a whole"
+    assert own["success_rate"] == judged["success_rate"] == 1.0
+    # it agrees with itself better than with the truth
+    assert own["error"]["position_m"]["median"] < judged["error"]["position_m"]["median"]
+
+
+def test_a_log_that_breaks_off_says_so(drive: Drive, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(drive.recording.read_bytes()[:-64])
+    figures = evaluate(replace(drive.task, log=cut), Bars())
+    assert figures["log"]["is_cut"]

@@ -1,0 +1,56 @@
+"""The reliability diagram of the benchmark: several logs are one source, and an earlier run can be drawn."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from eigenscan.workbench.evaluation.metrics import calibration
+from PIL import Image
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def picture() -> ModuleType:
+    spec = importlib.util.spec_from_file_location(
+        "reliability_picture", BENCHMARKS / "reliability_picture.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_logs_pooled_by_their_bins_are_the_diagram_of_all_their_poses(picture: ModuleType) -> None:
+    rng = np.random.default_rng(8)
+    said, right = rng.uniform(0, 1, 900) ** 0.3, rng.uniform(0, 1, 900) < 0.6
+    said[:3] = 1.0
+    parts = [slice(0, 100), slice(100, 850), slice(850, 900)]
+    pooled = picture.pooled([calibration(said[part], right[part]) for part in parts])
+    whole = calibration(said, right)
+    assert [entry.count for entry in pooled] == [entry.count for entry in whole]
+    for name in ("confidence", "right"):
+        np.testing.assert_allclose([vars(e)[name] for e in pooled], [vars(e)[name] for e in whole])
+
+
+def test_an_earlier_run_is_drawn_without_its_logs(tmp_path: Path) -> None:
+    bins = [{"count": 10, "confidence": 0.55, "right": 0.4}, {"count": 90, "confidence": 0.99, "right": 1.0}]
+    earlier, drawn = tmp_path / "run.json", tmp_path / "reliability.png"
+    earlier.write_text(json.dumps({"intel": {"calibration": bins}, "none": {"calibration": []}}))
+    command: list[str | Path] = [
+        sys.executable,
+        BENCHMARKS / "evaluate.py",
+        "--from",
+        earlier,
+        "--picture",
+        drawn,
+    ]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    red, _, blue = np.moveaxis(np.asarray(Image.open(drawn).convert("RGB")).astype(int), -1, 0)
+    assert (blue > red + 60).any()  # the first log's marks

@@ -1,0 +1,118 @@
+"""CSV tables of ranges, a line a scan and a line a beam."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.pose import from_pose3
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs import LogError, LogOptions, Mount, open_log
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+RANGES = st.floats(0.125, 40.0, width=32)
+
+
+def _scans(path: Path, options: LogOptions | None = None) -> list[RawScan]:
+    envelopes = open_log(path, options).envelopes()
+    return [envelope.open(RawScan) for envelope in envelopes if envelope.channel is SCAN_RAW]
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.lists(RANGES, min_size=5, max_size=5), min_size=1, max_size=4), st.booleans())
+def test_a_line_a_scan(
+    tmp_path_factory: pytest.TempPathFactory, scans: list[list[float]], millimetres: bool
+) -> None:
+    name, unit = ("range_mm", 1000.0) if millimetres else ("range_m", 1.0)
+    rows: list[list[str | float]] = [
+        ["time_s", "angle_min_deg", "angle_increment_deg", *(f"{name}_{j}" for j in range(5))]
+    ]
+    rows += [[0.1 * k, -90, 45, *(unit * r for r in ranges)] for k, ranges in enumerate(scans, 1)]
+    path = tmp_path_factory.mktemp("csv") / "drive.csv"
+    path.write_text("\n".join(",".join(map(repr, row)).replace("'", "") for row in rows))
+    heard = _scans(path)
+    assert np.allclose([scan.ranges for scan in heard], scans, rtol=1e-6)
+    assert heard[0].timestamp.ToNanoseconds() == 100_000_000
+    assert math.isclose(heard[0].angle_min, -math.pi / 2)
+    assert math.isclose(heard[0].angle_increment, math.pi / 4)
+
+
+@settings(deadline=None, max_examples=50)
+@given(count=st.integers(8, 200), clockwise=st.booleans(), seed=st.integers(0, 99))
+def test_a_line_a_beam_stands_where_it_looked(
+    tmp_path_factory: pytest.TempPathFactory, count: int, clockwise: bool, seed: int
+) -> None:
+    """Uneven angles, in any order: each range is found at the angle that it was measured at."""
+    random = np.random.default_rng(seed)
+    step = 360.0 / count
+    angles = (np.arange(count) + random.uniform(-0.3, 0.3, count)) * step
+    ranges = random.uniform(0.2, 12.0, count)
+    name, turn = ("angle_cw_deg", -1) if clockwise else ("angle_deg", 1)
+    path = tmp_path_factory.mktemp("csv") / "drive.csv"
+    lines = [f"time_s,{name},range_mm,quality"]
+    for j in random.permutation(count):
+        lines.append(f"1.5,{float(angles[j] * turn)},{float(1000 * ranges[j])},{0 if j == 3 else 47}")
+    path.write_text("\n".join(lines))
+    (scan,) = _scans(path)
+    seen = np.asarray(scan.ranges)
+    assert len(seen) == count
+    directions = scan.angle_min + scan.angle_increment * np.arange(len(seen))
+    for j in range(count):
+        off = np.abs(wrap(directions - np.deg2rad(angles[j])))
+        nearest = int(np.argmin(off))
+        assert off[nearest] <= np.deg2rad(0.5 * step) + 1e-9
+        if j != 3:
+            assert math.isclose(seen[nearest], ranges[j], rel_tol=1e-6)
+    assert np.isnan(seen).sum() == 1
+
+
+def test_odometry_limits_lidars_and_mount(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "time_s,lidar,x_m,y_m,heading_deg,range_max_m,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
+        "1.0,front,0.5,-1,90,30,-10,20,4,\n"
+        "1.0,rear,,,,30,-10,20,5,6\n"
+    )
+    options = LogOptions(lidars=("front",), mounts={"front": Mount(0.2, 0.0, math.pi)})
+    odometry, scan = open_log(tmp_path / "a.csv", options).envelopes()
+    assert odometry.channel is ODOMETRY
+    assert np.allclose(from_pose3(odometry.open(Odometry).pose), [0.5, -1.0, math.pi / 2])
+    raw = scan.open(RawScan)
+    assert raw.range_max == 30.0
+    assert raw.mount.x == 0.2
+    assert raw.ranges[0] == 4.0
+    assert math.isnan(raw.ranges[1])
+    assert len(_scans(tmp_path / "a.csv")) == 2
+
+
+WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (WIDE + "1,0,1,4,5\n2,0,1,4,far\n", "line 3, column range_m_1: 'far'"),
+        (WIDE + "1,0,,4,5\n", "line 2, column angle_increment_deg: is empty"),
+        (WIDE + "nan,0,1,4,5\n", "line 2, column time_s: 'nan'"),
+        (WIDE + "1,0,1,4\n", "line 2: 4 columns, the header has 5"),
+        (WIDE, "no scan to take: the header alone"),
+        ("time_s,range_m_0\n1,2\n", "line 1: a line a scan needs the column angle_min_deg"),
+        ("time_s,angle_deg\n1,2\n", "line 1: no columns of ranges"),
+        ("time_s,angle_deg,range_m\n1,2,3\n2,x,3\n", "line 3, column angle_deg: 'x'"),
+        (WIDE + "1,0,1,4,\xff\x00\n", "line 2, column range_m_1"),
+    ],
+)
+def test_what_is_wrong_is_named_by_line_and_column(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "a.csv").write_bytes(text.encode("latin-1"))
+    with pytest.raises(LogError, match=words.replace("(", r"\(")) as raised:
+        _scans(tmp_path / "a.csv")
+    assert str(raised.value).startswith(str(tmp_path / "a.csv"))
+
+
+def test_a_lidar_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(WIDE.replace("time_s", "time_s,lidar") + "1,front,0,1,4,5\n")
+    with pytest.raises(LogError, match="there are front"):
+        _scans(tmp_path / "a.csv", LogOptions(lidars=("rear",)))

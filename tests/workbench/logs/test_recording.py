@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.schemas.channels import HEALTH, ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs import LogError, LogOptions, open_log
+from eigenscan.workbench.logs.log import odometry, raw_scan
+
+S = 1_000_000_000
+
+
+def scan(time: float, robot: str = "robot", lidar: str = "front") -> Envelope:
+    return raw_scan(LogOptions(robot=robot), lidar, round(time * S), (0.1, 0, 0), ranges=[time] * 50)
+
+
+def moved(time: float, robot: str = "robot") -> Envelope:
+    return odometry(LogOptions(robot=robot), round(time * S), (time, 0, 0))
+
+
+def record(path: Path, envelopes: list[Envelope], delay: float = 0.0) -> Path:
+    with RecordingWriter(path) as writer:
+        for envelope in envelopes:
+            writer.write(envelope, envelope.stamp + round(delay * S))
+            writer.flush()
+    return path
+
+
+def keys(path: Path, **options: object) -> list[tuple[str, float]]:
+    log = open_log(path, LogOptions(**options))  # type: ignore[arg-type]
+    return [(envelope.key, envelope.stamp / S) for envelope in log.envelopes()]
+
+
+def test_scans_and_odometry_come_back_as_they_were(tmp_path: Path) -> None:
+    said = [moved(1), scan(1), moved(2), scan(2), scan(2.5, lidar="rear")]
+    health = Envelope(HEALTH, {"site": "site", "service": "tracker", "instance": "0"}, Health())
+    health.message.timestamp.FromNanoseconds(S)  # type: ignore[attr-defined]
+    log = open_log(record(tmp_path / "a.mcap", [*said, health]))
+    heard = list(log.envelopes())
+    assert [(e.key, e.message) for e in heard] == [(e.key, e.message) for e in said]
+    assert log.format == "Eigenscan recording"
+    # a second time, too
+    assert len(list(log.envelopes())) == len(heard)
+
+
+def test_what_was_recorded_late_is_put_in_order(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        for time, logged in ((1.0, 1.1), (1.2, 1.9), (1.4, 1.5), (2.0, 2.1)):
+            writer.write(scan(time), round(logged * S))
+        writer.write(moved(1.2), round(2.2 * S))
+    assert [time for _, time in keys(tmp_path / "a.mcap")] == [1.0, 1.2, 1.2, 1.4, 2.0]
+
+
+def test_one_robot_is_chosen(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(1, "a"), scan(1, "b"), moved(2, "b"), scan(2, "b")])
+    with pytest.raises(LogError, match=r"a\.mcap: holds scans of a, b: choose one with --robot"):
+        keys(path)
+    assert keys(path, robot="b", site="lab") == [
+        ("lab/robot/b/scan/raw/front", 1.0),
+        ("lab/robot/b/odom", 2.0),
+        ("lab/robot/b/scan/raw/front", 2.0),
+    ]
+
+
+def test_the_only_robot_goes_by_the_usual_name(tmp_path: Path) -> None:
+    assert keys(record(tmp_path / "a.mcap", [scan(1, "r17")])) == [("site/robot/robot/scan/raw/front", 1.0)]
+    with pytest.raises(LogError, match=r"holds scans of r17: choose"):
+        keys(tmp_path / "a.mcap", robot="r18")
+
+
+def test_a_lidar_is_chosen(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(1), scan(1.5, lidar="rear"), moved(2)])
+    assert [key for key, _ in keys(path, lidars=("rear",))] == [
+        "site/robot/robot/scan/raw/rear",
+        "site/robot/robot/odom",
+    ]
+
+
+def test_a_recording_that_was_cut_gives_what_is_whole(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    log = open_log(path)
+    assert 10 < sum(e.channel is SCAN_RAW for e in log.envelopes()) < 199
+    assert log.counters["truncated_file"] == 1
+
+
+def test_a_damaged_recording_gives_what_comes_before(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 200] = bytes(200)
+    path.write_bytes(bytes(data))
+    log = open_log(path)
+    assert 10 < sum(e.channel is SCAN_RAW for e in log.envelopes()) < 199
+    assert log.counters["damaged_file"] == 1
+
+
+def test_a_recording_without_scans_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"a\.mcap: holds no raw scan"):
+        keys(record(tmp_path / "a.mcap", [moved(1)]))
+
+
+def test_stamps_as_logged_survive_an_import(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", {"import": {"source": "a.clf"}}) as writer:
+        writer.write(scan(1), S)
+        writer.write(scan(2), 2 * S, publish_time=9 * S)
+    log = open_log(tmp_path / "a.mcap")
+    assert [e.open(RawScan).ranges[0] for e in log.envelopes() if e.channel is not ODOMETRY] == [1.0, 2.0]
+    assert log.logged == {2 * S: 9 * S}

@@ -1,0 +1,463 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import from_message, from_pose3
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs import LogError, LogOptions, Mount, open_log
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+S = 1_000_000_000
+START = 1_600_000_000
+
+SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
+ODOM = "nav_msgs/msg/Odometry"
+TF = "tf2_msgs/msg/TFMessage"
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+
+
+@dataclass
+class Story:
+    """What happens on a robot: written to any kind of bag."""
+
+    ros1: bool
+    messages: list[tuple[str, str, float, Any]] = field(default_factory=list)
+
+    @property
+    def store(self) -> Any:
+        return ROS1 if self.ros1 else ROS2
+
+    def kind(self, name: str) -> Any:
+        return self.store.types[name]
+
+    def header(self, stamp: float, frame: str) -> Any:
+        nanoseconds = round(stamp * 1e9)
+        time = self.kind("builtin_interfaces/msg/Time")(nanoseconds // S, nanoseconds % S)
+        extra = {"seq": 0} if self.ros1 else {}
+        return self.kind("std_msgs/msg/Header")(stamp=time, frame_id=frame, **extra)
+
+    def scan(
+        self,
+        topic: str,
+        recorded: float,
+        frame: str,
+        stamp: float | None = None,
+        beams: int = 5,
+        **fields: Any,
+    ) -> None:
+        given = {
+            "angle_min": -1.0,
+            "angle_max": 1.0,
+            "angle_increment": 2.0 / (beams - 1),
+            "time_increment": 0.0,
+            "scan_time": 0.1,
+            "range_min": 0.1,
+            "range_max": 10.0,
+            "ranges": np.arange(1, 6, dtype=np.float32),
+            "intensities": np.zeros(0, dtype=np.float32),
+        }
+        header = self.header(recorded if stamp is None else stamp, frame)
+        self.messages.append((topic, SCAN, recorded, self.kind(SCAN)(header=header, **given)))
+
+    def odometry(
+        self,
+        topic: str,
+        recorded: float,
+        x: float,
+        yaw: float = 0.0,
+        child: str = "base_link",
+        stamp: float | None = None,
+    ) -> None:
+        point, turn = self.kind("geometry_msgs/msg/Point"), self.kind("geometry_msgs/msg/Quaternion")
+        vector, twist = self.kind("geometry_msgs/msg/Vector3"), self.kind("geometry_msgs/msg/Twist")
+        pose = self.kind("geometry_msgs/msg/Pose")(point(x, 0.0, 0.0), turn(*rotation(yaw)))
+        covariance = np.zeros(36)
+        covariance[0] = 0.01
+        message = self.kind(ODOM)(
+            header=self.header(recorded if stamp is None else stamp, "odom"),
+            child_frame_id="base_link",
+            pose=self.kind("geometry_msgs/msg/PoseWithCovariance")(pose, covariance),
+            twist=self.kind("geometry_msgs/msg/TwistWithCovariance")(
+                twist(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), np.zeros(36)
+            ),
+        )
+        self.messages.append((topic, ODOM, recorded, message))
+
+    def transform(
+        self,
+        recorded: float,
+        parent: str,
+        child: str,
+        at: tuple[float, float, float] = (0, 0, 0),
+        rpy: tuple[float, float, float] = (0, 0, 0),
+        stamp: float | None = None,
+        topic: str = "/tf",
+    ) -> None:
+        vector, turn = self.kind("geometry_msgs/msg/Vector3"), self.kind("geometry_msgs/msg/Quaternion")
+        body = self.kind("geometry_msgs/msg/Transform")(
+            vector(*map(float, at)), turn(*rotation(rpy[2], *rpy[:2]))
+        )
+        item = self.kind("geometry_msgs/msg/TransformStamped")(
+            self.header(recorded if stamp is None else stamp, parent), child, body
+        )
+        self.messages.append((topic, TF, recorded, self.kind(TF)([item])))
+
+    def write(self, path: Path, storage: StoragePlugin = StoragePlugin.SQLITE3, pack: Any = None) -> Path:
+        writer = Writer1(path) if self.ros1 else Writer2(path, version=9, storage_plugin=storage)
+        if isinstance(writer, Writer1):
+            writer.chunk_threshold = 50_000
+            if pack is not None:
+                writer.set_compression(pack)
+        with writer:
+            known: dict[str, Any] = {}
+            for topic, kind, recorded, message in sorted(self.messages, key=lambda item: item[2]):
+                if topic not in known:
+                    known[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+                writer.write(known[topic], round(recorded * 1e9), serialize(message, kind))
+        return path
+
+
+def rotation(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> list[float]:
+    quaternion: list[float] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat().tolist()
+    return quaternion
+
+
+Write = Callable[[Story, Path], Path]
+CONTAINERS: dict[str, tuple[bool, Write]] = {
+    "ros1": (True, lambda story, folder: story.write(folder / "a.bag")),
+    "sqlite": (False, lambda story, folder: story.write(folder / "a")),
+    "sqlite file": (False, lambda story, folder: story.write(folder / "a") / "a.db3"),
+    "mcap": (False, lambda story, folder: story.write(folder / "a", StoragePlugin.MCAP)),
+    "mcap file": (False, lambda story, folder: story.write(folder / "a", StoragePlugin.MCAP) / "a.mcap"),
+}
+
+
+def usual(ros1: bool, seconds: int = 3) -> Story:
+    """A robot with a lidar ahead and one upside down behind, that drives 1 m/s."""
+    story = Story(ros1)
+    story.transform(START, "base_footprint", "base_link", (0, 0, 0.1), topic="/tf_static")
+    story.transform(START, "/base_link", "/front", (0.3, 0, 0.2), (0, 0, 0.1), topic="/tf_static")
+    story.transform(START, "base_link", "rear", (-0.3, 0.1, 0.2), (math.pi, 0, 3.0), topic="/tf_static")
+    for tenth in range(10 * seconds):
+        time = START + tenth / 10
+        story.odometry("/odom", time + 0.02, tenth / 10, 0.5, stamp=time)
+        story.scan("/front/scan", time + 0.08, "front", stamp=time)
+        story.scan("/rear/scan", time + 0.09, "/rear", stamp=time + 0.03)
+    return story
+
+
+def read(path: Path, **options: Any) -> tuple[dict[str, list[RawScan]], list[Odometry], dict[str, int]]:
+    log = open_log(path, LogOptions(**options))
+    heard = list(log.envelopes())
+    stamps = [envelope.stamp for envelope in heard]
+    assert stamps == sorted(stamps)
+    assert log.progress == 1.0
+    scans: dict[str, list[RawScan]] = {}
+    for envelope in heard:
+        if envelope.channel is SCAN_RAW:
+            scans.setdefault(envelope.address["lidar"], []).append(envelope.open(RawScan))
+    moved = [envelope.open(Odometry) for envelope in heard if envelope.channel is ODOMETRY]
+    return scans, moved, {name: count for name, count in log.counters.items() if count}
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_every_container_gives_the_same(tmp_path: Path, container: str) -> None:
+    ros1, write = CONTAINERS[container]
+    scans, moved, counters = read(write(usual(ros1), tmp_path))
+    assert counters == {}
+    assert {name: len(found) for name, found in scans.items()} == {"front": 30, "rear": 30}
+    front, rear = scans["front"][7], scans["rear"][7]
+    np.testing.assert_allclose(from_message(front.mount), [0.3, 0.0, 0.1], atol=1e-9)
+    np.testing.assert_allclose(from_message(rear.mount), [-0.3, 0.1, 3.0], atol=1e-9)
+    assert (front.upside_down, rear.upside_down) == (False, True)
+    assert (front.frame_id, rear.frame_id) == ("front", "rear")
+    assert front.timestamp.ToNanoseconds() == START * S + 700_000_000
+    assert (front.angle_min, front.angle_increment) == (-1.0, 0.5)
+    assert (front.range_min, front.range_max) == (pytest.approx(0.1), 10.0)
+    assert list(front.ranges) == [1, 2, 3, 4, 5]
+    assert len(moved) == 30
+    np.testing.assert_allclose(from_pose3(moved[7].pose), [0.7, 0.0, 0.5], atol=1e-9)
+    assert moved[7].timestamp.ToNanoseconds() == START * S + 700_000_000
+    assert moved[7].pose_covariance[0] == 0.01
+
+
+def test_an_upside_down_beam_points_where_tf_says(tmp_path: Path) -> None:
+    """The beam's direction by the rotation matrix, and by the plane pose with its flag."""
+    scan = read(usual(False).write(tmp_path / "a"), lidars=("rear",))[0]["rear"][0]
+    full = Rotation.from_euler("ZYX", [3.0, 0.0, math.pi])
+    for number in range(5):
+        angle = scan.angle_min + number * scan.angle_increment
+        expected = full.apply([math.cos(angle), math.sin(angle), 0.0])
+        plane = scan.mount.theta + (-angle if scan.upside_down else angle)
+        np.testing.assert_allclose([math.cos(plane), math.sin(plane)], expected[:2], atol=1e-9)
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+def test_without_odometry_messages_tf_tells_it(tmp_path: Path, ros1: bool) -> None:
+    story = Story(ros1)
+    for tenth in range(20):
+        time = START + tenth / 10
+        story.transform(time, "odom", "base_footprint", (tenth, 0, 0), (0, 0, 0.2))
+        story.transform(time, "odom", "something", (9, 9, 0))
+        story.transform(time, "map", "odom", (5, 5, 0))
+        story.transform(time, "base_footprint", "laser", (0.1, 0, 0.5))
+        story.scan("/scan", time + 0.01, "laser")
+    scans, moved, counters = read(story.write(tmp_path / ("a.bag" if ros1 else "a")))
+    assert counters == {}
+    assert len(scans["scan"]) == 20
+    np.testing.assert_allclose(from_message(scans["scan"][0].mount), [0.1, 0, 0])
+    assert [round(m.pose.position.x) for m in moved] == list(range(20))
+
+
+@pytest.mark.parametrize(
+    ("odom", "base"),
+    [
+        ("robot_0/odom", "robot_0/base_link"),
+        ("odom_combined", "base_footprint"),
+        ("/odom", "/base_link"),
+        ("wheel_odom", "base"),
+    ],
+)
+def test_frames_may_have_other_names(tmp_path: Path, odom: str, base: str) -> None:
+    story = Story(True)
+    for tenth in range(20):
+        time = START + tenth / 10
+        story.transform(time, "map", odom, (5, 5, 0))
+        story.transform(time, odom, base, (tenth, 0, 0), (0, 0, 0.2))
+        story.transform(time, base, "laser", (0.1, 0, 0.5))
+        story.scan("/scan", time + 0.01, "laser")
+    scans, moved, counters = read(story.write(tmp_path / "a.bag"))
+    assert counters == {}
+    np.testing.assert_allclose(from_message(scans["scan"][0].mount), [0.1, 0, 0])
+    assert [round(m.pose.position.x) for m in moved] == list(range(20))
+
+
+def test_truth_is_not_taken_for_odometry(tmp_path: Path) -> None:
+    story = usual(False)
+    for tenth in range(30):
+        story.odometry("/base_pose_ground_truth", START + tenth / 10, 77.0)
+    _, moved, _ = read(story.write(tmp_path / "a"))
+    assert max(m.pose.position.x for m in moved) < 3.0
+    _, asked, _ = read(tmp_path / "a", odometry="/base_pose_ground_truth")
+    assert min(m.pose.position.x for m in asked) == 77.0
+
+
+def test_a_filtered_copy_of_a_scan_is_not_a_second_lidar(tmp_path: Path) -> None:
+    story = usual(False)
+    for tenth in range(30):
+        story.scan("/front/scan_filtered", START + tenth / 10 + 0.085, "front", stamp=START + tenth / 10)
+    scans, _, counters = read(story.write(tmp_path / "a"))
+    assert set(scans) == {"front", "rear"}
+    assert counters == {"topics_of_the_same_lidar": 1}
+
+
+def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_told(tmp_path: Path) -> None:
+    story = usual(False)
+    story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))
+    for tenth in range(30):
+        story.scan("/tilted/scan", START + tenth / 10, "tilted")
+        story.scan("/lost/scan", START + tenth / 10, "lost")
+    scans, _, counters = read(story.write(tmp_path / "a"))
+    assert set(scans) == {"front", "rear", "lost"}
+    assert counters == {"lidars_tilted": 1, "lidars_without_mount": 1}
+    assert from_message(scans["lost"][0].mount).tolist() == [0, 0, 0]
+
+
+def test_a_mount_that_is_told_wins(tmp_path: Path) -> None:
+    story = usual(False)
+    story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))
+    for tenth in range(30):
+        story.scan("/tilted/scan", START + tenth / 10, "tilted")
+        story.scan("/lost/scan", START + tenth / 10, "lost")
+    mounts = {"tilted": Mount(1, 2, 0.3), "lost": Mount(0.1, 0, -1.0, True), "front": Mount(0, 0, 0)}
+    scans, _, counters = read(story.write(tmp_path / "a"), mounts=mounts)
+    assert counters == {}
+    np.testing.assert_allclose(from_message(scans["tilted"][0].mount), [1, 2, 0.3])
+    np.testing.assert_allclose(from_message(scans["front"][0].mount), [0, 0, 0])
+    assert (scans["lost"][0].upside_down, scans["rear"][0].upside_down) == (True, True)
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+def test_of_several_echoes_the_first_counts(tmp_path: Path, ros1: bool) -> None:
+    story = usual(ros1)
+    echo, scan = story.kind("sensor_msgs/msg/LaserEcho"), story.kind(MULTI_ECHO)
+    for tenth in range(30):
+        time = START + tenth / 10
+        echoes = [echo(np.array(values, dtype=np.float32)) for values in ([1.0, 4.0], [], [3.0])]
+        limits = (-1.0, 1.0, 1.0, 0.0, 0.1, 0.1, 10.0)
+        story.messages.append(
+            ("/multi", MULTI_ECHO, time, scan(story.header(time, "front2"), *limits, echoes, []))
+        )
+    story.transform(START, "base_link", "front2", (0.5, 0, 0.2), topic="/tf_static")
+    scans, _, _ = read(story.write(tmp_path / ("a.bag" if ros1 else "a")))
+    assert list(scans["multi"][0].ranges) == [1.0, math.inf, 3.0]
+    assert len(scans["multi"]) == 30
+
+
+@pytest.mark.parametrize("stamp", [0.0, START - 4000.0])
+def test_a_lidar_with_another_clock_gets_the_time_of_recording(tmp_path: Path, stamp: float) -> None:
+    story = Story(False)
+    for tenth in range(30):
+        time = START + tenth / 10
+        story.odometry("/odom", time + 0.01, tenth / 10, stamp=time)
+        story.scan("/scan", time + 0.05, "laser", stamp=stamp + (tenth / 10 if stamp else 0.0))
+    scans, _, counters = read(story.write(tmp_path / "a"))
+    times = [scan.timestamp.ToNanoseconds() - START * S for scan in scans["scan"]]
+    np.testing.assert_allclose(np.array(times) / S, np.arange(30) / 10 + 0.05, atol=1e-6)
+    assert counters["topics_stamped_by_recording"] == 1
+
+
+def test_a_bag_recorded_again_keeps_its_own_time(tmp_path: Path) -> None:
+    """All headers are from years before the recording: they agree among themselves, so they count."""
+    story = Story(False)
+    for tenth in range(30):
+        recorded, stamp = START + tenth / 5, 1_000_000_000 + tenth / 10
+        story.odometry("/odom", recorded, tenth / 10, stamp=stamp)
+        story.scan("/scan", recorded + 0.01, "laser", stamp=stamp)
+    scans, _, _ = read(story.write(tmp_path / "a"))
+    assert scans["scan"][0].timestamp.ToNanoseconds() == 1_000_000_000 * S
+    assert scans["scan"][-1].timestamp.ToNanoseconds() == 1_000_000_000 * S + 2_900_000_000
+
+
+def test_a_single_absurd_stamp_does_not_reorder_the_log(tmp_path: Path) -> None:
+    story = Story(False)
+    for tenth in range(30):
+        time = START + tenth / 10
+        story.scan("/scan", time, "laser", stamp=2e9 if tenth == 12 else time)
+    scans, _, counters = read(story.write(tmp_path / "a"))
+    times = np.array([scan.timestamp.ToNanoseconds() for scan in scans["scan"]]) / S - START
+    np.testing.assert_allclose(times, np.arange(30) / 10, atol=1e-6)
+    assert counters["stray_stamps"] == 1
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+def test_messages_out_of_the_order_of_their_stamps_are_sorted(tmp_path: Path, ros1: bool) -> None:
+    story = usual(ros1, seconds=5)
+    # odometry is recorded half a second late
+    story.messages = [
+        (topic, kind, recorded + (0.5 if kind == ODOM else 0.0), message)
+        for topic, kind, recorded, message in story.messages
+    ]
+    scans, moved, counters = read(story.write(tmp_path / ("a.bag" if ros1 else "a")))
+    assert len(moved) == 50
+    assert len(scans["front"]) == 50
+    assert counters == {}
+
+
+@pytest.mark.parametrize("pack", [None, *Writer1.CompressionFormat])
+def test_a_bag_cut_anywhere_gives_what_came_before(tmp_path: Path, pack: Any) -> None:
+    whole = usual(True, seconds=60).write(tmp_path / "whole.bag", pack=pack).read_bytes()
+    place = whole.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(whole[place : place + 8], "little")
+    path = tmp_path / "cut.bag"
+    seen = []
+    for share in (0.45, 0.7, 0.95):
+        path.write_bytes(whole[: int(share * index)])
+        scans, moved, counters = read(path)
+        assert counters == {"truncated_file": 1}
+        assert len(moved) > 10
+        seen.append(len(scans["front"]))
+    # bzip2 gives only whole chunks
+    assert 100 < seen[0] <= seen[1] <= seen[2]
+    assert seen[0] < 600
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_ros2_bag_cut_gives_what_came_before(tmp_path: Path, storage: StoragePlugin) -> None:
+    folder = usual(False, seconds=200).write(tmp_path / "a", storage)
+    (file,) = [*folder.glob("*.db3"), *folder.glob("*.mcap")]
+    data = file.read_bytes()
+    file.write_bytes(data[: 6 * len(data) // 10])
+    for path in (folder, file):
+        scans, moved, counters = read(path)
+        assert counters["truncated_file"] == 1
+        assert 50 < len(scans["front"]) < 2000
+        assert 50 < len(moved) < 2000
+
+
+def test_a_folder_without_its_metadata_is_read(tmp_path: Path) -> None:
+    folder = usual(False).write(tmp_path / "a")
+    (folder / "metadata.yaml").unlink()
+    scans, moved, _ = read(folder)
+    assert (len(scans["front"]), len(moved)) == (30, 30)
+
+
+def test_what_is_asked_for_and_missing_is_named(tmp_path: Path) -> None:
+    path = usual(True).write(tmp_path / "a.bag")
+    with pytest.raises(LogError, match=r"a\.bag: no lidar /top: .*: /front/scan, /rear/scan"):
+        read(path, lidars=("/top",))
+    with pytest.raises(LogError, match=r"a\.bag: no odometry topic /o: there are /odom"):
+        read(path, odometry="/o")
+    with pytest.raises(LogError, match=r"a\.bag: no frame chassis in tf: there are .*base_link, front, rear"):
+        read(path, base_frame="chassis")
+
+
+def test_a_bag_without_scans_is_refused(tmp_path: Path) -> None:
+    story = Story(True)
+    story.odometry("/odom", START, 0.0)
+    with pytest.raises(LogError, match=r"a\.bag: holds no laser scan"):
+        read(story.write(tmp_path / "a.bag"))
+
+
+@pytest.mark.parametrize(
+    "data", [b"#ROSBAG V1.2\n" + b"\x00" * 50, b"SQLite format 3\x00junk", b"\x89MCAP0\r\n"]
+)
+def test_a_file_that_only_starts_like_a_bag_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.bag").write_bytes(data)
+    with pytest.raises(LogError, match=r"a\.bag: "):
+        read(tmp_path / "a.bag")
+
+
+def test_damaged_messages_are_counted(tmp_path: Path) -> None:
+    story = usual(False)
+    path = story.write(tmp_path / "a") / "a.db3"
+    import sqlite3
+
+    with sqlite3.connect(path) as base:
+        base.execute("UPDATE messages SET data = x'0001000001' WHERE id % 7 = 0")
+    base.close()
+    scans, moved, counters = read(path)
+    lost = counters["undecodable_message"]
+    assert lost > 5
+    assert len(scans["front"]) + len(scans["rear"]) + len(moved) + lost == 90
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_random_damage_never_crashes(tmp_path: Path, container: str) -> None:
+    ros1, write = CONTAINERS[container]
+    story = usual(ros1, seconds=4)
+    path = write(story, tmp_path)
+    file = path if path.is_file() else next(iter([*path.glob("*.db3"), *path.glob("*.mcap")]))
+    whole = file.read_bytes()
+    rng = np.random.default_rng(5)
+    read_some = 0
+    for _ in range(15):
+        data = bytearray(whole)
+        for place in rng.integers(20, len(data), rng.integers(1, 30)):
+            data[place] = rng.integers(256)
+        file.write_bytes(bytes(data))
+        try:
+            heard = list(open_log(path).envelopes())
+        except LogError:
+            continue
+        stamps = [envelope.stamp for envelope in heard]
+        assert stamps == sorted(stamps)
+        read_some += bool(heard)
+    assert read_some > 2

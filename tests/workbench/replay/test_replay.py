@@ -1,0 +1,391 @@
+"""A recording against the cores of today: the same, a named first difference, or a reason why not."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from eigenscan.runtime.recording import read
+from eigenscan.schemas.channels import (
+    HEALTH,
+    HYPOTHESES,
+    MAP,
+    MODEL,
+    MODEL_SET,
+    OBSTACLES,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    SCAN_RAW,
+    TRACKS,
+    TRANSFORM,
+    Channel,
+)
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.schemas.wire import encode
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.simulation.stage import Scenario, Timed
+from rerun.chunk import RrdReader
+
+from tests.workbench.replay.conftest import SECONDS, Command, Run, changed, drive
+
+TRACKER_SAYS = (POSE, TRACKS, TRANSFORM)
+
+
+def only(messages: Sequence[Timed], *channels: Channel) -> list[Timed]:
+    return [timed for timed in messages if timed.envelope.channel in channels]
+
+
+def without(messages: Sequence[Timed], *channels: Channel) -> list[Timed]:
+    return [timed for timed in messages if timed.envelope.channel not in channels]
+
+
+def at(stamp: int) -> str:
+    return f"at {stamp // 10**9}.{stamp % 10**9:09d}"
+
+
+def swap(messages: Sequence[Timed], old: Timed, *new: Timed) -> list[Timed]:
+    place = next(n for n, timed in enumerate(messages) if timed is old)
+    return [*messages[:place], *new, *messages[place + 1 :]]
+
+
+def with_message(timed: Timed, **fields: object) -> Timed:
+    envelope = timed.envelope
+    return Timed(timed.time, replace(envelope, message=changed(envelope.message, **fields)))
+
+
+@pytest.mark.parametrize(
+    ("service", "said"),
+    [
+        ("scan-ingest", (SCAN,)),
+        ("projector", (HYPOTHESES, OBSTACLES)),
+        ("tracker", TRACKER_SAYS),
+        ("pipeline", (SCAN, HYPOTHESES, OBSTACLES, *TRACKER_SAYS)),
+    ],
+)
+def test_a_run_replays_to_the_same_bits(
+    run: Run, recording: Path, eigenscan: Command, service: str, said: tuple[Channel, ...]
+) -> None:
+    ended = eigenscan("replay", recording, "--service", service, "--compare", "--strict")
+    assert ended.code == 0, ended.out + ended.err
+    assert f"the same: {len(only(run.messages, *said))} messages the same to the last bit" in ended.out
+    assert "settings as recorded" in ended.out
+
+
+def test_another_setting_is_caught_at_the_first_message_that_it_changes(
+    run: Run, recording: Path, eigenscan: Command
+) -> None:
+    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(robot="*", trust=0.6))
+    pairs = zip(only(run.messages, POSE, TRACKS), only(other, POSE, TRACKS), strict=True)
+    first = next(a for a, b in pairs if encode(a.envelope.message) != encode(b.envelope.message))
+    ended = eigenscan("replay", recording, "--service", "tracker", "--compare", "--set", "trust=0.6")
+    assert ended.code == 1
+    assert f"first difference: {first.envelope.channel.name} {at(first.envelope.stamp)}" in ended.out
+    assert "trust = 0.6" in ended.out
+    assert ended.err.count("\n") == 1
+
+
+def test_one_changed_bit_is_shown_with_its_path_stamp_and_both_values(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    pose = only(run.messages, POSE)[40]
+    x = pose.envelope.open(PoseEstimate).pose.x
+    nudged = math.nextafter(x, math.inf)
+    path = run.write(tmp_path / "a.mcap", swap(run.messages, pose, with_message(pose, pose__x=nudged)))
+    command = ("replay", path, "--service", "tracker", "--compare")
+    ended = eigenscan(*command)
+    assert ended.code == 1
+    assert "pose: 1 different, 0 missing, 0 too many" in ended.err
+    _, _, shown = ended.out.partition("first difference: ")
+    assert shown.startswith(f"pose {at(pose.envelope.stamp)} on site/robot/robot/pose\n")
+    assert shown.splitlines()[2].split()[:3] == ["pose.x", str(nudged), str(x)]
+    assert len(shown.splitlines()) == 4  # the last tells where both sides are drawn
+    assert eigenscan(*command, "--tolerant").code == 0
+    ignoring = eigenscan(*command, "--ignore", "pose.pose.x")
+    assert ignoring.code == 0
+    assert "not judged: pose.pose.x" in ignoring.out
+    assert eigenscan(*command, "--ignore", "pose.pose.y").code == 1
+
+
+def test_both_sides_of_a_difference_are_drawn_on_the_map(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    pose = only(run.messages, POSE)[40]
+    x = pose.envelope.open(PoseEstimate).pose.x
+    path = run.write(tmp_path / "a.mcap", swap(run.messages, pose, with_message(pose, pose__x=x + 2.0)))
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    picture = tmp_path / "a.tracker.rrd"
+    assert ended.code == 1
+    assert ended.out.endswith(f"both sides: {picture}\n")
+    chunks = [chunk for chunk in RrdReader(str(picture)).stream() if not chunk.is_static]
+    drawn = {chunk.entity_path for chunk in chunks}
+    for side in ("recorded", "replayed"):
+        assert {f"/world/robot/{side}/pose", f"/world/robot/{side}/tracks"} <= drawn
+    apart: dict[int, float] = {}
+    for chunk in chunks:
+        if chunk.entity_path == "/apart/robot":
+            batch = chunk.to_record_batch()
+            values = batch.column("Scalars:scalars").to_pylist()
+            stamps = [time.value for time in batch.column("time")]
+            apart |= {stamp: value for stamp, (value,) in zip(stamps, values, strict=True)}
+    assert apart.pop(pose.envelope.stamp) == pytest.approx(2.0)
+    assert apart
+    assert set(apart.values()) == {0.0}
+
+
+def test_what_is_the_same_leaves_no_picture(recording: Path, eigenscan: Command, tmp_path: Path) -> None:
+    picture = tmp_path / "b.rrd"
+    ended = eigenscan("replay", recording, "--service", "tracker", "--compare", "--rrd", picture)
+    assert ended.code == 0, ended.err
+    assert not picture.exists()
+
+
+def test_tolerance_has_an_end(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    pose = only(run.messages, POSE)[40]
+    x = pose.envelope.open(PoseEstimate).pose.x
+    path = run.write(tmp_path / "a.mcap", swap(run.messages, pose, with_message(pose, pose__x=x + 1e-3)))
+    assert eigenscan("replay", path, "--service", "tracker", "--compare", "--tolerant").code == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "counted"),
+    [
+        ("removed", "pose: 0 different, 0 missing, 1 too many"),
+        ("doubled", "pose: 0 different, 1 missing, 0 too many"),
+        ("swapped", "pose: 1 different, 0 missing, 0 too many"),
+    ],
+)
+def test_counts_and_order_are_compared(
+    run: Run, eigenscan: Command, tmp_path: Path, change: str, counted: str
+) -> None:
+    poses = only(run.messages, POSE)
+    pose, following = poses[30], poses[31]
+    if change == "removed":
+        messages = swap(run.messages, pose)
+    elif change == "doubled":
+        messages = swap(run.messages, pose, pose, pose)
+    else:
+        messages = swap(run.messages, pose, Timed(pose.time, following.envelope))
+        messages = swap(messages, following, Timed(following.time, pose.envelope))
+    ended = eigenscan("replay", run.write(tmp_path / "a.mcap", messages), "--service", "tracker", "--compare")
+    assert ended.code == 1
+    assert counted in ended.err
+    # the place in a wrong order is that of the stamp that comes too early
+    at_fault = following if change == "swapped" else pose
+    assert f"first difference: pose {at(at_fault.envelope.stamp)}" in ended.out
+
+
+def test_hypotheses_that_arrive_later_give_the_same_poses(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """Odometry overtakes them; only the transforms rest on that, and are not judged."""
+    late = [
+        Timed(timed.time + 70_000_000, timed.envelope) if timed.envelope.channel is HYPOTHESES else timed
+        for timed in run.messages
+    ]
+    path = run.write(tmp_path / "a.mcap", late)
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    assert ended.code == 0, ended.out
+    assert "not judged: transform: one follows each odometry sample" in ended.out
+    strict = eigenscan("replay", path, "--service", "tracker", "--compare", "--strict")
+    assert strict.code == 1
+    assert "first difference: transform" in strict.out
+
+
+def test_too_few_answers_are_no_proof(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    silent = run.write(tmp_path / "silent.mcap", without(run.messages, *TRACKER_SAYS))
+    ended = eigenscan("replay", silent, "--service", "tracker", "--compare")
+    assert ended.code == 1
+    assert "only 0 messages to compare" in ended.err
+    last = {id(timed) for timed in only(run.messages, POSE, TRACKS)[-12:]}
+    some = [t for t in run.messages if id(t) in last or t.envelope.channel not in TRACKER_SAYS]
+    ended = eigenscan("replay", run.write(tmp_path / "tail.mcap", some), "--service", "tracker", "--compare")
+    assert ended.code == 1
+    assert f"pose: only 6 of {len(only(run.messages, POSE))} messages are in the recording" in ended.err
+    # one room whose words were recorded does not vouch for another
+    deaf = run.write(tmp_path / "deaf.mcap", without(run.messages, TRACKS))
+    ended = eigenscan("replay", deaf, "--service", "tracker", "--compare")
+    assert ended.code == 1
+    assert f"tracks: only 0 of {len(only(run.messages, TRACKS))} messages are in the recording" in ended.err
+
+
+def health(settings: str = "", **counters: int) -> Envelope:
+    message = Health(service="tracker", instance="t", package_version="9.8.7", settings=settings)
+    message.counters.update(counters)
+    return Envelope(HEALTH, {"site": "site", "service": "tracker", "instance": "t"}, message)
+
+
+def test_recorded_settings_are_used_and_defaults_are_said(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(robot="*", trust=0.6))
+    text = json.dumps({"robot": "*", "instance": "t", "trust": 0.6, "gone_since": 1})
+    command = ("--service", "tracker", "--compare")
+    told = [Timed(other[0].time, health(text)), *other]
+    ended = eigenscan("replay", run.write(tmp_path / "told.mcap", told), *command)
+    assert ended.code == 0, ended.out + ended.err
+    assert "settings as recorded without gone_since, which this version does not know" in ended.out
+    assert "recorded with version 9.8.7" in ended.out
+    in_file = run.write(tmp_path / "file.mcap", other, {"tracker": json.dumps({"robot": "*", "trust": 0.6})})
+    assert eigenscan("replay", in_file, *command).code == 0
+    ended = eigenscan("replay", run.write(tmp_path / "untold.mcap", other), *command)
+    assert ended.code == 1
+    assert "default settings, for the recording does not tell them" in ended.out
+
+
+def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    text = json.dumps({"robot": "*"})
+    words = [
+        health(text, heard_odometry=300, dropped_odometry=7),
+        health(text, heard_odometry=4),
+        health(
+            text.replace("}", ', "trust": 0.5}'), heard_odometry=5, dropped_odometry=3, odometry_came_late=2
+        ),
+    ]
+    messages = [
+        *(Timed(run.messages[0].time, word) for word in words),
+        *run.messages[len(run.messages) // 2 :],
+    ]
+    ended = eigenscan("replay", run.write(tmp_path / "a.mcap", messages), "--service", "tracker", "--compare")
+    assert ended.code == 1
+    assert "note: tracker t ran before the recording began (its first track here is " in ended.out
+    assert "note: tracker t was started again 1 times" in ended.out
+    assert "note: tracker t lost 3 odometry" in ended.out
+    assert "note: tracker t answered 2 scans before their odometry had come" in ended.out
+    assert "note: tracker t was given other settings while it was recorded" in ended.out
+
+
+def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    count = len(only(run.messages, ODOMETRY))
+    command = ("--service", "tracker", "--compare")
+    for heard, is_noted in ((count, False), (count + 1, True)):
+        told = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=heard))
+        file = run.write(tmp_path / f"{heard}.mcap", [*run.messages, told])
+        ended = eigenscan("replay", file, *command)
+        noted = f"note: tracker t had heard {heard} odometry, the recording holds {count}" in ended.out
+        assert noted is is_noted, ended.out
+
+
+@pytest.mark.parametrize("group", ["robot", "r*t,another"])
+def test_an_instance_hears_only_its_robots(run: Run, eigenscan: Command, tmp_path: Path, group: str) -> None:
+    text = json.dumps({"robot": group, "instance": "t"})
+    foreign = [
+        Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "robot": "other"}))
+        for timed in only(run.messages, ODOMETRY, HYPOTHESES)
+    ]
+    messages = sorted([*run.messages, *foreign], key=lambda timed: timed.time)
+    path = run.write(tmp_path / "a.mcap", [Timed(messages[0].time, health(text)), *messages])
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare", "--strict")
+    assert ended.code == 0, ended.out
+    said = len(only(run.messages, *TRACKER_SAYS))
+    assert f"the same: {said} messages" in ended.out
+    assert "outside: " not in ended.out
+
+
+def test_two_projectors_are_told_apart_by_their_keys(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    few = run.messages[: len(run.messages) // 4]
+    twin = [
+        Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "projector": "second"}))
+        for timed in only(few, HYPOTHESES, OBSTACLES)
+    ]
+    path = run.write(tmp_path / "a.mcap", sorted([*few, *twin], key=lambda timed: timed.time))
+    ended = eigenscan("replay", path, "--service", "projector", "--compare")
+    assert ended.code == 0, ended.out
+    assert f"the same: {2 * len(twin)} messages" in ended.out
+
+
+def test_what_is_said_now_can_be_kept(run: Run, recording: Path, eigenscan: Command, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    command = ("replay", recording, "--service", "tracker", "--out", out, "--set", "trust=0.6")
+    assert eigenscan(*command).code == 0
+    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(robot="*", trust=0.6))
+    kept = [encode(record.envelope.message) for record in read(out) if record.envelope.channel is POSE]
+    assert kept == [encode(timed.envelope.message) for timed in only(other, POSE)]
+    said = {timed.envelope.channel for timed in only(other, *TRACKER_SAYS)}
+    assert {record.envelope.channel for record in read(out)} == {ODOMETRY, HYPOTHESES} | said
+
+
+def test_a_file_that_was_cut_is_replayed_as_far_as_it_goes(
+    recording: Path, eigenscan: Command, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    whole = recording.read_bytes()
+    cut.write_bytes(whole[: len(whole) * 7 // 10])
+    ended = eigenscan("replay", cut, "--service", "projector", "--compare")
+    assert ended.code == 0, ended.out + ended.err
+    assert "note: its writer did not close it: replayed as far as it goes" in ended.out
+
+
+@pytest.mark.parametrize("missing", [(MAP,), (MODEL,), (MODEL_SET,), (MAP, MODEL, MODEL_SET)])
+def test_models_that_are_missing_are_named(
+    run: Run, eigenscan: Command, tmp_path: Path, missing: tuple[Channel, ...]
+) -> None:
+    path = run.write(tmp_path / "a.mcap", without(run.messages, *missing))
+    ended = eigenscan("replay", path, "--service", "projector", "--compare")
+    assert ended.code == 2
+    lack = {MAP: "the map", MODEL: "regions", MODEL_SET: "no model"}[missing[-1]]
+    assert "projector cannot be replayed" in ended.err
+    assert lack in ended.err
+    assert ended.err.count("\n") == 1
+    assert eigenscan("replay", path, "--service", "tracker", "--compare").code == 0
+    given = eigenscan("replay", path, "--service", "projector", "--compare", "--model", run.folder)
+    assert given.code == 0, given.out + given.err
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (None, "cannot be read"),
+        (b"", "is no readable recording"),
+        (b"not an mcap at all" * 100, "is no readable recording"),
+    ],
+)
+def test_what_is_no_recording(eigenscan: Command, tmp_path: Path, content: bytes | None, says: str) -> None:
+    path = tmp_path / "a.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1
+    assert str(path) in ended.err
+    assert says in ended.err
+
+
+def test_what_a_service_needs_is_named(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    path = run.write(tmp_path / "a.mcap", without(run.messages, HYPOTHESES, SCAN_RAW))
+    for service, channel in (
+        ("tracker", "hypotheses"),
+        ("scan-ingest", "scan_raw"),
+        ("pipeline", "scan_raw"),
+    ):
+        ended = eigenscan("replay", path, "--service", service, "--compare")
+        assert ended.code == 2
+        assert f"holds no {channel}, which " in ended.err
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--service", "nobody", "--compare"), "--service nobody: there are scan-ingest"),
+        (("--compare",), "give --service"),
+        (("--service", "tracker"), "give --compare, --out FILE, or both"),
+        (("--service", "tracker", "--compare", "--from", 2), "--from: not with --service"),
+        (("--service", "tracker", "--compare", "--set", "trust"), "--set trust: give SETTING=VALUE"),
+        (("--service", "tracker", "--compare", "--set", "trust=high"), "tracker: trust = 'high'"),
+        (("--service", "tracker", "--compare", "--set", "trrust=1"), "tracker: trrust = '1': there are"),
+        (
+            ("--service", "tracker", "--compare", "--set", "projector.published=1"),
+            "projector: is not replayed",
+        ),
+        (("--service", "tracker", "--compare", "--ignore", "pose.nothing"), "--ignore pose.nothing: give"),
+    ],
+)
+def test_wrong_usage(recording: Path, eigenscan: Command, options: tuple[object, ...], says: str) -> None:
+    ended = eigenscan("replay", recording, *options)
+    assert ended.code == 2
+    assert says in ended.err
+    assert ended.err.count("\n") == 1

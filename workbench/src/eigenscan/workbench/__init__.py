@@ -1,0 +1,1 @@
+"""What one does with logs and recordings, away from a robot."""

@@ -1,0 +1,256 @@
+"""What is checked of a run, each with the clause of docs/contract.md that it rests on."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+import numpy as np
+from eigenscan.schemas.channels import HEALTH, HYPOTHESES, LATCHED_TEMPLATE
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.wire import encode
+from eigenscan.workbench.conformance.check import FAILED, PASSED, Check, check, skipped
+from eigenscan.workbench.conformance.hearing import alive_key
+from eigenscan.workbench.conformance.travelling import travelling
+from eigenscan.workbench.conformance.trial import Observed
+from eigenscan.workbench.conformance.values import faults
+
+STOPS_WITHIN_S = 2.0
+HEALTH_GAP_S = 2.5
+"""Health comes once a second; a busy machine may be late by as much again."""
+
+
+def judge(seen: Observed, latency_s: float, patience: float = 1.0) -> list[Check]:
+    """All checks. `latency_s` is what 95 % of the answers may take; `patience` extends the other limits."""
+    if seen.profile.records:
+        return [
+            *_presence(seen, patience),
+            *travelling(seen),
+            *_survives(seen),
+            *seen.kept,
+            _stops(seen, patience),
+        ]
+    checks = [*_presence(seen, patience), *(one for part in _PARTS for one in part(seen))]
+    checks += [_latency(seen, latency_s), _stops(seen, patience)]
+    if seen.heard:
+        return checks
+    return [
+        skipped(one.name, one.clause, "it says nothing") if one.result == PASSED else one for one in checks
+    ]
+
+
+def _presence(seen: Observed, patience: float) -> Iterator[Check]:
+    key = alive_key(seen.address["site"], seen.profile.name, seen.instance)
+    clause = "Presence"
+    if key in seen.tokens:
+        waited = seen.tokens[key][0] - seen.started_at
+        yield Check("presence", clause, PASSED, f"its liveliness token came after {waited:.1f} s")
+    else:
+        others = sorted(token for token in seen.tokens if "/latched/" not in token)
+        held = f", only {', '.join(others)}" if others else ""
+        lives = f"; {seen.ended_early}" if seen.ended_early else ""
+        yield Check("presence", clause, FAILED, f"no liveliness token on {key}{held}{lives}")
+    told = [one for one in seen.heard if one.channel is HEALTH]
+    if not told:
+        yield Check("health", "Health", FAILED, "it never says eigenscan.Health")
+        return
+    end = seen.stopped_at - (seen.stopped[1] if seen.stopped else 0.0) if seen.stopped else told[-1].at
+    gaps = np.diff([one.at for one in told if one.at <= end] + [end])
+    problems = []
+    if len(gaps) and gaps.max() > HEALTH_GAP_S * patience:
+        problems.append(f"silent for {gaps.max():.1f} s, health is due once a second")
+    named = {(one.address["service"], one.address["instance"]) for one in told}
+    if named != {(seen.profile.name, seen.instance)}:
+        problems.append(f"it calls itself {sorted(named)}, not {seen.profile.name} {seen.instance}")
+    if not seen.ready:
+        newest = told[-1].message
+        detail = newest.detail if isinstance(newest, Health) else ""
+        problems.append(f"it does not become ready: {detail or 'no detail'}")
+    yield check(
+        "health", "Health", problems, f"said {len(told)} times, at most {max(gaps, default=0):.1f} s apart"
+    )
+
+
+def _answers(seen: Observed) -> Iterator[Check]:
+    profile, clause = seen.profile, "Time, frames, numbers"
+    if profile.asks is None:
+        return
+    if not seen.asked:
+        yield Check("answers", clause, FAILED, "it was gone before it was asked anything")
+        return
+    said = Counter(
+        (one.channel, one.stamp, one.address.get("lidar", ""))
+        for one in seen.heard
+        if one.channel in profile.answers
+    )
+    missing, twice = [], []
+    for due in sorted(seen.wanted, key=lambda one: one[1:]):
+        channel, stamp, lidar = due
+        where = f"{channel.name} {lidar} of {stamp / 1e9:.3f}"
+        if not said[due]:
+            missing.append(f"no {where}")
+        elif said[due] > 1:
+            twice.append(f"{said[due]} {where}")
+    if missing:
+        twice.insert(0, f"{len(missing)} of {len(seen.wanted)} answers are missing, the first: {missing[0]}")
+    yield check("answers", clause, twice, f"one answer each to {len(seen.asked)} {profile.asks.name}")
+    yield check("order", clause, list(_disorder(seen)), "stamps of each key as those of what is answered")
+
+
+def _disorder(seen: Observed) -> Iterator[str]:
+    asked = {stamp for _, stamp in seen.asked}
+    stamps = defaultdict(list)
+    for one in seen.heard:
+        if one.channel in seen.profile.answers and one.stamp in asked:
+            stamps[one.key].append(one.stamp)
+    for key, order in stamps.items():
+        for before, after in pairwise(order):
+            if after < before:
+                yield f"{key}: {after / 1e9:.3f} comes after {before / 1e9:.3f}"
+
+
+def _values(seen: Observed) -> Iterator[Check]:
+    problems = [
+        f"{one.key} of {one.stamp / 1e9:.3f}: {fault}"
+        for one in seen.heard
+        if one.message is not None
+        for fault in faults(one.message)
+    ]
+    yield check("values", "Time, frames, numbers", problems, "every number is one that the contract allows")
+
+
+def _models(seen: Observed) -> Iterator[Check]:
+    name, clause = "late join", "Latched channels"
+    if seen.profile.asks is None:
+        yield _late_joiner(seen, name, clause)
+        return
+    if not seen.profile.latched:
+        yield skipped(name, clause, f"a {seen.profile.name} hears no latched channel")
+        return
+    versions = [
+        one.message.model_version
+        for one in seen.heard
+        if one.channel is HYPOTHESES and isinstance(one.message, Hypotheses)
+    ]
+    problems = []
+    if not versions:
+        problems.append("no answer: the models that were said before its start did not come, or it has none")
+    yield check(name, clause, problems, "has the models that were said before its start")
+    changed = [] if versions and versions[-1] == seen.other_set else ["it does not go on with the newer set"]
+    yield check(
+        "other models", "Models", changed if seen.other_set else [], "takes a newer set while it runs"
+    )
+
+
+def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
+    site = seen.address["site"]
+    said = {
+        one.key: encode(one.message)
+        for one in seen.heard
+        if one.message is not None and one.channel in seen.profile.says
+    }
+    problems = []
+    for channel in seen.profile.says:
+        start = LATCHED_TEMPLATE.format(site=site, channel=channel.name, session="")
+        if not any(token.startswith(start) for token in seen.tokens):
+            problems.append(f"no liveliness token on {start}{{session}}")
+        if not any(one is channel for one, _ in seen.joined.values()):
+            problems.append(f"who comes late gets no {channel.name}: is it answered by a queryable?")
+    for key, payload in said.items():
+        if key in seen.joined and seen.joined[key][1] != payload:
+            problems.append(f"{key}: who comes late gets another message than was said")
+    return check(name, clause, problems, f"who comes late gets the same {len(seen.joined)} messages")
+
+
+def _bad_input(seen: Observed) -> Iterator[Check]:
+    clause = "Samples"
+    if seen.profile.asks is None:
+        yield skipped("bad input", clause, f"a {seen.profile.name} hears nothing")
+        return
+    yield from _survives(seen)
+    if seen.ended_early:
+        yield Check("recovers", clause, FAILED, "it is gone")
+        return
+    answered = {one.stamp for one in seen.heard if one.channel in seen.profile.answers}
+    left = [stamp for _, stamp in seen.asked_again if stamp not in answered]
+    silent = [f"{len(left)} of {len(seen.asked_again)} {_asked(seen)} after the nonsense get no answer"]
+    words = f"answers the {len(seen.asked_again)} {_asked(seen)} after that"
+    yield check("recovers", clause, silent if left or not seen.asked_again else [], words)
+
+
+def _survives(seen: Observed) -> Iterator[Check]:
+    """Whether it lives through bad input, and counts it."""
+    clause = "Samples"
+    if seen.ended_early:
+        yield Check("bad input", clause, FAILED, seen.ended_early)
+        yield Check("counted", "Health", FAILED, "it is gone")
+        return
+    lives = f"lives through {seen.undecodable} samples that do not decode, and others"
+    yield Check("bad input", clause, PASSED, lives)
+    counted = seen.counted - seen.counted_before
+    short = [f"counter undecodable grew by {counted}, not by {seen.undecodable}"]
+    yield check(
+        "counted", "Health", short if counted < seen.undecodable else [], f"{counted} counted as undecodable"
+    )
+
+
+def _asked(seen: Observed) -> str:
+    return seen.profile.asks.name if seen.profile.asks else ""
+
+
+def _numbers(seen: Observed) -> Iterator[Check]:
+    if seen.profile.numbers is None:
+        return
+    problems, words = seen.profile.numbers(seen.heard, seen.vectors)
+    if not problems and words.startswith("0 "):
+        problems = ["nothing that it says can be compared with the reference"]
+    yield check("numbers", "Time, frames, numbers", problems, words)
+
+
+def _latency(seen: Observed, limit_s: float) -> Check:
+    name, clause = "latency", "Quality of service"
+    if seen.profile.asks is None:
+        return skipped(name, clause, f"a {seen.profile.name} is asked nothing")
+    asked: dict[int, float] = {}
+    for (_, stamp), at in seen.asked.items():
+        asked.setdefault(stamp, at)
+    took = [
+        one.at - asked[one.stamp]
+        for one in seen.heard
+        if one.channel in seen.profile.answers and one.stamp in asked
+    ]
+    if not took:
+        return Check(name, clause, FAILED, "no answer to measure")
+    middle, most = np.percentile(took, [50, 95]) * 1e3
+    words = f"median {middle:.0f} ms, 95 % within {most:.0f} ms"
+    return check(
+        name, clause, [f"{words}, asked for {limit_s * 1e3:.0f} ms"] if most > limit_s * 1e3 else [], words
+    )
+
+
+def _stops(seen: Observed, patience: float) -> Check:
+    name, clause = "stops", "Presence"
+    if seen.stopped is None:
+        return Check(name, clause, FAILED, seen.ended_early or "it is gone")
+    code, took = seen.stopped
+    key = alive_key(seen.address["site"], seen.profile.name, seen.instance)
+    problems = []
+    if code is None:
+        problems.append(f"SIGTERM does not end it; killed after {took:.0f} s")
+    elif took > STOPS_WITHIN_S * patience:
+        problems.append(f"takes {took:.1f} s to end after SIGTERM, the contract has {STOPS_WITHIN_S:.0f} s")
+    elif key in seen.tokens and seen.tokens[key][1] is None:
+        problems.append("its liveliness token is still there after its end")
+    return check(name, clause, problems, f"ends {took:.1f} s after SIGTERM")
+
+
+_PARTS: tuple[Callable[[Observed], Iterator[Check]], ...] = (
+    travelling,
+    _models,
+    _answers,
+    _values,
+    _numbers,
+    _bad_input,
+)

@@ -1,0 +1,90 @@
+"""What each service hears, says and answers, as the contract's page has it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from eigenscan.schemas.channels import (
+    CHANNELS,
+    HYPOTHESES,
+    MAP,
+    MODEL,
+    MODEL_SET,
+    OBSTACLES,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    SCAN_RAW,
+    TRACKS,
+    TRANSFORM,
+    TRUTH,
+    Channel,
+)
+from eigenscan.workbench.conformance.agreement import (
+    model_numbers,
+    pose_numbers,
+    projection_numbers,
+    scan_numbers,
+)
+from eigenscan.workbench.conformance.hearing import Heard
+from eigenscan.workbench.conformance.vectors import DRIVE, LIDARS, Vectors
+
+Numbers = Callable[[Sequence[Heard], Vectors], tuple[list[str], str]]
+"""What does not agree with the reference, and what was compared, in words."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A service as a stranger sees it."""
+
+    name: str
+    file: str
+    """The vectors that it is played."""
+    hears: tuple[Channel, ...]
+    says: tuple[Channel, ...]
+    asks: Channel | None
+    """The channel whose messages each get an answer."""
+    answers: tuple[Channel, ...]
+    """The channels of these answers, each with the stamp of what it answers."""
+    reference: tuple[Channel, ...]
+    """Channels that its numbers are compared with."""
+    numbers: Numbers | None
+    """None for what says nothing that could be compared."""
+    records: bool = False
+    """Whether it keeps all that it hears in files."""
+
+    @property
+    def latched(self) -> tuple[Channel, ...]:
+        """What it hears that is said only once."""
+        return tuple(channel for channel in self.hears if channel.qos.latched)
+
+
+PROFILES: dict[str, Profile] = {
+    profile.name: profile
+    for profile in (
+        Profile("scan-ingest", LIDARS, (SCAN_RAW,), (SCAN,), SCAN_RAW, (SCAN,), (SCAN,), scan_numbers),
+        Profile(
+            "projector",
+            DRIVE,
+            (MAP, MODEL, MODEL_SET, SCAN),
+            (HYPOTHESES, OBSTACLES),
+            SCAN,
+            (HYPOTHESES,),
+            (HYPOTHESES, TRUTH),
+            projection_numbers,
+        ),
+        Profile(
+            "tracker",
+            DRIVE,
+            (ODOMETRY, HYPOTHESES),
+            (POSE, TRACKS, TRANSFORM),
+            HYPOTHESES,
+            (POSE, TRACKS),
+            (POSE, TRUTH),
+            pose_numbers,
+        ),
+        Profile("mapbuilder", DRIVE, (), (MAP, MODEL, MODEL_SET), None, (), (MAP, MODEL_SET), model_numbers),
+        Profile("recorder", DRIVE, CHANNELS, (), None, (), (), None, records=True),
+    )
+}

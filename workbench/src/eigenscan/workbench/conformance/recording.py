@@ -1,0 +1,149 @@
+"""Whether a recorder kept what was said, in the form that the contract's page asks for."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eigenscan.runtime.recording import RecordingError, is_complete
+from eigenscan.runtime.recording.files import Raw, messages, opened
+from eigenscan.schemas.channels import CONTRACT_VERSION, Channel, ContractError
+from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.wire import decode, encode
+from eigenscan.workbench.conformance.check import FAILED, Check, check, skipped
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import DecodeError
+
+CLAUSE = "Recordings"
+LOST_S = 1.0
+"""What a kill may cost."""
+CLOCK_NS = 1_000_000_000
+"""By which a log time may lie outside the run."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """A message that the recorder could hear, and when it was said, ns since the epoch."""
+
+    envelope: Envelope
+    at: int
+
+
+def judge_whole(folder: Path, said: Sequence[Said]) -> list[Check]:
+    """What a recorder left that was ended as it should be."""
+    try:
+        files = _read(folder)
+    except RecordingError as error:
+        return [Check("recording", CLAUSE, FAILED, str(error))]
+    if not files:
+        return [Check("recording", CLAUSE, FAILED, f"no .mcap in {folder}, where {{recording}} points")]
+    whole = [raw for raws in files.values() for raw in raws]
+    latched = [one for one in said if one.envelope.channel.qos.latched]
+    open_ended = [f"{path.name} was not closed: it has no index" for path in files if not is_complete(path)]
+    return [
+        check("recording", CLAUSE, open_ended, f"{len(whole)} messages in {len(files)} closed files"),
+        check("kept", CLAUSE, list(_lost(whole, said)), f"all {len(said)} messages that were said, in order"),
+        check("form", CLAUSE, list(_malformed(whole, said)), "key, schema, descriptors and contract version"),
+        check("times", CLAUSE, list(_untimely(whole, said)), "stamps as publish times, arrival as log times"),
+        _rotation(files, latched),
+    ]
+
+
+def judge_killed(folder: Path, said: Sequence[Said], killed: int, patience: float = 1.0) -> Check:
+    """What a recorder left that was killed at `killed`, ns since the epoch; `patience` extends LOST_S."""
+    due = [one for one in said if one.at < killed - LOST_S * patience * 1e9]
+    try:
+        whole = [raw for raws in _read(folder).values() for raw in raws]
+    except RecordingError as error:
+        return Check("crash", CLAUSE, FAILED, f"after a kill: {error}")
+    words = f"all {len(due)} messages that were said {LOST_S * patience:g} s before a kill"
+    return check("crash", CLAUSE, [f"after a kill: {fault}" for fault in _lost(whole, due)], words)
+
+
+def _read(folder: Path) -> dict[Path, list[Raw]]:
+    found = {}
+    for path in sorted(folder.rglob("*.mcap"), key=lambda path: (path.stat().st_mtime_ns, path.name)):
+        with opened(path) as file:
+            found[path] = list(messages(file))
+    return found
+
+
+def _lost(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
+    """Keys of which not all is there, in the order in which it was said; others may lie in between."""
+    kept: dict[str, list[Raw]] = defaultdict(list)
+    for raw in whole:
+        kept[raw[1].topic].append(raw)
+    wanted: dict[str, list[Envelope]] = defaultdict(list)
+    for one in said:
+        wanted[one.envelope.key].append(one.envelope)
+    for key, envelopes in wanted.items():
+        payloads = iter([_payload(envelopes[0].channel, raw[2].data) for raw in kept[key]])
+        missing = sum(encode(envelope.message) not in payloads for envelope in envelopes)
+        if missing:
+            early = " that was said before its start" if envelopes[0].channel.qos.latched else ""
+            yield f"{key}: of {len(envelopes)} messages{early}, {missing} are lost, changed or out of order"
+
+
+def _payload(channel: Channel, data: bytes) -> bytes:
+    """The bytes as we would encode them, so that another encoder's order of fields does not matter."""
+    try:
+        return encode(decode(channel, data))
+    except ContractError:
+        return data
+
+
+def _malformed(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
+    channels = {one.envelope.key: one.envelope.channel for one in said}
+    seen = set()
+    for schema, channel, _ in whole:
+        own = channels.get(channel.topic)
+        if own is None or channel.topic in seen:
+            continue
+        seen.add(channel.topic)
+        name = schema.name if schema else "none"
+        if (name, channel.message_encoding) != (own.schema_name, "protobuf"):
+            yield f"{channel.topic}: {channel.message_encoding} {name}, not protobuf {own.schema_name}"
+        elif schema is None or own.schema_name not in _described(schema.data):
+            yield f"{channel.topic}: its schema is no FileDescriptorSet with {own.schema_name}"
+        elif channel.metadata.get("contract") != str(CONTRACT_VERSION):
+            yield f"{channel.topic}: the channel's metadata has no contract = {CONTRACT_VERSION}"
+
+
+def _described(data: bytes) -> set[str]:
+    try:
+        files = FileDescriptorSet.FromString(data).file
+    except DecodeError:
+        return set()
+    return {f"{file.package}.{message.name}" for file in files for message in file.message_type}
+
+
+def _untimely(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
+    channels: Mapping[str, Channel] = {one.envelope.key: one.envelope.channel for one in said}
+    first, last = said[0].at - CLOCK_NS, said[-1].at + 60 * CLOCK_NS
+    for _, channel, message in whole:
+        own = channels.get(channel.topic)
+        if own is None or own.qos.latched:
+            continue
+        if not first <= message.log_time <= last:
+            yield f"{channel.topic}: log time {message.log_time} is not that of the arrival"
+            return
+        stamp = nanoseconds(decode(own, message.data).timestamp)  # type: ignore[attr-defined]
+        if stamp > 0 and message.publish_time != stamp:
+            yield f"{channel.topic}: publish time {message.publish_time}, the stamp is {stamp}"
+            return
+
+
+def _rotation(files: Mapping[Path, Sequence[Raw]], latched: Sequence[Said]) -> Check:
+    name, keys = "rotation", {one.envelope.key for one in latched}
+    if len(files) < 2:
+        return skipped(name, CLAUSE, "one file: its command asks for no rotation that this run would reach")
+    problems, heard = [], set[str]()  # a file may begin before all of them have come
+    for path, raws in files.items():
+        first = {raw[1].topic for raw in raws[: len(keys)]}
+        if missing := heard - first:
+            problems.append(f"{path.name} does not begin with {min(missing)}")
+        heard |= keys & {raw[1].topic for raw in raws}
+    words = f"each of {len(files) - 1} further files begins with map and models"
+    return check(name, CLAUSE, problems, words)

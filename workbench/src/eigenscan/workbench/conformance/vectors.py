@@ -1,0 +1,55 @@
+"""The vectors of the contract: recordings of what goes into each service and what is to come out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from eigenscan.runtime.recording import read
+from eigenscan.schemas.channels import CONTRACT_VERSION, Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.simulation.stage import Timed
+
+DRIVE, LIDARS, MAP_FILE = "drive.mcap", "lidars.mcap", "map.yaml"
+
+
+def folder() -> Path:
+    """Where the vectors of this contract version lie, as part of the schemas."""
+    with as_file(files("eigenscan.schemas") / "conformance" / f"contract-{CONTRACT_VERSION}") as path:
+        return path
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """What a service is played, and what the reference says to it."""
+
+    latched: tuple[Envelope, ...]
+    inputs: tuple[Timed, ...]
+    reference: tuple[Envelope, ...]
+
+    def parts(self, share: float) -> tuple[list[Timed], list[Timed]]:
+        """The inputs before and after `share` of their time."""
+        if not self.inputs:
+            return [], []
+        begin, end = self.inputs[0].time, self.inputs[-1].time
+        cut = begin + share * (end - begin)
+        return [t for t in self.inputs if t.time <= cut], [t for t in self.inputs if t.time > cut]
+
+
+def load(file: str, hears: Iterable[Channel], says: Iterable[Channel], address: dict[str, str]) -> Vectors:
+    """The vectors in `file` for who hears and says these channels, under other names of site and robot."""
+    heard, said = set(hears), set(says)
+    latched, inputs, reference = [], [], []
+    for record in read(folder() / file):
+        own = record.envelope
+        names = {name: value for name, value in address.items() if name in own.channel.fields}
+        envelope = Envelope(own.channel, {**own.address, **names}, own.message)
+        if own.channel in said:
+            reference.append(envelope)
+        elif own.channel in heard and own.channel.qos.latched:
+            latched.append(envelope)
+        elif own.channel in heard:
+            inputs.append(Timed(record.log_time, envelope))
+    return Vectors(tuple(latched), tuple(inputs), tuple(reference))

@@ -1,0 +1,129 @@
+"""One evaluation from files to figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from eigenscan.workbench.evaluation.figures import Figures, finite, windows_figures
+from eigenscan.workbench.evaluation.log import Log, read_log
+from eigenscan.workbench.evaluation.models import Built, build, gallery_of
+from eigenscan.workbench.evaluation.own_reference import RECORDED, WHOLE_DRIVE, recorded_truth, whole_drive
+from eigenscan.workbench.evaluation.protocols import (
+    Bench,
+    global_localization,
+    judgeable,
+    kidnapping,
+    single_scans,
+)
+from eigenscan.workbench.evaluation.reference import NS, EvaluationError, Trajectory, read_trajectory
+from eigenscan.workbench.evaluation.windows import (
+    Window,
+    plan_scans,
+    plan_windows,
+    read_times,
+    read_windows,
+    thin,
+)
+from eigenscan.workbench.evaluation.workers import Workers, model_mb
+from eigenscan.workbench.logs import LogOptions
+from eigenscan.workbench.progress import Bars
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be evaluated, and how far."""
+
+    log: Path
+    map: Path
+    reference: Path | None
+    """TUM; without it the log's own truth, or else the drive taken as a whole."""
+    windows: Path | None
+    single_scans: Path | None
+    kidnap: bool
+    skip: frozenset[str]
+    spacing: float
+    offset_s: float
+    limit: int | None
+    jobs: int
+    poses: Path | None
+    options: LogOptions
+
+
+def evaluate(task: Task, bars: Bars) -> Figures:
+    """All figures. Raises EvaluationError, LogError or MapError for bad input."""
+    reference = (
+        read_trajectory(task.reference, task.offset_s)
+        if task.reference
+        else recorded_truth(task.log, task.options.robot)
+    )
+    windows = read_windows(task.windows, task.offset_s) if task.windows else None
+    times = read_times(task.single_scans, task.offset_s) if task.single_scans else None
+    log = read_log(task.log, task.options, bars.start_share("log"))
+    if reference is not None:
+        reference = reference.restamped(log.logged)
+        _check_overlap(task, log, reference)
+    built = build(task.map, task.spacing, bars.start_share("model"))
+    with Workers(task.jobs, built.models, log.beginning) as workers:
+        source = str(task.reference) if task.reference else RECORDED
+        if reference is None:
+            source, reference = WHOLE_DRIVE, whole_drive(task.log, log, workers)
+        if windows is None:
+            windows = plan_windows(log.scans, reference)
+        if times is None:
+            times = plan_scans(log.scans, reference)
+        bench = Bench(log, reference, workers, bars.start)
+        return finite({"reference": source} | _figures(task, bench, built, windows, times))
+
+
+def _figures(
+    task: Task, bench: Bench, built: Built, asked: Sequence[Window], times: Sequence[int]
+) -> Figures:
+    windows = thin(judgeable(bench, asked), task.limit)
+    if not windows and "windows" not in task.skip:
+        raise EvaluationError(
+            f"{task.windows or task.log}: no window holds 3 scans with a reference: check its stamps against "
+            f"{task.reference or 'the reference'} "
+            f"({_span(bench.reference.stamps)}) and the log ({_span(bench.log.scans)})"
+        )
+    figures = windows_figures([], []) | {"cpu_ms_per_scan": {"median": None, "p99": None}, "per_window": []}
+    if "windows" not in task.skip:
+        figures = global_localization(bench, windows, task.poses)
+    kidnap = kidnapping(bench, windows) if task.kidnap else None
+    peak = bench.workers.peak_mb
+    single = None
+    if "single-scans" not in task.skip:
+        shown = None if "exhaustive" in task.skip else gallery_of(built)
+        single = single_scans(bench, thin(times, task.limit), shown)
+    weight = None if "memory" in task.skip else model_mb(built.models, bench.log.beginning)
+    return figures | {
+        "windows_left_out": len(asked) - len(windows),
+        "kidnap": kidnap,
+        "single_scan": single,
+        "peak_rss_mb": peak,
+        "map_m2": built.map_m2,
+        "model": built.figures | {"memory_mb": weight},
+        "log": {
+            "scans": len(bench.log.scans),
+            "lidars": bench.log.lidars,
+            "odometry": bench.log.odometry,
+            "is_cut": bench.log.is_cut,
+            "span_s": float((bench.log.scans.max() - bench.log.scans.min()) / NS),
+        },
+    }
+
+
+def _check_overlap(task: Task, log: Log, reference: Trajectory) -> None:
+    """Raises EvaluationError where no scan has a reference."""
+    if not reference.at(log.scans)[1].any():
+        raise EvaluationError(
+            f"{task.reference}: covers {_span(reference.stamps)}, but the scans of {task.log} are from "
+            f"{_span(log.scans)}: give the reference of this log, or --reference-offset SECONDS"
+        )
+
+
+def _span(stamps: NDArray[np.int64]) -> str:
+    return f"{stamps.min() / NS:.3f} to {stamps.max() / NS:.3f} s"

@@ -1,0 +1,133 @@
+"""Kidnap: halfway through a window the log jumps to another window's start.
+
+Stamps go on without a gap and the odometry without a step: whoever is carried away does not feel it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.pose import between, compose, from_pose3, to_pose3
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.workbench.evaluation.metrics import Judged, Stream, judge, seconds, sustained
+from eigenscan.workbench.evaluation.reference import Trajectory
+from eigenscan.workbench.evaluation.windows import Window
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from numpy.typing import NDArray
+
+AWAY_M = 3.0
+"""A jump shorter than this is no kidnap."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where a kidnapped window leaves off and where it goes on."""
+
+    before: Window
+    after: Window
+
+
+def plan(windows: Sequence[Window], reference: Trajectory) -> list[Plan]:
+    """For each window the next one, half the list on, that starts well away from its own middle."""
+    plans = []
+    for index, window in enumerate(windows):
+        half = Window(window.start, (window.start + window.end) // 2)
+        others = [windows[(index + len(windows) // 2 + k) % len(windows)] for k in range(len(windows))]
+        starts, known = reference.at([other.start for other in others])
+        here, _ = reference.at([half.end])
+        far = known & (np.hypot(*(starts - here)[:, :2].T) >= AWAY_M)
+        if far.any():
+            plans.append(Plan(half, others[int(np.argmax(far))]))
+    return plans
+
+
+@dataclass(frozen=True)
+class Splice:
+    """A log with a jump: messages in order, the jump's stamp, and what later stamps were moved by, ns."""
+
+    heard: list[Envelope]
+    jump: int
+    moved: int
+
+
+def splice(before: Sequence[Envelope], after: Sequence[Envelope]) -> Splice:
+    """Joins two stretches of a log, both with scans, one scan period apart."""
+    scans = _stamps(after)
+    period = int(np.median(np.diff(scans))) if len(scans) > 1 else 100_000_000
+    # nothing of the later stretch may come before the end of the earlier one
+    jump = max(e.stamp for e in before) + max(period, 1)
+    moved = jump - min(e.stamp for e in after)
+    step = _odometry_step(before, after)
+    return Splice([*before, *(_moved(envelope, moved, step) for envelope in after)], jump, moved)
+
+
+def _stamps(envelopes: Sequence[Envelope]) -> list[int]:
+    return sorted(envelope.stamp for envelope in envelopes if envelope.channel == SCAN_RAW)
+
+
+def _odometry_step(before: Sequence[Envelope], after: Sequence[Envelope]) -> NDArray[np.float64]:
+    """Transform (3,) that takes the later stretch's odometry frame to the earlier one's."""
+    ends = [e.open(Odometry).pose for e in before if e.channel == ODOMETRY][-1:]
+    starts = [e.open(Odometry).pose for e in after if e.channel == ODOMETRY][:1]
+    if not ends or not starts:
+        return np.zeros(3)
+    start = from_pose3(starts[0])
+    return compose(from_pose3(ends[0]), between(start, np.zeros(3)))
+
+
+def _moved(envelope: Envelope, by: int, step: NDArray[np.float64]) -> Envelope:
+    message = type(envelope.message)()
+    message.CopyFrom(envelope.message)
+    message.timestamp.CopyFrom(stamp(envelope.stamp + by))  # type: ignore[attr-defined]
+    if isinstance(message, Odometry):
+        message.pose.CopyFrom(to_pose3(compose(step, from_pose3(message.pose))))
+    return Envelope(envelope.channel, envelope.address, message)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one kidnap went; seconds from the jump, None where it did not come to it.
+
+    From `recovered_s` on every pose to the end is claimed and right, at `first_right_s` the first one is.
+    `noticed_s` is only told where the old place was claimed, rightly, when the robot was taken away.
+    """
+
+    claimed_before: bool
+    noticed_s: float | None
+    recovered_s: float | None
+    first_right_s: float | None
+    false_after_s: float
+
+
+def outcome(stream: Stream, spliced: Splice, reference: Trajectory) -> Outcome:
+    """Judges the poses on both sides of the jump."""
+    early = judge(stream.where(stream.stamps < spliced.jump), reference)
+    late = stream.where(stream.stamps >= spliced.jump)
+    after = judge(_back(late, spliced.moved), reference)
+    since = seconds(after.stream.stamps, spliced.jump - spliced.moved)
+    claimed = bool(len(early.stream) and early.right_claims[-1])
+    noticed = np.flatnonzero(~after.false_claims)
+    found = sustained(after.right_claims)
+    right = np.flatnonzero(after.right_claims)
+    return Outcome(
+        claimed_before=claimed,
+        noticed_s=float(since[noticed[0]]) if claimed and len(noticed) else None,
+        recovered_s=None if found is None else float(since[found]),
+        first_right_s=float(since[right[0]]) if len(right) else None,
+        false_after_s=_time_false(after, since),
+    )
+
+
+def _back(stream: Stream, moved: int) -> Stream:
+    values = {**vars(stream), "stamps": stream.stamps - moved}
+    return Stream(**values)
+
+
+def _time_false(after: Judged, since: NDArray[np.float64]) -> float:
+    """Seconds during which a wrong place was claimed."""
+    if len(since) < 2:
+        return 0.0
+    return float(np.diff(since)[after.false_claims[:-1]].sum())

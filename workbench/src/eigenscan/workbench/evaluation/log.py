@@ -1,0 +1,104 @@
+"""A log as the pipeline hears it: raw scans and odometry, in the order in which they were recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.workbench.evaluation.reference import NS
+from eigenscan.workbench.evaluation.windows import Window
+from eigenscan.workbench.logs import LogOptions, open_log
+from numpy.typing import NDArray
+
+WARM_UP = 200
+
+
+@dataclass(frozen=True)
+class Heard:
+    """One message and its own stamp, ns."""
+
+    stamp: int
+    envelope: Envelope
+
+
+class Log:
+    """All scans and odometry of a log; every lidar counts."""
+
+    def __init__(
+        self, heard: list[Heard], logged: Mapping[int, int] | None = None, *, is_cut: bool = False
+    ) -> None:
+        self._heard = heard
+        self.is_cut = is_cut
+        """Whether the file breaks off, or is damaged from some place on."""
+        self.logged = logged or {}
+        """Stamp as logged, ns, of each scan that was given another one, by that one."""
+        self._stamps = np.asarray([h.stamp for h in heard], dtype=np.int64)
+        self._is_scan = np.asarray([h.envelope.channel == SCAN_RAW for h in heard], dtype=np.bool_)
+
+    @property
+    def scans(self) -> NDArray[np.int64]:
+        """Stamps (n,) of all scans, ns, in the log's order."""
+        return self._stamps[self._is_scan]
+
+    @property
+    def lidars(self) -> list[str]:
+        """Names of the lidars."""
+        return sorted({h.envelope.address["lidar"] for h in self._heard if h.envelope.channel == SCAN_RAW})
+
+    @property
+    def odometry(self) -> int:
+        """Odometry messages in all."""
+        return int(np.count_nonzero(~self._is_scan))
+
+    @property
+    def whole(self) -> list[Envelope]:
+        """All of it, in the log's order."""
+        return [heard.envelope for heard in self._heard]
+
+    @property
+    def beginning(self) -> list[Envelope]:
+        """The first messages: enough to warm up on."""
+        return [heard.envelope for heard in self._heard[:WARM_UP]]
+
+    def between(self, window: Window) -> list[Envelope]:
+        """What is stamped within a window, in the log's order."""
+        inside = (self._stamps >= window.start) & (self._stamps <= window.end)
+        return [self._heard[index].envelope for index in np.flatnonzero(inside)]
+
+    def scan_stamps(self, window: Window) -> NDArray[np.int64]:
+        """Stamps of the scans within a window, ns, increasing."""
+        stamps = np.sort(self.scans)
+        return stamps[np.searchsorted(stamps, window.start) : np.searchsorted(stamps, window.end, "right")]
+
+    def nearest_scan(self, stamp: int, within_s: float) -> Heard | None:
+        """The scan whose stamp is nearest; None where there is none `within_s` seconds around."""
+        distance = np.where(self._is_scan, np.abs(self._stamps - stamp), np.iinfo(np.int64).max)
+        index = int(np.argmin(distance)) if len(distance) else 0
+        return self._heard[index] if len(distance) and distance[index] <= within_s * NS else None
+
+    @staticmethod
+    def canonical(raw: Envelope) -> Scan | None:
+        """What scan-ingest makes of one raw scan; None where it sets it aside."""
+        core = ScanIngestCore(ScanIngestSettings())
+        said = [*core.handle(raw), *core.finish()]
+        return next((envelope.open(Scan) for envelope in said if envelope.channel == SCAN), None)
+
+
+def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) -> Log:
+    """Reads whatever `eigenscan import` reads; `moved` hears how far it is, 0..1. Raises LogError."""
+    opened = open_log(path, options)
+    heard = []
+    for envelope in opened.envelopes():
+        if envelope.channel in (SCAN_RAW, ODOMETRY):
+            heard.append(Heard(envelope.stamp, envelope))
+            moved(opened.progress)
+    moved(1.0)
+    is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))
+    return Log(heard, opened.logged, is_cut=is_cut)

@@ -1,0 +1,174 @@
+"""What is right, what is a false claim, and the figures that follow.
+
+A *claim* is a pose that the tracker itself calls localized. A pose is *right* within 0.5 m and 10 degrees
+of the reference. Poses without a reference are not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from eigenscan.geometry.circle import difference
+from eigenscan.workbench.evaluation.reference import NS, Trajectory
+from numpy.typing import ArrayLike, NDArray
+
+WITHIN_M, WITHIN_RAD = 0.5, np.radians(10.0)
+AT_LEAST = 3
+"""Scans that a run of right claims must last to count."""
+BINS = 10
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Summary = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The poses of one run, a row for each, in the order in which they were said.
+
+    `stamps` ns; `poses` (n, 3) in the map frame; `states` as in the contract; `localized`: the state was
+    LOCALIZED; `tracked`: a pose was given at all; `confidence` 0..1; `covariances` (n, 3, 3); `nis`: the
+    track's normalised innovation squared, NaN where the scan gave it no hypothesis; `cpu_s`: process time of
+    the whole pipeline from the start until the pose was said; `scans`: how many the log has before the
+    pose's own.
+    """
+
+    stamps: NDArray[np.int64]
+    poses: Floats
+    states: NDArray[np.int64]
+    localized: Bools
+    tracked: Bools
+    confidence: Floats
+    covariances: Floats
+    nis: Floats
+    cpu_s: Floats
+    scans: NDArray[np.int64]
+
+    def where(self, chosen: Bools) -> Stream:
+        """The rows that are `chosen` (n,)."""
+        return Stream(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The poses of a run that have a reference, with their errors in metres and radians."""
+
+    stream: Stream
+    position_m: Floats
+    heading_rad: Floats
+    offsets: Floats
+    metres: Floats
+
+    @property
+    def right(self) -> Bools:
+        """Within 0.5 m and 10 degrees."""
+        return right(self.position_m, self.heading_rad)
+
+    @property
+    def false_claims(self) -> Bools:
+        """Claimed, and not right."""
+        return self.stream.localized & ~self.right
+
+    @property
+    def right_claims(self) -> Bools:
+        """Claimed, and right."""
+        return self.stream.localized & self.right
+
+    @property
+    def converged(self) -> int | None:
+        """Row of the first claim from which on, to the end, every pose is claimed and right."""
+        return sustained(self.right_claims)
+
+
+def right(position_m: ArrayLike, heading_rad: ArrayLike) -> Bools:
+    """Which errors (n,), m and rad, are within 0.5 m and 10 degrees; a NaN is not."""
+    near: Bools = np.less_equal(position_m, WITHIN_M) & np.less_equal(np.abs(heading_rad), WITHIN_RAD)
+    return near
+
+
+def errors(poses: Floats, truth: Floats) -> tuple[Floats, Floats]:
+    """Distance in metres and absolute turn in radians between poses (n, 3)."""
+    moved = poses[:, :2] - truth[:, :2]
+    return np.hypot(moved[:, 0], moved[:, 1]), np.abs(difference(poses[:, 2], truth[:, 2]))
+
+
+def judge(stream: Stream, reference: Trajectory) -> Judged:
+    """Sets a run beside the reference; poses without a reference are left out."""
+    _, known = reference.at(stream.stamps)
+    kept = stream.where(known)
+    truth, _ = reference.at(kept.stamps)
+    position, heading = errors(kept.poses, truth)
+    offsets = kept.poses - truth
+    offsets[:, 2] = difference(kept.poses[:, 2], truth[:, 2])
+    return Judged(kept, position, heading, offsets, reference.travelled(kept.stamps))
+
+
+def sustained(held: Bools) -> int | None:
+    """Start of the run of True that lasts to the end, if it is at least 3 long."""
+    broken = np.flatnonzero(~held)
+    start = int(broken[-1]) + 1 if len(broken) else 0
+    return start if len(held) - start >= AT_LEAST else None
+
+
+def summary(values: Iterable[float | None], upper: float = 95.0) -> Summary:
+    """Median and `upper` percentile of what is there; null where nothing is."""
+    there = np.asarray([value for value in values if value is not None], dtype=np.float64)
+    there = there[np.isfinite(there)]
+    name = f"p{upper:g}"
+    if not len(there):
+        return {"median": None, name: None}
+    return {"median": float(np.median(there)), name: float(np.percentile(there, upper))}
+
+
+def rate(marks: Sequence[bool] | Bools) -> float | None:
+    """Share of True; null of nothing."""
+    return float(np.mean(np.asarray(marks, dtype=np.float64))) if len(marks) else None
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Poses of similar confidence: how many, what they said, how many were right."""
+
+    count: int
+    confidence: float
+    right: float
+
+
+def calibration(confidence: Floats, correct: Bools, bins: int = BINS) -> list[Bin]:
+    """The reliability diagram of poses (n,) over equal bins of 0..1; empty bins are left out."""
+    which = np.clip((np.clip(confidence, 0.0, 1.0) * bins).astype(np.int64), 0, bins - 1)
+    found = []
+    for index in np.unique(which):
+        inside = which == index
+        found.append(Bin(int(inside.sum()), float(confidence[inside].mean()), float(correct[inside].mean())))
+    return found
+
+
+def calibration_error(diagram: Sequence[Bin]) -> float | None:
+    """Expected calibration error: the mean gap between said and right, weighted by count."""
+    total = sum(entry.count for entry in diagram)
+    if not total:
+        return None
+    return sum(entry.count * abs(entry.confidence - entry.right) for entry in diagram) / total
+
+
+def normalised_errors(offsets: Floats, covariances: Floats) -> Floats:
+    """Normalised error squared (n,) of offsets (n, 3); NaN where a covariance (n, 3, 3) is singular."""
+    from filterpy.stats import NEES  # a second to import: only who evaluates waits for it
+
+    result = np.full(len(offsets), np.nan)
+    sound = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
+    sound[sound] = np.linalg.det(covariances[sound]) > 0
+    # of offsets, whose headings are shortest turns already: the difference of two headings is none
+    result[sound] = NEES(offsets[sound], np.zeros((np.count_nonzero(sound), 3)), covariances[sound])
+    return result
+
+
+def seconds(stamps: NDArray[np.int64], since: int) -> Floats:
+    """Seconds from `since` to each stamp, both ns."""
+    return (stamps - since) / NS

@@ -1,0 +1,67 @@
+"""The models of a map: built as the mapbuilder builds them, and what that cost."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from eigenscan.eigenspace.folder import MAP, SiteModel
+from eigenscan.geometry.gridmap import read_map
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import build_site
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.schemas.channels import MODEL
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.evaluation.exhaustive import Gallery, gallery
+from eigenscan.workbench.evaluation.figures import Figures
+
+
+@dataclass(frozen=True)
+class Built:
+    """A site's models, as objects and as messages, and the figures of the build."""
+
+    site: SiteModel
+    models: list[Envelope]
+    figures: Figures
+
+    @property
+    def map_m2(self) -> float:
+        """Free area of the map."""
+        return self.site.grid.free_area
+
+
+def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
+    """Builds the models of a map_server yaml, or anew those of a model folder.
+
+    `moved` hears how far it is. Raises MapError or ModelError.
+    """
+    settings = MapbuilderSettings(map=path, spacing=spacing, threads=os.cpu_count() or 1)
+    grid = read_map(path / MAP if path.is_dir() else path)
+    before = time.perf_counter()
+    site = build_site(grid, settings.plan, lambda _, share: moved(share))
+    took = time.perf_counter() - before
+    moved(1.0)
+    models = list(MapbuilderCore(settings, site).start())
+    figures = {
+        "build_s": took,
+        "wire_mb": sum(envelope.message.ByteSize() for envelope in models if envelope.channel == MODEL) / 1e6,
+        "regions": len(site.regions),
+        "positions": sum(len(model.index) for model in site.regions),
+        "spacing_m": spacing,
+        "version": site.to_message().version,
+    }
+    return Built(site, models, figures)
+
+
+def gallery_of(built: Built) -> Gallery:
+    """All panoramas of the regions, positions that several regions share once."""
+    regions = built.site.regions
+    positions = np.vstack([model.positions for model in regions])
+    panoramas = np.vstack([model.panoramas for model in regions])
+    _, first = np.unique(np.round(positions, 6), axis=0, return_index=True)
+    return gallery(positions[first], panoramas[first].astype(np.float64), ProjectorSettings().range_cap)

@@ -1,0 +1,60 @@
+"""What judges a log that comes without a reference of its own."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from eigenscan.geometry.pose import from_pose3
+from eigenscan.runtime.recording import RecordingError, read
+from eigenscan.schemas.channels import TRUTH
+from eigenscan.workbench.evaluation.log import Log
+from eigenscan.workbench.evaluation.reference import EvaluationError, Trajectory
+from eigenscan.workbench.evaluation.workers import Workers
+from eigenscan.workbench.logs import open_log
+from eigenscan.workbench.logs.recording import RecordingLog
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from numpy.typing import NDArray
+
+Pose = NDArray[np.float64]
+
+RECORDED = "the recording's own truth"
+WHOLE_DRIVE = "the drive as a whole"
+"""The pipeline's own poses: what is judged by them is agreement, not accuracy."""
+
+
+def recorded_truth(path: Path, robot: str) -> Trajectory | None:
+    """The true poses that a simulator wrote into a recording of ours; None where there are none."""
+    if not isinstance(open_log(path), RecordingLog):
+        return None
+    told: dict[str, dict[int, Pose]] = {}
+    with suppress(RecordingError):  # it breaks off: what came before counts
+        for record in read(path):
+            heard = record.envelope
+            if heard.channel == TRUTH:
+                poses = told.setdefault(heard.address["robot"], {})
+                poses[heard.stamp] = from_pose3(heard.open(PoseInFrame).pose)
+    # one robot alone is judged under any name, as its scans are
+    poses = told.get(robot) or (next(iter(told.values())) if len(told) == 1 else {})
+    return _trajectory(poses) if poses else None
+
+
+def whole_drive(path: Path, log: Log, workers: Workers) -> Trajectory:
+    """Where the pipeline claims to have been when it hears the whole log in one go.
+
+    A wrong claim that a cold start makes as well is not found so. Raises EvaluationError.
+    """
+    stream = next(workers.runs([log.whole])).stream
+    claimed = stream.where(stream.localized)
+    if not len(claimed):
+        raise EvaluationError(
+            f"{path}: nowhere localized on this map, so nothing to compare with: is it the map of this "
+            "building? Otherwise give --ground-truth"
+        )
+    return _trajectory(dict(zip(claimed.stamps.tolist(), claimed.poses, strict=True)))
+
+
+def _trajectory(poses: dict[int, Pose]) -> Trajectory:
+    stamps = sorted(poses)
+    return Trajectory(np.asarray(stamps, dtype=np.int64), np.asarray([poses[stamp] for stamp in stamps]))

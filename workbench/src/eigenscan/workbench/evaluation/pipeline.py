@@ -1,0 +1,165 @@
+"""The real cores in one process, cold at each run, and what they say with what it cost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.pose import covariance_from_message, from_message
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN_RAW, TRACKS, find
+from eigenscan.schemas.envelope import Core, Envelope, nanoseconds
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
+from eigenscan.schemas.wire import decode, encode
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.evaluation.metrics import Stream
+from eigenscan.workbench.evaluation.remembering import Remembering
+from numpy.typing import NDArray
+
+Packed = tuple[tuple[str, bytes], ...]
+
+
+def pack(envelopes: Iterable[Envelope]) -> Packed:
+    """Keys and bytes of messages, as they would travel; for another process."""
+    return tuple((envelope.key, encode(envelope.message)) for envelope in envelopes)
+
+
+def unpack(packed: Packed) -> Iterator[Envelope]:
+    """Inverse of `pack`."""
+    for key, payload in packed:
+        found = find(key)
+        assert found is not None
+        yield Envelope(found[0], found[1], decode(found[0], payload))
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run said and cost: its poses, and the process time, ms, of each scan (n,)."""
+
+    stream: Stream
+    cpu_ms: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one scan alone gave: base poses (n, 3), most likely first, and the process time, ms."""
+
+    poses: NDArray[np.float64]
+    log_likelihoods: NDArray[np.float64]
+    cpu_ms: float
+
+
+class Pipeline:
+    """Scan-ingest, projector and tracker over one map's models.
+
+    The projector keeps its tables from run to run, for what it says follows from models and scan alone; the
+    others start anew each time.
+    """
+
+    def __init__(self, models: Sequence[Envelope]) -> None:
+        self._models = list(models)
+        self._projector = ProjectorCore(ProjectorSettings())
+        self._teach(self._projector)
+        self._remembering = Remembering(self._projector)
+
+    def _teach(self, core: Core) -> None:
+        for model in self._models:
+            if model.channel in core.hears:
+                list(core.handle(model))
+
+    def cold(self) -> Loopback:
+        """The whole pipeline, knowing the map and nothing of the pose."""
+        ingest, tracker = ScanIngestCore(ScanIngestSettings()), TrackerCore(TrackerSettings())
+        self._teach(tracker)
+        return Loopback([ingest, self._remembering, tracker])
+
+    def warm_up(self, heard: Iterable[Envelope]) -> None:
+        """Hears a few messages before the clock counts: what is compiled late is compiled now."""
+        self.run(heard)
+        self._remembering.forget()
+
+    def run(self, heard: Iterable[Envelope]) -> Run:
+        """Hears raw scans and odometry in the order given, from a cold start."""
+        loop = self.cold()
+        said, cpu_ms, scans = list[_Said](), list[float](), list[int]()
+        spent = at_last_scan = 0
+        loop.start()
+        for envelope in heard:
+            before, owed = time.process_time_ns(), self._remembering.owed_ns
+            answers = loop.hear(envelope)
+            spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
+            said += _poses(answers, spent)
+            if envelope.channel == SCAN_RAW:
+                scans.append(envelope.stamp)
+                cpu_ms.append((spent - at_last_scan) / 1e6)
+                at_last_scan = spent
+        said += _poses(loop.finish(), spent)
+        return Run(_stream(said, np.sort(np.asarray(scans, dtype=np.int64))), np.asarray(cpu_ms))
+
+    def answer(self, scan: Envelope) -> Answer:
+        """Hears one raw scan: no odometry, no tracking, no prior."""
+        loop = Loopback([ScanIngestCore(ScanIngestSettings()), self._projector])
+        before = time.process_time_ns()
+        said = [*loop.hear(scan), *loop.finish()]
+        cpu_ms = (time.process_time_ns() - before) / 1e6
+        listed = [
+            hypothesis
+            for envelope in said
+            if envelope.channel == HYPOTHESES
+            for hypothesis in envelope.open(Hypotheses).hypotheses
+        ]
+        return Answer(
+            np.asarray([from_message(h.pose) for h in listed], dtype=np.float64).reshape(-1, 3),
+            np.asarray([h.log_likelihood for h in listed], dtype=np.float64),
+            cpu_ms,
+        )
+
+
+@dataclass(frozen=True)
+class _Said:
+    """A pose, its track's normalised innovation squared, and the process time, s, until it was said."""
+
+    estimate: PoseEstimate
+    nis: float
+    cpu_s: float
+
+
+def _poses(envelopes: Sequence[Envelope], spent: int) -> list[_Said]:
+    poses = [e.open(PoseEstimate) for e in envelopes if e.channel == POSE]
+    tracks = [e.open(Tracks) for e in envelopes if e.channel == TRACKS]
+    return [
+        _Said(pose, _nis(pose.track_id, beside), spent / 1e9)
+        for pose, beside in zip(poses, tracks, strict=True)
+    ]
+
+
+def _nis(track: int, tracks: Tracks) -> float:
+    return next((t.nis for t in tracks.tracks if t.id == track and t.HasField("nis")), np.nan)
+
+
+def _stream(said: list[_Said], scans: NDArray[np.int64]) -> Stream:
+    estimates = [each.estimate for each in said]
+    stamps = np.asarray([nanoseconds(e.timestamp) for e in estimates], dtype=np.int64)
+    states = np.asarray([e.state for e in estimates], dtype=np.int64)
+    return Stream(
+        stamps=stamps,
+        poses=np.asarray([from_message(e.pose) for e in estimates], dtype=np.float64).reshape(-1, 3),
+        states=states,
+        localized=states == STATE_LOCALIZED,
+        tracked=np.asarray([e.track_id != 0 for e in estimates], dtype=np.bool_),
+        confidence=np.asarray([e.confidence for e in estimates], dtype=np.float64),
+        covariances=np.asarray(
+            [covariance_from_message(e.covariance) for e in estimates], dtype=np.float64
+        ).reshape(-1, 3, 3),
+        nis=np.asarray([each.nis for each in said], dtype=np.float64),
+        cpu_s=np.asarray([each.cpu_s for each in said], dtype=np.float64),
+        scans=np.searchsorted(scans, stamps),
+    )

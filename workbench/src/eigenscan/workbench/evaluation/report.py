@@ -1,0 +1,138 @@
+"""The figures for a reader: one table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eigenscan.workbench.evaluation.figures import Figures
+from eigenscan.workbench.evaluation.own_reference import WHOLE_DRIVE
+from rich.console import Console
+from rich.table import Table
+
+
+def show(figures: Figures, title: str, console: Console) -> None:
+    """Prints the headline figures, then the windows that went wrong."""
+    table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
+    for name, value in _lines(figures):
+        table.add_row(name, value)
+    console.print(table)
+    for remark in remarks(figures):
+        console.print(remark, highlight=False)
+    bad = [row for row in figures["per_window"] or [] if not row["success"] or row["false_claims"]]
+    if bad:
+        console.print(_windows(bad))
+
+
+def remarks(f: Figures) -> list[str]:
+    """What a reader of the figures should look after before believing them."""
+    said = []
+    if f["log"]["odometry"] == 0:
+        said.append("no odometry in the log: by the scans alone")
+    apart = f["normalised_innovation_squared"]["consistency"]
+    if apart["mean"] is not None and apart["high"] is not None and apart["mean"] > apart["high"]:
+        said.append(
+            "odometry and scans disagree by more than their error allows: is the lidar's place on the "
+            "robot right (eigenscan import --mount), and the odometry (--odometry-topic)?"
+        )
+    return said
+
+
+def _lines(f: Figures) -> list[tuple[str, str]]:
+    reach, error = f["to_localize"], f["error"]
+    own = f["reference"] == WHOLE_DRIVE
+    off = "off that reference" if own else "error"
+    lines = [
+        ("reference", f["reference"] + (": agreement with that, not accuracy" if own else "")),
+        (
+            "windows",
+            f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference, or --limit)",
+        ),
+        ("success", _percent(f["success_rate"])),
+        ("windows with a false claim", _percent(f["false_claim_rate"])),
+        *((f"to localize, {name}", _pair(reach[name], "p95")) for name in reach),
+        (f"position {off}, m", _pair(error["position_m"], "p95")),
+        (f"heading {off}, deg", _pair(error["heading_deg"], "p95")),
+        ("calibration error", _percent(f["calibration_error"])),
+    ]
+    if not own:  # an estimate is not normally distributed about itself
+        consistency = f["normalised_error_squared"]["consistency"]
+        lines.append(("normalised error squared", _consistency(consistency)))
+    lines += [
+        ("normalised innovation squared", _consistency(f["normalised_innovation_squared"]["consistency"])),
+    ]
+    if f["kidnap"]:
+        kidnap = f["kidnap"]
+        lines += [
+            ("kidnaps recovered", f"{_percent(kidnap['recovered_rate'])} of {kidnap['kidnaps']}"),
+            ("noticed, s", _pair(kidnap["noticed_s"], "p95")),
+            ("recovered, s", _pair(kidnap["recovered_s"], "p95")),
+            ("first right, s", _pair(kidnap["first_right_s"], "p95")),
+        ]
+    if f["single_scan"]:
+        single = f["single_scan"]
+        listed = f"{_percent(single['in_list'])} (of {_number(single['list_length'])})"
+        lines += [
+            ("single scan, first is right", f"{_percent(single['top1'])} of {single['n']}"),
+            ("single scan, right is listed", listed),
+            ("single scan, CPU ms", _pair(single["cpu_ms"], "p99")),
+        ]
+        if single["exhaustive_n"]:
+            right = f"{_percent(single['exhaustive_top1'])} of {single['exhaustive_n']}"
+            lines += [
+                ("exhaustive, first is right", right),
+                ("exhaustive, CPU ms", _pair(single["exhaustive_cpu_ms"], "p99")),
+            ]
+    model = f["model"]
+    memory = "" if model["memory_mb"] is None else f", {_number(model['memory_mb'])} MB in memory"
+    return [
+        *lines,
+        ("CPU a scan, ms", _pair(f["cpu_ms_per_scan"], "p99")),
+        ("peak memory, MB", _number(f["peak_rss_mb"])),
+        ("map, m²", _number(f["map_m2"])),
+        (
+            "model",
+            f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire{memory}",
+        ),
+    ]
+
+
+def _consistency(found: Figures) -> str:
+    return (
+        f"mean {_number(found['mean'])} of {found['n']} scans {found['apart_m']:g} m apart; "
+        f"consistent within {_number(found['low'])} to {_number(found['high'])}"
+    )
+
+
+def _windows(rows: list[Figures]) -> Table:
+    table = Table(
+        "window", "scans", "m", "success", "false claims", "right", "localized", "last error", box=None
+    )
+    for row in rows:
+        last = row["last"]
+        table.add_row(
+            f"{row['start']:.2f}",
+            str(row["scans"]),
+            _number(row["metres"]),
+            "yes" if row["success"] else "no",
+            str(row["false_claims"]),
+            _percent(row["right_share"]),
+            _percent(row["localized_share"]),
+            f"{last['position_m']:.2f} m, {last['heading_deg']:.1f}°" if last else "-",
+        )
+    return table
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return "-"
+    if abs(value) < 1e-4:
+        return "0"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f} %"
+
+
+def _pair(values: Figures, upper: str) -> str:
+    return f"{_number(values['median'])}   {upper} {_number(values[upper])}"

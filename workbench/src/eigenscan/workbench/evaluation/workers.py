@@ -1,0 +1,109 @@
+"""Runs of the pipeline, one after another or in several processes; the answers are the same.
+
+The reference stays with the caller: a worker gets models and a stretch of the log, no more.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import TypeVar
+
+import numba
+import psutil
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.evaluation.pipeline import Answer, Packed, Pipeline, Run, pack, unpack
+
+R = TypeVar("R")
+
+
+class Worker:
+    """One warm pipeline."""
+
+    def __init__(self, models: Packed, warm_up: Packed) -> None:
+        """Hears `warm_up` once: what is compiled late is compiled before the clock counts."""
+        numba.set_num_threads(1)
+        self._pipeline = Pipeline(list(unpack(models)))
+        self._pipeline.warm_up(unpack(warm_up))
+
+    def run(self, heard: Packed) -> Run:
+        """One cold run over a stretch of the log."""
+        return self._pipeline.run(unpack(heard))
+
+    def answer(self, scan: Packed) -> Answer:
+        """The answer to one raw scan."""
+        return self._pipeline.answer(next(unpack(scan)))
+
+
+_here: list[Worker] = []
+"""The worker of a process that has one."""
+
+
+def _begin(models: Packed, warm_up: Packed) -> None:
+    _here.append(Worker(models, warm_up))
+
+
+def _call(work: Callable[[Worker, Packed], R], packed: Packed) -> R:
+    return work(_here[0], packed)
+
+
+def _peak_mb(_: Worker, __: Packed) -> float:
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def _weigh(models: Packed, warm_up: Packed) -> float:
+    first = Worker(models, warm_up)  # brings the code, which is no part of the model
+    before = psutil.Process().memory_info().rss
+    second = Worker(models, warm_up)
+    added = psutil.Process().memory_info().rss - before
+    del first, second
+    return added / 1e6
+
+
+def model_mb(models: Sequence[Envelope], warm_up: Sequence[Envelope]) -> float:
+    """What models add to the resident set of a process that uses them, MB; found in a process of its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(_weigh, pack(models), pack(warm_up)).result()
+
+
+class Workers:
+    """A worker in this process (`jobs` = 1), or one in each of `jobs` processes. Use it with `with`."""
+
+    def __init__(self, jobs: int, models: Sequence[Envelope], warm_up: Sequence[Envelope]) -> None:
+        beginning = (pack(models), pack(warm_up))
+        self._pool: ProcessPoolExecutor | None = None
+        self._asked = 1 if jobs == 1 else 8 * jobs  # so many that each process is asked, most likely
+        if jobs > 1:
+            self._pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, beginning)
+        else:
+            self._own = Worker(*beginning)
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def peak_mb(self) -> float:
+        """Largest resident set of a worker's process so far, MB."""
+        return max(self._each(_peak_mb, [()] * self._asked))
+
+    def runs(self, stretches: Iterable[Sequence[Envelope]]) -> Iterator[Run]:
+        """One cold run for each stretch of the log, in order."""
+        return self._each(Worker.run, (pack(stretch) for stretch in stretches))
+
+    def answers(self, scans: Iterable[Envelope]) -> Iterator[Answer]:
+        """One answer for each raw scan, in order."""
+        return self._each(Worker.answer, (pack([scan]) for scan in scans))
+
+    def _each(self, work: Callable[[Worker, Packed], R], packed: Iterable[Packed]) -> Iterator[R]:
+        if self._pool:
+            return self._pool.map(partial(_call, work), packed)
+        return (work(self._own, one) for one in packed)

@@ -1,0 +1,240 @@
+"""CSV tables of ranges: a line a scan, as Hokuyo's tools write them, or a line a beam, as SLAMTEC's do.
+
+The header names what there is, with its unit; docs/importing.md has the columns.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogError, LogOptions, in_order, odometry, raw_scan
+from numpy.typing import NDArray
+
+TIME, LIDAR = "time_s", "lidar"
+LINE_A_SCAN = ("angle_min_deg", "angle_increment_deg")
+ODOMETRY = ("x_m", "y_m", "heading_deg")
+LIMITS = ("range_min_m", "range_max_m")
+ANGLES = {"angle_deg": 1.0, "angle_cw_deg": -1.0}
+"""Of a beam, and which way it counts: SLAMTEC's lidars count clockwise."""
+RANGES = {"range_m": 1.0, "range_mm": 1e-3}
+"""Of a beam, or with _0, _1, ... of all beams of a line, and the unit in m."""
+LONGEST_HEADER = 1_000_000
+DEFAULT_LIDAR = "lidar"
+
+
+def looks_like_csv(path: Path) -> bool:
+    """Whether the first line names a column of times."""
+    with path.open("rb") as file:
+        header = file.readline(LONGEST_HEADER)
+    return TIME in header.decode("utf-8-sig", "replace").strip().split(",")
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Where what stands."""
+
+    path: Path
+    places: Mapping[str, int]
+    ranges: NDArray[np.int64]  # columns of the ranges, in the order of their beams
+    unit: float  # of the ranges, m
+    angle: str = ""  # of a line a beam
+
+    @classmethod
+    def read(cls, path: Path, names: list[str]) -> _Columns:
+        """Raises LogError naming the column that is missing."""
+        places = {name.strip(): place for place, name in enumerate(names)}
+        for name, unit in RANGES.items():
+            beams = list[int]()
+            while f"{name}_{len(beams)}" in places:
+                beams.append(places[f"{name}_{len(beams)}"])
+            if beams:
+                missing = [each for each in LINE_A_SCAN if each not in places]
+                if missing:
+                    raise LogError(f"{path}: line 1: a line a scan needs the column {missing[0]}")
+                return cls(path, places, np.array(beams), unit)
+            angle = next((each for each in ANGLES if each in places), None)
+            if name in places and angle:
+                return cls(path, places, np.array([places[name]]), unit, angle)
+        raise LogError(
+            f"{path}: line 1: no columns of ranges: give range_m_0, range_m_1, … (a line a scan), "
+            "or angle_deg and range_m (a line a beam); in mm they are range_mm"
+        )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One line of the table."""
+
+    columns: _Columns
+    number: int
+    cells: list[str]
+
+    def text(self, name: str, default: str = "") -> str:
+        """What stands in a column, or `default`."""
+        place = self.columns.places.get(name)
+        return default if place is None else self.cells[place].strip() or default
+
+    def value(self, name: str, default: float | None = None) -> float:
+        """A number; raises LogError where there is none and no default."""
+        text = self.text(name)
+        if not text and default is not None:
+            return default
+        try:
+            number = float(text)
+        except ValueError:
+            raise self._bad(name, text) from None
+        if not np.isfinite(number):
+            raise self._bad(name, text)
+        return number
+
+    def ranges(self) -> NDArray[np.float64]:
+        """Ranges, m, NaN where a cell is empty."""
+        cells = [self.cells[place].strip() or "nan" for place in self.columns.ranges]
+        try:
+            return np.array(cells, dtype=np.float64) * self.columns.unit
+        except ValueError:
+            names = list(self.columns.places)
+            for place, text in zip(self.columns.ranges, cells, strict=True):
+                try:
+                    float(text)
+                except ValueError:
+                    raise self._bad(names[place], text) from None
+            raise
+
+    def _bad(self, name: str, text: str) -> LogError:
+        what = f"{text!r} is no number that can be used" if text else "is empty"
+        return LogError(f"{self.columns.path}: line {self.number}, column {name}: {what}")
+
+
+@dataclass
+class CsvLog:
+    """A CSV of scans; see the module."""
+
+    path: Path
+    options: LogOptions
+    format: str = "CSV"
+    progress: float = 0.0
+    counters: Counter[str] = field(default_factory=Counter)
+    logged: dict[int, int] = field(default_factory=dict)
+
+    def envelopes(self) -> Iterator[Envelope]:
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError naming line and column where it is wrong."""
+        self.counters.clear()
+        yield from in_order(self._convert(), RECORDER_LAG_NS, self.counters)
+        self.progress = 1.0
+
+    def _convert(self) -> Iterator[Envelope]:
+        taken, seen = 0, set[str]()
+        step: dict[str, float] = {}
+        for (time, lidar), group in groupby(self._lines(), lambda line: (line.value(TIME), _lidar(line))):
+            lines = list(group)
+            seen.add(lidar)
+            stamp = round(time * 1e9)
+            if all(lines[0].text(name) for name in ODOMETRY):
+                x, y, heading = (lines[0].value(name) for name in ODOMETRY)
+                yield odometry(self.options, stamp, (x, y, np.deg2rad(heading)))
+            if self.options.lidars and lidar not in self.options.lidars:
+                self.counters["scans_of_another_lidar"] += 1
+                continue
+            if not lines[0].columns.angle:
+                for line in lines:
+                    yield self._scan(line, stamp, lidar, *_row(line))
+            else:
+                angles, ranges = _beams(lines)
+                step[lidar] = step.get(lidar) or _step(angles)
+                yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, step[lidar]))
+            taken += 1
+        if not taken:
+            there = f"there are {', '.join(sorted(seen))}" if seen else "the header alone"
+            raise LogError(f"{self.path}: no scan to take: {there}")
+
+    def _scan(
+        self, line: _Line, stamp: int, lidar: str, first: float, step: float, ranges: NDArray[np.float64]
+    ) -> Envelope:
+        low, high = (line.value(name, 0.0) for name in LIMITS)
+        return raw_scan(
+            self.options,
+            lidar,
+            stamp,
+            np.zeros(3),
+            frame_id=lidar,
+            angle_min=float(first),
+            angle_increment=float(step),
+            range_min=low,
+            range_max=high,
+            ranges=ranges.astype(np.float32).tolist(),
+        )
+
+    def _lines(self) -> Iterator[_Line]:
+        size = max(self.path.stat().st_size, 1)
+        with self.path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+            rows = csv.reader(file)
+            columns = _Columns.read(self.path, next(rows))
+            read = 0  # csv reads ahead, so the file does not tell its place
+            for cells in self._rows(rows):
+                read += sum(map(len, cells)) + len(cells)
+                self.progress = min(read / size, 1.0)
+                if not cells:
+                    continue
+                if len(cells) != len(columns.places):
+                    counts = f"{len(cells)} columns, the header has {len(columns.places)}"
+                    raise LogError(f"{self.path}: line {rows.line_num}: {counts}")
+                yield _Line(columns, rows.line_num, cells)
+
+    def _rows(self, rows: Any) -> Iterator[list[str]]:
+        try:
+            yield from rows
+        except csv.Error as error:
+            raise LogError(f"{self.path}: line {rows.line_num}: {error}") from error
+
+
+def _lidar(line: _Line) -> str:
+    return line.text(LIDAR, DEFAULT_LIDAR)
+
+
+def _row(line: _Line) -> tuple[float, float, NDArray[np.float64]]:
+    """First angle and step, rad, and ranges of a line that is a scan."""
+    first, step = (np.deg2rad(line.value(name)) for name in LINE_A_SCAN)
+    return float(first), float(step), line.ranges()
+
+
+def _beams(lines: list[_Line]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angles in [0, 360) deg, counter-clockwise, and ranges, m, NaN of quality 0, of lines that are beams."""
+    turn = ANGLES[lines[0].columns.angle]
+    angles = np.array([line.value(line.columns.angle) for line in lines]) * turn % 360.0
+    ranges = np.concatenate([line.ranges() for line in lines])
+    quality = np.array([line.value("quality", 1.0) for line in lines])
+    return angles, np.where(quality > 0, ranges, np.nan)
+
+
+GAP = 3.0
+"""Beams so many middle distances apart have a gap between them."""
+
+
+def _step(angles: NDArray[np.float64]) -> float:
+    """Step, deg, of the even grid that fits uneven beams, a whole part of a turn."""
+    places = np.unique(angles)
+    apart = np.diff(places, append=places[0] + 360.0)
+    beside = apart[apart < GAP * np.median(apart)]
+    return 360.0 / max(2, round(360.0 / float(np.mean(beside))))
+
+
+def _on_grid(
+    angles: NDArray[np.float64], ranges: NDArray[np.float64], step: float
+) -> tuple[float, float, NDArray[np.float64]]:
+    """A whole turn of beams, rad: each takes the range nearest to its angle, none where none is near."""
+    count = round(360.0 / step)
+    place = np.round(angles / step)
+    far_first = np.argsort(-np.abs(angles - place * step), kind="stable")
+    grid = np.full(count, np.nan)
+    grid[place[far_first].astype(np.int64) % count] = ranges[far_first]
+    half = count // 2
+    return -float(np.deg2rad(half * step)), float(np.deg2rad(step)), np.roll(grid, half)

@@ -1,0 +1,89 @@
+"""The pipeline's own MCAP."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from eigenscan.runtime.recording import Record, RecordingError, is_complete, read, read_metadata
+from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogError, LogOptions, in_order, place
+
+
+class RecordingLog:
+    """Raw scans and odometry of one robot in a recording, under the site and robot of the options."""
+
+    format = "Eigenscan recording"
+
+    def __init__(self, path: Path, options: LogOptions) -> None:
+        self.path, self._options = path, options
+        self.counters: Counter[str] = Counter()
+        self.progress = 0.0
+        self.logged: dict[int, int] = {}
+        self._imported = False
+        self._size = max(path.stat().st_size, 1)
+
+    def envelopes(self) -> Iterator[Envelope]:
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan, or of several robots."""
+        self.counters.clear()
+        self.logged.clear()
+        robot = self._robot()
+        self._imported = self._is_import()
+        yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
+        if not is_complete(self.path):  # it was cut, or its writer killed
+            self.counters["truncated_file"] += 1
+        self.progress = 1.0
+
+    def _robot(self) -> str:
+        scans = Counter(
+            record.envelope.address["robot"]
+            for record in self._records()
+            if record.envelope.channel == SCAN_RAW
+        )
+        if not scans:
+            raise LogError(f"{self.path}: holds no raw scan: record the channel {SCAN_RAW.template}")
+        if self._options.robot in scans:
+            return self._options.robot
+        if len(scans) > 1 or self._options.robot != DEFAULT_ROBOT:
+            names = ", ".join(sorted(scans))
+            raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
+        return next(iter(scans))
+
+    def _is_import(self) -> bool:
+        """Whether `eigenscan import` wrote it: then the times of publication are the stamps as logged."""
+        with suppress(RecordingError):
+            return "import" in read_metadata(self.path)
+        return False
+
+    def _of(self, robot: str) -> Iterator[Envelope]:
+        own = {"site": self._options.site, "robot": self._options.robot}
+        seen = 0
+        for record in self._records():
+            seen += record.size
+            self.progress = min(seen / self._size, 1.0)
+            envelope = record.envelope
+            if envelope.channel not in (SCAN_RAW, ODOMETRY) or envelope.address["robot"] != robot:
+                continue
+            if self._imported and record.publish_time != record.log_time and envelope.channel == SCAN_RAW:
+                self.logged[record.log_time] = record.publish_time
+            lidar = envelope.address.get("lidar")
+            if lidar is not None:
+                place(self._options, lidar, envelope.open(RawScan))
+            if lidar is None or not self._options.lidars or lidar in self._options.lidars:
+                yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)
+
+    def _records(self) -> Iterator[Record]:
+        """Records up to the first damage, which is counted. Raises LogError where nothing comes before."""
+        given = False
+        try:
+            for record in read(self.path):
+                given = True
+                yield record
+        except RecordingError as error:
+            if not given:
+                raise LogError(str(error)) from error
+            self.counters["damaged_file"] = 1

@@ -1,0 +1,103 @@
+"""ROS bags of any container: LaserScan and Odometry; without Odometry, what tf says of the base.
+
+**Mounts** are what tf first says of each lidar's frame. **Stamps** are the headers', unless they are zero
+or the clocks of the topics disagree: then the time of recording counts for the topic that is off.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.ros_bridge.inbound import frame_name, header_stamp, on_plane, raw_scan, stated_covariance
+from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.logs.bag import Bag, BagMessage
+from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogOptions, in_order, odometry, place
+from eigenscan.workbench.logs.ros_survey import MOVES, Lidar, Plan, survey_bag
+from numpy.typing import NDArray
+
+STRAY_STAMP_NS = 10_000_000_000
+"""A stamp this far off the topic's usual lag behind the recorder is not believed."""
+
+
+class RosLog:
+    """A ROS bag; see the module for how mounts, odometry and stamps are found."""
+
+    def __init__(self, path: Path, options: LogOptions, bag: Bag) -> None:
+        self.path, self.format = path, bag.format
+        self.counters: Counter[str] = Counter()
+        self.logged: dict[int, int] = {}
+        self._options, self._bag = options, bag
+        self._finished = False
+
+    @property
+    def progress(self) -> float:
+        """0..1 while iterating."""
+        return 1.0 if self._finished else self._bag.progress
+
+    def envelopes(self) -> Iterator[Envelope]:
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan."""
+        self.counters.clear()
+        self._finished = False
+        plan = survey_bag(self._bag, self._options, self.counters)
+        self._bag.counters.clear()
+        messages = self._bag.messages([*plan.lidars, *plan.odometry])
+        yield from in_order(self._convert(messages, plan), RECORDER_LAG_NS, self.counters)
+        self.counters.update(self._bag.counters)
+        self._finished = True
+
+    def _convert(self, messages: Iterator[BagMessage], plan: Plan) -> Iterator[Envelope]:
+        for message in messages:
+            body = message.message
+            if hasattr(body, "transforms"):
+                yield from self._odometry_of_transforms(message, plan)
+                continue
+            time = self._time(message.topic, body.header, message.time, plan)
+            if time is None:
+                continue
+            if message.topic in plan.lidars:
+                yield self._scan(body, plan.lidars[message.topic], time)
+            else:
+                pose = body.pose.pose
+                yield from self._odometry(pose.position, pose.orientation, time, body.pose.covariance)
+
+    def _time(self, topic: str, header: Any, recorded: int, plan: Plan) -> int | None:
+        """Stamp, ns, of a message; None where it has none."""
+        time = recorded
+        if topic in plan.offsets:
+            stamp, usual = header_stamp(header), recorded + plan.offsets[topic]
+            stray = abs(stamp - usual) > STRAY_STAMP_NS
+            self.counters["stray_stamps"] += stray
+            time = usual if stray else stamp
+        if time > 0:
+            return time
+        self.counters["no_stamp"] += 1
+        return None
+
+    def _scan(self, body: Any, lidar: Lidar, time: int) -> Envelope:
+        message = raw_scan(body, time, lidar.mount, lidar.upside_down)
+        place(self._options, lidar.name, message)
+        address = {"site": self._options.site, "robot": self._options.robot, "lidar": lidar.name}
+        return Envelope(SCAN_RAW, address, message)
+
+    def _odometry(
+        self, position: Any, orientation: Any, time: int, covariance: NDArray[np.float64] | None = None
+    ) -> Iterator[Envelope]:
+        pose = on_plane(position, orientation)
+        if pose is None:
+            self.counters["odometry_not_finite"] += 1
+            return
+        stated = [] if covariance is None else stated_covariance(covariance)
+        yield odometry(self._options, time, pose, pose_covariance=stated)
+
+    def _odometry_of_transforms(self, message: BagMessage, plan: Plan) -> Iterator[Envelope]:
+        for item in message.message.transforms:
+            frames = (frame_name(item.header.frame_id), frame_name(item.child_frame_id))
+            if frames == (plan.moves_in, plan.base):
+                time = self._time(MOVES, item.header, message.time, plan)
+                if time is not None:
+                    yield from self._odometry(item.transform.translation, item.transform.rotation, time)

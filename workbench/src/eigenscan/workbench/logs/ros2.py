@@ -1,0 +1,139 @@
+"""ROS 2 bags: a folder, one .db3 file, or MCAP, also with ROS 1 or Foxglove messages in it."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
+from eigenscan.workbench.logs.foxglove import FOXGLOVE
+from eigenscan.workbench.logs.log import LogError
+from eigenscan.workbench.logs.mcap_messages import McapFile
+
+
+class Ros2Bag:
+    """A bag of sqlite3 files, read by rosbags; what that refuses (cut off, no metadata) is salvaged."""
+
+    format = "ROS 2 bag"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.counters: Counter[str] = Counter()
+        self.progress = 0.0
+
+    def topics(self) -> dict[str, str]:
+        """Types by topic."""
+        import apsw
+        from rosbags.rosbag2 import Reader, ReaderError
+
+        try:
+            with Reader(self.path) as reader:
+                found = {connection.topic: connection.msgtype for connection in reader.connections}
+        except (ReaderError, FileNotFoundError, AssertionError, ValueError, apsw.Error):
+            found = {topic: kind for file in self._files() for topic, kind in _tables(file).values()}
+            if not found:
+                raise LogError(f"{self.path}: holds no readable ROS 2 bag: record it again") from None
+        return {topic: kind_of(kind) for topic, kind in found.items() if kind_of(kind) in KINDS}
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Messages by time of recording; salvaged ones in the order of the file."""
+        for topic, kind, time, data in self._raw(topics):
+            yield from decoded(self.counters, topic, time, data, decoder(kind_of(kind), ros1=False))
+
+    def _raw(self, topics: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
+        import apsw
+        from rosbags.rosbag2 import Reader, ReaderError
+
+        given = 0
+        try:
+            with Reader(self.path) as reader:
+                wanted = [c for c in reader.connections if c.topic in topics]
+                total = max(sum(c.msgcount for c in wanted), 1)
+                for connection, time, data in reader.messages(wanted) if wanted else ():
+                    given += 1
+                    self.progress = min(given / total, 1.0)
+                    yield connection.topic, connection.msgtype, time, data
+        except (ReaderError, FileNotFoundError, AssertionError, ValueError, apsw.Error):
+            self.counters["truncated_file"] += 1
+            if not given:
+                for file in self._files():
+                    yield from _salvage(file, topics)
+
+    def _files(self) -> list[Path]:
+        return _parts(self.path, "*.db3")
+
+
+def _parts(path: Path, pattern: str) -> list[Path]:
+    """Files of a bag, part 9 before part 10."""
+    if not path.is_dir():
+        return [path]
+    return sorted(path.glob(pattern), key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)])
+
+
+def _query(path: Path, text: str) -> Iterator[tuple[Any, ...]]:
+    """Rows, up to the first damage."""
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
+            # else a file that is shorter than its header says is refused as a whole
+            base.execute("PRAGMA writable_schema=ON")
+            yield from base.execute(text)
+    except sqlite3.Error:
+        return
+
+
+def _tables(path: Path) -> dict[int, tuple[str, str]]:
+    """Topic and type by id."""
+    return {number: (name, kind) for number, name, kind in _query(path, "SELECT id, name, type FROM topics")}
+
+
+def _salvage(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
+    known = {number: row for number, row in _tables(path).items() if row[0] in topics}
+    for number, time, data in _query(path, "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"):
+        if number in known:
+            yield *known[number], time, data
+
+
+class McapBag:
+    """Messages of ROS or Foxglove in MCAP files, such as those that rosbag2 writes."""
+
+    format = "MCAP"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.counters: Counter[str] = Counter()
+        self._files = [McapFile(file, self.counters) for file in _parts(path, "*.mcap")]
+
+    @property
+    def progress(self) -> float:
+        """Mean of the files."""
+        return sum(file.progress for file in self._files) / len(self._files)
+
+    def topics(self) -> dict[str, str]:
+        """Types by topic."""
+        channels = [channel for file in self._files for channel in file.channels()]
+        understood = {topic: _understood(encoding, schema) for topic, encoding, schema in channels}
+        return {topic: found[0] for topic, found in understood.items() if found is not None}
+
+    def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
+        """Messages by time of recording."""
+        for file in self._files:
+            for schema, channel, message in file.messages(list(topics)):
+                found = _understood(channel.message_encoding, schema.name if schema else "")
+                if found is not None:
+                    time, data = message.log_time, message.data
+                    yield from decoded(self.counters, channel.topic, time, data, found[1])
+
+
+def _understood(encoding: str, schema: str) -> tuple[str, Decoder] | None:
+    """Kind of message and how to decode it; None where it is of no use here."""
+    if encoding == "protobuf":
+        return FOXGLOVE.get(schema)
+    kind = kind_of(schema)
+    if encoding in ("cdr", "ros1") and kind in KINDS:
+        return kind, decoder(kind, encoding == "ros1")
+    return None

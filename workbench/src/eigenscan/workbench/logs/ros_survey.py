@@ -1,0 +1,215 @@
+"""What the beginning of a ROS bag tells: its lidars and their mounts, its odometry, whose clock is right."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from eigenscan.geometry.transforms import TransformTree, planar
+from eigenscan.ros_bridge.inbound import frame_name, header_stamp, lidar_names
+from eigenscan.workbench.logs.bag import LASER_SCAN, MULTI_ECHO, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
+from eigenscan.workbench.logs.log import LogError, LogOptions
+from numpy.typing import NDArray
+
+CLOCKS_APART_NS = 1_000_000_000
+SAME_PLANE_M = 0.5
+USUAL_BASES = ("base_footprint", "base_link", "base", "base_frame")
+ODOMETRY_FRAME = re.compile(r"(.*/)?odom\w*|.*[/_]odom")
+"""Such as odom, robot_0/odom, odom_combined, wheel_odom."""
+NO_ODOMETRY = re.compile(r"truth|gazebo|slam|amcl|map", re.IGNORECASE)
+MOVES = "tf"
+"""Stands for odometry that is told as transforms, among the topics."""
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """One lidar of the log: the name it gets, and where it sits on the base."""
+
+    name: str
+    mount: NDArray[np.float64]
+    upside_down: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a bag is to be converted."""
+
+    lidars: dict[str, Lidar]  # by topic
+    odometry: list[str]  # topics of it: one of Odometry, or those of transforms
+    base: str | None
+    moves_in: str | None  # frame of odometry that is told as transforms
+    offsets: dict[
+        str, int
+    ]  # ns, by topic whose headers' stamps count: stamp minus time of recording, at first
+
+
+@dataclass
+class Survey:
+    """What has been heard so far."""
+
+    options: LogOptions
+    tree: TransformTree = field(default_factory=TransformTree)
+    frames: dict[str, str] = field(default_factory=dict)  # by lidar topic
+    spans: dict[str, int] = field(default_factory=dict)  # deg, field of view by lidar topic
+    offsets: dict[str, int | None] = field(default_factory=dict)  # as in Plan; None: no stamp
+    # odometry frame, and offset as above, by the frame that transforms say moves in it
+    moves: dict[str, tuple[str, int | None]] = field(default_factory=dict)
+    moved: str | None = None  # the frame that Odometry says it moves
+
+    @property
+    def base(self) -> str | None:
+        """The robot's base frame, as far as can be told."""
+        if self.options.base_frame or self.moved:
+            return self.options.base_frame or self.moved
+        usual = [
+            frame
+            for name in USUAL_BASES
+            for frame in self.tree.frames()
+            if frame == name or frame.endswith("/" + name)
+        ]
+        moved = [frame for frame in usual if frame in self.moves]
+        return next(iter([*moved, *usual, *self.moves]), None)
+
+    def hear(self, message: BagMessage) -> None:
+        """Takes note of the first message of a topic, and of transforms."""
+        body = message.message
+        if hasattr(body, "transforms"):
+            for item in body.transforms:
+                self._hear_transform(item, message.time)
+        elif message.topic not in self.offsets:
+            self.offsets[message.topic] = _offset(body.header, message.time)
+            if hasattr(body, "ranges"):
+                self.frames[message.topic] = frame_name(body.header.frame_id)
+                self.spans[message.topic] = _span(body)
+            else:
+                self.moved = frame_name(body.child_frame_id) or None
+
+    def complete(self, lidars: Collection[str], odometry: str | None) -> bool:
+        """Whether nothing is left to find out."""
+        base = self.base
+        if len(self.frames) < len(lidars) or base is None:
+            return False
+        moves = base in self.moves if odometry is None else odometry in self.offsets
+        return moves and all(self.tree.between(base, frame) is not None for frame in self.frames.values())
+
+    def _hear_transform(self, item: Any, recorded: int) -> None:
+        move, turn = item.transform.translation, item.transform.rotation
+        parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
+        self.tree.hear(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
+        if ODOMETRY_FRAME.fullmatch(parent):
+            self.moves.setdefault(child, (parent, _offset(item.header, recorded)))
+
+
+def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
+    """Reads until each lidar was heard and is connected to the base, or to the end.
+
+    What is left out is counted. Raises LogError where there is no usable lidar, or not the one asked for.
+    """
+    kinds = bag.topics()
+    of_kind = {name: [topic for topic, kind in kinds.items() if kind == name] for name in kinds.values()}
+    scans = of_kind.get(LASER_SCAN, []) + of_kind.get(MULTI_ECHO, [])
+    lidars = _choose_lidars(bag, options, scans)
+    odometry = _choose_odometry(bag, options, of_kind.get(ODOMETRY_MESSAGE, []))
+    transforms = of_kind.get(TRANSFORMS, [])
+    survey = Survey(options)
+    for message in bag.messages([*lidars, *transforms, *([odometry] if odometry else [])]):
+        survey.hear(message)
+        if survey.complete(lidars, odometry):
+            break
+    _check_base(bag, survey)
+    placed = _place(survey, counters)
+    if not placed:
+        raise LogError(f"{bag.path}: holds no horizontal laser scan ({LASER_SCAN}) that can be read")
+    offsets = {topic: survey.offsets[topic] for topic in (*placed, odometry) if topic in survey.offsets}
+    moves_in = None
+    if odometry is None and survey.base in survey.moves:
+        moves_in, offsets[MOVES] = survey.moves[survey.base]
+    trusted = _trusted(offsets)
+    counters["topics_stamped_by_recording"] += len(offsets) - len(trusted)
+    return Plan(placed, [odometry] if odometry else transforms, survey.base, moves_in, trusted)
+
+
+def _check_base(bag: Bag, survey: Survey) -> None:
+    """Raises LogError where the base frame that was asked for is in no transform."""
+    base, known = survey.options.base_frame, survey.tree.frames()
+    if base is not None and base != survey.moved and known and base not in known:
+        raise LogError(f"{bag.path}: no frame {base} in tf: there are {_listed(sorted(known))}")
+
+
+def _choose_odometry(bag: Bag, options: LogOptions, topics: list[str]) -> str | None:
+    if options.odometry is not None:
+        if options.odometry not in topics:
+            raise LogError(f"{bag.path}: no odometry topic {options.odometry}: there are {_listed(topics)}")
+        return options.odometry
+    raw = [topic for topic in topics if not NO_ODOMETRY.search(topic)]
+    return min(raw, key=lambda topic: ("odom" not in topic, len(topic), topic), default=None)
+
+
+def _choose_lidars(bag: Bag, options: LogOptions, topics: list[str]) -> list[str]:
+    names = lidar_names(topics)
+    missing = sorted(set(options.lidars) - set(topics) - set(names.values()))
+    if missing or not topics:
+        what = f"no lidar {missing[0]}" if missing else "holds no laser scan"
+        raise LogError(f"{bag.path}: {what}: topics of {LASER_SCAN}: {_listed(topics)}")
+    asked = set(options.lidars)
+    return [topic for topic in topics if not asked or {topic, names[topic]} & asked]
+
+
+def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
+    """Lidars to take, by topic.
+
+    Unless they were asked for: one topic of each sensor frame, for another is the same scan again; and
+    only lidars at about the height of the one that sees most, for a map shows one plane.
+    """
+    asked, base = bool(survey.options.lidars), survey.base
+    names = lidar_names([*survey.frames])
+    lidars: dict[str, Lidar] = {}
+    frames: set[str] = set()
+    plane: float | None = None
+    for topic in sorted(survey.frames, key=lambda topic: (-survey.spans[topic], len(topic), topic)):
+        frame = survey.frames[topic]
+        matrix = survey.tree.between(base, frame) if base else None
+        told = names[topic] in survey.options.mounts
+        placed = planar(np.eye(4) if matrix is None or told else matrix)
+        height = plane if matrix is None else float(matrix[2, 3])
+        elsewhere = plane is not None and height is not None and abs(height - plane) > SAME_PLANE_M
+        if frame in frames and not asked:
+            counters["topics_of_the_same_lidar"] += 1
+        elif placed is None:
+            counters["lidars_tilted"] += 1
+        elif elsewhere and not asked:
+            counters["lidars_at_another_height"] += 1
+        else:
+            counters["lidars_without_mount"] += matrix is None and not told
+            plane = height if plane is None else plane
+            frames.add(frame)
+            lidars[topic] = Lidar(names[topic], *placed)
+    return lidars
+
+
+def _trusted(offsets: dict[str, int | None]) -> dict[str, int]:
+    """Offsets of the topics whose headers' stamps count: all where the clocks agree, else the recorder's."""
+    stamped = {topic: offset for topic, offset in offsets.items() if offset is not None}
+    agree = not stamped or max(stamped.values()) - min(stamped.values()) <= CLOCKS_APART_NS
+    if agree and len(stamped) == len(offsets):
+        return stamped
+    return {topic: offset for topic, offset in stamped.items() if abs(offset) <= CLOCKS_APART_NS}
+
+
+def _offset(header: Any, recorded: int) -> int | None:
+    stamp = header_stamp(header)
+    return stamp - recorded if stamp > 0 else None
+
+
+def _span(body: Any) -> int:
+    """Field of view, deg, rounded: lidars that differ by less see as much."""
+    span = float(np.degrees(abs(body.angle_increment) * len(body.ranges)))
+    return round(span) if np.isfinite(span) else 0
+
+
+def _listed(topics: list[str]) -> str:
+    return ", ".join(topics) or "none"

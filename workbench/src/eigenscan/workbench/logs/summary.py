@@ -1,0 +1,107 @@
+"""What was imported, on one screen."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs.log import Log
+from rich.console import Console
+from rich.table import Table
+
+HINTS = {
+    "stamps_repaired": "by the order of the lines",
+    "truncated_file": "what could be read was taken",
+    "lidars_at_another_height": "a map shows one plane; take them with --lidar-topic",
+    "topics_of_the_same_lidar": "take them with --lidar-topic",
+    "lidars_without_mount": "not in tf: taken to be at the base's origin; tell it with --mount",
+    "topics_stamped_by_recording": "their clock is not that of the others",
+}
+
+
+@dataclass
+class _Row:
+    """One lidar, or odometry."""
+
+    messages: int = 0
+    first: int = 0
+    last: int = 0
+    about: str = ""
+    beams: Counter[int] = field(default_factory=Counter)
+
+    @property
+    def seconds(self) -> float:
+        return (self.last - self.first) * 1e-9
+
+    @property
+    def rate(self) -> str:
+        return f"{(self.messages - 1) / self.seconds:.1f}" if self.seconds > 0 else "-"
+
+
+class Summary:
+    """Counts what passes."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, _Row] = {}
+
+    @property
+    def lidars(self) -> list[str]:
+        """Names of those that were heard."""
+        return sorted(name for name, row in self._rows.items() if row.beams)
+
+    def add(self, envelope: Envelope, time: int) -> None:
+        """Takes note of a message with stamp `time`, ns."""
+        name = envelope.address["lidar"] if envelope.channel is SCAN_RAW else envelope.channel.name
+        row = self._rows.get(name)
+        if row is None:
+            row = self._rows[name] = _Row(first=time)
+        row.messages += 1
+        row.last = time
+        if envelope.channel is SCAN_RAW:
+            scan = envelope.open(RawScan)
+            row.beams[len(scan.ranges)] += 1
+            row.about = _about(scan)
+
+    def show(self, console: Console, log: Log, target: Path) -> None:
+        """Prints the table and what was set aside."""
+        table = Table(title=f"{log.path} ({log.format})", title_justify="left")
+        table.add_column("", overflow="fold")  # the name is needed whole, for --mount and --lidar-topic
+        for column in ("messages", "Hz", "s", "beams"):
+            table.add_column(column, justify="right")
+        table.add_column("lidar and its mount")
+        for name, row in sorted(self._rows.items()):
+            beams = ", ".join(str(count) for count, _ in row.beams.most_common(3))
+            table.add_row(name, str(row.messages), row.rate, f"{row.seconds:.1f}", beams, row.about)
+        console.print(table)
+        for what, count in sorted(log.counters.items()):
+            if count:
+                hint = f" ({HINTS[what]})" if what in HINTS else ""
+                console.print(f"{what.replace('_', ' ')}: {count}{hint}", highlight=False)
+        console.print(f"wrote {target} ({target.stat().st_size / 1e6:.1f} MB)", highlight=False)
+
+    def figures(self, log: Log, target: Path) -> dict[str, object]:
+        """The same for scripts: by lidar and by channel."""
+        return {
+            "log": str(log.path),
+            "format": log.format,
+            "messages": {
+                name: {"count": row.messages, "seconds": row.seconds, "beams": sorted(row.beams)}
+                for name, row in sorted(self._rows.items())
+            },
+            "set_aside": {what: count for what, count in sorted(log.counters.items()) if count},
+            "recording": str(target),
+        }
+
+
+def _about(scan: RawScan) -> str:
+    step = math.degrees(scan.angle_increment)
+    limit = f"{scan.range_max:g} m" if scan.range_max else "limit not stated"
+    mount = scan.mount
+    place = f"{mount.x:.3f} m, {mount.y:.3f} m, {math.degrees(mount.theta):.1f}°"
+    turned = ", upside down" if scan.upside_down else ""
+    return f"{abs(step) * len(scan.ranges):.0f}° by {abs(step):.3g}°, {limit}; at {place}{turned}"

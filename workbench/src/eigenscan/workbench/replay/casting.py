@@ -1,0 +1,128 @@
+"""The instances that a recording heard, as cores with the settings they had."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.schemas.channels import Channel
+from eigenscan.schemas.envelope import Condition, Core, Envelope
+from eigenscan.schemas.group import EVERY, holds
+from eigenscan.workbench.replay.services import Service
+from eigenscan.workbench.replay.survey import Survey
+from pydantic import ValidationError
+
+Changes = Mapping[str, Mapping[str, str]]
+"""Settings to replay with instead: values as text, by service and setting."""
+
+
+@dataclass
+class Instance:
+    """A core in its place: hears what its process would hear, and outlives its faults as a process does."""
+
+    service: Service
+    name: str
+    robots: str
+    """The group that it serves."""
+    source: str
+    """Where its settings come from, in words."""
+    core: Core
+    faults: list[str] = field(default_factory=list)
+    hears: tuple[Channel, ...] = field(init=False)
+    says: tuple[Channel, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.hears, self.says = self.core.hears, self.core.says
+
+    def start(self) -> Iterable[Envelope]:
+        """As its core."""
+        return self.core.start()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """What the core says until it fails, where it does; nothing for robots that are not its own."""
+        if "robot" in heard.address and not holds(self.robots, heard.address["robot"]):
+            return
+        try:
+            yield from self.core.handle(heard)
+        except Exception as error:
+            self.faults.append(f"{type(error).__name__} on {heard.key}: {error}")
+
+    def finish(self) -> Iterable[Envelope]:
+        """As its core."""
+        return self.core.finish()
+
+    def condition(self) -> Condition:
+        """As its core."""
+        return self.core.condition()
+
+
+def cast(survey: Survey, services: tuple[Service, ...], changes: Changes) -> list[Instance]:
+    """A core for each instance that the recording heard, from the sensor on.
+
+    Where it tells of none, one that serves every robot. Raises UsageError for settings that do not hold.
+    """
+    foreign = sorted(set(changes) - {service.name for service in services})
+    if foreign:
+        raise UsageError(f"--set {foreign[0]}: is not replayed; there are {_names(services)}")
+    return [
+        _instance(survey, service, name, changes.get(service.name, {}))
+        for service in services
+        for name in _instances(survey, service)
+    ]
+
+
+def _names(services: tuple[Service, ...]) -> str:
+    return ", ".join(service.name for service in services)
+
+
+def _instances(survey: Survey, service: Service) -> list[str | None]:
+    """Names; None for the one that nothing is known of."""
+    if service.instance_field and survey.projectors:
+        return [*sorted(survey.projectors)]
+    told = sorted(name for (of, name), told in survey.told.items() if of == service.name and told.settings)
+    return [*told] or [None]
+
+
+def _instance(survey: Survey, service: Service, name: str | None, changes: Mapping[str, str]) -> Instance:
+    told = survey.told.get((service.name, name)) if name is not None else None
+    text = (told.settings if told else "") or survey.settings.get(service.name, "")
+    values, source = _recorded(survey, service, text)
+    if name is not None:
+        values["instance"] = name
+    settings = _settings(service, {**values, **changes})
+    if changes:
+        source += ", but " + ", ".join(f"{field} = {value}" for field, value in changes.items())
+    robots = settings.robot if text else EVERY
+    if robots == EVERY and service.instance_field and name is not None:
+        robots = ",".join(sorted(survey.projectors.get(name, ()))) or EVERY
+    return Instance(service, settings.instance, robots, source, service.make(settings))
+
+
+def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, object], str]:
+    """Settings that a recording tells, without those that this version does not know; and words on them."""
+    if not text:
+        return {"robot": EVERY}, "default settings, for the recording does not tell them"
+    try:
+        values = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise UsageError(f"{survey.path}: settings of {service.name} are no JSON: {error}") from error
+    if not isinstance(values, dict):
+        raise UsageError(f"{survey.path}: settings of {service.name} are no JSON object")
+    known = {name: value for name, value in values.items() if name in service.settings.model_fields}
+    unknown = sorted(values.keys() - known.keys())
+    lost = f" without {', '.join(unknown)}, which this version does not know" if unknown else ""
+    return known, f"settings as recorded{lost}"
+
+
+def _settings(service: Service, values: Mapping[str, object]) -> ServiceSettings:
+    try:
+        return service.settings.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or service.name
+        known = ", ".join(service.settings.model_fields)
+        fault = f"there are {known}" if first["type"] == "extra_forbidden" else first["msg"]
+        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {fault}") from error

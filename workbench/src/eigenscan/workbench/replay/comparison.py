@@ -1,0 +1,199 @@
+"""What was said and what is said now: matched by key and stamp, judged by bytes, then by fields."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from eigenscan.schemas.channels import Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.wire import encode
+from eigenscan.workbench.replay.fields import Difference, differences
+from eigenscan.workbench.replay.playing import Event, Side
+
+LEAST = 10
+"""Compared messages that a replay needs, to prove anything."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What counts as the same."""
+
+    tolerant: bool = False
+    ignored: frozenset[str] = frozenset()
+    """Fields, such as `scan.sequence`."""
+    unjudged: Mapping[Channel, str] = field(default_factory=dict)
+    """Channels that are counted only, and why."""
+    least: int = LEAST
+
+
+@dataclass
+class Tally:
+    """Messages of one channel."""
+
+    recorded: int = 0
+    replayed: int = 0
+    same: int = 0
+    within: int = 0
+    """Not the same bytes, but the same within tolerances and but for ignored fields."""
+    different: int = 0
+    missing: int = 0
+    """Recorded, and not said again."""
+    extra: int = 0
+    """Said, and not recorded."""
+    outside: int = 0
+    """Said, with a stamp before the first or after the last recorded one: the recorder was not there."""
+
+    @property
+    def compared(self) -> int:
+        """Messages that both sides say."""
+        return self.same + self.within + self.different
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not (self.different or self.missing or self.extra)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One message that is not as recorded."""
+
+    stamp: int
+    channel: Channel
+    key: str
+    fields: tuple[Difference, ...]
+
+
+class Comparison:
+    """Takes events in any order that keeps each side's own; holds only what waits for its other half."""
+
+    def __init__(
+        self, channels: Sequence[Channel], spans: Mapping[str, tuple[int, int]], terms: Terms
+    ) -> None:
+        """`spans` are the least and greatest recorded stamp, ns, of each key."""
+        self.terms = terms
+        self.tallies = {channel: Tally() for channel in channels}
+        self._channels, self._spans = list(channels), spans
+        self._waiting: dict[tuple[str, int], deque[Event]] = {}
+        self._orders: dict[str, dict[Side, list[int]]] = defaultdict(lambda: {side: [] for side in Side})
+        self._first: Finding | None = None
+
+    def take(self, event: Event) -> None:
+        """Takes what was or is said; what was heard is left alone."""
+        if event.side is Side.HEARD:
+            return
+        envelope, tally = event.envelope, self.tallies[event.envelope.channel]
+        tally.recorded += event.side is Side.RECORDED
+        tally.replayed += event.side is Side.REPLAYED
+        key, stamp = envelope.key, envelope.stamp
+        waiting = self._waiting.setdefault((key, stamp), deque())
+        if waiting and waiting[0].side is not event.side:
+            pair = {waiting[0].side: waiting.popleft().envelope, event.side: envelope}
+            self._judge(key, stamp, pair[Side.RECORDED], pair[Side.REPLAYED])
+        else:
+            waiting.append(event)
+        if not waiting:
+            del self._waiting[key, stamp]
+        if not self._is_outside(key, stamp):
+            self._orders[key][event.side].append(stamp)
+
+    def finish(self) -> None:
+        """Judges what has no other half, and the order. To be called once, at the end."""
+        for (key, stamp), waiting in self._waiting.items():
+            for event in waiting:
+                self._judge_alone(key, stamp, event)
+        self._waiting.clear()
+        for key, orders in self._orders.items():
+            self._judge_order(key, orders[Side.RECORDED], orders[Side.REPLAYED])
+
+    @property
+    def first(self) -> Finding | None:
+        """The difference with the earliest stamp; of one stamp, that of the channel nearest to the sensor."""
+        return self._first
+
+    @property
+    def judged(self) -> dict[Channel, Tally]:
+        """The tallies that decide."""
+        return {
+            channel: tally for channel, tally in self.tallies.items() if channel not in self.terms.unjudged
+        }
+
+    @property
+    def problems(self) -> list[str]:
+        """Why this says nothing, or not that all is well; empty where it is equal."""
+        judged = self.judged
+        compared = sum(tally.compared for tally in judged.values())
+        lone = sum(tally.missing + tally.extra for tally in judged.values())
+        found = []
+        if compared + lone < self.terms.least:
+            found.append(
+                f"only {compared} messages to compare, fewer than {self.terms.least}: proves nothing"
+            )
+        for channel, tally in judged.items():
+            if not tally.is_equal:
+                counts = f"{tally.different} different, {tally.missing} missing, {tally.extra} too many"
+                found.append(f"{channel.name}: {counts}")
+            elif tally.outside > tally.compared:
+                said = tally.compared + tally.outside
+                found.append(f"{channel.name}: only {tally.compared} of {said} messages are in the recording")
+        return found
+
+    def _is_outside(self, key: str, stamp: int) -> bool:
+        first, last = self._spans.get(key, (stamp + 1, stamp))
+        return not first <= stamp <= last
+
+    def _judge(self, key: str, stamp: int, recorded: Envelope, replayed: Envelope) -> None:
+        channel = recorded.channel
+        tally = self.tallies[channel]
+        before, now = encode(recorded.message), encode(replayed.message)
+        if before == now:
+            tally.same += 1
+            return
+        found = list(differences(recorded.message, replayed.message, tolerant=self.terms.tolerant))
+        if not found and not self.terms.tolerant:
+            found = [Difference("(bytes)", before.hex(), now.hex())]
+        found = [one for one in found if not self._is_ignored(channel, one)]
+        if not found:
+            tally.within += 1
+            return
+        tally.different += 1
+        self._note(Finding(stamp, channel, key, tuple(found)))
+
+    def _judge_alone(self, key: str, stamp: int, event: Event) -> None:
+        channel = event.envelope.channel
+        tally = self.tallies[channel]
+        if event.side is Side.RECORDED:
+            tally.missing += 1
+            found = Difference("(message)", "said", "not said")
+        elif self._is_outside(key, stamp):
+            tally.outside += 1
+            return
+        else:
+            tally.extra += 1
+            found = Difference("(message)", "not said", "said")
+        self._note(Finding(stamp, channel, key, (found,)))
+
+    def _judge_order(self, key: str, recorded: list[int], replayed: list[int]) -> None:
+        """Where as many were said of the same stamps; anything else is counted already."""
+        if recorded == replayed or sorted(recorded) != sorted(replayed):
+            return
+        place = next(n for n, (a, b) in enumerate(zip(recorded, replayed, strict=True)) if a != b)
+        channel = next(channel for channel in self._channels if channel.parse(key))
+        self.tallies[channel].different += 1
+        found = Difference(f"(order)[{place}]", recorded[place], replayed[place])
+        self._note(Finding(recorded[place], channel, key, (found,)))
+
+    def _is_ignored(self, channel: Channel, one: Difference) -> bool:
+        name = f"{channel.name}.{one.name}"
+        return any(name == field or name.startswith(f"{field}.") for field in self.terms.ignored)
+
+    def _note(self, finding: Finding) -> None:
+        if finding.channel not in self.terms.unjudged and (
+            self._first is None or self._rank(finding) < self._rank(self._first)
+        ):
+            self._first = finding
+
+    def _rank(self, finding: Finding) -> tuple[int, int, str]:
+        return finding.stamp, self._channels.index(finding.channel), finding.key

@@ -1,0 +1,106 @@
+"""A recording given to cores in lock-step: the second of two passes over it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.runtime.recording import read
+from eigenscan.schemas.channels import ODOMETRY, RELOCATION
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.workbench.replay.casting import Instance
+from eigenscan.workbench.replay.services import Service, heard_by, said_by
+from eigenscan.workbench.replay.survey import Survey
+
+DISPENSABLE = (ODOMETRY, RELOCATION)
+"""What a service hears, but can do without."""
+
+
+class Side(Enum):
+    """Who an event comes from."""
+
+    HEARD = "heard"
+    RECORDED = "recorded"
+    REPLAYED = "replayed"
+
+
+@dataclass(frozen=True)
+class Event:
+    """A message that cores heard, that they once said, or that they say now; `time` is a log time, ns."""
+
+    side: Side
+    time: int
+    envelope: Envelope
+
+
+def play(
+    survey: Survey,
+    services: tuple[Service, ...],
+    instances: Sequence[Instance],
+    models: Sequence[Envelope] = (),
+    moved: Callable[[int], None] = lambda _time: None,
+) -> Iterator[Event]:
+    """All events, in order of the recording's log time; `moved` hears it.
+
+    Maps and models come first, for a recorder may hear them late; `models` stand for those of the recording.
+    Each answer follows what it answers.
+    Raises UsageError where the cores lack what they need.
+    """
+    said = said_by(services)
+    heard = heard_by(instances, said)
+    _check(survey, services)
+    loop = Loopback(instances)
+    yield from _replayed(survey.begin, loop.start())
+    early = {key: envelope for key, envelope in survey.latched.items() if envelope.channel in heard}
+    first = models or early.values()
+    wanted = [envelope for envelope in first if envelope.channel in heard]
+    for envelope in sorted(wanted, key=lambda one: heard.index(one.channel)):
+        yield Event(Side.HEARD, survey.begin, envelope)
+        yield from _replayed(survey.begin, loop.hear(envelope))
+    _check_ready(survey, instances)
+    theirs, own = {channel.name for channel in said}, {channel.name for channel in heard}
+    for record in read(survey.path):
+        envelope = record.envelope
+        moved(record.log_time)
+        if envelope.channel.name in theirs:
+            yield Event(Side.RECORDED, record.log_time, envelope)
+        elif envelope.channel.name in own and not _is_early(envelope, early, models):
+            yield Event(Side.HEARD, record.log_time, envelope)
+            yield from _replayed(record.log_time, loop.hear(envelope))
+    yield from _replayed(survey.end, loop.finish())
+
+
+def _is_early(envelope: Envelope, early: dict[str, Envelope], models: Sequence[Envelope]) -> bool:
+    """Whether the cores know it from the start: the first of a latched key, or what `models` stand for."""
+    return envelope.channel.qos.latched and (bool(models) or early.pop(envelope.key, None) is not None)
+
+
+def _replayed(time: int, said: Iterable[Envelope]) -> Iterator[Event]:
+    return (Event(Side.REPLAYED, time, envelope) for envelope in said)
+
+
+def _check(survey: Survey, services: tuple[Service, ...]) -> None:
+    """Raises UsageError where the recording lacks what the first service needs to say anything."""
+    first = services[0]
+    for channel in first.hears:
+        needed = not channel.qos.latched and channel not in DISPENSABLE
+        if needed and not survey.counts[channel]:
+            raise UsageError(
+                f"{survey.path}: holds no {channel.name}, which {first.name} hears: record it as well"
+            )
+
+
+def _check_ready(survey: Survey, instances: Sequence[Instance]) -> None:
+    for instance in instances:
+        if not any(channel.qos.latched for channel in instance.hears):
+            continue
+        condition = instance.condition()
+        if condition.status == Health.STATUS_WAITING:
+            raise UsageError(
+                f"{survey.path}: {instance.service.name} cannot be replayed: {condition.detail}: "
+                "give --model FOLDER, or record with the mapbuilder running"
+            )

@@ -1,0 +1,124 @@
+"""What a recording holds: the first of two passes over it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.recording import Record, is_complete, read, read_metadata
+from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, TRACKS, Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.tracking_pb2 import Tracks
+from eigenscan.workbench.replay.services import PARTS, said_by
+
+
+@dataclass
+class Told:
+    """What an instance told of itself by its health."""
+
+    version: str = ""
+    settings: str = ""
+    settings_changed: bool = False
+    restarts: int = 0
+    counters: dict[str, int] = field(default_factory=dict)
+
+    def hear(self, health: Health) -> None:
+        """Takes its next word."""
+        heard = {name: count for name, count in health.counters.items() if name != "waiting"}
+        self.restarts += any(count > heard.get(name, 0) for name, count in self.counters.items())
+        self.version, self.counters = health.package_version, heard
+        self.settings = self.settings or health.settings
+        self.settings_changed |= health.settings not in ("", self.settings)
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Messages by channel that did not fit into its inbox."""
+        start = "dropped_"
+        return {
+            name.removeprefix(start): count
+            for name, count in self.counters.items()
+            if name.startswith(start) and count and not name.endswith("foreign_key")
+        }
+
+
+@dataclass
+class Survey:
+    """A recording at a glance."""
+
+    path: Path
+    complete: bool
+    settings: dict[str, str]
+    """Of services, JSON by name, where the file itself tells them."""
+    begin: int = 0
+    end: int = 0
+    """Log times of its first and last message, ns."""
+    counts: Counter[Channel] = field(default_factory=Counter)
+    latched: dict[str, Envelope] = field(default_factory=dict)
+    """The first message of each latched key."""
+    spans: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Least and greatest stamp, ns, of each key that a service speaks on."""
+    sites: set[str] = field(default_factory=set)
+    projectors: dict[str, set[str]] = field(default_factory=dict)
+    """Robots of each projector, by what they said."""
+    told: dict[tuple[str, str], Told] = field(default_factory=dict)
+    """By service and instance."""
+    remembered: dict[str, str] = field(default_factory=dict)
+    """By service: the sign that it ran before the recording began."""
+
+    @property
+    def seconds(self) -> float:
+        """From the first message to the last."""
+        return (self.end - self.begin) * 1e-9
+
+    def take(self, record: Record) -> None:
+        """Notes the next message."""
+        envelope = record.envelope
+        channel, key = envelope.channel, envelope.key
+        self.sites.add(envelope.address["site"])
+        self.begin = self.begin or record.log_time
+        self.end = max(self.end, record.log_time)
+        if channel is HEALTH:
+            health = envelope.open(Health)
+            self.told.setdefault((health.service, health.instance), Told()).hear(health)
+        if channel.qos.latched:
+            self.latched.setdefault(key, envelope)
+        if channel in _SAID:
+            stamp = envelope.stamp
+            first, last = self.spans.get(key, (stamp, stamp))
+            self.spans[key] = min(first, stamp), max(last, stamp)
+            self._look_back(envelope)
+        if channel is HYPOTHESES:
+            self.projectors.setdefault(envelope.address["projector"], set()).add(envelope.address["robot"])
+        self.counts[channel] += 1
+
+    def _look_back(self, envelope: Envelope) -> None:
+        """Whether the first word on a key follows from what came before the recording."""
+        if self.counts[envelope.channel]:
+            return
+        if envelope.channel is SCAN and (sequence := envelope.open(Scan).sequence):
+            self.remembered["scan-ingest"] = f"its first scan here is its number {sequence}"
+        if envelope.channel is TRACKS:
+            age = max((track.age for track in envelope.open(Tracks).tracks), default=0.0)
+            if age > 0:
+                self.remembered["tracker"] = f"its first track here is {age:.1f} s old"
+
+
+_SAID = said_by(PARTS)
+
+
+def survey(path: Path) -> Survey:
+    """Reads `path` once. Raises RecordingError, or UsageError where nothing in it is of the contract."""
+    complete = is_complete(path)
+    metadata = read_metadata(path) if complete else {}
+    settings = {name: entry["settings"] for name, entry in metadata.items() if "settings" in entry}
+    found = Survey(path, complete, settings)
+    for record in read(path):
+        found.take(record)
+    if not found.counts:
+        why = "give a file that the recorder wrote" if complete else "it ends before the first whole chunk"
+        raise UsageError(f"{path}: holds no message of ours: {why}")
+    return found

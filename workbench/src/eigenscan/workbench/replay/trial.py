@@ -1,0 +1,154 @@
+"""One replay from a file to a verdict: what the commands and the test suite share."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.schemas.channels import Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.replay.casting import Changes, Instance, cast
+from eigenscan.workbench.replay.comparison import Comparison, Terms
+from eigenscan.workbench.replay.playing import Event, Side, play
+from eigenscan.workbench.replay.reference import Reference
+from eigenscan.workbench.replay.services import Service, said_by
+from eigenscan.workbench.replay.survey import Survey
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is replayed and how it is judged."""
+
+    services: tuple[Service, ...]
+    terms: Terms = field(default_factory=Terms)
+    changes: Changes = field(default_factory=dict)
+    models: Sequence[Envelope] = ()
+    """Instead of those of the recording."""
+    reference: Reference | None = None
+    """What they are to say, where it is not what the recording says."""
+    out: Path | None = None
+    """Recording to write: all that was heard, and what is said now."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial."""
+
+    survey: Survey
+    instances: list[Instance]
+    comparison: Comparison
+    heard: Counter[Channel]
+    took_s: float
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the verdict must know of the recording and of this replay."""
+        return [*_of_the_file(self.survey), *_of_the_run(self.survey, self.instances)]
+
+
+def run(trial: Trial, survey: Survey, moved: Callable[[int], None] = lambda _time: None) -> Outcome:
+    """Replays and compares. Raises UsageError or RecordingError for input that cannot be replayed."""
+    before = time.perf_counter()
+    instances = cast(survey, trial.services, trial.changes)
+    spans = trial.reference.spans if trial.reference else survey.spans
+    comparison = Comparison(said_by(trial.services), spans, trial.terms)
+    heard = Counter[Channel]()
+    events = _events(trial, survey, instances, moved)
+    for event in _written(trial.out, events) if trial.out else events:
+        heard[event.envelope.channel] += event.side is Side.HEARD
+        comparison.take(event)
+    comparison.finish()
+    return Outcome(survey, instances, comparison, heard, time.perf_counter() - before)
+
+
+def _events(
+    trial: Trial, survey: Survey, instances: Sequence[Instance], moved: Callable[[int], None]
+) -> Iterator[Event]:
+    events = play(survey, trial.services, instances, trial.models, moved)
+    return _beside(trial.reference, said_by(trial.services), events) if trial.reference else events
+
+
+def picture_beside(recording: Path, choice: str) -> Path:
+    """Where the picture of a difference lies."""
+    return recording.with_name(f"{recording.stem}.{choice}.rrd")
+
+
+def picture(trial: Trial, outcome: Outcome, report: str, target: Path) -> bool:
+    """Draws both sides around the first difference into a Rerun file, by a second replay.
+
+    False where there is no difference to draw, or `target` cannot be written.
+    """
+    first, survey = outcome.comparison.first, outcome.survey
+    if first is None:
+        return False
+    from eigenscan.workbench.replay.picture import draw
+
+    instances = cast(survey, trial.services, trial.changes)
+    events = _events(trial, survey, instances, lambda _time: None)
+    try:
+        draw(target, events, trial.models or survey.latched.values(), first.stamp, report)
+    except OSError:
+        return False
+    return True
+
+
+def _beside(reference: Reference, channels: Sequence[Channel], events: Iterable[Event]) -> Iterator[Event]:
+    """The events with the reference in the recording's place."""
+    wanted = reference.words(Side.RECORDED, channels)
+    upcoming = next(wanted, None)
+    for event in events:
+        while upcoming and upcoming.time <= event.time:
+            yield upcoming
+            upcoming = next(wanted, None)
+        if event.side is not Side.RECORDED:
+            yield event
+    if upcoming:
+        yield upcoming
+    yield from wanted
+
+
+def _written(path: Path, events: Iterable[Event]) -> Iterator[Event]:
+    with RecordingWriter(path) as writer:
+        for event in events:
+            if event.side is not Side.RECORDED:
+                writer.write(event.envelope, event.time)
+            yield event
+
+
+def _of_the_file(survey: Survey) -> Iterator[str]:
+    if not survey.complete:
+        yield "its writer did not close it: replayed as far as it goes"
+
+
+def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
+    for instance in instances:
+        name = f"{instance.service.name} {instance.name}"
+        for service, sign in survey.remembered.items():
+            if service == instance.service.name:
+                yield f"{name} ran before the recording began ({sign}): what it remembered is not in the file"
+        told = survey.told.get((instance.service.name, instance.name))
+        if told and told.restarts:
+            yield f"{name} was started again {told.restarts} times: what it forgot then is not forgotten here"
+        if told and told.settings_changed:
+            yield f"{name} was given other settings while it was recorded: here the first hold to the end"
+        for channel, count in told.lost.items() if told else ():
+            yield f"{name} lost {count} {channel}: its inbox was full; here it hears all that is recorded"
+        late = told.counters.get("odometry_came_late", 0) if told else 0
+        if late:
+            yield (
+                f"{name} answered {late} scans before their odometry had come, as its patience ended: "
+                "here it may be in time, and answers differ from there on"
+            )
+        for each in instance.hears:
+            heard, held = told.counters.get(f"heard_{each.name}", 0) if told else 0, survey.counts[each]
+            if not each.qos.latched and heard > held:
+                yield (
+                    f"{name} had heard {heard} {each.name}, the recording holds {held}: "
+                    "what the recorder missed cannot be replayed, and answers may differ for it"
+                )
+        if instance.faults:
+            yield f"{name} failed on {len(instance.faults)} messages; first, {instance.faults[0]}"

@@ -1,0 +1,96 @@
+"""What a 2D lidar measures: walls, people, noise, and beams that go missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.pose import compose
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.workbench.simulation.people import RADIUS
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A sensor and its faults. The default is the paper's, but for a shorter reach."""
+
+    beams: int = 361
+    fov: float = np.pi  # rad, from the first beam to the last
+    rate: float = 10.0  # Hz
+    range_min: float = 0.04  # m
+    range_max: float = 30.0  # m
+    noise: float = 0.015  # m, standard deviation
+    missing: float = 0.01  # share of the beams that are lost
+    mount: tuple[float, float, float] = (0.1, 0.0, 0.0)  # m, m, rad in the robot's base frame
+
+    @property
+    def angle_increment(self) -> float:
+        """Step from beam to beam, rad."""
+        return self.fov / (self.beams - 1)
+
+    @property
+    def bearings(self) -> Array:
+        """Direction of each beam (B,) in the sensor's frame, rad."""
+        return np.arange(self.beams, dtype=np.float64) * self.angle_increment - self.fov / 2
+
+    def measure(self, walls: RayCaster, base: Array, people: Array, random: np.random.Generator) -> Array:
+        """Ranges (B,), m, at the base pose (3,) among `people` (n, 2): +inf: no return, NaN: missing."""
+        sensor = compose(base, self.mount)
+        ranges: Array = walls.cast(sensor, self.bearings, self.range_max)[0].astype(np.float64)
+        ranges = np.minimum(ranges, to_discs(sensor, self.bearings, people, RADIUS))
+        # as many draws in every scan, so that one scan's beams do not shift the next one's noise
+        ranges = ranges + self.noise * random.standard_normal(self.beams)
+        lost = random.random(self.beams) < self.missing
+        ranges[ranges > self.range_max] = np.inf
+        ranges[lost | (ranges < self.range_min)] = np.nan
+        return ranges
+
+
+LIDARS = {
+    "generic": Lidar(),
+    "sick-lms200": Lidar(361, np.pi, 10.0, 0.04, 30.0, 0.015),
+    "sick-tim571": Lidar(811, np.deg2rad(270.0), 15.0, 0.05, 25.0, 0.02),
+    "hokuyo-urg-04lx": Lidar(683, np.deg2rad(240.0), 10.0, 0.06, 4.0, 0.01),
+    "hokuyo-utm-30lx": Lidar(1081, np.deg2rad(270.0), 40.0, 0.1, 30.0, 0.01),
+    "rplidar-a1": Lidar(360, np.deg2rad(359.0), 5.5, 0.15, 12.0, 0.02, 0.05),
+    "rplidar-a2": Lidar(400, np.deg2rad(359.1), 10.0, 0.2, 12.0, 0.02, 0.03),
+}
+"""Lidars by name: beams, angles, rates and limits as their makers state them, noise about so."""
+
+SAME_WALL = 0.05
+"""m: two maps that differ by no more along a beam show it the same wall."""
+
+
+def unexpected(
+    lidar: Lidar, world: RayCaster, known: RayCaster, base: Array, people: Array
+) -> NDArray[np.bool_]:
+    """Which beams (B,) from the base pose (3,) end on what the map `known` lacks of the `world`.
+
+    That is people (n, 2), m, and furniture.
+    """
+    sensor = compose(base, lidar.mount)
+    wall = world.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
+    shown = known.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
+    body = to_discs(sensor, lidar.bearings, people, RADIUS)
+    on_it: NDArray[np.bool_] = (body < wall) | (np.isfinite(wall) & (shown > wall + SAME_WALL))
+    return on_it
+
+
+def to_discs(sensor: Array, bearings: Array, centres: Array, radius: float) -> Array:
+    """Distance (B,) along each beam to the first disc, +inf where there is none.
+
+    `sensor` (3,) and `centres` (n, 2) in one frame. A disc around the sensor itself is not seen.
+    """
+    angles = sensor[2] + bearings
+    directions = np.stack([np.cos(angles), np.sin(angles)])
+    offset = centres - sensor[:2]
+    along = offset @ directions
+    squared = np.sum(offset**2, axis=1, keepdims=True)
+    half_chord = radius**2 - (squared - along**2)
+    near_side = along - np.sqrt(np.maximum(half_chord, 0.0))
+    hit = (half_chord > 0) & (near_side > 0) & (squared > radius**2)
+    nearest: Array = np.min(np.where(hit, near_side, np.inf), axis=0, initial=np.inf)
+    return nearest
