@@ -4,9 +4,11 @@ import os
 import sys
 from pathlib import Path
 
+ROOT = Path(__file__).resolve().parents[1]
+"""Of the project."""
 PROGRAMS = Path(sys.executable).parent
 EIGENSCAN = PROGRAMS / "eigenscan"
-DATASETS = Path(__file__).parents[2] / "shared/datasets"
+DATASETS = ROOT.parent / "shared/datasets"
 """Real logs, beside the project; tests of them are marked `dataset`."""
 
 PATIENT = {

@@ -15,7 +15,7 @@ from eigenscan.schemas.channels import HEALTH
 from eigenscan.schemas.envelope import Envelope
 
 from tests.browser.chromium import Pixels, open_page, screenshot_when, share
-from tests.recorder.traffic import Site
+from tests.services.recorder.traffic import Site
 
 WIDTH, HEIGHT = 1280, 720
 TOP_PX = 30

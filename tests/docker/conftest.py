@@ -6,11 +6,11 @@ import subprocess
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.environment import ROOT
+
 BASE = "python:3.11-slim-bookworm"
 MAKE_BASE = ROOT.parent / "shared/tools/make-base-image"
 GIVEN = os.environ.get("EIGENSCAN_TEST_IMAGES")

@@ -18,7 +18,8 @@ from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import CHANNELS, POSE, find
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
-from tests.docker.conftest import BASE, MARKS, ROOT, compose, docker, until
+from tests.docker.conftest import BASE, MARKS, compose, docker, until
+from tests.environment import ROOT
 from tests.fleet.conftest import run
 from tests.network import free_port
 

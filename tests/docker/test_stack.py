@@ -27,8 +27,8 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.schemas.wire import decode
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from tests.docker.conftest import MARKS, PROFILES, ROOT, compose, docker, until
-from tests.environment import PATIENT
+from tests.docker.conftest import MARKS, PROFILES, compose, docker, until
+from tests.environment import PATIENT, ROOT
 
 SERVICES = (
     "router",

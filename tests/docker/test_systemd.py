@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from tests.docker.conftest import MARKS, ROOT
-from tests.environment import PATIENT
+from tests.docker.conftest import MARKS
+from tests.environment import PATIENT, ROOT
 from tests.fleet.conftest import run
 
 SITE, ROBOT = "hospital", "r17"

@@ -7,7 +7,6 @@ import shlex
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -16,7 +15,7 @@ from eigenscan.cli.settings_page import KINDS, settings_of
 from eigenscan.runtime.settings import load
 from markdown_it import MarkdownIt
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.environment import ROOT
 
 
 @dataclass(frozen=True)

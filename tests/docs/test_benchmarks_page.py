@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.code_blocks import ROOT
+from tests.environment import ROOT
 
 
 @pytest.fixture

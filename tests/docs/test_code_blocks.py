@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.code_blocks import ROOT, Block, blocks, commands, pages, refusal
+from tests.docs.code_blocks import Block, blocks, commands, pages, refusal
+from tests.environment import ROOT
 
 EVERY = [block for page in pages() for block in blocks(page)]
 READ = [block for block in EVERY if block.language in ("", "sh") and any(commands(block.code))]

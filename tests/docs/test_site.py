@@ -9,7 +9,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from tests.docs.code_blocks import ROOT, pages
+from tests.docs.code_blocks import pages
+from tests.environment import ROOT
 
 
 class _Links(HTMLParser):

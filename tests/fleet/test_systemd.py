@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.environment import PROGRAMS
+from tests.environment import PROGRAMS, ROOT
 
-UNITS = Path(__file__).parents[2] / "deploy/systemd"
+UNITS = ROOT / "deploy/systemd"
 WORST_EXPOSURE = 20  # of 100, as systemd-analyze security counts: OK
 
 pytestmark = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")

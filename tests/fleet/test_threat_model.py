@@ -1,12 +1,13 @@
 """The threat model: each line names a test that there is."""
 
 import re
-from pathlib import Path
 
 import pytest
 
-TESTS = Path(__file__).parents[1]
-PAGE = TESTS.parent / "docs/security.md"
+from tests.environment import ROOT
+
+TESTS = ROOT / "tests"
+PAGE = ROOT / "docs/security.md"
 ROWS = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")][1:]
 
 

@@ -16,7 +16,7 @@ from eigenscan.localize import Localizer, Scan
 from eigenscan.mapbuilder.floors import stack
 from numpy.typing import NDArray
 
-from tests.projector.office import free_poses, office
+from tests.services.projector.office import free_poses, office
 
 STEP, BEAMS = np.deg2rad(1.0), 271
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.environment import ROOT
 
 
 def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]:

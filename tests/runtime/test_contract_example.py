@@ -5,7 +5,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from eigenscan.runtime.bus import Bus
@@ -14,7 +13,9 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
-PAGE = Path(__file__).parents[2] / "docs/contract.md"
+from tests.environment import ROOT
+
+PAGE = ROOT / "docs/contract.md"
 
 
 def test_the_example_hears_a_pose(net: Any, buses: Callable[[], Bus]) -> None:

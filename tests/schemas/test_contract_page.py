@@ -5,7 +5,9 @@ import pytest
 from eigenscan.schemas.channels import CHANNELS, Channel
 from eigenscan.schemas.page import fill, main
 
-PAGE = Path(__file__).parents[2] / "docs/contract.md"
+from tests.environment import ROOT
+
+PAGE = ROOT / "docs/contract.md"
 
 
 def test_the_page_is_current() -> None:

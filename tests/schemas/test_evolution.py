@@ -9,7 +9,7 @@ import pytest
 from eigenscan.schemas.evolution import breaks, contract
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorSet
 
-ROOT = Path(__file__).parents[2]
+from tests.environment import ROOT
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
 
 from tests.environment import PROGRAMS
-from tests.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
+from tests.services.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
 from tests.system.house import House
 
 AT_ONCE = 100

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.environment import PROGRAMS
+from tests.environment import PROGRAMS, ROOT
 from tests.network import free_port
 from tests.system.house import PATIENCE_S, House
 from tests.system.prometheus import find_programs, serving, until_it_has
 from tests.system.robot import Robot
 
-DEPLOY = Path(__file__).parents[2] / "deploy"
+DEPLOY = ROOT / "deploy"
 ALERTS = DEPLOY / "prometheus/alerts.yml"
 ONLY_IN_TROUBLE = re.compile(r"> 0$")
 """A graph that is empty on a site that is well."""

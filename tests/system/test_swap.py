@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from eigenscan.geometry.gridmap import write_map
@@ -25,9 +24,10 @@ from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
 
+from tests.environment import ROOT
 from tests.system.house import ONE_THREAD, PATIENCE_S, House
 
-EXAMPLE = Path(__file__).parents[2] / "examples/exhaustive-projector/exhaustive_projector.py"
+EXAMPLE = ROOT / "examples/exhaustive-projector/exhaustive_projector.py"
 RATE_HZ = 5.0
 WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
 LARGEST_GAP_NS = 200_000_000

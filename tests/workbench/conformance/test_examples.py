@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.environment import PROGRAMS
+from tests.environment import PROGRAMS, ROOT
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = ROOT / "examples"
 PROJECTOR = EXAMPLES / "exhaustive-projector"
 RUST_INGEST = EXAMPLES / "scan-ingest-rust"
 

@@ -12,7 +12,9 @@ import pytest
 from eigenscan.workbench.evaluation.metrics import calibration
 from PIL import Image
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+from tests.environment import ROOT
+
+BENCHMARKS = ROOT / "benchmarks"
 
 
 @pytest.fixture(scope="module")

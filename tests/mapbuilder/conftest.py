@@ -1,9 +1,0 @@
-import pytest
-from eigenscan.geometry.gridmap import GridMap
-
-from tests.mapbuilder.floorplan import two_rooms
-
-
-@pytest.fixture
-def office() -> GridMap:
-    return two_rooms()

@@ -1,0 +1,105 @@
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from eigenscan.eigenspace.folder import write_models
+from eigenscan.eigenspace.versions import choose, replace, versions
+from eigenscan.geometry.circle import TURN
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.keeping.store import Store
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.schemas.channels import HEALTH, MODEL_SET
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
+from pydantic import ValidationError
+
+from tests.services.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
+
+PULSE = Envelope(HEALTH, {"site": "site", "service": "mapbuilder", "instance": "0"}, Health())
+
+
+def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> MapbuilderCore:
+    store = Store(folder)
+    site = store.renewed()
+    assert site is not None
+    core = MapbuilderCore(MapbuilderSettings(model=folder, changes=changes), site, store)
+    assert list(core.start())[-1].channel is MODEL_SET
+    return core
+
+
+def come_by(core: MapbuilderCore, numbers: Iterable[int]) -> list[Envelope]:
+    """Robots on visits of these numbers, and a pulse at the end; what was said."""
+    said: list[Envelope] = []
+    for number in numbers:
+        for heard in Patrol(number).messages(MOVED, number * VISIT_S):
+            said += core.handle(heard)
+    return [*said, *core.handle(PULSE)]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_models(build_site(KNOWN, Plan(step=TURN / 120)), tmp_path / "model")
+    return tmp_path / "model"
+
+
+def test_what_is_published_can_be_taken_back_and_stays_taken_back(folder: Path) -> None:
+    core, first = start(folder, "publish"), versions(folder)[0].version
+    said = come_by(core, range(5))
+    channels = Counter(envelope.channel.name for envelope in said)
+    assert channels["map"] == channels["model_set"] == 1
+    regions = core.condition().counters["regions"]
+    assert 0 < channels["model"] < regions
+    second = versions(folder)[0].version
+    assert said[-1].open(ModelSet).version == second != first
+    assert core.condition().counters["changes_published"] == 1
+
+    replace(folder, choose(versions(folder), None, folder).folder)
+    back = list(core.handle(PULSE))
+    assert back[-1].open(ModelSet).version == first
+    said = come_by(core, [5, 6])
+    assert said == []
+    assert versions(folder)[0].version == first
+    assert core.condition().counters["changes_proposed"] >= 2
+    assert "eigenscan models accept" in core.condition().detail
+
+
+def test_a_store_that_cannot_be_written_is_told_and_costs_no_evidence(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core = start(folder, "propose")
+    come_by(core, range(4))
+    with monkeypatch.context() as broken:
+        broken.setattr(Store, "propose", _full)
+        come_by(core, [4])
+        assert core.condition().status == Health.STATUS_DEGRADED
+        assert "No space left" in core.condition().detail
+    come_by(core, [5])
+    assert core.condition().status == Health.STATUS_OK
+    assert core.condition().counters["changes_proposed"] == 1
+
+
+def _full(*_: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> None:
+    core, manifest = start(folder, "off"), folder / "manifest.json"
+    assert core.hears == (HEALTH,)
+    good = manifest.read_text()
+    manifest.write_text("{")
+    assert list(core.handle(PULSE)) == []
+    assert core.condition().status == Health.STATUS_DEGRADED
+    assert "manifest.json" in core.condition().detail
+    manifest.write_text(good + " ")
+    assert [said.channel.name for said in core.handle(PULSE)] == ["map", "model_set"]
+    assert core.condition().status == Health.STATUS_OK
+
+
+def test_a_map_alone_cannot_be_kept() -> None:
+    with pytest.raises(ValidationError, match="eigenscan build"):
+        MapbuilderSettings(map="map.yaml", changes="propose")
+    assert MapbuilderCore(MapbuilderSettings(map="map.yaml"), KNOWN).hears == ()

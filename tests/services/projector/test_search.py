@@ -1,0 +1,240 @@
+"""Sweep, verification, thinning, refinement and likelihood against plain loops."""
+
+from dataclasses import replace
+
+import numpy as np
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.distance_field import DistanceField
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.geometry.pose import compose, inverse
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector.association.manifold import Sheets
+from eigenscan.projector.association.sweep import SweepTable
+from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
+from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.likelihood import support
+from eigenscan.projector.observation import ANALYSIS_TURN, by_reach, observe
+from eigenscan.projector.projection import find_candidates, project
+from eigenscan.projector.refinement import POLISH, SLIDE, fit
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, foreseen, predicted, verify
+from eigenscan.projector.wall_field import WallField
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.services.projector.office import Array, free_poses, office, ready, scan_at, site
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**16), st.integers(1, 3), st.integers(1, 40))
+def test_the_sweep_finds_the_nearest_of_all_regions(seed: int, regions: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    # whole numbers up to the largest: packing into bytes loses nothing
+    tables = [
+        rng.integers(-127, 128, size=(int(rng.integers(1, 90)), 4)).astype(np.float32) for _ in range(regions)
+    ]
+    tables[0][0] = 127.0
+    alphas = rng.normal(0, 60, size=(regions, 4))
+    residuals = rng.uniform(0, 4000, regions)
+    sheets = [Sheets(t[:, None], np.zeros((len(t), 2)), np.zeros((len(t), 2), int)) for t in tables]
+    found = SweepTable.of(sheets).nearest(alphas, residuals, count)
+    rows, square = found.rows, found.squares
+    direct = np.concatenate(
+        [((t - a) ** 2).sum(axis=1) + e for t, a, e in zip(tables, alphas, residuals, strict=True)]
+    )
+    nearest = np.sort(direct)[:count]
+    assert len(rows) == len(nearest)
+    assert np.allclose(square, nearest, rtol=1e-4)
+    assert np.allclose(direct[rows], nearest, rtol=1e-4)
+
+
+def test_opening_the_nearest_blocks_loses_few_of_the_nearest_poses() -> None:
+    core = ready()
+    built = core._site
+    assert built is not None
+    view = built.view(observe(scan_at(free_poses(1, 0)[0])).sensor)
+    table = view.association
+    assert isinstance(table, SweepTable)
+    everything = replace(table, opened=1e6)
+    recall, nearest = [], []
+    for i, truth in enumerate(free_poses(30, 12)):
+        seen = observe(scan_at(truth, seed=i))
+        projected = project(view, seen, seen.used)
+        square = projected.error_energy**2 * 2 * len(seen.coarse)
+        some = table.nearest(projected.coefficients, square, 300).rows
+        every = everything.nearest(projected.coefficients, square, 300).rows
+        recall.append(np.isin(every, some).mean())
+        nearest.append(np.isin(every[:30], some).mean())
+    assert np.mean(recall) > 0.95
+    assert np.mean(nearest) > 0.97
+
+
+def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:
+    lattice = Lattice.of(site(0.25).regions)
+    truth = free_poses(1, 3)[0]
+    seen = observe(scan_at(truth))
+    windows = predicted(lattice, len(seen.coarse), 30.0)
+    rng = np.random.default_rng(0)
+    position = rng.integers(0, len(lattice.positions), 50)
+    heading = rng.integers(0, ANALYSIS_TURN, 50)
+    found_position, found_heading, cost = verify(windows, lattice, position, heading, seen.coarse, 30.0, 50)
+
+    used = np.isfinite(seen.coarse)
+
+    def direct(p: int, k: int) -> float:
+        wall = np.minimum(lattice.panoramas[p, (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN], RANGE_CAP)
+        beyond = np.minimum(seen.coarse, RANGE_CAP) - wall
+        off = np.where(beyond > 0, np.minimum(beyond, LONG), np.minimum(-beyond, SHORT))
+        reach = np.sqrt(np.minimum(seen.coarse[used], RANGE_CAP))
+        return float((off[used] * reach).sum() / reach.sum())
+
+    for i in range(50):
+        turned = min(
+            ((direct(position[i], heading[i] + step), step) for step in (0, -1, 1)), key=lambda t: t[0]
+        )
+        around = lattice.neighbours[position[i]]
+        all_of_them = [
+            direct(p, heading[i] + turned[1] + step) for p in around[around >= 0] for step in (-1, 0, 1)
+        ]
+        assert np.isclose(cost[i], min(*all_of_them, turned[0]), atol=1e-5)
+        assert np.isclose(cost[i], direct(found_position[i], found_heading[i]), atol=1e-5)
+
+
+def test_lattice_keeps_shared_positions_once_and_searches_every_place() -> None:
+    models = site(0.25).regions
+    lattice = Lattice.of(models)
+    assert len(np.unique(np.round(lattice.positions, 4), axis=0)) == len(lattice.positions)
+    for model, own, searched in zip(models, lattice.regions, lattice.searched, strict=True):
+        assert np.allclose(lattice.positions[own], model.positions)
+        away = lattice.positions[own][:, None] - lattice.positions[searched][None]
+        # every position has a searched one in its own block of half a metre
+        assert np.abs(away).max(axis=2).min(axis=1).max() <= 0.5 - 1e-6 + 0.25
+    step = lattice.positions[lattice.neighbours[:, 5]] - lattice.positions
+    there = lattice.neighbours[:, 5] >= 0
+    assert np.allclose(step[there], [0.0, 0.25])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**16), st.integers(1, 12))
+def test_thinning_keeps_the_best_of_each_neighbourhood(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack([rng.uniform(0, 2, (40, 2)), rng.uniform(-np.pi, np.pi, 40)])
+    order = rng.permutation(40)
+    kept: list[int] = []
+    for i in order:
+        turn = np.abs((poses[kept, 2] - poses[i, 2] + np.pi) % (2 * np.pi) - np.pi)
+        near = (np.hypot(*(poses[kept, :2] - poses[i, :2]).T) <= 0.5) & (turn <= 0.4)
+        if len(kept) < count and not near.any():
+            kept.append(int(i))
+    assert best_of_neighbourhoods(poses, order, 0.5, 0.4, count).tolist() == kept
+
+
+def test_lattice_poses_look_along_their_windows() -> None:
+    poses = lattice_poses(np.array([[1.0, 2.0]]), np.array([0, 0]), np.array([0, 45]), 180, -np.pi / 2)
+    assert np.allclose(poses, [[1.0, 2.0, np.pi / 2], [1.0, 2.0, -np.pi]])
+
+
+def test_refinement_goes_home_from_half_a_grid_step() -> None:
+    field = DistanceField.of(office())
+    coarse, fine = WallField.of(field, 0.1), WallField.of(field)
+    errors = []
+    for i, truth in enumerate(free_poses(30, 5)):
+        points = observe(scan_at(truth, seed=i)).points
+        start = truth + np.random.default_rng(i).uniform(-1, 1, 3) * [0.2, 0.2, 0.05]
+        slid = fit(coarse, start[None], points, SLIDE)
+        home = fit(fine, slid.poses, points, POLISH)
+        errors.append(np.abs(home.poses[0] - truth))
+    # within a cell of the map
+    assert np.median(errors, axis=0).max() < 0.05
+    assert np.mean(np.max(errors, axis=1) < 0.12) >= 0.9
+
+
+def test_a_turned_map_turns_the_refined_pose_and_its_information() -> None:
+    grid = office()
+    shift = np.array([2.0, -1.0, 0.7])
+    turned = GridMap(grid.cells, grid.resolution, compose(shift, grid.origin))
+    truth = free_poses(1, 8)[0]
+    points = observe(scan_at(truth)).points
+    start = truth + np.array([0.1, -0.05, 0.03])
+    plain = fit(WallField.of(DistanceField.of(grid)), start[None], points, POLISH)
+    other = fit(WallField.of(DistanceField.of(turned)), compose(shift, start)[None], points, POLISH)
+    assert np.allclose(compose(inverse(shift), other.poses), plain.poses, atol=1e-4)
+    cos, sin = np.cos(shift[2]), np.sin(shift[2])
+    R = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    assert np.allclose(R.T @ other.information[0] @ R, plain.information[0], rtol=1e-2, atol=0.5)
+
+
+def test_support_counts_walls_and_beams_through_them() -> None:
+    grid = office()
+    field = WallField.of(DistanceField.of(grid))
+    caster = RayCaster.of(grid)
+    truth = free_poses(1, 11)[0]
+    seen = observe(scan_at(truth, noise=0.0))
+    used = seen.used
+    z, bearings = seen.coarse[used], seen.bearings[used]
+
+    def of(pose: np.ndarray, ranges: np.ndarray) -> tuple[float, float]:
+        predicted_ = caster.cast(pose, bearings, 40.0)
+        mean, explained = support(field, pose[None], bearings, ranges.astype(np.float32), predicted_)
+        return float(mean[0]), float(explained[0])
+
+    full, explained = of(truth, z)
+    assert full > 0.9
+    assert explained > 0.95
+    shorter, _ = of(truth, np.where(np.arange(len(z)) % 2, z, 0.3))
+    longer, _ = of(truth, np.where(np.arange(len(z)) % 2, z, z + 1.0))
+    # something in front of every other beam takes its support; a wall that is not there speaks against
+    assert 0.4 < shorter < 0.75
+    assert longer < shorter - 0.2
+
+
+def test_many_beams_on_one_near_thing_say_little_more_than_one() -> None:
+    weight = by_reach(np.array([0.5, 8.0]))
+    assert np.isclose(weight.mean(), 1.0)
+    # half-way between beams, which count alike, and lengths of wall, of which the far beam sees 16 times more
+    assert np.isclose(weight[1] / weight[0], 4.0)
+
+
+def test_the_nearest_panorama_foresees_what_a_pose_sees() -> None:
+    lattice = Lattice.of(site(0.25).regions)
+    truth = free_poses(20, 12)
+    sensor = observe(scan_at(truth[0])).sensor
+    beams = np.arange(0, 90, 7)
+    windows = predicted(lattice, 91, 0.0)
+    apart = np.linalg.norm(lattice.positions[None] - truth[:, None, :2], axis=2)
+    nearest = apart.argmin(axis=1)
+    # from a neighbour of the nearest position the nearest one is found
+    around = lattice.neighbours[nearest]
+    home = np.where(around[:, 1] < 0, nearest, around[:, 1])
+    ranges = foreseen(windows, lattice, home, truth, beams, sensor.angle_min, 0.0)
+    heading = np.rint((truth[:, 2] + sensor.angle_min) / (TURN / ANALYSIS_TURN)).astype(int)
+    expected = lattice.panoramas[nearest[:, None], (heading[:, None] + beams) % ANALYSIS_TURN]
+    assert np.array_equal(ranges, np.where(expected < RANGE_CAP, expected, np.inf))
+
+
+def candidates_verified(built: SiteModel) -> int:
+    core, grid = ready(built), built.grid
+    assert core._site is not None
+    seen = observe(scan_at(free_poses(1, 7, grid)[0], grid=grid))
+    counts: dict[str, int] = {}
+
+    def note(stage: str, poses: Array) -> None:
+        counts[stage] = len(poses)
+
+    find_candidates(core._site, core._site.view(seen.sensor), seen, ProjectorSettings(), note)
+    return counts["verified"]
+
+
+def test_a_large_site_keeps_more_candidates_for_more_places_look_alike() -> None:
+    """A hundred rooms of one size, 1,600 m2 of them, each with a cupboard elsewhere."""
+    cells = np.full((430, 430), FREE, dtype=np.uint8)
+    cells[::42], cells[:, ::42] = OCCUPIED, OCCUPIED
+    cells[21::42], cells[:, 21::42] = FREE, FREE  # doors
+    rng = np.random.default_rng(5)
+    for room in np.ndindex(10, 10):
+        row, column = np.array(room) * 42 + rng.integers(4, 34, 2)
+        cells[row : row + 4, column : column + 4] = OCCUPIED
+    rooms = build_site(GridMap(cells, 0.1, np.zeros(3)), Plan(spacing=0.5))
+    assert candidates_verified(site()) <= 200 < candidates_verified(rooms)

@@ -1,0 +1,515 @@
+"""What is drawn, read back from the .rrd file: the right things, at the right places and times."""
+
+from __future__ import annotations
+
+import math
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun.blueprint as rrb
+from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.model import RegionModel, quantize
+from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.geometry.gridmap import to_message as grid_message
+from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
+from eigenscan.recorder.picture.belief import probabilities
+from eigenscan.recorder.picture.blueprint import blueprint
+from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
+from eigenscan.recorder.picture.layout import Layout
+from eigenscan.recorder.picture.manifold import Manifold
+from eigenscan.recorder.picture.pace import Pace
+from eigenscan.recorder.picture.palette import LOCALIZED, LOST
+from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
+from eigenscan.recorder.rerun_sink import RerunSink
+from eigenscan.recorder.settings import RecorderSettings
+from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRACKS, TRUTH
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate, Track, Tracks
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf.message import DecodeError
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rerun.chunk import RrdReader
+from scipy.stats import chi2
+
+from tests.services.recorder.traffic import Site
+
+ADDRESS = {"site": "s", "robot": "r1", "lidar": "front"}
+S = 1_000_000_000
+
+
+def draw(path: Path, messages: Iterable[Envelope], picture_hz: float = 1000.0) -> None:
+    sink = RerunSink(RecorderSettings(rrd=path, picture_hz=picture_hz))
+    for message in messages:
+        sink.write(message)
+    sink.close()
+
+
+def rows(path: Path, entity: str, column: str) -> list[tuple[int | None, Any]]:
+    """Time (ns, None for all times) and value of a component, in order of time."""
+    found = []
+    for chunk in RrdReader(str(path)).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == entity and column in batch.schema.names:
+            times: list[int | None] = [None] * batch.num_rows
+            if not chunk.is_static:
+                times = batch.column("time").cast(pa.int64()).to_pylist()
+            found += list(zip(times, batch.column(column).to_pylist(), strict=True))
+    return sorted(found, key=lambda row: row[0] or 0)
+
+
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(str(path)).stream()}
+
+
+def test_the_file_is_sound_and_holds_every_part_of_the_picture(tmp_path: Path) -> None:
+    path = tmp_path / "a.rrd"
+    draw(path, Site("s", seconds=3.0).messages())
+    result = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(path)], capture_output=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    expected = {
+        "/legend",
+        "/status",
+        "/state/r1",
+        "/events/r1",
+        "/events/tracker",
+        "/belief/r1",
+        "/error/position/r1",
+        "/error/heading/r1",
+        "/world/map",
+        "/world/regions/hallway",
+        "/world/robots/r1/pose",
+        "/world/robots/r1/pose/within_95_percent",
+        "/world/robots/r1/scan/front",
+        "/world/robots/r1/hypotheses/front/0",
+        "/world/robots/r1/tracks",
+        "/world/robots/r1/obstacles/front",
+        "/world/robots/r1/truth",
+        "/beams/r1/front/explained",
+        "/beams/r1/front/unexpected",
+        "/eigenspace/r1/scan",
+        "/eigenspace/r1/hypotheses",
+        "/eigenspace/r1/places",
+        "/eigenspace/r1/loop",
+        "/curves/r1/scan/seen",
+        "/curves/r1/scan/kept",
+        "/curves/r1/eigenscans",
+    }
+    assert expected <= entities(path)
+    assert len(RrdReader(str(path)).blueprints()) >= 1
+
+
+def test_two_robots_share_one_map(tmp_path: Path) -> None:
+    first = Site("s", "r1", seconds=1.0).messages()
+    second = Site("s", "r2", seconds=1.0, seed=2).messages()
+    draw(tmp_path / "a.rrd", [message for pair in zip(first, second, strict=False) for message in pair])
+    drawn = entities(tmp_path / "a.rrd")
+    assert {f"/world/robots/{robot}/tracks" for robot in ("r1", "r2")} <= drawn
+    assert {f"/belief/{robot}" for robot in ("r1", "r2")} <= drawn
+    assert len(rows(tmp_path / "a.rrd", "/world/map", "GridMap:data")) >= 1
+
+
+def test_a_wall_is_drawn_where_it_is(tmp_path: Path) -> None:
+    cells = np.full((4, 6), FREE, dtype=np.uint8)
+    cells[1, 5] = OCCUPIED  # second row from the south, easternmost
+    grid = GridMap(cells, 0.5, np.array([10.0, 20.0, math.pi / 2]))
+    draw(tmp_path / "a.rrd", [Envelope(MAP, ADDRESS, grid_message(grid, "map"))])
+
+    def only(component: str) -> Any:
+        ((_, (value,)),) = rows(tmp_path / "a.rrd", "/world/map", f"GridMap:{component}")
+        return value
+
+    form = only("format")
+    picture = np.array(only("data")).reshape(form["height"], form["width"])
+    ((row, column),) = np.argwhere(picture == OCCUPIED)
+    size = only("cell_size")
+    # Rerun: the first row of the image is on top, `translation` is the lower left corner
+    along, up = (column + 0.5) * size, (form["height"] - 1 - row + 0.5) * size
+    turn, corner = only("rotation_axis_angle"), only("translation")
+    assert turn["axis"] == [0.0, 0.0, 1.0]
+    cos, sin = math.cos(turn["angle"]), math.sin(turn["angle"])
+    centre = (corner[0] + cos * along - sin * up, corner[1] + sin * along + cos * up)
+    assert centre == pytest.approx((10.0 - 0.75, 20.0 + 2.75), abs=1e-6)
+
+
+def test_a_map_too_big_for_a_texture_keeps_its_walls_and_its_scale(tmp_path: Path) -> None:
+    cells = np.full((9000, 3), FREE, dtype=np.uint8)
+    cells[8000, 1] = OCCUPIED
+    grid = GridMap(cells, 0.1, np.zeros(3))
+    draw(tmp_path / "a.rrd", [Envelope(MAP, ADDRESS, grid_message(grid, "map"))])
+    ((_, (form,)),) = rows(tmp_path / "a.rrd", "/world/map", "GridMap:format")
+    ((_, (data,)),) = rows(tmp_path / "a.rrd", "/world/map", "GridMap:data")
+    ((_, (size,)),) = rows(tmp_path / "a.rrd", "/world/map", "GridMap:cell_size")
+    assert max(form["height"], form["width"]) <= 4096
+    picture = np.array(data).reshape(form["height"], form["width"])
+    ((row, _),) = np.argwhere(picture == OCCUPIED)
+    south, north = (form["height"] - 1 - row) * size, (form["height"] - row) * size
+    assert south <= 800.05 <= north
+
+
+def one_scan() -> Scan:
+    return Scan(
+        timestamp=stamp(S),
+        mount=to_message([0.3, -0.1, 0.7]),
+        angle_min=-1.0,
+        angle_increment=0.5,
+        range_max=9.0,
+        ranges=[2.0, math.inf, 3.0, math.nan, 1.5],
+        sequence=1,
+    )
+
+
+def localized(at: int, pose: list[float]) -> Envelope:
+    message = PoseEstimate(
+        timestamp=stamp(at), pose=to_message(pose), state=STATE_LOCALIZED, confidence=0.9, track_id=1
+    )
+    return Envelope(POSE, ADDRESS, message)
+
+
+@pytest.mark.parametrize("pose_comes_first", [False, True])
+def test_the_scan_lies_where_the_pose_of_its_stamp_puts_it(tmp_path: Path, pose_comes_first: bool) -> None:
+    base, scan = [4.0, -2.0, 2.0], one_scan()
+    older = one_scan()
+    older.timestamp.CopyFrom(stamp(S // 2))
+    older.ranges[:] = [5.0] * 5
+    messages = [Envelope(SCAN, ADDRESS, older), Envelope(SCAN, ADDRESS, scan), localized(S, base)]
+    draw(tmp_path / "a.rrd", [messages[i] for i in ((0, 2, 1) if pose_comes_first else (0, 1, 2))])
+    moment, points = rows(tmp_path / "a.rrd", "/world/robots/r1/scan/front", "Points3D:positions")[-1]
+    assert moment == S
+    expected = []
+    for beam, reach in enumerate(scan.ranges):
+        if math.isfinite(reach):
+            bearing = scan.angle_min + beam * scan.angle_increment
+            end = compose(
+                compose(base, [0.3, -0.1, 0.7]), [reach * math.cos(bearing), reach * math.sin(bearing), 0]
+            )
+            expected.append(end[:2])
+    assert np.array(points)[:, :2] == pytest.approx(np.array(expected), abs=1e-5)
+
+
+def test_a_lost_robot_is_not_drawn_anywhere(tmp_path: Path) -> None:
+    lost = PoseEstimate(timestamp=stamp(2 * S), state=STATE_LOST, track_id=0)
+    draw(
+        tmp_path / "a.rrd",
+        [Envelope(SCAN, ADDRESS, one_scan()), localized(S, [1.0, 1.0, 0.0]), Envelope(POSE, ADDRESS, lost)],
+    )
+    for entity in ("pose", "scan/front"):
+        path = f"/world/robots/r1/{entity}"
+        cleared = [moment for moment, _ in rows(tmp_path / "a.rrd", path, "Clear:is_recursive")]
+        assert cleared == [2 * S]
+    states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
+    assert states == [(S, ["LOCALIZED"]), (2 * S, ["LOST"])]
+
+
+def test_the_error_is_the_distance_from_the_truth_of_the_same_moment(tmp_path: Path) -> None:
+    """Truth at 10 Hz beside poses in between, some of which come before their truth."""
+    messages, expected = [], {}
+    for k in range(60):
+        at = S + k * S // 10
+        truth = [0.1 * k, 1.0, math.pi - 0.1 + 0.01 * k]
+        messages.append(
+            (at, Envelope(TRUTH, ADDRESS, PoseInFrame(timestamp=stamp(at), pose=to_pose3(truth))))
+        )
+        if k < 59:
+            between = at + S // 40
+            believed = [0.1 * (k + 0.25) + 0.3, 1.0 + 0.01 * k, math.pi - 0.1 + 0.01 * (k + 0.25) + 0.2]
+            messages.append((between, localized(between, believed)))
+            expected[between] = (math.hypot(0.3, 0.01 * k), math.degrees(0.2))
+    late_truth = [message for _, message in messages if message.channel == TRUTH]
+    poses = [message for _, message in messages if message.channel == POSE]
+    for name, order in {
+        "in time": [message for _, message in sorted(messages, key=lambda timed: timed[0])],
+        "truth late": poses + late_truth,
+    }.items():
+        path = tmp_path / f"{name}.rrd"
+        draw(path, order)
+        for index, quantity in enumerate(("position", "heading")):
+            plotted = dict(rows(path, f"/error/{quantity}/r1", "Scalars:scalars"))
+            assert set(plotted) == set(expected), name
+            for moment, errors in expected.items():
+                assert plotted[moment][0] == pytest.approx(errors[index], abs=1e-6), name
+
+
+def test_a_viewer_that_comes_after_hours_of_the_same_state_is_told_it(tmp_path: Path) -> None:
+    """Old rows are dropped from a live viewer's memory: state and bar must come again."""
+    draw(tmp_path / "a.rrd", [localized(S * second, [1.0, 1.0, 0.0]) for second in range(1, 302)])
+    for entity, column in (("/state/r1", "StateChange:state"), ("/status", "Image:buffer")):
+        moments = [moment for moment, _ in rows(tmp_path / "a.rrd", entity, column)]
+        assert moments[0] == S
+        assert max(np.diff([*moments, 301 * S])) <= 60 * S
+        assert len(moments) <= 16
+
+
+def test_a_robot_that_says_nothing_any_more_is_not_shown_as_well(tmp_path: Path) -> None:
+    """Health goes on at the services' clock, which is another than the log's."""
+    clock = 1_000_000 * S
+
+    def health(second: int) -> Envelope:
+        message = Health(timestamp=stamp(clock + second * S), service="recorder")
+        return Envelope(HEALTH, ADDRESS | {"service": "recorder", "instance": "0"}, message)
+
+    told = [health(0), localized(S, [1, 1, 0]), health(1), localized(2 * S, [1, 1, 0])]
+    draw(
+        tmp_path / "a.rrd", [*told, *(health(second) for second in range(2, 10)), localized(9 * S, [1, 1, 0])]
+    )
+    states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
+    assert states == [(S, ["LOCALIZED"]), (2 * S, ["SILENT"]), (9 * S, ["LOCALIZED"])]
+
+
+def test_the_board_tells_of_every_robot(tmp_path: Path) -> None:
+    """A robot whose line changes all the time does not keep another's off the board."""
+    other = ADDRESS | {"robot": "r2"}
+    messages = []
+    for tenth in range(10, 150):
+        at = tenth * S // 10
+        messages.append(localized(at, [1, 1, 0]))
+        messages[-1].open(PoseEstimate).confidence = (tenth % 7) / 7
+        if tenth % 2:
+            calm = PoseEstimate(
+                timestamp=stamp(at + 1),
+                state=STATE_LOCALIZED,
+                confidence=0.5 if tenth < 40 else 0.9,
+                track_id=1,
+            )
+            messages.append(Envelope(POSE, other, calm))
+    draw(tmp_path / "a.rrd", messages)
+    boards = rows(tmp_path / "a.rrd", "/status", "Image:buffer")
+    moments = [moment or 0 for moment, _ in boards]
+    second = [np.array(pixels[0]).reshape(2, -1)[1].tobytes() for _, pixels in boards[1:]]
+    changed = [moment for moment, a, b in zip(moments[2:], second, second[1:], strict=False) if a != b]
+    assert len(changed) == 1
+    assert 4 * S <= changed[0] <= 6.2 * S
+
+
+def test_only_tracks_in_play_are_drawn(tmp_path: Path) -> None:
+    address = {"site": "s", "robot": "r1"}
+    drawn = []
+    for number, shares in enumerate(((0.6, 0.3, 0.005), (0.004, 0.003))):  # then none of them is likely
+        tracks = [
+            Track(id=1 + i, pose=to_message((i, 2.0, 0.0)), probability=p) for i, p in enumerate(shares)
+        ]
+        drawn.append(Envelope(TRACKS, address, Tracks(timestamp=stamp((1 + number) * S), tracks=tracks)))
+    draw(tmp_path / "a.rrd", drawn)
+    points = rows(tmp_path / "a.rrd", "/world/robots/r1/tracks", "Points3D:positions")
+    assert [sorted(x for x, _, _ in there or []) for _, there in points] == [[0.0, 1.0], []]
+
+
+def test_every_pose_is_plotted_however_few_pictures_are_drawn(tmp_path: Path) -> None:
+    messages = list(Site("s", seconds=4.0).messages())
+    draw(tmp_path / "a.rrd", messages, picture_hz=2.0)
+    stamps = [nanoseconds(m.open(PoseEstimate).timestamp) for m in messages if m.channel == POSE]
+    plotted = rows(tmp_path / "a.rrd", "/belief/r1", "Scalars:scalars")
+    assert [moment for moment, _ in plotted] == stamps
+    pictures = rows(tmp_path / "a.rrd", "/world/robots/r1/tracks", "LineStrips3D:strips")
+    assert 7 <= len(pictures) <= 9
+
+
+@given(
+    st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=20),
+    st.floats(allow_nan=True, allow_infinity=True),
+)
+def test_shares_of_belief_are_a_sound_part_of_one(values: list[float], unlisted: float) -> None:
+    share = probabilities(np.array(values, dtype=np.float64), unlisted)
+    assert share.shape == (len(values),)
+    assert np.all((share >= 0) & (share <= 1))
+    assert share.sum() <= 1 + 1e-9
+
+
+def test_shares_of_belief_have_the_odds_of_the_likelihoods() -> None:
+    share = probabilities(np.log([0.2, 0.6]), math.log(0.2))
+    assert share == pytest.approx([0.2, 0.6])
+
+
+@given(st.integers(1, 10**15), st.floats(0.1, 100.0))
+def test_what_follows_from_one_scan_is_drawn_together_or_not_at_all(start: int, rate: float) -> None:
+    pace = Pace(rate)
+    for step in range(20):
+        moment = start + step * S // 30
+        assert len({pace.due(kind, moment) for kind in ("pose", "tracks", "hypotheses")}) == 1
+
+
+def test_the_ellipse_holds_95_percent() -> None:
+    assert pytest.approx(math.sqrt(chi2.ppf(0.95, 2)), abs=1e-4) == MAHALANOBIS_95
+    covariance = np.array([[4.0, 1.5, 0.0], [1.5, 1.0, 0.0], [0.0, 0.0, 0.1]])
+    offsets = ellipse([3.0, -1.0, 0.5], covariance) - [3.0, -1.0]
+    distance = [offset @ np.linalg.inv(covariance[:2, :2]) @ offset for offset in offsets]
+    assert distance == pytest.approx([chi2.ppf(0.95, 2)] * len(distance), rel=1e-4)
+
+
+def test_an_arrow_points_along_the_heading() -> None:
+    ((tail, tip, left, _, right),) = arrows([1.0, 2.0, math.pi / 2], 2.0, 0.1)
+    assert tail == pytest.approx([1.0, 2.0, 0.1])
+    assert tip == pytest.approx([1.0, 4.0, 0.1])
+    assert left[0] == pytest.approx(2 * 1.0 - right[0])
+    assert left[1] == right[1] < 4.0
+
+
+def damaged(message: Envelope, dice: random.Random) -> Envelope | None:
+    """The message with a few bytes of its encoding changed, where that still decodes."""
+    raw = bytearray(message.message.SerializeToString())
+    for _ in range(dice.randint(1, 4)):
+        if raw:
+            raw[dice.randrange(len(raw))] = dice.choice([0, 0x7F, 0x80, 0xFF, dice.randrange(256)])
+    result = type(message.message)()
+    try:
+        result.ParseFromString(bytes(raw))
+    except DecodeError:
+        return None
+    return Envelope(message.channel, message.address, result)
+
+
+def test_whatever_decodes_can_be_drawn(tmp_path: Path) -> None:
+    dice = random.Random(1)
+    sound = [m for m in Site("s", seconds=1.0).messages() if m.channel != MAP]
+    sound.append(
+        Envelope(MAP, ADDRESS, grid_message(GridMap(np.zeros((4, 4), np.uint8), 0.1, np.zeros(3)), "map"))
+    )
+    broken = [damaged(dice.choice(sound), dice) for _ in range(3000)]
+    empty = [Envelope(channel, sound[0].address, channel.message()) for channel in CHANNELS]
+    draw(tmp_path / "a.rrd", [*empty, *(message for message in broken if message), *sound])
+    assert "/world/robots/r1/tracks" in entities(tmp_path / "a.rrd")
+
+
+def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tmp_path: Path) -> None:
+    """A real process; it ends in time with both open, and the file is whole."""
+    recorder = start_recorder("--rrd", str(tmp_path / "a.rrd"), "--viewer-port", "0", "--data-port", "0")
+    said = list(Site(recorder.site, seconds=0.5).messages())
+    for message in said:
+        recorder.bus.say(message)
+    recorder.await_health(lambda health: health.counters.get("drawn", 0) >= len(said))
+    assert recorder.viewer().startswith("http://127.0.0.1:")
+    assert recorder.stop() == 0
+    assert "/world/map" in entities(tmp_path / "a.rrd")
+
+
+def hallway(components: int) -> RegionModel:
+    """Model of a room of 6 x 4 m by analytic ranges; positions every metre."""
+    sensor = Sensor.facing(math.pi, math.radians(1.0))
+    index = np.array([[x, y] for x in range(1, 6) for y in range(1, 4)], dtype=np.int32)
+    turns = np.arange(360) * math.radians(1.0)
+    ranges = np.array([[to_wall(x, y, turn) for turn in turns] for x, y in index])
+    space = analyse(ranges.astype(np.float32), sensor.beams, components)
+    return RegionModel("room", "map", 1.0, np.zeros(2), index, quantize(ranges), sensor, 20.0, space)
+
+
+def to_wall(x: float, y: float, turn: float) -> float:
+    cos, sin = math.cos(turn), math.sin(turn)
+    along = (6 - x) / cos if cos > 1e-9 else -x / cos if cos < -1e-9 else math.inf
+    across = (4 - y) / sin if sin > 1e-9 else -y / sin if sin < -1e-9 else math.inf
+    return min(along, across)
+
+
+@pytest.mark.parametrize("components", [2, 5])
+def test_scan_pose_and_place_meet_in_one_point_of_eigenspace(components: int) -> None:
+    """A scan taken where the model has a place has the coordinates of that pose, by the definition."""
+    model = hallway(components)
+    manifold = Manifold(model.to_message())
+    heading, place = math.radians(40.0), 7
+    mount = np.array([0.2, -0.1, math.radians(30.0)])
+    x, y = model.index[place].tolist()
+    bearings = np.radians(np.arange(-90, 91))
+    scan = Scan(
+        mount=to_message(mount),
+        angle_min=-math.pi / 2,
+        angle_increment=math.radians(1.0),
+        ranges=[to_wall(x, y, heading + bearing) for bearing in bearings],
+    )
+    base = compose([x, y, heading], inverse(mount))
+    direct = [
+        sum((scan.ranges[j] - model.space.mean) * float(vector[j]) for j in range(len(bearings)))
+        for vector in model.space.vectors[:3]
+    ]
+    direct += [0.0] * (3 - len(direct))
+    # ranges travel in steps of a few millimetres
+    assert manifold.scan(scan) == pytest.approx(direct, abs=1e-3)
+    assert manifold.poses(base, scan)[0] == pytest.approx(direct, abs=0.05)
+    loop = manifold.loop(base, scan)
+    # from one of its points to the next the scan turns by two degrees
+    assert np.linalg.norm(loop - np.array(direct), axis=1).min() < 0.5 * _longest_step(loop)
+    assert np.array_equal(loop[0], loop[-1])
+    elsewhere = compose([*model.index[0].tolist(), heading], inverse(mount))
+    assert np.linalg.norm(manifold.loop(elsewhere, scan) - np.array(direct), axis=1).min() > _longest_step(
+        loop
+    )
+    cloud = manifold.cloud()
+    assert np.linalg.norm(cloud[:, None] - loop, axis=2).min() == pytest.approx(0.0, abs=1e-5)
+
+
+def _longest_step(line: NDArray[np.float32]) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).max())
+
+
+def test_the_curves_are_the_scan_and_what_its_coefficients_stand_for() -> None:
+    """Of a scan with one missing beam and a narrower field of view than the model's."""
+    model = hallway(4)
+    manifold = Manifold(model.to_message())
+    bearings = np.radians(np.arange(-80, 91))
+    ranges = [to_wall(2, 1, 0.3 + bearing) for bearing in bearings]
+    ranges[40] = math.nan
+    scan = Scan(angle_min=bearings[0], angle_increment=math.radians(1.0), ranges=ranges)
+    seen, kept = manifold.sight(scan)
+    assert np.flatnonzero(np.isnan(seen)).tolist() == [*range(10), 50]
+    assert seen[10:] == pytest.approx(ranges, abs=1e-5, nan_ok=True)
+    offset = np.where(np.isnan(seen), 0.0, seen - model.space.mean)
+    direct = model.space.mean + sum((offset @ vector) * vector for vector in model.space.vectors)
+    assert kept == pytest.approx(direct, abs=1e-3)
+    assert np.degrees(manifold.bearings) == pytest.approx(np.arange(-90, 91), abs=1e-3)
+    _, shares = manifold.eigenscans(3)
+    assert np.all(np.diff(shares) <= 0)
+    assert 0.3 < shares.sum() < 1
+
+
+@pytest.mark.parametrize("robots", [2, 40])
+def test_the_board_shows_who_needs_somebody_first(robots: int) -> None:
+    """Few robots stay where they are; of many, those in need come first, in the colour of their state."""
+    lines = [
+        Line(f"r{n:02}", "LOST" if n == robots - 1 else "LOCALIZED", int(n == robots - 1), colour, "", "")
+        for n in range(robots)
+        for colour in [LOST if n == robots - 1 else LOCALIZED]
+    ]
+    order = shown(lines)
+    assert {line.robot for line in order} == {line.robot for line in lines}
+    first = order[-1] if robots <= MOST_BARS else order[0]
+    assert first.robot == f"r{robots - 1:02}"
+    image = draw_board(order)
+    red = np.argwhere((image == LOST).all(axis=-1))
+    green = np.argwhere((image == LOCALIZED).all(axis=-1))
+    share = len(red) / (len(red) + len(green))
+    assert share == pytest.approx(1 / robots, rel=0.3)
+    assert (red[:, 0].min() < green[:, 0].max()) == (robots > MOST_BARS)
+
+
+def origins(panel: Any) -> set[str]:
+    """Entities that the panels of a blueprint stand on."""
+    if isinstance(panel, rrb.Container):
+        return set().union(*(origins(part) for part in panel.contents))
+    return {str(panel.origin)}
+
+
+def test_no_panel_of_any_layout_stays_empty(tmp_path: Path) -> None:
+    draw(tmp_path / "a.rrd", Site("s", seconds=3.0).messages())
+    drawn = entities(tmp_path / "a.rrd")
+    for layout in get_args(Layout):
+        stood_on = origins(blueprint(layout, None, None, live=False).root_container)
+        assert {"status", "world", "legend"} <= stood_on
+        for origin in stood_on:
+            assert any(entity.startswith(f"/{origin}") for entity in drawn), (layout, origin)
+
+
+def test_missing_beams_and_another_field_of_view_pull_nowhere() -> None:
+    model = hallway(3)
+    nothing = Scan(angle_min=-1.0, angle_increment=0.01, ranges=[math.nan] * 200)
+    assert Manifold(model.to_message()).scan(nothing) == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)

@@ -1,0 +1,437 @@
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import compose
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate
+from eigenscan.tracker.core import TrackerCore
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker, TracksOf
+
+STEP = np.array([0.05, 0.0, 0.02])
+
+
+def drive(
+    core: TrackerCore,
+    speaker: Speaker,
+    poses_of: PosesOf,
+    *,
+    scans: int,
+    start: tuple[float, float, float] = (2.0, 3.0, 0.0),
+    jump_at: int | None = None,
+    time: float = 100.0,
+) -> list[tuple[PoseEstimate, np.ndarray]]:
+    """One right hypothesis among wrong ones that change from scan to scan; gives (pose message, truth)."""
+    rng = np.random.default_rng(1)
+    truth, odometry = np.array(start), np.zeros(3)
+    heard = []
+    for scan in range(scans):
+        time += 0.1
+        if scan == jump_at:
+            truth = np.array([14.0, 11.0, 2.0])
+        truth, odometry = compose(truth, STEP), compose(odometry, STEP * 1.02)
+        poses = [truth + rng.normal(size=3) * [0.03, 0.03, 0.01]]
+        logs = [30.0 + rng.normal()]
+        for _ in range(8):
+            poses.append(rng.uniform([0, 0, -3], [20, 20, 3]))
+            logs.append(15.0 + 3.0 * rng.normal())
+        core.handle(speaker.odometry(time, odometry))
+        for message in poses_of(core.handle(speaker.hypotheses(time, poses, logs))):
+            heard.append((message, truth))
+    return heard
+
+
+def is_right(message: PoseEstimate, truth: np.ndarray) -> bool:
+    turn = (message.pose.theta - truth[2] + np.pi) % (2 * np.pi) - np.pi
+    near = np.hypot(message.pose.x - truth[0], message.pose.y - truth[1]) < 0.5
+    return bool(near and abs(turn) < np.radians(10))
+
+
+def test_one_sure_scan_localizes(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    message, truth = drive(make_core(), speaker, poses_of, scans=1)[0]
+    assert message.state == STATE_LOCALIZED
+    assert is_right(message, truth)
+    assert message.confidence > 0.95
+
+
+def test_tracks_a_driving_robot(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    heard = drive(make_core(), speaker, poses_of, scans=100)
+    errors = [np.hypot(m.pose.x - t[0], m.pose.y - t[1]) for m, t in heard]
+    assert len(heard) == 100
+    assert np.median(errors) < 0.03
+    assert all(m.state == STATE_LOCALIZED and is_right(m, t) for m, t in heard)
+    assert len({m.track_id for m, _ in heard}) == 1
+
+
+def test_kidnap_is_noticed_and_recovered(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    heard = drive(make_core(), speaker, poses_of, scans=80, jump_at=40)
+    wrong_claims = [i for i, (m, t) in enumerate(heard) if m.state == STATE_LOCALIZED and not is_right(m, t)]
+    right = [i for i, (m, t) in enumerate(heard) if i >= 40 and m.state == STATE_LOCALIZED and is_right(m, t)]
+    assert all(40 <= i < 50 for i in wrong_claims)
+    assert right
+    assert right[0] < 50
+    assert right == list(range(right[0], 80))
+
+
+def symmetric(count: int) -> list[np.ndarray]:
+    return [np.array([3.0 * k, 2.0, 0.3]) for k in range(count)]
+
+
+def test_standing_in_a_symmetric_place_stays_ambiguous(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, tracks_of: TracksOf
+) -> None:
+    core, rng = make_core(), np.random.default_rng(2)
+    for scan in range(600):
+        time = 10.0 + scan * 0.1
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        said = core.handle(speaker.hypotheses(time, symmetric(4), 18.0 + 0.5 * rng.normal(size=4)))
+        assert poses_of(said)[0].state == STATE_AMBIGUOUS
+        assert len([t for t in tracks_of(said)[0].tracks if t.probability > 0.05]) == 4
+
+
+def test_a_symmetric_place_is_left_by_what_breaks_it(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    odometry = np.zeros(3)
+    poses = symmetric(4)
+    for scan in range(40):
+        time = 10.0 + scan * 0.1
+        odometry = compose(odometry, STEP)
+        poses = [compose(pose, STEP) for pose in poses]
+        core.handle(speaker.odometry(time, odometry))
+        logs = [30.0, 30.0, 30.0, 30.0] if scan < 15 else [30.0, 20.0, 20.0, 20.0]
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, logs)))[0]
+        if scan < 15:
+            assert message.state == STATE_AMBIGUOUS
+    assert message.state == STATE_LOCALIZED
+    assert message.pose.x == pytest.approx(poses[0][0], abs=0.05)
+
+
+def test_a_scan_that_nothing_explains_leaves_the_robot_lost(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    message = poses_of(core.handle(speaker.hypotheses(1.0, [], [])) or core.finish())[0]
+    assert message.state == STATE_LOST
+    assert message.none_probability == pytest.approx(1.0)
+    assert message.track_id == 0
+
+
+def test_leaving_the_map_is_noticed(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core()
+    heard = drive(core, speaker, poses_of, scans=30)
+    assert heard[-1][0].state == STATE_LOCALIZED
+    states = []
+    speaker.unlisted = -20.0
+    for scan in range(30):
+        time = 103.0 + 0.1 * (scan + 1)
+        core.handle(speaker.odometry(time, np.array([0.05 * scan, 0.0, 0.0])))
+        states += [m.state for m in poses_of(core.handle(speaker.hypotheses(time, [], [])))]
+    assert STATE_LOCALIZED not in states[10:]
+    assert states[-1] == STATE_LOST
+
+
+def test_without_odometry_it_still_converges(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    truth = np.array([2.0, 3.0, 0.0])
+    messages = []
+    for scan in range(40):
+        truth = compose(truth, STEP)
+        messages += poses_of(
+            core.handle(
+                speaker.hypotheses(5.0 + 0.1 * scan, [truth, np.add(truth, [6.0, 0.0, 1.0])], [30.0, 18.0])
+            )
+        )
+    last = messages[-1]
+    assert last.state == STATE_LOCALIZED
+    assert not last.has_odometry
+    assert np.hypot(last.pose.x - truth[0], last.pose.y - truth[1]) < 0.05
+    # one that never gave odometry is not waited for
+    assert len(messages) == 40
+
+
+def test_masses_sum_to_one(make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf) -> None:
+    core = make_core()
+    rng = np.random.default_rng(3)
+    for scan in range(50):
+        poses = rng.uniform([0, 0, -3], [20, 20, 3], (30, 3))
+        for message in tracks_of(core.handle(speaker.hypotheses(1.0 + scan, poses, rng.normal(10, 10, 30)))):
+            total = message.none_probability + sum(track.probability for track in message.tracks)
+            assert total == pytest.approx(1.0, abs=1e-9)
+
+
+def make_stream(speaker: Speaker, scans: int) -> tuple[list[Envelope], list[Envelope]]:
+    truth, odometry, rng = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.random.default_rng(4)
+    odometries, hypotheses = [], []
+    for scan in range(scans):
+        truth, odometry = compose(truth, STEP), compose(odometry, STEP)
+        time = 50.0 + 0.1 * scan
+        odometries.append(speaker.odometry(time + 0.013, odometry))
+        poses = [truth + rng.normal(size=3) * 0.02, rng.uniform([0, 0, -3], [20, 20, 3])]
+        hypotheses.append(speaker.hypotheses(time, poses, [25.0, 15.0]))
+    return odometries, hypotheses
+
+
+Said = list[tuple[int, bytes]]
+
+
+def run(core: TrackerCore, envelopes: Iterable[Envelope], poses_of: PosesOf) -> Said:
+    said = []
+    for envelope in envelopes:
+        said += poses_of(core.handle(envelope))
+    said += poses_of(core.finish())
+    return [(m.timestamp.ToNanoseconds(), m.SerializeToString(deterministic=True)) for m in said]
+
+
+def test_order_of_arrival_between_channels_does_not_matter(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    odometries, hypotheses = make_stream(speaker, 30)
+    rng = np.random.default_rng(5)
+    both = [*odometries, *hypotheses]
+    heard: list[Odometry | Hypotheses] = [
+        *(e.open(Odometry) for e in odometries),
+        *(e.open(Hypotheses) for e in hypotheses),
+    ]
+    stamps = np.array([message.timestamp.ToNanoseconds() * 1e-9 for message in heard])
+    expected = run(make_core(), [both[i] for i in np.argsort(stamps, kind="stable")], poses_of)
+    assert len(expected) == 30
+    for _ in range(20):
+        # each channel keeps its own order; between them up to the patience of 0.2 s
+        delay = np.repeat(rng.uniform(0.0, 0.19, 2), 30)
+        shuffled = [both[i] for i in np.argsort(stamps + delay, kind="stable")]
+        assert run(make_core(), shuffled, poses_of) == expected
+
+
+def test_a_scan_whose_odometry_does_not_come_in_time_is_counted(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    """The answer then hangs on what was there when: a replay must say so."""
+    odometries, hypotheses = make_stream(speaker, 30)
+    core = make_core()
+    for odometry, seen in zip(odometries[:10], hypotheses[:10], strict=True):
+        core.handle(odometry)
+        core.handle(seen)
+    assert core.condition().counters.get("odometry_came_late", 0) == 0
+    for seen in hypotheses[10:15]:  # 1.0 s to 1.4 s, the newest odometry is of 0.913 s
+        core.handle(seen)
+    for odometry in odometries[10:15]:
+        core.handle(odometry)
+    # all that are 0.2 s older than the newest: 1.0, 1.1, 1.2
+    assert core.condition().counters["odometry_came_late"] == 3
+
+
+def others(rng: np.random.Generator, count: int = 12) -> list[np.ndarray]:
+    return [*rng.uniform([0, 0, -3], [40, 40, 3], (count, 3))]
+
+
+def test_carried_away_is_noticed_at_once_and_found_again(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Nothing of a list goes on in the next one, though odometry stands still."""
+    core, rng = make_core(), np.random.default_rng(6)
+    speaker.clutter = 0
+    time, messages = 10.0, []
+    for place in (np.array([2.0, 3.0, 0.4]), np.array([17.0, 8.0, -2.0])):
+        aliases = others(rng)
+        for _ in range(30):
+            time += 0.1
+            core.handle(speaker.odometry(time, np.zeros(3)))
+            said = core.handle(speaker.hypotheses(time, [place, *aliases], [17.0] + [8.0] * 12))
+            messages += [(message, place) for message in poses_of(said)]
+    assert not [m for m, place in messages if m.state == STATE_LOCALIZED and not is_right(m, place)]
+    assert all(m.state == STATE_LOCALIZED for m, _ in [*messages[5:30], *messages[35:]])
+
+
+def test_carried_away_is_noticed_where_two_of_ten_go_on_by_chance(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core, rng = make_core(), np.random.default_rng(6)
+    speaker.clutter, time, messages = 0, 10.0, []
+    same = others(rng, 2)
+    for place in (np.array([2.0, 3.0, 0.4]), np.array([17.0, 8.0, -2.0])):
+        aliases = [*same, *others(rng, 10)]
+        for _ in range(30):
+            time += 0.1
+            core.handle(speaker.odometry(time, np.zeros(3)))
+            said = core.handle(speaker.hypotheses(time, [place, *aliases], [19.0] + [9.0] * 12))
+            messages += [(message, place) for message in poses_of(said)]
+    claims = [(m.state == STATE_LOCALIZED, is_right(m, place)) for m, place in messages]
+    assert all(claim == (True, True) for claim in [*claims[5:30], *claims[40:]])
+    assert (True, False) not in claims[33:]
+
+
+def test_sparse_lists_of_what_the_map_lacks_do_not_end_the_claim(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Nothing of them goes on over most of a metre, but odometry is still sure."""
+    core, rng = make_core(), np.random.default_rng(13)
+    speaker.clutter = 0
+    truth, odometry, step = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.array([0.8, 0.0, 0.1])
+    for scan in range(14):
+        time = 10.0 + 2.0 * scan
+        truth, odometry = compose(truth, step), compose(odometry, step)
+        core.handle(speaker.odometry(time, odometry))
+        lacking = scan >= 11
+        poses, logs = [truth, *others(rng)], [17.0] + [6.0] * 12
+        said = core.handle(speaker.hypotheses(time, poses[lacking:], logs[lacking:]))
+        if scan > 2:
+            message = poses_of(said)[0]
+            assert message.state == STATE_LOCALIZED
+            assert is_right(message, truth)
+
+
+def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core, rng = make_core(), np.random.default_rng(7)
+    speaker.clutter = 0
+    place, aliases = np.array([2.0, 3.0, 0.4]), others(rng)
+    time, states = 10.0, []
+    for scan in range(60):
+        time += 0.1
+        covered = 30 <= scan < 40
+        poses = others(rng, 13) if covered else [place, *aliases]
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        said = core.handle(speaker.hypotheses(time, poses, ([7.0] if covered else [17.0]) + [6.0] * 12))
+        states += [(m.state, is_right(m, place)) for m in poses_of(said)]
+    assert all(state == (STATE_LOCALIZED, True) for state in states[5:30])
+    assert all(state == (STATE_LOCALIZED, True) for state in states[42:])
+    assert not any(state == STATE_LOCALIZED and not right for state, right in states)
+
+
+def test_a_robot_that_stands_for_an_hour_stays_sure(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    for scan in range(3600):
+        time = 10.0 + scan
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        said = poses_of(core.handle(speaker.hypotheses(time, [[2.0, 3.0, 0.4]], [17.0])))
+        assert [m.state for m in said] == [STATE_LOCALIZED]
+
+
+def test_a_stretch_that_the_map_hardly_shows_is_driven_through(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Two metres on odometry, while a wrong place fits a little: the claim stays with the track."""
+    core, rng = make_core(), np.random.default_rng(8)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    wrong = np.array([15.0, 12.0, 1.0])
+    for scan in range(100):
+        time = 10.0 + 0.1 * scan
+        truth, odometry, wrong = (compose(pose, STEP) for pose in (truth, odometry, wrong))
+        core.handle(speaker.odometry(time, odometry))
+        seen = truth + rng.normal(size=3) * [0.03, 0.03, 0.01]
+        poses, logs = ([wrong], [10.0]) if 40 <= scan < 80 else ([seen, wrong], [17.0, 10.0])
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, logs)))[0]
+        if scan > 5:
+            assert message.state == STATE_LOCALIZED
+            assert is_right(message, truth)
+
+
+def test_a_lookalike_does_not_take_a_robot_from_where_it_drove(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Two metres that the map lacks, while another room fits as well as the right one does elsewhere."""
+    core, rng = make_core(), np.random.default_rng(8)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    wrong, aliases = np.array([15.0, 12.0, 1.0]), others(rng, 6)
+    heard, speaker.clutter = [], 0
+    for scan in range(100):
+        truth, odometry, wrong = (compose(pose, STEP) for pose in (truth, odometry, wrong))
+        aliases = [compose(pose, STEP) for pose in aliases]
+        core.handle(speaker.odometry(10.0 + 0.1 * scan, odometry))
+        lacking = 40 <= scan < 80
+        poses = [wrong if lacking else truth + rng.normal(size=3) * [0.03, 0.03, 0.01], *aliases]
+        said = core.handle(speaker.hypotheses(10.0 + 0.1 * scan, poses, [15.5, *[7.0] * 6]))
+        heard += [(message, truth) for message in poses_of(said)]
+    assert all(is_right(m, t) for m, t in heard if m.state == STATE_LOCALIZED)
+    assert all(m.state == STATE_LOCALIZED for m, _ in [*heard[5:40], *heard[90:]])
+
+
+def test_wheels_that_slip_do_not_lose_the_robot(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Odometry says forward while the robot goes back: what the scans show nearby takes over."""
+    core, rng = make_core(), np.random.default_rng(9)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    wrong_for = 0
+    for scan in range(80):
+        time = 10.0 + 0.1 * scan
+        slipping = 30 <= scan < 50
+        truth = compose(truth, -STEP if slipping else STEP)
+        odometry = compose(odometry, STEP)
+        core.handle(speaker.odometry(time, odometry))
+        seen = truth + rng.normal(size=3) * [0.03, 0.03, 0.01]
+        message = poses_of(core.handle(speaker.hypotheses(time, [seen, *others(rng, 3)], [16.0, 7, 7, 7])))[0]
+        wrong_for += message.state == STATE_LOCALIZED and not is_right(message, truth)
+    assert wrong_for == 0
+    assert message.state == STATE_LOCALIZED
+
+
+@pytest.mark.parametrize("metres", [1.0, 2.0, 4.0])
+def test_between_sparse_scans_wheels_slip_and_the_next_list_tells(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, metres: float
+) -> None:
+    """That the robot was right metres ago is no word on the way since."""
+    core, rng = make_core(), np.random.default_rng(12)
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    step = np.array([metres, 0.0, 0.3])
+    for scan in range(20):
+        time = 10.0 + metres * scan
+        truth, odometry = compose(truth, step), compose(odometry, step)
+        if scan == 10:
+            odometry = compose(odometry, np.array([0.4 * metres, 0.4, 0.1]))
+        core.handle(speaker.odometry(time, odometry))
+        poses = [truth + rng.normal(size=3) * [0.03, 0.03, 0.01], *others(rng, 4)]
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, [14.0, 9.0, 9.0, 8.0, 8.0])))[0]
+        assert message.state != STATE_LOCALIZED or is_right(message, truth)
+        assert message.state == STATE_LOCALIZED or scan < 3 or scan == 10
+
+
+def test_off_the_map_the_claim_ends(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core, rng = make_core(), np.random.default_rng(10)
+    heard = drive(core, speaker, poses_of, scans=30)
+    assert heard[-1][0].state == STATE_LOCALIZED
+    states, odometry = [], np.zeros(3)
+    for scan in range(400):
+        time = 103.0 + 0.1 * (scan + 1)
+        odometry = compose(odometry, STEP)
+        core.handle(speaker.odometry(time, odometry))
+        said = core.handle(speaker.hypotheses(time, others(rng, 5), 5.0 + rng.normal(size=5)))
+        states += [m.state for m in poses_of(said)]
+    # twenty metres
+    assert states[-1] == STATE_LOST
+    assert STATE_LOCALIZED not in states[300:]
+
+
+def test_two_projectors_share_a_site(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, tracks_of: TracksOf
+) -> None:
+    """One searches the half where the robot is, the other what merely looks alike: both lists are of use."""
+    core, rng = make_core(), np.random.default_rng(11)
+    speaker.clutter = 0
+    truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    alias = np.array([25.0, 12.0, 1.0])
+    for scan in range(60):
+        time = 10.0 + 0.1 * scan
+        truth, odometry, alias = (compose(pose, STEP) for pose in (truth, odometry, alias))
+        core.handle(speaker.odometry(time, odometry))
+        said = [
+            *core.handle(speaker.hypotheses(time, [truth, *others(rng, 3)], [14.0, 7, 6, 5], projector="0")),
+            *core.handle(speaker.hypotheses(time, [alias, *others(rng, 3)], [10.0, 7, 6, 5], projector="1")),
+        ]
+        # that the second list lacks the robot's place is no news of it
+        last = poses_of(said)[-1]
+        assert last.state == STATE_LOCALIZED
+        assert is_right(last, truth)
+        assert last.confidence > 0.9

@@ -1,0 +1,269 @@
+"""Random and hostile sequences: whatever comes, masses sum to 1 and nothing is non-finite."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
+
+wild = st.one_of(
+    st.floats(-20.0, 20.0),
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.sampled_from([0.0, -0.0, math.pi, -math.pi, 1e-300, 1e300]),
+)
+times = st.one_of(st.integers(0, 3_000), st.integers(0, 10**7))
+ADDRESS = {"site": "s", "robot": "r"}
+
+
+@st.composite
+def hypotheses(draw: st.DrawFn) -> Envelope:
+    listed = [
+        Hypothesis(
+            pose=Pose2(x=draw(wild), y=draw(wild), theta=draw(wild)),
+            covariance=Covariance3(**{name: draw(wild) for name in ("xx", "xy", "xt", "yy", "yt", "tt")})
+            if draw(st.booleans())
+            else Covariance3(xx=0.01, yy=0.01, tt=0.001),
+            log_likelihood=draw(wild),
+        )
+        for _ in range(draw(st.integers(0, 5)))
+    ]
+    message = Hypotheses(
+        timestamp=stamp(draw(times) * 1_000_000),
+        frame_id=draw(st.sampled_from(["", "floor0", "floor1"])),
+        status=draw(st.sampled_from(Hypotheses.Status.keys())),
+        hypotheses=listed,
+        unlisted_log_likelihood=draw(wild),
+        searched_area_m2=draw(wild),
+    )
+    lidar, projector = draw(st.sampled_from(["front", "rear"])), draw(st.sampled_from(["0", "1"]))
+    return Envelope(HYPOTHESES, {**ADDRESS, "lidar": lidar, "projector": projector}, message)
+
+
+@st.composite
+def odometry(draw: st.DrawFn) -> Envelope:
+    pose = Pose(
+        position=Vector3(x=draw(wild), y=draw(wild)), orientation=Quaternion(z=draw(wild), w=draw(wild))
+    )
+    message = Odometry(
+        timestamp=stamp(draw(times) * 1_000_000),
+        pose=pose,
+        pose_covariance=draw(st.lists(wild, max_size=36)),
+    )
+    return Envelope(ODOMETRY, ADDRESS, message)
+
+
+@st.composite
+def relocation(draw: st.DrawFn) -> Envelope:
+    message = Relocation(
+        timestamp=stamp(draw(times) * 1_000_000), frame_id=draw(st.sampled_from(["", "floor0"]))
+    )
+    if draw(st.booleans()):
+        message.pose.CopyFrom(Pose2(x=draw(wild), y=draw(wild), theta=draw(wild)))
+        message.covariance.CopyFrom(Covariance3(xx=draw(wild), yy=draw(wild), tt=draw(wild), xy=draw(wild)))
+    return Envelope(RELOCATION, ADDRESS, message)
+
+
+def check(said: list[Envelope]) -> None:
+    for each in said:
+        if each.channel is TRACKS:
+            tracks = each.open(Tracks)
+            masses = [track.probability for track in tracks.tracks]
+            assert tracks.none_probability + sum(masses) == pytest.approx(1.0, abs=1e-9)
+            assert min(masses, default=0.0) >= 0.0
+            for track in tracks.tracks:
+                c = track.covariance
+                matrix = np.array([[c.xx, c.xy, c.xt], [c.xy, c.yy, c.yt], [c.xt, c.yt, c.tt]])
+                assert np.isfinite([track.pose.x, track.pose.y, track.pose.theta]).all()
+                assert -math.pi <= track.pose.theta < math.pi
+                assert np.linalg.eigvalsh(matrix).min() > 0.0
+        elif each.channel is POSE:
+            pose = each.open(PoseEstimate)
+            assert 0.0 <= pose.confidence <= 1.0
+            assert 0.0 <= pose.none_probability <= 1.0 + 1e-9
+            assert np.isfinite([pose.pose.x, pose.pose.y, pose.pose.theta]).all()
+            assert np.isfinite([pose.map_to_odom.x, pose.map_to_odom.y, pose.map_to_odom.theta]).all()
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.one_of(hypotheses(), odometry(), relocation()), max_size=25))
+def test_hostile_sequences(sequence: list[Envelope]) -> None:
+    core = TrackerCore(TrackerSettings())
+    for envelope in sequence:
+        check(list(core.handle(envelope)))
+    check(list(core.finish()))
+
+
+TRUTH = np.array([4.0, 5.0, 1.0])
+
+
+def standing(
+    core: TrackerCore, speaker: Speaker, poses_of: PosesOf, start: float, scans: int
+) -> list[PoseEstimate]:
+    said = []
+    for scan in range(scans):
+        time = start + 0.1 * scan
+        core.handle(speaker.odometry(time, np.array([1.0, 1.0, 0.0])))
+        said += poses_of(
+            core.handle(speaker.hypotheses(time, [TRUTH, np.add(TRUTH, [5, 0, 0])], [30.0, 15.0]))
+        )
+    return said
+
+
+def is_right(message: PoseEstimate) -> bool:
+    return bool(np.hypot(message.pose.x - TRUTH[0], message.pose.y - TRUTH[1]) < 0.1)
+
+
+@pytest.mark.parametrize("pose", [[math.nan, 0, 0], [math.inf, 1, 1], [1, 1, math.nan]])
+def test_odometry_that_is_no_number_is_set_aside(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, pose: ArrayLike
+) -> None:
+    core = make_core()
+    standing(core, speaker, poses_of, 10.0, 5)
+    core.handle(speaker.odometry(10.55, np.array(pose, dtype=float)))
+    after = standing(core, speaker, poses_of, 10.6, 5)
+    assert core.condition().counters["odometry_not_finite"] == 1
+    assert all(m.state == STATE_LOCALIZED and is_right(m) for m in after)
+
+
+def test_odometry_from_the_past_is_set_aside(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    standing(core, speaker, poses_of, 10.0, 5)
+    core.handle(speaker.odometry(9.0, np.array([50.0, 1.0, 0.0])))
+    after = standing(core, speaker, poses_of, 10.6, 5)
+    assert core.condition().counters["odometry_from_past"] == 1
+    assert all(is_right(m) and m.confidence > 0.9 for m in after)
+
+
+def test_a_jump_of_odometry_lowers_the_confidence_until_a_scan_confirms(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    before = standing(core, speaker, poses_of, 10.0, 5)[-1]
+    core.handle(speaker.odometry(10.5, np.array([11.0, 1.0, 0.0])))
+    # a scan that shows nothing: only the jump is known
+    blind = poses_of(core.handle(speaker.hypotheses(10.5, [], [], status=Hypotheses.STATUS_UNUSABLE_SCAN)))[0]
+    assert core.condition().counters["odometry_taken_as_jump"] == 1
+    assert blind.confidence < 0.6 < before.confidence
+    said = []
+    for scan in range(5):
+        time = 10.6 + 0.1 * scan
+        core.handle(speaker.odometry(time, np.array([11.0, 1.0, 0.0])))
+        said += poses_of(
+            core.handle(speaker.hypotheses(time, [TRUTH, np.add(TRUTH, [5, 0, 0])], [30.0, 15.0]))
+        )
+    assert said[-1].state == STATE_LOCALIZED
+    assert is_right(said[-1])
+
+
+def test_a_scan_from_the_future_is_set_aside(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    standing(core, speaker, poses_of, 10.0, 5)
+    assert not list(core.handle(speaker.hypotheses(5000.0, [np.add(TRUTH, [9, 9, 0])], [60.0])))
+    after = standing(core, speaker, poses_of, 10.6, 5)
+    assert len(after) == 5
+    assert all(is_right(m) for m in after)
+    assert core.condition().counters["hypotheses_from_future"] == 1
+
+
+def test_a_gap_in_the_log_is_no_future(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core()
+    standing(core, speaker, poses_of, 10.0, 5)
+    after = standing(core, speaker, poses_of, 70.0, 5)
+    assert len(after) == 5
+    assert is_right(after[-1])
+
+
+def test_late_hypotheses_of_a_second_lidar_count(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    for scan in range(10):
+        time = 10.0 + 0.1 * scan
+        core.handle(speaker.odometry(time, np.array([0.1 * scan, 0.0, 0.0])))
+        twins = [np.array([1.0 + 0.1 * scan, 2.0, 0.0]), np.array([9.0 + 0.1 * scan, 2.0, 0.0])]
+        message = poses_of(core.handle(speaker.hypotheses(time, twins, [30.0, 30.0])))[0]
+    assert message.state != STATE_LOCALIZED
+    late = speaker.hypotheses(10.5, [np.array([1.5, 2.0, 0.0])], [30.0], lidar="rear")
+    message = poses_of(core.handle(late))[0]
+    assert message.state == STATE_LOCALIZED
+    assert message.pose.x == pytest.approx(1.9, abs=0.1)
+    too_late = speaker.hypotheses(10.1, [np.array([1.1, 2.0, 0.0])], [30.0], lidar="rear")
+    assert not poses_of(core.handle(too_late))
+    assert core.condition().counters["hypotheses_too_late"] == 1
+
+
+def test_a_repeated_message_counts_once(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core()
+    standing(core, speaker, poses_of, 10.0, 3)
+    assert not poses_of(core.handle(speaker.hypotheses(10.1, [TRUTH], [30.0])))
+    assert core.condition().counters["hypotheses_duplicate"] == 1
+
+
+def test_a_clock_set_back_starts_anew(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core()
+    standing(core, speaker, poses_of, 1000.0, 5)
+    said = standing(core, speaker, poses_of, 10.0, 20)
+    assert len(said) >= 15
+    assert said[-1].state == STATE_LOCALIZED
+    assert is_right(said[-1])
+
+
+def test_covariances_that_are_none_are_replaced(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    speaker.covariance = np.diag([-1.0, 0.0, 0.0])
+    speaker.clutter = 0
+    message = poses_of(core.handle(speaker.hypotheses(1.0, [TRUTH], [60.0])) or core.finish())[0]
+    assert core.condition().counters["covariance_replaced"] == 1
+    assert message.covariance.xx == pytest.approx(0.25**2, rel=0.01)
+
+
+def test_robots_do_not_share_a_belief(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core(robot="*")
+    one = speaker.hypotheses(1.0, [TRUTH], [40.0])
+    two = speaker.hypotheses(1.0, [np.add(TRUTH, [3, 0, 0])], [40.0])
+    two = Envelope(two.channel, {**two.address, "robot": "other"}, two.message)
+    core.handle(one)
+    core.handle(two)
+    said = list(core.finish())
+    found = {e.address["robot"]: e.open(PoseEstimate).pose.x for e in said if e.channel is POSE}
+    assert found == pytest.approx({"r": TRUTH[0], "other": TRUTH[0] + 3})
+
+
+def test_a_message_of_other_floors_leaves_a_floor_alone(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    for scan in range(6):
+        time = 10.0 + 0.1 * scan
+        core.handle(speaker.odometry(time, np.zeros(3)))
+        core.handle(speaker.hypotheses(time, [TRUTH], [30.0], projector="ground", frame="ground"))
+        said = poses_of(
+            core.handle(
+                speaker.hypotheses(time, [np.add(TRUTH, [2, 0, 0])], [12.0], projector="first", frame="first")
+            )
+        )
+    assert said[-1].state == STATE_LOCALIZED
+    assert said[-1].frame_id == "ground"
