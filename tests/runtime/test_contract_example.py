@@ -1,5 +1,6 @@
 """The code on the contract's page, run as it stands but for the site and the way there."""
 
+import json
 import re
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.session import MEETING
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -20,9 +22,9 @@ PAGE = ROOT / "docs/contract.md"
 
 def test_the_example_hears_a_pose(net: Any, buses: Callable[[], Bus]) -> None:
     (code,) = re.findall(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    code = code.replace('"site/', f'"{net.site}/').replace(
-        "zenoh.Config()", f"zenoh.Config.from_file({str(net.leaf)!r})"
-    )
+    (endpoint,) = json.loads(net.leaf.read_text())["connect"]["endpoints"]
+    code = code.replace('"site/', f'"{net.site}/').replace(MEETING, endpoint)
+    code = code.replace("zenoh.Config()", f"zenoh.Config.from_file({str(net.leaf)!r})")
     bus = buses()
     estimate = PoseEstimate(pose=Pose2(x=1.5, y=-2.0), state=STATE_LOCALIZED, confidence=0.875)
     over = threading.Event()

@@ -1,9 +1,14 @@
 import json
+import time
 from pathlib import Path
+from uuid import uuid4
 
+import psutil
 import pytest
 import zenoh
 from eigenscan.runtime.session import URGENT_BATCHES, open_session
+
+from tests.runtime.conftest import PATIENCE_S
 
 SIZES = "transport/link/tx/queue/size"
 
@@ -35,3 +40,29 @@ def test_urgent_messages_find_room_unless_the_file_says_otherwise(
     assert opened[0]["interactive_high"] == URGENT_BATCHES
     assert opened[1]["interactive_high"] < URGENT_BATCHES
     assert opened[0]["data"] == opened[1]["data"]
+
+
+def test_without_a_file_nobody_else_can_join() -> None:
+    before = {*psutil.Process().net_connections("inet")}
+    session = open_session(None)
+    try:
+        opened = [one for one in psutil.Process().net_connections("inet") if one not in before]
+    finally:
+        session.close()
+    assert opened
+    assert {one.laddr.ip for one in opened} == {"127.0.0.1"}
+
+
+def test_those_without_a_file_meet_and_still_do_when_the_first_is_gone() -> None:
+    key, heard = f"test-{uuid4().hex}/word", list[bytes]()
+    first, second = open_session(None), open_session(None)
+    first.close()
+    third = open_session(None)
+    second.declare_subscriber(key, lambda sample: heard.append(sample.payload.to_bytes()))
+    deadline = time.monotonic() + PATIENCE_S
+    while not heard:
+        assert time.monotonic() < deadline
+        third.put(key, b"here")
+        time.sleep(0.05)
+    second.close()
+    third.close()

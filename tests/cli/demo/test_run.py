@@ -52,6 +52,22 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -
     assert list((tmp_path / "out/mcap").glob("*.mcap"))
 
 
+def test_an_open_endpoint_must_be_asked_for_in_words(tmp_path: Path) -> None:
+    write_map(office().render(), tmp_path / "map.yaml")
+    _expect_one_line(
+        tmp_path, ["--map", str(tmp_path / "map.yaml"), "--listen", "tcp/0.0.0.0:7447"], "--insecure"
+    )
+
+
+def test_a_second_run_of_one_robot_is_refused_at_once(tmp_path: Path) -> None:
+    write_map(office().render(), tmp_path / "map.yaml")
+    session, zenoh = open_hub(tmp_path / "net")
+    with Bus(session) as bus:
+        bus.announce("depot", "tracker", "r17")
+        flags = ["--map", str(tmp_path / "map.yaml"), "--site", "depot", "--zenoh", str(zenoh)]
+        _expect_one_line(tmp_path, [*flags, "--robot", "r17"], "tracker already run")
+
+
 def test_a_folder_that_is_no_model(tmp_path: Path) -> None:
     (tmp_path / "model").mkdir()
     _expect_one_line(tmp_path, ["--map", str(tmp_path / "model")], str(tmp_path / "model"))

@@ -27,8 +27,21 @@ def run(
     robot: Annotated[str, typer.Option(help="name of the robot, a chunk of its keys")] = DEFAULT_ROBOT,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     zenoh: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration, JSON5; without it peers meet by multicast")
+        Path | None,
+        typer.Option(help="Zenoh configuration, JSON5; without it programs of this machine alone can join"),
     ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="also let other machines in by this endpoint, such as tcp/0.0.0.0:7447; needs --insecure"
+        ),
+    ] = None,
+    insecure: Annotated[
+        bool,
+        typer.Option(
+            "--insecure", help="with --listen: whoever reaches the endpoint may read and forge every message"
+        ),
+    ] = False,
     ros2: Annotated[
         Literal["rmw_zenoh", "rmw_zenoh_humble", "ros2dds"] | None,
         typer.Option(help="also the bridge to a robot with ROS 2, by what it speaks on Zenoh: docs/ros2.md"),
@@ -45,10 +58,10 @@ def run(
 ) -> None:
     """Start all services for your own map and robot; Ctrl-C ends them all.
 
-    The robot's driver publishes raw scans on SITE/robot/ROBOT/scan/raw/LIDAR and odometry on
-    SITE/robot/ROBOT/odom; the pose comes on SITE/robot/ROBOT/pose. With --ros2 they are the robot's
-    /scan, /odom and /amcl_pose. --json has a line for each event: ready, state (a change of it), pose (one a
-    second), ended.
+    The robot's driver connects to tcp/127.0.0.1:7448 and publishes raw scans on
+    SITE/robot/ROBOT/scan/raw/LIDAR and odometry on SITE/robot/ROBOT/odom; the pose comes on
+    SITE/robot/ROBOT/pose. With --ros2 they are the robot's /scan, /odom and /amcl_pose. --json writes a
+    line for each event: ready, state (a change of it), pose (one a second), ended.
 
     \b
     Examples:
@@ -61,6 +74,7 @@ def run(
         raise UsageError(
             "--map: give a map_server yaml or a model folder; only with --ros2 the robot has one"
         )
+    _check_listen(listen or [], insecure, zenoh)
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
 
@@ -71,10 +85,25 @@ def run(
         ros2_flags += ["--map", ""]  # the robot says its map itself
     assert map_or_model is not None
     flags, mcap = _model_flags(map_or_model), folder / "mcap"
-    pipeline = Pipeline(site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags)
+    pipeline = Pipeline(
+        site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or ()
+    )
     prepare(json_file)
     with events(json_file) as told:
         attend(pipeline, folder, told, to_stderr=not wants_words(json_file))
+
+
+def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None:
+    """Nobody opens a robot to the network by accident."""
+    if listen and zenoh:
+        raise UsageError(
+            f"--listen {listen[0]}: {zenoh} decides that: put the endpoint into its listen.endpoints"
+        )
+    if listen and not insecure:
+        raise UsageError(
+            f"--listen {listen[0]}: whoever reaches it may read and forge every message: use certificates "
+            "(eigenscan fleet certify, then --zenoh), or add --insecure"
+        )
 
 
 def _model_flags(map_or_model: Path) -> list[str]:

@@ -23,7 +23,7 @@ LOOK_EVERY_S = 1.0
 
 
 class RouterSettings(ServiceSettings):
-    """Routes a site's traffic. Without a Zenoh configuration it listens on TCP port 7447."""
+    """Routes a site's traffic. Without a Zenoh configuration it listens on 127.0.0.1:7448."""
 
     end_on_change: bool = Field(
         False,

@@ -5,14 +5,21 @@ from __future__ import annotations
 import json
 import re
 import threading
+from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import zenoh
 from eigenscan.schemas.channels import ContractError
 
-LOG_FILTER = "error,zenoh::net::routing=off"
-"""Of Zenoh's own log, where RUST_LOG says nothing else; its routing takes a neighbour's end for an error."""
+LOG_FILTER = "error,zenoh::net::routing=off,zenoh_transport::unicast::establishment=off"
+"""Of Zenoh's own log, where RUST_LOG says nothing else; its routing takes a neighbour's end for an error, and
+the process that listens on MEETING takes its own attempt to connect there for one."""
+
+MEETING = "tcp/127.0.0.1:7448"
+"""Where processes of one machine without a configuration meet. Not Zenoh's own 7447: on a robot with ROS 2
+the rmw_zenoh router listens there, on all interfaces, and would let the network in."""
 
 URGENT_BATCHES = 16
 """Zenoh's own 2 are full, and urgent messages dropped, whenever its thread gets no turn for two scans.
@@ -24,19 +31,15 @@ _QUEUE_SIZE = "transport/link/tx/queue/size"
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
 
-def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
-    """Session from a JSON5 file, or without one an embedded session in `mode` ("peer", "router").
+def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = ()) -> zenoh.Session:
+    """Session from a JSON5 file; without one a session in `mode` ("peer", "router") for this machine alone.
 
-    An embedded peer finds its neighbours by multicast. Raises ContractError naming the file where it
-    is no Zenoh configuration or no session opens.
+    `listen`: endpoints where that one may be reached from elsewhere too. Raises ContractError naming the
+    file where it is no Zenoh configuration or no session opens.
     """
     zenoh.init_log_from_env_or(LOG_FILTER)
     try:
-        if path:
-            config = zenoh.Config.from_file(str(path))
-        else:
-            config = zenoh.Config()
-            config.insert_json5("mode", f'"{mode}"')
+        config = zenoh.Config.from_file(str(path)) if path else _this_machine(mode, listen)
     except zenoh.ZError as error:
         raise ContractError(f"{path}: is no Zenoh configuration: {_reason(error)}") from error
     _deepen_urgent_queues(config)
@@ -44,9 +47,35 @@ def open_session(path: Path | None, mode: str = "peer") -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise ContractError(
-            f"{path or f'embedded {mode}'}: no Zenoh session: {_reason(error)}: "
+            f"{path or f'{mode} of this machine'}: no Zenoh session: {_reason(error)}: "
             "check its listen and connect endpoints"
         ) from error
+
+
+def _this_machine(mode: str, listen: Sequence[str]) -> zenoh.Config:
+    """Loopback only, no multicast: nobody else on the network can join.
+
+    The first peer listens on MEETING and the others connect to it, and by gossip to each other. When it ends
+    the others stay connected, and the next one that starts takes its place.
+    """
+    endpoints = [MEETING, *listen] if mode == "router" else [MEETING, "tcp/127.0.0.1:0", *listen]
+    settings: dict[str, Any] = {
+        "mode": mode,
+        "listen/endpoints": endpoints,
+        "scouting/multicast/enabled": False,
+    }
+    if mode != "router":
+        settings |= {
+            "listen/exit_on_failure": False,
+            "listen/timeout_ms": 0,
+            "connect/endpoints": [MEETING],
+            "connect/exit_on_failure": False,
+            "connect/timeout_ms": 0,
+        }
+    config = zenoh.Config()
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return config
 
 
 def open_meanwhile(path: Path | None, mode: str) -> Future[zenoh.Session]:

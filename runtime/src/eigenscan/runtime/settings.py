@@ -53,7 +53,9 @@ class ServiceSettings(BaseModel):
         default_factory=lambda given: instance_name(given.get("robot", EVERY)),
         description="name of this instance among those of its service; the robot's name without it",
     )
-    zenoh: Path | None = Field(None, description="Zenoh configuration, JSON5; without it an embedded peer")
+    zenoh: Path | None = Field(
+        None, description="Zenoh configuration, JSON5; without it programs of this machine alone can join"
+    )
     keep: Path | None = Field(
         None,
         description="folder for the maps and models that were heard, to start with where the site is cut off",

@@ -7,17 +7,24 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import zenoh
 from eigenscan.cli.figures import Events
 from eigenscan.cli.launch.screen import StatusLine, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
-from eigenscan.cli.launch.supervision import Supervisor
+from eigenscan.cli.launch.supervision import SERVICES, Supervisor
 from eigenscan.cli.launch.witness import Witness
 from eigenscan.runtime.bus import Bus
-from eigenscan.runtime.session import open_session
+from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.session import MEETING, open_session
 from eigenscan.runtime.wake import Wake
+from eigenscan.schemas.channels import ALIVE_TEMPLATE
 from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.group import instance_name
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
+
+ASK_S = 1.0
+"""What others may take to answer that they are there; on one machine they take milliseconds."""
 
 EVERY_S = 1.0
 """A pose is told as an event so often."""
@@ -32,13 +39,18 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
     with ExitStack() as stack:
         stack.enter_context(wake.on_signals())
         line = stack.enter_context(StatusLine(to_stderr))
-        bus = stack.enter_context(Bus(open_session(pipeline.zenoh)))
+        session = _open(pipeline)
+        bus = stack.enter_context(Bus(session))
+        _refuse_second(session, pipeline)
         witness = Witness(bus, pipeline.site)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
         pipeline.start(supervisor)
         if not wait_until_ready(supervisor, witness, line, wake):
             return
-        line.say(f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r}; Ctrl-C ends all")
+        line.say(
+            f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r} at {_where(pipeline)}; "
+            "Ctrl-C ends all"
+        )
         link = viewer_link(supervisor)
         if link:
             line.say(f"watch it here: {link}")
@@ -54,6 +66,38 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
             wake.wait(0.2)
         told.tell("ended", folder=str(folder))
         line.say(f"ended; recording and logs are in {folder}")
+
+
+def _open(pipeline: Pipeline) -> zenoh.Session:
+    """The session of this command; a router for the others where other machines may join."""
+    if pipeline.listen:
+        return open_session(None, "router", pipeline.listen)
+    return open_session(pipeline.zenoh)
+
+
+def _where(pipeline: Pipeline) -> str:
+    """Where drivers connect, for people."""
+    return str(pipeline.zenoh) if pipeline.zenoh else ", ".join([MEETING, *pipeline.listen])
+
+
+def _refuse_second(session: zenoh.Session, pipeline: Pipeline) -> None:
+    """Two pipelines under one robot's name would publish two poses. Raises UsageError."""
+    tokens = ALIVE_TEMPLATE.format(
+        site=pipeline.site, service="*", instance=instance_name(pipeline.robot), contract="*"
+    )
+    running = sorted(
+        {
+            str(reply.ok.key_expr).split("/")[2]
+            for reply in session.liveliness().get(tokens, timeout=ASK_S)
+            if reply.ok
+        }
+        & {*SERVICES}
+    )
+    if running:
+        raise UsageError(
+            f"--robot {pipeline.robot}: its {', '.join(running)} already run on site {pipeline.site!r}: "
+            "end it, or choose another --robot or --site"
+        )
 
 
 class _Teller:

@@ -29,6 +29,7 @@ class Pipeline:
     rrd: Path | None
     viewer: bool
     ros2_flags: Sequence[str] | None = None  # the ROS bridge's; None: without one
+    listen: Sequence[str] = ()  # endpoints for other machines
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it hears everything."""
