@@ -236,6 +236,23 @@ def test_shows_itself_under_its_own_name_only(exchange: Exchange, holder: str) -
         assert seers == (set(HOLDERS) - {holder} if role_of(holder) in channel.said_by else set())
 
 
+def test_a_robot_speaks_of_services_that_there_are(fleet: Fleet) -> None:
+    """Made-up names would fill the site's recordings: each is one more channel of a file."""
+    heard: list[str] = []
+    with fleet.past_its_router("r17") as robot, fleet.at_site("recorder") as recorder:
+        recorder.declare_subscriber(f"{SITE}/health/**", lambda sample: heard.append(str(sample.key_expr)))
+        known = HEALTH.key({"site": SITE, "service": "tracker", "instance": "r17"})
+
+        def known_is_heard() -> bool:
+            robot.put(f"{SITE}/health/made-up/r17", b"")
+            robot.put(known, b"")
+            return known in heard
+
+        until(known_is_heard, "a known service is not heard")
+        time.sleep(DENIED_S)
+    assert f"{SITE}/health/made-up/r17" not in heard
+
+
 def test_what_a_reader_of_the_table_expects(exchange: Exchange) -> None:
     """Said once without the table, so that an error in it is noticed as well."""
     heard_by: dict[tuple[str, str, str], set[str]] = {}

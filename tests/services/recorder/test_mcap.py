@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import resource
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ import pytest
 import zenoh
 from eigenscan.recorder.mcap_sink import RETRY_S, McapSink
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import CHANNELS, MAP, POSE, TRACKS
+from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
@@ -282,6 +283,41 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     assert sink.problem == ""
     sink.close()
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
+
+
+def test_more_keys_than_a_file_can_number_begin_the_next_file(tmp_path: Path) -> None:
+    clock, keys = Clock(), 2**16 + 10
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    for number in range(keys):
+        health = Health(service=f"made-up-{number}", instance="r17")
+        sink.write(Envelope(HEALTH, {"site": "s", "service": health.service, "instance": "r17"}, health))
+    sink.write(pose(1))
+    sink.close()
+    assert sink.counters["mcap_lost"] == 0
+    assert not sink.problem
+    found = {file.name: sum(1 for _ in read(file)) for file in tmp_path.glob("*.mcap")}
+    assert len(found) == 2
+    assert sum(found.values()) == keys + 1
+
+
+def test_a_message_that_the_writer_cannot_take_costs_a_while_and_no_more(tmp_path: Path) -> None:
+    clock = Clock()
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    writer = sink._writer
+    assert writer is not None
+    writer._writer.add_message = _refuse  # type: ignore[method-assign]
+    sink.write(pose(1))
+    assert "struct.error" in sink.problem or "error: " in sink.problem
+    assert sink.counters["mcap_lost"] == 1
+    clock.now += int(RETRY_S * S) + 1
+    sink.write(pose(2))
+    sink.close()
+    assert not sink.problem
+    assert [record.publish_time for record in read(tmp_path / "a-2.mcap")] == [2]
+
+
+def _refuse(*_: object, **__: object) -> None:
+    raise struct.error("'H' format requires 0 <= number <= 65535")
 
 
 def test_a_clock_that_is_set_back_delays_neither_flush_nor_retry(tmp_path: Path) -> None:

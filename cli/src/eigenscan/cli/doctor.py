@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
 from eigenscan.cli.frame import EXIT_FAILED
+from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ def doctor(
     found = [*_of_this_machine(), *_of_the_site(site, zenoh, tuple(robot or ()), seconds)]
     if wants_words(json_file):
         for finding in found:
-            typer.echo(f"{finding.where}: {finding.what}\n    mend: {finding.mend}")
+            typer.echo(f"{printable(finding.where)}: {printable(finding.what)}")
+            typer.echo(f"    mend: {printable(finding.mend)}")
         typer.echo(f"{len(found)} found" if found else f"all is well on site {site}")
     write_figures([asdict(finding) for finding in found], json_file)
     if found:

@@ -28,6 +28,9 @@ EVERY_MESSAGE = [
     "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
 ]  # fmt: skip
 
+ON_A_ROBOT = ("router", "scan-ingest", "projector", "tracker", "mapbuilder", "recorder", "ros-bridge")
+"""Services that a robot's certificate may speak of: made-up names would fill the site's recordings."""
+
 ANSWERS = (HYPOTHESES, OBSTACLES)
 """What a projector says to a robot."""
 
@@ -90,9 +93,13 @@ def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights
     address = {"site": site, "robot": robot, "instance": robot}
     return Rights(
         site,
-        says=_keys(says, address),
+        says=tuple(
+            one.selector(address | {"service": service})
+            for one in says
+            for service in (ON_A_ROBOT if one is HEALTH else ("*",))
+        ),
         answers=(),
-        shows=(_alive(site, robot),),
+        shows=tuple(_alive(site, robot, service) for service in ON_A_ROBOT),
         hears=_keys(hears, address),
         # a rule holds for a subscription as it stands: one for all robots brings this robot's
         subscribes=_keys(hears, {"site": site}),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from eigenscan.runtime.printable import printable
+
 
 class UsageError(ValueError):
     """What was asked for cannot be done; the message names the option or file and the fix."""
@@ -23,7 +25,7 @@ def by_users(error: Exception) -> bool:
 
 
 def one_line(error: Exception) -> str:
-    """The error without line breaks."""
+    """The error in one line that a terminal can show."""
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
+        return printable(f"{error.filename}: {error.strerror}")
+    return printable(str(error)) or type(error).__name__

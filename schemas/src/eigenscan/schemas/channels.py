@@ -30,7 +30,7 @@ CONTRACT_VERSION = 1
 DEFAULT_SITE = "site"
 DEFAULT_ROBOT = "robot"
 
-_CHUNK = re.compile(r"[^/*$#?@\s]+")
+_CHUNK = re.compile(r"[^/*$#?@\s\x00-\x1f\x7f-\x9f]+")
 
 
 class ContractError(ValueError):
@@ -38,7 +38,10 @@ class ContractError(ValueError):
 
 
 def is_chunk(text: str) -> bool:
-    """True where `text` can stand for one field of a key: not empty, none of `/ * $ # ? @`, no blanks."""
+    """True where `text` can stand for one field of a key.
+
+    Not empty; none of `/ * $ # ? @`, no blank, no control character.
+    """
     return bool(_CHUNK.fullmatch(text))
 
 
@@ -120,7 +123,9 @@ class Channel:
 
     @cached_property
     def _pattern(self) -> re.Pattern[str]:
-        return re.compile(re.sub(r"{(\w+)}", r"(?P<\1>[^/*$#?@\\s]+)", self.template))
+        return re.compile(
+            re.sub(r"{(\w+)}", lambda field: f"(?P<{field[1]}>{_CHUNK.pattern})", self.template)
+        )
 
     def key(self, address: Mapping[str, str]) -> str:
         """Full key for `address`; fields of other channels are ignored.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def _cells(row: dict[str, Any], newest: str) -> list[str]:
     colour = "red" if old or row["state"] in ("lost", "unknown") else _COLOURS.get(row["state"], "yellow")
     state = f"[{colour}]{'was ' if old else ''}{row['state']}[/]"
     place = "" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}"
-    model = row["model"][:8]
+    model = printable(row["model"][:8])
     if newest and model and row["model"] != newest:
         model = f"[yellow]{model} old[/]"
     drops = f"[yellow]{row['drops']}[/]" if row["drops"] else "0"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from math import degrees
 
+from eigenscan.runtime.printable import printable
 from eigenscan.schemas.tracking_pb2 import State
 from rich.console import Console
 from rich.markup import escape
@@ -32,14 +33,14 @@ class StatusLine:
     def show(self, text: str) -> None:
         """Puts `text` in the line."""
         if self.console.is_terminal:
-            self._status.update(escape(text))
+            self._status.update(escape(printable(text)))
         elif time.monotonic() >= self._due:
             self.say(text)
 
     def say(self, text: str) -> None:
         """Prints a line that stays."""
         self._due = time.monotonic() + QUIET_PERIOD_S
-        self.console.print(text, markup=False, soft_wrap=True)
+        self.console.print(printable(text), markup=False, soft_wrap=True)
 
 
 def state_name(state: int) -> str:

@@ -16,6 +16,8 @@ from mcap.writer import CompressionType, Writer
 
 PROFILE = "eigenscan"
 CHUNK_BYTES = 256 * 1024
+MOST_CHANNELS = 65_535
+"""MCAP numbers a file's channels with 16 bits, from 1 on (specification, Channel record)."""
 
 
 class RecordingWriter:
@@ -66,6 +68,10 @@ class RecordingWriter:
     def size(self) -> int:
         """Bytes of the file so far, without the chunk in progress."""
         return self._file.tell()
+
+    def has_room(self, key: str) -> bool:
+        """Whether a message of `key` can be added: a file holds MOST_CHANNELS keys."""
+        return key in self._channels or len(self._channels) < MOST_CHANNELS
 
     def flush(self) -> None:
         """Ends the chunk in progress and hands it to the operating system: a kill loses nothing before.

@@ -9,6 +9,9 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 
+MOST_SERVICES = 10_000
+"""Instances that one file tells of: those of 1,000 robots, with room. Made-up names take no more memory."""
+
 Metadata = dict[str, dict[str, str]]
 
 
@@ -26,6 +29,8 @@ class About:
             health = heard.open(Health)
             told = {"version": health.package_version, "settings": health.settings}
             who = f"{health.service}/{health.instance}"
+            if who not in self._services and len(self._services) >= MOST_SERVICES:
+                return
             self._services[who] = json.dumps(told)
             self._speaking.add(who)
         elif heard.channel is MODEL_SET:

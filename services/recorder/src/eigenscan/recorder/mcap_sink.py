@@ -30,7 +30,8 @@ class McapSink:
     older than `flush_s` is in the hands of the operating system. A file that reaches its limits is closed,
     and the next one begun; where all take too much the oldest go. Where the disk fails, messages are counted
     as lost, and every RETRY_S a new file is tried. Each file starts with the newest latched messages, so that
-    it explains itself, and ends with what services told of themselves, as metadata.
+    it explains itself, and ends with what services told of themselves, as metadata. A file that has as many
+    keys as MCAP can number is closed like one that reached its limits.
     """
 
     def __init__(
@@ -81,13 +82,13 @@ class McapSink:
         self._now = now
         try:
             self._pending += 1
-            writer = self._rotated(now) if self._writer else self._reopen(now)
+            writer = self._rotated(now, heard.key) if self._writer else self._reopen(now)
             if writer is None:
                 self._settle("mcap_lost")
             else:
                 writer.write(heard, now, _published(heard) or now)
                 self._flush(writer, now)
-        except OSError as error:
+        except Exception as error:  # whatever it is, the next messages must not be lost with this one
             self._fail(error, now)
         if heard.channel.qos.latched:
             self._latched[heard.key] = heard
@@ -100,7 +101,7 @@ class McapSink:
             try:
                 self._writer.close(self._about.metadata)
                 self._settle("mcap_written")
-            except OSError as error:
+            except Exception as error:
                 self._fail(error, self._clock())
             self._writer = None
 
@@ -127,19 +128,21 @@ class McapSink:
         self._counts["mcap_slow"] += took_s > SLOW_S
         self._counts["mcap_slowest_ms"] = max(self._counts["mcap_slowest_ms"], int(took_s * 1e3))
 
-    def _fail(self, error: OSError, now: int) -> None:
-        self._problem = (
-            f"mcap: {self.path or self._files.target}: {error.strerror}: free space or change mcap"
-        )
+    def _fail(self, error: Exception, now: int) -> None:
+        where, reason = self.path or self._files.target, getattr(error, "strerror", None)
+        mend = "free space or change mcap" if reason else "a new file begins; report it with the recording"
+        self._problem = f"mcap: {where}: {reason or f'{type(error).__name__}: {error}'}: {mend}"
         self._retry_at = now + int(RETRY_S * 1e9)
         self._settle("mcap_lost")
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
 
-    def _rotated(self, now: int) -> RecordingWriter | None:
-        """The file in use, or the next one where that has reached its limits."""
-        if self._writer and self._limits.is_full(self._writer.size, now - self._opened_at):
+    def _rotated(self, now: int, key: str) -> RecordingWriter | None:
+        """The file in use, or the next one where that has reached its limits or has no number for `key`."""
+        if self._writer and (
+            self._limits.is_full(self._writer.size, now - self._opened_at) or not self._writer.has_room(key)
+        ):
             self._writer.close(self._about.metadata)
             self._settle("mcap_written", but=1)
             self._writer = None
@@ -162,7 +165,7 @@ class McapSink:
             for held in self._latched.values():
                 writer.write(held, now, _published(held) or now)
             writer.flush()
-        except OSError:
+        except Exception:
             if writer is not None:
                 writer.abandon()
             path.unlink(missing_ok=True)

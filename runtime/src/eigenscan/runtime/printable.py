@@ -1,0 +1,16 @@
+"""Text from elsewhere, made safe to show on a terminal."""
+
+from __future__ import annotations
+
+import unicodedata
+
+MOST = 2000
+"""Characters of one text that are shown: an error message may quote a whole file."""
+
+
+def printable(text: str) -> str:
+    """`text` in one line, without what a terminal obeys (control and format characters), cut to MOST."""
+    shown = " ".join(text[: 2 * MOST].split())
+    # Cc: escape sequences; Cf: marks that turn the order of the text around
+    shown = "".join("?" if unicodedata.category(each) in ("Cc", "Cf") else each for each in shown)
+    return shown if len(shown) <= MOST else f"{shown[:MOST]}…"

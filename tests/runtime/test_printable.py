@@ -1,0 +1,31 @@
+import json
+
+import pytest
+from eigenscan.runtime.errors import one_line
+from eigenscan.runtime.printable import MOST, printable
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        "\x1b[2J\x1b]0;owned\x07all is well",
+        "\x9b31mred",
+        "line\rover",
+        "turned \u202e round",
+        "hidden \u200b space",
+        "bell\x07",
+    ],
+)
+def test_nothing_that_a_terminal_obeys_is_shown(hostile: str) -> None:
+    shown = printable(hostile)
+    assert shown.isprintable()
+    assert printable(shown) == shown
+
+
+def test_words_of_any_language_stay_as_they_are() -> None:
+    for text in ("état: prêt, 12 m²", "ロボット r17", json.dumps({"a": 1})):
+        assert printable(text) == text
+
+
+def test_an_error_that_quotes_a_whole_file_is_cut() -> None:
+    assert len(one_line(ValueError("y" * 10**7))) == MOST + 1
