@@ -1,4 +1,4 @@
-"""A building's models: seconds, megabytes, memory, by area and threads; Toeplitz PCA against the direct way.
+"""A building's models: seconds, megabytes, memory, by area and threads.
 
     python benchmarks/build.py [--spacing 0.25] [--json OUT]
 
@@ -16,12 +16,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from eigenscan.eigenspace.components import analyse, autocovariance
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.mapbuilder.site import Plan, build_site
-from numpy.typing import NDArray
-from raycasting import best
-from scipy.linalg import toeplitz
 
 RESOLUTION = 0.05
 
@@ -32,7 +28,7 @@ def main() -> None:
     arguments.add_argument("--areas", type=float, nargs="+", default=[700.0, 2800.0])
     arguments.add_argument("--json", type=str)
     given = arguments.parse_args()
-    figures: dict[str, Any] = {"build": [], "pca": pca()}
+    figures: dict[str, Any] = {"build": []}
     plan = Plan(spacing=given.spacing)
     build_site(office(60.0), plan)  # compiles
     cores = len(os.sched_getaffinity(0))
@@ -93,30 +89,6 @@ def office(area: float) -> GridMap:
         if row:
             box(1.5, y - 0.3, 1.0, 0.4, FREE)
     return GridMap(cells, RESOLUTION, np.zeros(3))
-
-
-def pca() -> dict[str, float]:
-    """The same covariance and components from 40 positions at half a degree: all scans, and one FFT each."""
-    rng = np.random.default_rng(3)
-    rings = rng.uniform(1.0, 12.0, (40, 720)).astype(np.float32)
-
-    def direct() -> NDArray[np.float64]:
-        total, mean = np.zeros((361, 361)), float(rings.mean(dtype=np.float64))
-        for ring in rings.astype(np.float64):
-            scans = np.lib.stride_tricks.sliding_window_view(np.concatenate([ring, ring[:360]]), 361) - mean
-            total += scans.T @ scans
-        return total / rings.size
-
-    fast = toeplitz(autocovariance(rings)[1][:361])
-    error = float(np.abs(fast - direct()).max() / fast[0, 0])
-    analyse(rings, 361, count=8)
-    took = {"direct_s": best(direct), "toeplitz_s": best(lambda: toeplitz(autocovariance(rings)[1][:361]))}
-    ratio = took["direct_s"] / took["toeplitz_s"]
-    print(
-        f"covariance of 40 x 720 scans of 361 beams: direct {took['direct_s'] * 1e3:.0f} ms, Toeplitz "
-        f"{took['toeplitz_s'] * 1e3:.2f} ms, {ratio:.0f} times faster, {error:.1e} apart"
-    )
-    return took | {"ratio": ratio, "relative_error": error}
 
 
 if __name__ == "__main__":

@@ -5,26 +5,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from eigenscan.workbench.evaluation.metrics import BINS, Bin, calibration_error
+from eigenscan.workbench.evaluation.metrics import Bin, calibration_error, pooled
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Okabe and Ito's, told apart by the colour-blind too; then again with the next mark."""
 MARKS = "osD^"
 LARGEST = 700.0
 """Area of the largest mark, points squared; areas go by the root of counts: most poses are in one bin."""
-
-
-def pooled(diagrams: list[list[Bin]]) -> list[Bin]:
-    """One diagram of all poses of several."""
-    merged = []
-    for index in range(BINS):
-        inside = [b for bins in diagrams for b in bins if min(int(b.confidence * BINS), BINS - 1) == index]
-        count = sum(b.count for b in inside)
-        if count:
-            said = sum(b.count * b.confidence for b in inside) / count
-            right = sum(b.count * b.right for b in inside) / count
-            merged.append(Bin(count, said, right))
-    return merged
 
 
 def draw_reliability(path: Path, found: dict[str, Any]) -> None:

@@ -21,7 +21,7 @@ def copy(tmp_path: Path) -> Path:
 
 
 def _page(root: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(root / "benchmarks/page.py"), *options]
+    command = [sys.executable, str(root / "benchmarks/record.py"), *options]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

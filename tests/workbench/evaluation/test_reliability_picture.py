@@ -1,15 +1,12 @@
 """The reliability diagram of the benchmark: several logs are one source, and an earlier run can be drawn."""
 
-import importlib.util
 import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
-import pytest
-from eigenscan.workbench.evaluation.metrics import calibration
+from eigenscan.workbench.evaluation.metrics import calibration, pooled
 from PIL import Image
 
 from tests.environment import ROOT
@@ -17,28 +14,16 @@ from tests.environment import ROOT
 BENCHMARKS = ROOT / "benchmarks"
 
 
-@pytest.fixture(scope="module")
-def picture() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "reliability_picture", BENCHMARKS / "reliability_picture.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_logs_pooled_by_their_bins_are_the_diagram_of_all_their_poses(picture: ModuleType) -> None:
+def test_logs_pooled_by_their_bins_are_the_diagram_of_all_their_poses() -> None:
     rng = np.random.default_rng(8)
     said, right = rng.uniform(0, 1, 900) ** 0.3, rng.uniform(0, 1, 900) < 0.6
     said[:3] = 1.0
     parts = [slice(0, 100), slice(100, 850), slice(850, 900)]
-    pooled = picture.pooled([calibration(said[part], right[part]) for part in parts])
+    merged = pooled([calibration(said[part], right[part]) for part in parts])
     whole = calibration(said, right)
-    assert [entry.count for entry in pooled] == [entry.count for entry in whole]
+    assert [entry.count for entry in merged] == [entry.count for entry in whole]
     for name in ("confidence", "right"):
-        np.testing.assert_allclose([vars(e)[name] for e in pooled], [vars(e)[name] for e in whole])
+        np.testing.assert_allclose([vars(e)[name] for e in merged], [vars(e)[name] for e in whole])
 
 
 def test_an_earlier_run_is_drawn_without_its_logs(tmp_path: Path) -> None:

@@ -149,6 +149,19 @@ def calibration(confidence: Floats, correct: Bools, bins: int = BINS) -> list[Bi
     return found
 
 
+def pooled(diagrams: list[list[Bin]]) -> list[Bin]:
+    """One diagram of all poses of several."""
+    merged = []
+    for index in range(BINS):
+        inside = [b for bins in diagrams for b in bins if min(int(b.confidence * BINS), BINS - 1) == index]
+        count = sum(b.count for b in inside)
+        if count:
+            said = sum(b.count * b.confidence for b in inside) / count
+            right = sum(b.count * b.right for b in inside) / count
+            merged.append(Bin(count, said, right))
+    return merged
+
+
 def calibration_error(diagram: Sequence[Bin]) -> float | None:
     """Expected calibration error: the mean gap between said and right, weighted by count."""
     total = sum(entry.count for entry in diagram)
