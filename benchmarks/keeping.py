@@ -81,7 +81,7 @@ class Site:
         store = Store(self.folder)
         site = store.renewed()
         assert site is not None
-        settings = MapbuilderSettings(model=self.folder, changes=self.changes, visit=VISIT_S / 60)
+        settings = MapbuilderSettings(changes=self.changes, visit=VISIT_S / 60)
         self.mapbuilder = MapbuilderCore(settings, site, store)
         self._teach(self.mapbuilder.start())
 

@@ -73,7 +73,7 @@ def main() -> None:
 def record(target: Path, scenario: Scenario) -> None:
     """Models, raw scans and odometry; the cores' answers are those of the replays."""
     grid = office().render()
-    models = MapbuilderCore(MapbuilderSettings(model=target.parent), build_site(grid, Plan())).start()
+    models = MapbuilderCore(MapbuilderSettings(), build_site(grid, Plan())).start()
     stage = Stage(grid, scenario)
     with RecordingWriter(target) as writer:
         for envelope in models:

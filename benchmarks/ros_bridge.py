@@ -29,8 +29,8 @@ from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_HEARD
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.endpoints import Endpoint, endpoints
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import ODOMETRY, POSE, SCAN_RAW, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -39,7 +39,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from google.protobuf.wrappers_pb2 import BytesValue
 
 SITE = {"site": "benchmark", "robot": "robot", "lidar": "scan"}
-SETTINGS = RosBridgeSettings(site="benchmark", mounts_from_tf=False, domain=77)
+SETTINGS = RosBridgeOptions(site="benchmark", mounts_from_tf=False, domain=77)
 WARM_UP = 50
 """Rounds that do not count: links are still being made."""
 WAIT_S = 1.0
@@ -187,7 +187,7 @@ def wait_for_bridge(echo: Echo, payload: bytes) -> None:
 
 def core_us(name: str, payload: bytes) -> float:
     """us for one message in the core alone: decoding, converting, encoding."""
-    core = RosBridgeCore(SETTINGS)
+    core = RosBridgeCore(SETTINGS, SETTINGS.site, SETTINGS.robot)
     heard = {
         "scan": Envelope(ROS_HEARD, {"endpoint": "%scan"}, BytesValue(value=payload)),
         "odom": Envelope(ROS_HEARD, {"endpoint": "%odom"}, BytesValue(value=payload)),

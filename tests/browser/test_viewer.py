@@ -7,10 +7,10 @@ from itertools import zip_longest
 from pathlib import Path
 
 import pytest
+from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.palette import AMBIGUOUS, HYPOTHESIS, LOCALIZED, PLACE, SCAN, TRACK
 from eigenscan.recorder.rerun_sink import RerunSink
-from eigenscan.recorder.settings import RecorderSettings
 from eigenscan.schemas.channels import HEALTH
 from eigenscan.schemas.envelope import Envelope
 
@@ -94,7 +94,7 @@ def test_a_layout_shows_what_it_is_for(
     is_shown: Callable[[Pixels], bool],
     tmp_path: Path,
 ) -> None:
-    sink = RerunSink(RecorderSettings(viewer_port=0, data_port=0, picture_hz=2, layout=layout))
+    sink = RerunSink(RecorderOptions(viewer_port=0, data_port=0, picture_hz=2, layout=layout))
     for message in traffic():
         if message.channel != HEALTH:
             sink.write(message)

@@ -11,12 +11,12 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.recorder.settings import RecorderSettings
+from eigenscan.mapbuilder.options import MapbuilderOptions
+from eigenscan.projector.options import ProjectorOptions
+from eigenscan.recorder.options import RecorderOptions
 from eigenscan.runtime.router import RouterSettings
 from eigenscan.runtime.settings import load
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.options import TrackerOptions
 
 from tests.fleet.conftest import run
 
@@ -182,16 +182,16 @@ def test_what_is_to_be_installed_is_named(tmp_path: Path) -> None:
 
 def test_the_settings_it_writes_are_those_of_the_services_and_stay_their_owners(folder: Path) -> None:
     robot, site = folder / "robots/r17/eigenscan.toml", folder / "site/eigenscan.toml"
-    tracker = load(TrackerSettings, "tracker", ["--config", str(robot)])
+    tracker = load(TrackerOptions, "tracker", ["--config", str(robot)])
     assert (tracker.site, tracker.robot, tracker.instance) == ("hospital", "r17", "r17")
     assert tracker.zenoh == Path("/etc/eigenscan/service.json5")
-    assert load(ProjectorSettings, "projector", ["--config", str(robot)]).keep
+    assert load(ProjectorOptions, "projector", ["--config", str(robot)]).keep
     assert load(RouterSettings, "router", ["--config", str(robot)]).end_on_change
     assert load(RouterSettings, "router", ["--config", str(site)]).zenoh == Path(
         "/etc/eigenscan/router.json5"
     )
-    assert load(RecorderSettings, "recorder", ["--config", str(site)]).robot == "*"
-    assert load(MapbuilderSettings, "mapbuilder", ["--config", str(site)]).instance == "site"
+    assert load(RecorderOptions, "recorder", ["--config", str(site)]).robot == "*"
+    assert load(MapbuilderOptions, "mapbuilder", ["--config", str(site)]).instance == "site"
     robot.write_text(robot.read_text() + "\n[tracker]\n")
     assert run("configure", "-o", folder).exit_code == 0
     assert robot.read_text().endswith("[tracker]\n")

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 import zenoh
-from eigenscan.runtime import recently_used
 from eigenscan.runtime.bus import STAGGER_S, Bus, stagger
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.schemas import recently_used
 from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.model_pb2 import RegionModel

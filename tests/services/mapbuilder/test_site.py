@@ -11,6 +11,7 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, read_map
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.picture import draw_regions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.shards import shards
@@ -122,7 +123,7 @@ def said(core: MapbuilderCore) -> list[Envelope]:
 
 
 def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -> None:
-    core = MapbuilderCore(MapbuilderSettings(map="m.yaml", site="lab", step=2.0), office)
+    core = MapbuilderCore(MapbuilderSettings(step=2.0), office, site="lab")
     assert core.condition().status == Health.STATUS_WAITING
     envelopes = said(core)
     assert [e.channel.name for e in envelopes] == ["map", "model", "model", "model", "model_set"]
@@ -138,7 +139,7 @@ def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -
 
 def test_models_that_were_built_before_are_said_as_they_are(office: GridMap) -> None:
     site = build_site(office, replace(QUICK, frame_id="floor2"))
-    core = MapbuilderCore(MapbuilderSettings(model="folder"), site)
+    core = MapbuilderCore(MapbuilderSettings(), site)
     envelopes = said(core)
     assert envelopes[0].open(Grid).frame_id == "floor2"
     assert envelopes[-1].message == site.to_message()
@@ -147,10 +148,10 @@ def test_models_that_were_built_before_are_said_as_they_are(office: GridMap) -> 
 def test_the_settings_ask_for_one_source_and_name_what_is_out_of_range() -> None:
     for wrong in ({}, {"map": "a", "model": "b"}):
         with pytest.raises(ValidationError, match="give one of map"):
-            MapbuilderSettings(**wrong)
+            MapbuilderOptions(**wrong)
     with pytest.raises(ValidationError, match="spacing"):
-        MapbuilderSettings(map="a", spacing=0.0)
-    assert MapbuilderSettings(map="a", step=1.0, threads=2).plan == Plan(step=np.deg2rad(1.0), threads=2)
+        MapbuilderOptions(map="a", spacing=0.0)
+    assert MapbuilderOptions(map="a", step=1.0, threads=2).plan == Plan(step=np.deg2rad(1.0), threads=2)
 
 
 @pytest.mark.dataset

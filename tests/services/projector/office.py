@@ -78,8 +78,8 @@ def envelopes(built: SiteModel) -> list[Envelope]:
     ]
 
 
-def ready(built: SiteModel | None = None, **settings: object) -> ProjectorCore:
-    core = ProjectorCore(ProjectorSettings(**settings))
+def ready(built: SiteModel | None = None, instance: str = "robot", **settings: object) -> ProjectorCore:
+    core = ProjectorCore(ProjectorSettings(**settings), instance)
     for envelope in envelopes(built or site()):
         assert list(core.handle(envelope)) == []
     return core

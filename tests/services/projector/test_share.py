@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from eigenscan.projector.options import ProjectorOptions
 from eigenscan.projector.projection import Candidates, Projected
 from eigenscan.projector.publishing import TOLD, told_regions
 from eigenscan.projector.settings import ProjectorSettings
@@ -37,7 +38,7 @@ def test_a_part_that_is_none_is_refused(part: str) -> None:
 
 def test_parts_are_called_by_other_names_without_being_told() -> None:
     def name(**given: str) -> str:
-        return ProjectorSettings.model_validate(given).instance
+        return ProjectorOptions.model_validate(given).instance
 
     assert [name(robot="*", part=f"{k}/2") for k in (1, 2)] == ["0-1of2", "0-2of2"]
     assert name(robot="r17", part="1/1") == "r17"

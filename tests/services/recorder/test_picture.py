@@ -20,6 +20,7 @@ from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
+from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.belief import probabilities
 from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
@@ -29,7 +30,6 @@ from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import LOCALIZED, LOST
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
-from eigenscan.recorder.settings import RecorderSettings
 from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRACKS, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
@@ -50,7 +50,7 @@ S = 1_000_000_000
 
 
 def draw(path: Path, messages: Iterable[Envelope], picture_hz: float = 1000.0) -> None:
-    sink = RerunSink(RecorderSettings(rrd=path, picture_hz=picture_hz))
+    sink = RerunSink(RecorderOptions(rrd=path, picture_hz=picture_hz))
     for message in messages:
         sink.write(message)
     sink.close()

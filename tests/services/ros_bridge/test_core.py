@@ -9,7 +9,7 @@ from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
 from eigenscan.ros_bridge.core import RosBridgeCore
-from eigenscan.ros_bridge.settings import RosBridgeSettings
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -33,7 +33,8 @@ SITE = {"site": "s", "robot": "r"}
 
 
 def core(**settings: Any) -> RosBridgeCore:
-    return RosBridgeCore(RosBridgeSettings.model_validate({**SITE, **settings}))
+    options = RosBridgeOptions.model_validate({**SITE, **settings})
+    return RosBridgeCore(options, options.site, options.robot)
 
 
 def header(frame: str, time: int = TIME) -> Any:
@@ -393,5 +394,5 @@ def test_settings_that_do_not_hold(settings: dict[str, Any], part: str) -> None:
 
 def test_the_domain_is_ros_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
-    assert RosBridgeSettings().domain == 42
-    assert RosBridgeSettings(domain=7).domain == 7
+    assert RosBridgeOptions().domain == 42
+    assert RosBridgeOptions(domain=7).domain == 7

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.endpoints import Endpoint, Endpoints, Qos, Role, endpoints
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh, gid_of
 from eigenscan.ros_bridge.ros2dds import Ros2Dds
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 
 SESSION = "aac3178e146ba6f1fc6e6a4085e77f21"
 CHATTER = Endpoint("/chatter", "std_msgs/msg/String", Role.PUBLISHER, Qos(7))
@@ -28,7 +28,7 @@ PARAMETER_SERVICES = {
 
 
 def ends(**settings: object) -> Endpoints:
-    return endpoints(RosBridgeSettings.model_validate(settings))
+    return endpoints(RosBridgeOptions.model_validate(settings))
 
 
 def test_keys_of_the_design_document() -> None:

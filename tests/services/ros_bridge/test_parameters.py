@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from eigenscan.ros_bridge import cdr, parameters
 from eigenscan.ros_bridge.core import RosBridgeCore
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.service_types import (
     DESCRIBE_PARAMETERS,
     GET_PARAMETER_TYPES,
@@ -13,7 +14,6 @@ from eigenscan.ros_bridge.service_types import (
     LIST_PARAMETERS,
     SET_PARAMETERS,
 )
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 
 from tests.services.ros_bridge.test_core import ask, core
 
@@ -40,7 +40,7 @@ def get(bridge: RosBridgeCore, node: str, *names: str) -> list[Any]:
 
 def test_all_settings_are_listed() -> None:
     listed = call(core(), BRIDGE, LIST_PARAMETERS, [], 0).result
-    assert listed.names == sorted(RosBridgeSettings.model_fields)
+    assert listed.names == sorted(RosBridgeOptions.model_fields)
     assert listed.prefixes == []
     assert call(core(), BRIDGE, LIST_PARAMETERS, ["odom", "none_such"], 1).result.names == ["odom"]
 
@@ -79,7 +79,7 @@ def test_they_are_described_and_not_to_be_set() -> None:
     bridge = core()
     told, unknown = call(bridge, AMCL, DESCRIBE_PARAMETERS, ["tf_broadcast", "none_such"]).descriptors
     assert (told.name, told.type, told.read_only) == ("tf_broadcast", parameters.BOOL, True)
-    assert told.description == RosBridgeSettings.model_fields["tf_broadcast"].description
+    assert told.description == RosBridgeOptions.model_fields["tf_broadcast"].description
     assert (unknown.name, unknown.type) == ("none_such", parameters.NOT_SET)
     (value,) = get(bridge, AMCL, "tf_broadcast")
     value.bool_value = False

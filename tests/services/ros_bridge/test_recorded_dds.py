@@ -13,9 +13,9 @@ import pytest
 from eigenscan.geometry.pose import from_pose3
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.endpoints import Role, endpoints
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.outbound import occupancy_grid, particle_cloud, transforms
 from eigenscan.ros_bridge.ros2dds import Ros2Dds
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.envelope import nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -62,7 +62,7 @@ def test_a_message_read_and_written_is_the_same_bytes(key: str) -> None:
 
 
 def test_our_tokens_are_those_of_a_bridge_with_the_same_topics() -> None:
-    dialect, ends = Ros2Dds("0"), list(endpoints(RosBridgeSettings(dialect="ros2dds")))
+    dialect, ends = Ros2Dds("0"), list(endpoints(RosBridgeOptions(dialect="ros2dds")))
     topics = [end for end in ends if end.role is not Role.SERVICE and end.node != "amcl"]
     ours = {token.split("/", 3)[3] for token in list(dialect.tokens(topics))[1:]}
     theirs = {token for token in DATA["tokens"] if token[:2] in ("MP", "MS")}

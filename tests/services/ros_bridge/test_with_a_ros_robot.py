@@ -14,10 +14,10 @@ from eigenscan.geometry.gridmap import to_message as to_grid
 from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.inbound import grid_map
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.outbound import occupancy_grid, pose_with_covariance
 from eigenscan.ros_bridge.robot_map import take_map
 from eigenscan.ros_bridge.service_types import EMPTY_SERVICE
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -153,7 +153,7 @@ def test_who_comes_late_gets_the_map(bridge: Bridge, robot: Robot) -> None:
 def test_the_robots_own_map_is_taken(robot: Robot, network: Network) -> None:
     """As of a map_server, or of SLAM, whose cells are how probably they are occupied."""
     flags = {"ros_router": network.endpoint, "domain": robot.domain}
-    settings = RosBridgeSettings.model_validate(flags)
+    settings = RosBridgeOptions.model_validate(flags)
     with pytest.raises(MapError, match=f"no map on /map of domain {robot.domain}"):
         take_map(settings, 0.5)
     cells = np.array([[0, 19, 50], [65, 100, -1]], dtype=np.int8)
@@ -197,7 +197,7 @@ def test_tf_static_said_before_the_bridge_came_is_heard(start: Start, robot: Rob
 
     from tests.services.ros_bridge.test_core import MOUNT, scan
 
-    tf_static = endpoints(RosBridgeSettings()).static_transforms
+    tf_static = endpoints(RosBridgeOptions()).static_transforms
     assert tf_static is not None
     config = zenoh.Config.from_file(str(network.leaf))
     config.insert_json5("timestamping/enabled", "true")

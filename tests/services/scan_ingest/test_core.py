@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.runtime import recently_used
 from eigenscan.runtime.settings import SettingsError, load
+from eigenscan.schemas import recently_used
 from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -254,7 +255,7 @@ def test_the_same_input_gives_the_same_bytes() -> None:
 
 def test_settings_are_read_from_flags() -> None:
     flags = ["--angle-step", "0.5", "--mounts", '{"front": {"x": 0.2, "yaw": 180}}', "--range-max", "25"]
-    settings = load(ScanIngestSettings, "scan-ingest", flags)
+    settings = load(ScanIngestOptions, "scan-ingest", flags)
     assert settings.angle_step == 0.5
     assert settings.mounts["front"].yaw == 180.0
     assert settings.range_max == 25.0
@@ -270,7 +271,7 @@ def test_settings_are_read_from_flags() -> None:
 )
 def test_settings_that_do_not_hold_are_named(flags: list[str], named: str) -> None:
     with pytest.raises(SettingsError, match=named):
-        load(ScanIngestSettings, "scan-ingest", flags)
+        load(ScanIngestOptions, "scan-ingest", flags)
 
 
 def test_lidars_without_end_are_served_and_those_that_are_gone_forgotten(

@@ -4,7 +4,7 @@ import gc
 
 import numpy as np
 import pytest
-from eigenscan.runtime import recently_used
+from eigenscan.schemas import recently_used
 from eigenscan.schemas.channels import TRANSFORM
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.robot import RobotTracker

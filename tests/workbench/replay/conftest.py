@@ -81,8 +81,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("models") / "office"
     site = build_site(office().render(), Plan())
     write_models(site, folder)
-    models = tuple(MapbuilderCore(MapbuilderSettings(model=folder), site).start())
-    messages = drive(models, Scenario(seconds=SECONDS), TrackerSettings(robot="*"))
+    models = tuple(MapbuilderCore(MapbuilderSettings(), site).start())
+    messages = drive(models, Scenario(seconds=SECONDS), TrackerSettings())
     return Run(tuple(messages), models, folder)
 
 

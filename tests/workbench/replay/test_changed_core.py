@@ -12,7 +12,7 @@ from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.options import TrackerOptions
 from eigenscan.workbench.replay.casting import Instance
 from eigenscan.workbench.replay.report import report
 from eigenscan.workbench.replay.services import PROJECTOR, SCAN_INGEST, TRACKER, Service
@@ -150,7 +150,7 @@ def test_what_was_said_before_a_failure_counts() -> None:
 
 
 def test_settings_that_are_told_make_the_same_service(tmp_path: Path) -> None:
-    settings = TrackerSettings(trust=0.6, robot="r7", metrics_port=9100, zenoh=tmp_path, log_level="debug")
+    settings = TrackerOptions(trust=0.6, robot="r7", metrics_port=9100, zenoh=tmp_path, log_level="debug")
     told = json.loads(settings.told())
     assert not {"metrics_port", "metrics_host", "zenoh", "log_level", "log_format"} & told.keys()
-    assert TrackerSettings.model_validate(told) == TrackerSettings(trust=0.6, robot="r7")
+    assert TrackerOptions.model_validate(told) == TrackerOptions(trust=0.6, robot="r7")

@@ -79,7 +79,7 @@ def test_a_run_replays_to_the_same_bits(
 def test_another_setting_is_caught_at_the_first_message_that_it_changes(
     run: Run, recording: Path, eigenscan: Command
 ) -> None:
-    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(robot="*", trust=0.6))
+    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(trust=0.6))
     pairs = zip(only(run.messages, POSE, TRACKS), only(other, POSE, TRACKS), strict=True)
     first = next(a for a, b in pairs if encode(a.envelope.message) != encode(b.envelope.message))
     ended = eigenscan("replay", recording, "--service", "tracker", "--compare", "--set", "trust=0.6")
@@ -222,7 +222,7 @@ def health(settings: str = "", **counters: int) -> Envelope:
 def test_recorded_settings_are_used_and_defaults_are_said(
     run: Run, eigenscan: Command, tmp_path: Path
 ) -> None:
-    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(robot="*", trust=0.6))
+    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(trust=0.6))
     text = json.dumps({"robot": "*", "instance": "t", "trust": 0.6, "gone_since": 1})
     command = ("--service", "tracker", "--compare")
     told = [Timed(other[0].time, health(text)), *other]
@@ -302,7 +302,7 @@ def test_what_is_said_now_can_be_kept(run: Run, recording: Path, eigenscan: Comm
     out = tmp_path / "out.mcap"
     command = ("replay", recording, "--service", "tracker", "--out", out, "--set", "trust=0.6")
     assert eigenscan(*command).code == 0
-    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(robot="*", trust=0.6))
+    other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(trust=0.6))
     kept = [encode(record.envelope.message) for record in read(out) if record.envelope.channel is POSE]
     assert kept == [encode(timed.envelope.message) for timed in only(other, POSE)]
     said = {timed.envelope.channel for timed in only(other, *TRACKER_SAYS)}

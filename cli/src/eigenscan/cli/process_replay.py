@@ -121,7 +121,7 @@ def _models(folder: Path, found: Survey) -> list[Envelope]:
     return [
         envelope
         for site in sorted(found.sites)
-        for envelope in MapbuilderCore(MapbuilderSettings(model=folder, site=site), built).start()
+        for envelope in MapbuilderCore(MapbuilderSettings(), built, site=site).start()
     ]
 
 

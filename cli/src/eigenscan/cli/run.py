@@ -123,12 +123,12 @@ def _model_flags(map_or_model: Path) -> list[str]:
 def _take_map(ros2_flags: list[str], path: Path) -> Path:
     """Writes the robot's own map to `path`. Raises MapError where it says none."""
     from eigenscan.geometry.gridmap import write_map
+    from eigenscan.ros_bridge.options import RosBridgeOptions
     from eigenscan.ros_bridge.robot_map import take_map
-    from eigenscan.ros_bridge.settings import RosBridgeSettings
     from eigenscan.runtime.settings import load
 
     typer.echo(f"waiting for the robot's /map, at most {MAP_S:.0f} s", err=True)
-    grid = take_map(load(RosBridgeSettings, "ros-bridge", ros2_flags), MAP_S)
+    grid = take_map(load(RosBridgeOptions, "ros-bridge", ros2_flags), MAP_S)
     write_map(grid, path)
     typer.echo(f"took it: {path}", err=True)
     return path

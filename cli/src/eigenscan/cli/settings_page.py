@@ -14,15 +14,15 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 KINDS = {
-    "scan-ingest": "eigenscan.ingest.settings:ScanIngestSettings",
-    "projector": "eigenscan.projector.settings:ProjectorSettings",
-    "tracker": "eigenscan.tracker.settings:TrackerSettings",
-    "mapbuilder": "eigenscan.mapbuilder.settings:MapbuilderSettings",
-    "recorder": "eigenscan.recorder.settings:RecorderSettings",
-    "ros-bridge": "eigenscan.ros_bridge.settings:RosBridgeSettings",
+    "scan-ingest": "eigenscan.ingest.options:ScanIngestOptions",
+    "projector": "eigenscan.projector.options:ProjectorOptions",
+    "tracker": "eigenscan.tracker.options:TrackerOptions",
+    "mapbuilder": "eigenscan.mapbuilder.options:MapbuilderOptions",
+    "recorder": "eigenscan.recorder.options:RecorderOptions",
+    "ros-bridge": "eigenscan.ros_bridge.options:RosBridgeOptions",
     "router": "eigenscan.runtime.router:RouterSettings",
 }
-"""Where each service's settings are."""
+"""Where what each service can be told is."""
 
 MARK = "<!-- what follows is made from the settings' types by python -m eigenscan.cli.settings_page -->"
 

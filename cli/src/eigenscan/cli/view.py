@@ -12,7 +12,7 @@ from eigenscan.recorder.picture.layout import Layout
 from eigenscan.runtime.errors import UsageError
 
 if TYPE_CHECKING:
-    from eigenscan.recorder.settings import RecorderSettings
+    from eigenscan.recorder.options import RecorderOptions
 
 HOST = "127.0.0.1"
 
@@ -57,7 +57,7 @@ def view(
     """  # noqa: D301 - \b keeps the lines apart in --help
     if rrd is None and not is_opened:
         raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
-    from eigenscan.recorder.settings import RecorderSettings
+    from eigenscan.recorder.options import RecorderOptions
     from eigenscan.recorder.web_viewer import free_port
 
     prepare(json_file)
@@ -67,7 +67,7 @@ def view(
 
     with TemporaryDirectory(prefix="eigenscan-view-") as folder:
         target = rrd or Path(folder) / f"{recording.stem}.rrd"
-        settings = RecorderSettings(rrd=target, layout=layout, picture_hz=picture_hz)
+        settings = RecorderOptions(rrd=target, layout=layout, picture_hz=picture_hz)
         figures = {"picture": str(rrd) if rrd else None} | _draw(recording, at, end, settings)
         if is_opened:
             _open(target, port, figures, json_file)
@@ -75,7 +75,7 @@ def view(
             write_figures(figures, json_file)
 
 
-def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderSettings) -> dict[str, Any]:
+def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOptions) -> dict[str, Any]:
     """Draws what lies between two moments of a recording, message by message, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read

@@ -18,7 +18,6 @@ import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
 from eigenscan.runtime.keepsake import digest
-from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,
@@ -29,6 +28,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.group import selectors
+from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.wire import encode, encoding
 
 LATCHED_TIMEOUT_S = 120.0

@@ -28,10 +28,8 @@ from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 
-_OF_THE_PROCESS = {
-    *("zenoh", "keep", "metrics_port", "metrics_host", "log_level", "log_format"),
-    *("behind_after", "stop_s"),
-}
+_SERVED = frozenset(("site", "robot", "instance"))
+"""Whom a service serves and under which name: the keys that its core hears and speaks on."""
 
 
 class SettingsError(ValueError):
@@ -39,7 +37,11 @@ class SettingsError(ValueError):
 
 
 class ServiceSettings(BaseModel):
-    """What every service can be told."""
+    """What every service can be told.
+
+    A service's options derive from its core's settings, which hold what changes an answer, and from this,
+    which holds how the process is run.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -87,9 +89,16 @@ class ServiceSettings(BaseModel):
         description="s within which it ends when told to; more where the machine or its disk is very busy",
     )
 
+    @classmethod
+    def answering(cls) -> frozenset[str]:
+        """The fields that answers may depend on: whom it serves, and the settings of its core."""
+        cores = [kind for kind in cls.__mro__ if issubclass(kind, BaseModel)]
+        own = [kind.model_fields for kind in cores if not issubclass(kind, ServiceSettings)]
+        return _SERVED.union(*own)
+
     def told(self) -> str:
-        """What the core's answers may depend on, as JSON: all but how the process itself is run."""
-        return self.model_dump_json(exclude=_OF_THE_PROCESS)
+        """What the core's answers may depend on, as JSON."""
+        return self.model_dump_json(include=set(self.answering()))
 
     @field_validator("site", "instance")
     @classmethod

@@ -9,6 +9,7 @@ from eigenscan.eigenspace.versions import choose, replace, versions
 from eigenscan.geometry.circle import TURN
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.keeping.store import Store
+from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.schemas.channels import HEALTH, MODEL_SET
@@ -26,7 +27,7 @@ def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> Mapbui
     store = Store(folder)
     site = store.renewed()
     assert site is not None
-    core = MapbuilderCore(MapbuilderSettings(model=folder, changes=changes), site, store)
+    core = MapbuilderCore(MapbuilderSettings(changes=changes), site, store)
     assert list(core.start())[-1].channel is MODEL_SET
     return core
 
@@ -101,5 +102,5 @@ def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> 
 
 def test_a_map_alone_cannot_be_kept() -> None:
     with pytest.raises(ValidationError, match="eigenscan build"):
-        MapbuilderSettings(map="map.yaml", changes="propose")
-    assert MapbuilderCore(MapbuilderSettings(map="map.yaml"), KNOWN).hears == ()
+        MapbuilderOptions(map="map.yaml", changes="propose")
+    assert MapbuilderCore(MapbuilderSettings(), KNOWN).hears == ()

@@ -10,7 +10,7 @@ from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.geometry.gridmap import GridMap, to_message
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.schemas.channels import HEALTH, MAP, MODEL, MODEL_SET, POSE, SCAN, Channel
+from eigenscan.schemas.channels import DEFAULT_SITE, HEALTH, MAP, MODEL, MODEL_SET, POSE, SCAN, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
@@ -32,8 +32,14 @@ class MapbuilderCore:
     says: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET)
 
     def __init__(
-        self, settings: MapbuilderSettings, source: GridMap | SiteModel, store: Store | None = None
+        self,
+        settings: MapbuilderSettings,
+        source: GridMap | SiteModel,
+        store: Store | None = None,
+        site: str = DEFAULT_SITE,
     ) -> None:
+        """`site` is the first chunk of the keys that it speaks on."""
+        self._address = {"site": site}
         self._settings, self._source, self._store = settings, source, store
         self._site: SiteModel | None = None
         self._version = ""
@@ -107,11 +113,11 @@ class MapbuilderCore:
                 self._custodian.take_over(site)
 
     def _map(self, grid: GridMap, frame_id: str) -> Envelope:
-        return Envelope(MAP, {"site": self._settings.site}, to_message(grid, frame_id))
+        return Envelope(MAP, self._address, to_message(grid, frame_id))
 
     def _announce(self, site: SiteModel) -> Iterator[Envelope]:
         """The models that nobody has been told of, then the set."""
-        *models, whole = announce_models(site, self._settings.site)
+        *models, whole = announce_models(site, self._address["site"])
         for model, said in zip(site.regions, models, strict=True):
             if self._said.get(model.region) != model.version:
                 self._said[model.region] = model.version

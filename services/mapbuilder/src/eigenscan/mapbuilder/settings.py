@@ -1,27 +1,21 @@
-"""What mapbuilder can be told."""
+"""What mapbuilder's answers depend on, besides what it hears."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from eigenscan.runtime.settings import ServiceSettings
-from pydantic import Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
     from eigenscan.mapbuilder.site import Plan
 
 
-class MapbuilderSettings(ServiceSettings):
+class MapbuilderSettings(BaseModel):
     """Settings of mapbuilder: a map in, eigenspace models out."""
 
-    robot: str = Field(
-        "*", description="robot whose scans keep the map true; * hears every robot of the site"
-    )
-    behind_after: float = Field(math.inf, ge=0, description="s; no robot waits for its answer")
-    map: Path | None = Field(None, description="map_server yaml to build models from")
-    model: Path | None = Field(None, description="folder of models that were built before, instead of map")
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
     frame_id: str = Field("map", min_length=1, description="name of the map frame in what is published")
     spacing: float = Field(0.5, ge=0.05, le=5.0, description="m, between positions of the grid")
     error: float = Field(
@@ -36,7 +30,6 @@ class MapbuilderSettings(ServiceSettings):
     margin: float = Field(1.0, ge=0.0, le=10.0, description="m, that a region reaches into its neighbours")
     smallest: float = Field(4.0, ge=0.0, description="m^2, smaller regions join a neighbour")
     largest: float = Field(150.0, ge=1.0, description="m^2, larger regions are halved")
-    threads: int = Field(1, ge=1, le=256, description="threads that build; they do not change the result")
     changes: Literal["off", "propose", "publish"] | None = Field(
         None,
         description="what becomes of lasting changes that robots see: off, propose (the operator accepts) or "
@@ -46,14 +39,6 @@ class MapbuilderSettings(ServiceSettings):
     visit: float = Field(
         30.0, ge=0.1, le=1440.0, description="min, of one visit: what is seen within counts once"
     )
-
-    @model_validator(mode="after")
-    def _one_source(self) -> MapbuilderSettings:
-        if (self.map is None) == (self.model is None):
-            raise ValueError("give one of map (a map_server yaml) and model (a folder of models)")
-        if self.changes in ("propose", "publish") and self.model is None:
-            raise ValueError("changes needs model, a folder for new versions: build it with eigenscan build")
-        return self
 
     @property
     def plan(self) -> Plan:
@@ -72,5 +57,4 @@ class MapbuilderSettings(ServiceSettings):
             share=self.share,
             frame_id=self.frame_id,
             division=Division(margin=self.margin, smallest=self.smallest, largest=self.largest),
-            threads=self.threads,
         )

@@ -16,7 +16,17 @@ from eigenscan.projector.publishing import hypotheses_message, obstacles_message
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import Shelf, WholeSet
 from eigenscan.projector.site import Site
-from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, POSE, SCAN, Channel
+from eigenscan.schemas.channels import (
+    DEFAULT_ROBOT,
+    HYPOTHESES,
+    MAP,
+    MODEL,
+    MODEL_SET,
+    OBSTACLES,
+    POSE,
+    SCAN,
+    Channel,
+)
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
@@ -31,8 +41,9 @@ class ProjectorCore:
     hears: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SCAN)
     says: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES)
 
-    def __init__(self, settings: ProjectorSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: ProjectorSettings, instance: str = DEFAULT_ROBOT) -> None:
+        """`instance` tells its hypotheses' key from those of the site's other projectors."""
+        self._settings, self._instance = settings, instance
         self._focus = Focus()
         if settings.focus:
             self.hears = (*ProjectorCore.hears, POSE)
@@ -91,7 +102,7 @@ class ProjectorCore:
             self._counts["scan_without_model"] += 1
             return []
         scan = heard.open(Scan)
-        address = {**heard.address, "projector": self._settings.instance}
+        address = {**heard.address, "projector": self._instance}
         try:
             seen = observe(scan)
             mount = from_message(scan.mount)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.geometry.pose import covariance_from_message
-from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from numpy.typing import NDArray
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.options import ProjectorOptions
 from eigenscan.runtime import node
 
 if TYPE_CHECKING:
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 def main() -> None:
     """Runs the projector until it is told to stop."""
-    node.main("projector", ProjectorSettings, _make_core)
+    node.main("projector", ProjectorOptions, _make_core)
 
 
-def _make_core(settings: ProjectorSettings) -> ProjectorCore:
+def _make_core(options: ProjectorOptions) -> ProjectorCore:
     from eigenscan.projector.core import (
         ProjectorCore,
     )  # numba takes its time, and neighbours are found meanwhile
     from eigenscan.projector.warm_up import warm_up
 
-    warm_up(settings)
-    return ProjectorCore(settings)
+    warm_up(options)
+    return ProjectorCore(options, options.instance)

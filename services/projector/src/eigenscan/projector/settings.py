@@ -1,23 +1,21 @@
-"""What a projector can be told."""
+"""What a projector's answers depend on, besides what it hears."""
 
 from __future__ import annotations
 
-import re
-from contextlib import suppress
-from typing import Any, get_args
+from typing import get_args
 
 from eigenscan.projector.association import kinds
 from eigenscan.projector.embedding import Kind
-from eigenscan.runtime.settings import ServiceSettings
-from eigenscan.schemas.channels import DEFAULT_ROBOT, ContractError
-from eigenscan.schemas.group import instance_name
-from pydantic import Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-_PART = r"[1-9]\d*/[1-9]\d*"
+PART = r"[1-9]\d*/[1-9]\d*"
+"""What `part` looks like."""
 
 
-class ProjectorSettings(ServiceSettings):
+class ProjectorSettings(BaseModel):
     """Candidate poses and obstacles from one scan, by the eigenspaces of the site's regions."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     embedding: Kind = Field("ring", description="what of a range is analysed: ring, or range as in the paper")
     range_cap: float = Field(15.0, gt=0, description="m, plain ranges count as this at most")
@@ -38,7 +36,7 @@ class ProjectorSettings(ServiceSettings):
     published: int = Field(30, ge=1, le=30, description="hypotheses of a scan at most")
     part: str = Field(
         "1/1",
-        pattern=f"^{_PART}$",
+        pattern=f"^{PART}$",
         description="K/N: search the Kth of N shares of the regions; other projectors search the others",
     )
     focus: bool = Field(
@@ -52,19 +50,6 @@ class ProjectorSettings(ServiceSettings):
         """K and N of `part`."""
         k, n = self.part.split("/")
         return int(k), int(n)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _named_by_part(cls, given: Any) -> Any:
-        """Two parts of one site are two instances, without being told."""
-        if not isinstance(given, dict) or "instance" in given:
-            return given
-        robot, part = str(given.get("robot", DEFAULT_ROBOT)), str(given.get("part", "1/1"))
-        if part == "1/1" or not re.fullmatch(_PART, part):
-            return given
-        with suppress(ContractError):  # the robot's own field tells what is wrong
-            return given | {"instance": f"{instance_name(robot)}-{part.replace('/', 'of')}"}
-        return given
 
     @field_validator("part")
     @classmethod

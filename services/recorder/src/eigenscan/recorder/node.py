@@ -7,7 +7,7 @@ import time
 from eigenscan.recorder.aside import Aside
 from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import McapSink
-from eigenscan.recorder.settings import RecorderSettings
+from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.sink import Sink
 from eigenscan.runtime.node import main as run_node
 from eigenscan.runtime.settings import SettingsError
@@ -15,7 +15,7 @@ from eigenscan.runtime.settings import SettingsError
 SERVICE = "recorder"
 
 
-def make_core(settings: RecorderSettings) -> RecorderCore:
+def make_core(settings: RecorderOptions) -> RecorderCore:
     """The core with the sinks that the settings ask for, the recording first."""
     sinks: list[Sink] = []
     if settings.mcap is not None:
@@ -37,7 +37,7 @@ def make_core(settings: RecorderSettings) -> RecorderCore:
 
 def main() -> None:
     """Entry point."""
-    run_node(SERVICE, RecorderSettings, make_core, whole_site=True)
+    run_node(SERVICE, RecorderOptions, make_core, whole_site=True)
 
 
 if __name__ == "__main__":

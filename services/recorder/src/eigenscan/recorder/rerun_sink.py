@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 
 import rerun as rr
+from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.drawing import Picture
-from eigenscan.recorder.settings import RecorderSettings
 from eigenscan.recorder.web_viewer import free_port, serve_viewer
 from eigenscan.schemas.envelope import Envelope
 
@@ -20,7 +20,7 @@ FLUSH_S = 0.3
 class RerunSink:
     """Draws every message. `url` is the page to open, empty without a live viewer."""
 
-    def __init__(self, settings: RecorderSettings) -> None:
+    def __init__(self, settings: RecorderOptions) -> None:
         """Opens files and ports. Raises SettingsError or OSError naming what cannot be had."""
         self._counts: Counter[str] = Counter(drawn=0)
         self._closing = ExitStack()
@@ -68,7 +68,7 @@ class RerunSink:
         self._stream.disconnect()
         self._closing.close()
 
-    def _serve(self, settings: RecorderSettings, page_port: int) -> rr.GrpcServerSink:
+    def _serve(self, settings: RecorderOptions, page_port: int) -> rr.GrpcServerSink:
         host = settings.viewer_host
         data = free_port("data_port", host, settings.data_port)
         page = free_port("viewer_port", host, page_port)

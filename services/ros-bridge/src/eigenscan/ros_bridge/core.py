@@ -27,6 +27,8 @@ from eigenscan.ros_bridge.parameters import Parameters
 from eigenscan.ros_bridge.service_types import SET_INITIAL_POSE
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import (
+    DEFAULT_ROBOT,
+    DEFAULT_SITE,
     MAP,
     ODOMETRY,
     POSE,
@@ -55,8 +57,11 @@ class RosBridgeCore:
     hears: tuple[Channel, ...] = (ROS_HEARD, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP)
     says: tuple[Channel, ...] = (ROS_SAID, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
 
-    def __init__(self, settings: RosBridgeSettings) -> None:
-        self._address = {"site": settings.site, "robot": settings.robot}
+    def __init__(
+        self, settings: RosBridgeSettings, site: str = DEFAULT_SITE, robot: str = DEFAULT_ROBOT
+    ) -> None:
+        """`site` and `robot` are what it says of ROS's messages in the contract's keys."""
+        self._address = {"site": site, "robot": robot}
         self._ahead = round(settings.transform_tolerance * 1e9)
         self._ends = endpoints(settings)
         self._odom_frame = frame_name(settings.odom_frame) if settings.tf else ""

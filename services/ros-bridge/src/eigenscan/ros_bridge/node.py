@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from eigenscan.ros_bridge.core import RosBridgeCore
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.port import RosPort
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.runtime.node import main as run
 
 
 def main() -> None:
     """Entry point of `eigenscan-ros-bridge`."""
-    run("ros-bridge", RosBridgeSettings, RosBridgeCore, make_port=RosPort, prompt=True)
+    run("ros-bridge", RosBridgeOptions, _make_core, make_port=RosPort, prompt=True)
+
+
+def _make_core(options: RosBridgeOptions) -> RosBridgeCore:
+    return RosBridgeCore(options, options.site, options.robot)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ import zenoh
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
 from eigenscan.ros_bridge.dialect import Dialect
 from eigenscan.ros_bridge.endpoints import Endpoint, Role, endpoints
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Envelope
@@ -32,7 +32,7 @@ class RosPort:
 
     channels: tuple[Channel, ...] = (ROS_HEARD, ROS_SAID, ROS_ASKED, ROS_ANSWERED)
 
-    def __init__(self, settings: RosBridgeSettings) -> None:
+    def __init__(self, settings: RosBridgeOptions) -> None:
         self._settings = settings
         self._endpoints = list(endpoints(settings))
         self._publishers: dict[str, _Publisher] = {}

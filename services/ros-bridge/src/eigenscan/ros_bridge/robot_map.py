@@ -8,11 +8,11 @@ from eigenscan.geometry.gridmap import GridMap, MapError
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.endpoints import Endpoint, Qos, Role, qualified
 from eigenscan.ros_bridge.inbound import grid_map
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 
 
-def take_map(settings: RosBridgeSettings, patience_s: float) -> GridMap:
+def take_map(settings: RosBridgeOptions, patience_s: float) -> GridMap:
     """The robot's OccupancyGrid, waited for at most so long.
 
     Raises MapError where none comes, or it is none; ContractError where no session opens.

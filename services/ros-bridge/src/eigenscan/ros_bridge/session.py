@@ -9,9 +9,9 @@ from typing import Any
 import zenoh
 from eigenscan.ros_bridge.dialect import Dialect
 from eigenscan.ros_bridge.endpoints import Endpoint
+from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
 from eigenscan.ros_bridge.ros2dds import Ros2Dds
-from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.runtime.logs import logger
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import ContractError
@@ -40,7 +40,7 @@ def subscribe(
     )
 
 
-def dialect_of(settings: RosBridgeSettings, session: zenoh.Session) -> Dialect:
+def dialect_of(settings: RosBridgeOptions, session: zenoh.Session) -> Dialect:
     """How the robot speaks, for what is declared on `session`."""
     zid = str(session.zid())
     if settings.dialect == "ros2dds":
@@ -49,7 +49,7 @@ def dialect_of(settings: RosBridgeSettings, session: zenoh.Session) -> Dialect:
     return RmwZenoh(settings.domain, settings.namespace, zid, hashed=hashed)
 
 
-def open_towards_ros(settings: RosBridgeSettings, patience_s: float | None = None) -> zenoh.Session:
+def open_towards_ros(settings: RosBridgeOptions, patience_s: float | None = None) -> zenoh.Session:
     """A peer of the ROS nodes on this machine; the client of a router that is on another.
 
     That router is waited for, for ever unless a patience is given. Raises ContractError where none opens.

@@ -1,43 +1,19 @@
-"""What ros-bridge can be told."""
+"""What ros-bridge's answers depend on, besides what it hears."""
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
-from typing import Any, Literal
 
-from eigenscan.runtime.settings import ServiceSettings
-from eigenscan.schemas.group import is_one
-from pydantic import Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
-ROUTER = "tcp/localhost:7447"
-"""Where rmw_zenohd and zenoh-bridge-ros2dds listen."""
 
 
-class RosBridgeSettings(ServiceSettings):
+class RosBridgeSettings(BaseModel):
     """Settings of ros-bridge: a robot's ROS 2 topics in, AMCL's out, without ROS."""
 
-    dialect: Literal["rmw_zenoh", "rmw_zenoh_humble", "ros2dds"] = Field(
-        "rmw_zenoh",
-        description="rmw_zenoh: the robot runs RMW_IMPLEMENTATION=rmw_zenoh_cpp, rmw_zenoh_humble: that of "
-        "ROS 2 Humble; ros2dds: it runs a DDS, with a zenoh-bridge-ros2dds beside it",
-    )
-    ros_zenoh: Path | None = Field(
-        None,
-        description="Zenoh configuration, JSON5, of the side towards ROS; without it a peer at ros_router",
-    )
-    ros_router: str = Field(
-        ROUTER, pattern="^[a-z0-9]+/.+$", description="where the robot's rmw_zenohd or DDS bridge listens"
-    )
-    domain: int = Field(
-        default_factory=lambda: os.environ.get("ROS_DOMAIN_ID") or "0",
-        validate_default=True,
-        ge=0,
-        le=232,
-        description="ROS domain; ROS_DOMAIN_ID without it",
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
     namespace: str = Field(
         "", description="ROS namespace of the robot: of all topics without a leading slash"
     )
@@ -116,20 +92,6 @@ class RosBridgeSettings(ServiceSettings):
         if not all(value) or len(set(value)) < len(value):
             raise ValueError("must be names of topics, each once")
         return [_checked(name) for name in value]
-
-    @field_validator("robot")
-    @classmethod
-    def _one_robot(cls, value: str) -> str:
-        if not is_one(value):
-            raise ValueError("must be one robot: start a bridge for each, with its namespace or domain")
-        return value
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_network(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("ros_zenoh") and given.get("ros_router"):
-            raise ValueError("give one of ros_zenoh (a file, which names the router) and ros_router")
-        return given
 
 
 def _checked(name: str) -> str:

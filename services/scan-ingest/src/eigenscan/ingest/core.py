@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.ingest.normalize import FARTHEST, Ranges, ScanError, Sweep, limit, orient, resample
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
-from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import SCAN, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 RECENT = 50

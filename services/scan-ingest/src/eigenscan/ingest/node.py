@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.runtime.node import main as run
 
 
 def main() -> None:
     """Entry point of `eigenscan-scan-ingest`."""
-    run("scan-ingest", ScanIngestSettings, ScanIngestCore)
+    run("scan-ingest", ScanIngestOptions, ScanIngestCore)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""What scan-ingest can be told."""
+"""What scan-ingest's answers depend on, besides what it hears."""
 
 from __future__ import annotations
 
-from eigenscan.runtime.settings import ServiceSettings
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 EVERY_LIDAR = "*"
@@ -19,8 +18,10 @@ class Mount(BaseModel):
     upside_down: bool = Field(False, description="mounted head down")
 
 
-class ScanIngestSettings(ServiceSettings):
+class ScanIngestSettings(BaseModel):
     """Settings of scan-ingest: any lidar frame in, one canonical scan out."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     base_frame: str = Field("base_link", description="name of the robot's base frame in what is published")
     angle_step: float | None = Field(

@@ -14,11 +14,11 @@ from eigenscan.geometry.pose import (
     to_message,
     yaw,
 )
-from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.observation import observe
 from eigenscan.tracker.relocation import hint_of

@@ -16,7 +16,7 @@ from eigenscan.schemas.geometry_pb2 import Covariance3
 from eigenscan.schemas.group import holds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.options import TrackerOptions
 from google.protobuf.message import DecodeError
 
 KEEP_EVERY_NS = 1_000_000_000
@@ -25,7 +25,7 @@ KEEP_EVERY_NS = 1_000_000_000
 class RememberingTracker(TrackerCore):
     """A tracker that keeps each robot's last claim in a folder, a file a robot, and begins there."""
 
-    def __init__(self, settings: TrackerSettings, folder: Path) -> None:
+    def __init__(self, settings: TrackerOptions, folder: Path) -> None:
         super().__init__(settings)
         self.says = (*TrackerCore.says, RELOCATION)
         self._told, self._folder = settings, folder

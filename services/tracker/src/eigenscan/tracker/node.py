@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eigenscan.runtime.node import main as run
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.options import TrackerOptions
 
 if TYPE_CHECKING:
     from eigenscan.tracker.core import TrackerCore
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 def main() -> None:
     """Entry point of `eigenscan-tracker`."""
-    run("tracker", TrackerSettings, _make_core)
+    run("tracker", TrackerOptions, _make_core)
 
 
-def _make_core(settings: TrackerSettings) -> TrackerCore:
+def _make_core(options: TrackerOptions) -> TrackerCore:
     from eigenscan.tracker.core import TrackerCore  # it takes its time, and neighbours are found meanwhile
 
-    if settings.last_pose is None:
-        return TrackerCore(settings)
+    if options.last_pose is None:
+        return TrackerCore(options)
     from eigenscan.tracker.last_pose import RememberingTracker
 
-    return RememberingTracker(settings, settings.last_pose)
+    return RememberingTracker(options, options.last_pose)

@@ -1,16 +1,16 @@
-"""What a tracker can be told."""
+"""What a tracker's answers depend on, besides what it hears."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
-from eigenscan.runtime.settings import ServiceSettings
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 
-class TrackerSettings(ServiceSettings):
+class TrackerSettings(BaseModel):
     """Settings of the tracker. The defaults suit indoor robots up to 2 m/s."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: Literal["mixture", "paper"] = Field(
         "mixture",
@@ -66,9 +66,3 @@ class TrackerSettings(ServiceSettings):
     )
     released_below: float = Field(0.7, ge=0, le=1, description="confidence at which the claim is withdrawn")
     history: int = Field(100, ge=0, description="poses kept of each track's trajectory")
-    last_pose: Path | None = Field(
-        None, description="folder for the last claimed pose of each robot, to begin there after a restart"
-    )
-    last_pose_age: float = Field(
-        60.0, ge=0, description="s, by the clock, after which it is not used any more"
-    )

@@ -66,8 +66,7 @@ def generate(folder: Path) -> None:
     """Writes all vectors into `folder`."""
     grid = wing(office()).render()
     write_map(grid, folder / MAP_FILE)
-    settings = MapbuilderSettings(map=folder / MAP_FILE)
-    models = list(MapbuilderCore(settings, build_site(grid, PLAN)).start())
+    models = list(MapbuilderCore(MapbuilderSettings(), build_site(grid, PLAN)).start())
     stage = Stage(grid, SCENARIO)
     pipeline: list[Core] = [
         ScanIngestCore(ScanIngestSettings()),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +40,11 @@ def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
 
     `moved` hears how far it is. Raises MapError or ModelError.
     """
-    settings = MapbuilderSettings(map=path, spacing=spacing, threads=os.cpu_count() or 1)
+    settings = MapbuilderSettings(spacing=spacing)
+    plan = replace(settings.plan, threads=os.cpu_count() or 1)
     grid = read_map(path / MAP if path.is_dir() else path)
     before = time.perf_counter()
-    site = build_site(grid, settings.plan, lambda _, share: moved(share))
+    site = build_site(grid, plan, lambda _, share: moved(share))
     took = time.perf_counter() - before
     moved(1.0)
     models = list(MapbuilderCore(settings, site).start())

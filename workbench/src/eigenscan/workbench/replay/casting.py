@@ -111,18 +111,21 @@ def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, ob
         raise UsageError(f"{survey.path}: settings of {service.name} are no JSON: {error}") from error
     if not isinstance(values, dict):
         raise UsageError(f"{survey.path}: settings of {service.name} are no JSON object")
-    known = {name: value for name, value in values.items() if name in service.settings.model_fields}
-    unknown = sorted(values.keys() - known.keys())
+    unknown = sorted(values.keys() - service.options.model_fields.keys())
     lost = f" without {', '.join(unknown)}, which this version does not know" if unknown else ""
-    return known, f"settings as recorded{lost}"
+    # files of earlier versions also tell how the process was run
+    answering = service.options.answering()
+    return {name: values[name] for name in values if name in answering}, f"settings as recorded{lost}"
 
 
 def _settings(service: Service, values: Mapping[str, object]) -> ServiceSettings:
+    known = [name for name in service.options.model_fields if name in service.options.answering()]
+    for name in values:
+        if name not in known:
+            raise UsageError(f"{service.name}: {name} = {values[name]!r}: there are {', '.join(known)}")
     try:
-        return service.settings.model_validate(values)
+        return service.options.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or service.name
-        known = ", ".join(service.settings.model_fields)
-        fault = f"there are {known}" if first["type"] == "extra_forbidden" else first["msg"]
-        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {fault}") from error
+        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {first['msg']}") from error

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.options import ProjectorOptions
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import TRANSFORM, Channel
 from eigenscan.schemas.envelope import Core
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.options import TrackerOptions
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Service:
     """A service by its name, and what tells its instances apart in the keys it speaks on."""
 
     name: str
-    settings: type[ServiceSettings]
+    options: type[ServiceSettings]
     make: Callable[[Any], Core]
     hears: tuple[Channel, ...]
     says: tuple[Channel, ...]
@@ -30,12 +30,17 @@ class Service:
 
 
 SCAN_INGEST = Service(
-    "scan-ingest", ScanIngestSettings, ScanIngestCore, ScanIngestCore.hears, ScanIngestCore.says
+    "scan-ingest", ScanIngestOptions, ScanIngestCore, ScanIngestCore.hears, ScanIngestCore.says
 )
 PROJECTOR = Service(
-    "projector", ProjectorSettings, ProjectorCore, ProjectorCore.hears, ProjectorCore.says, "projector"
+    "projector",
+    ProjectorOptions,
+    lambda options: ProjectorCore(options, options.instance),
+    ProjectorCore.hears,
+    ProjectorCore.says,
+    "projector",
 )
-TRACKER = Service("tracker", TrackerSettings, TrackerCore, TrackerCore.hears, TrackerCore.says)
+TRACKER = Service("tracker", TrackerOptions, TrackerCore, TrackerCore.hears, TrackerCore.says)
 
 PARTS: tuple[Service, ...] = (SCAN_INGEST, PROJECTOR, TRACKER)
 """From the sensor on."""

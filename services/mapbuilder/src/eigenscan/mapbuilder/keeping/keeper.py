@@ -11,9 +11,9 @@ from eigenscan.mapbuilder.keeping.change import Change, find_change
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 from eigenscan.mapbuilder.keeping.look import Look, mark
 from eigenscan.mapbuilder.keeping.witness import Witness
-from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 

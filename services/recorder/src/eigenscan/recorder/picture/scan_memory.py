@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from eigenscan.recorder.picture.canvas import stamp_of
-from eigenscan.runtime.recently_used import RecentlyUsed
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import Scan
 
 SCANS_KEPT = 32

@@ -1,8 +1,8 @@
 """A dictionary that forgets."""
 
 import pytest
-from eigenscan.runtime import recently_used
-from eigenscan.runtime.recently_used import RecentlyUsed
+from eigenscan.schemas import recently_used
+from eigenscan.schemas.recently_used import RecentlyUsed
 from hypothesis import given
 from hypothesis import strategies as st
 

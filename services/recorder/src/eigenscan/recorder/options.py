@@ -15,7 +15,7 @@ FILES_OF_A_BUDGET = 8
 """Files that a budget holds where the size of one is not given."""
 
 
-class RecorderSettings(ServiceSettings):
+class RecorderOptions(ServiceSettings):
     """Settings of the recorder. At least one of `mcap`, `rrd` and `viewer_port` must be given."""
 
     robot: str = Field("*", description="robot to record; * records every robot of the site")
@@ -77,7 +77,7 @@ class RecorderSettings(ServiceSettings):
         )
 
     @model_validator(mode="after")
-    def _fits(self) -> RecorderSettings:
+    def _fits(self) -> RecorderOptions:
         if self.budget_mb and self.rotate_mb and 2 * self.rotate_mb > self.budget_mb:
             raise ValueError(
                 f"rotate_mb = {self.rotate_mb:g} is more than half of budget_mb = {self.budget_mb:g}: "

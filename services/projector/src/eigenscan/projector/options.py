@@ -1,0 +1,30 @@
+"""What a projector can be told."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from typing import Any
+
+from eigenscan.projector.settings import PART, ProjectorSettings
+from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.schemas.channels import DEFAULT_ROBOT, ContractError
+from eigenscan.schemas.group import instance_name
+from pydantic import model_validator
+
+
+class ProjectorOptions(ProjectorSettings, ServiceSettings):
+    """Candidate poses and obstacles from one scan, by the eigenspaces of the site's regions."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_by_part(cls, given: Any) -> Any:
+        """Two parts of one site are two instances, without being told."""
+        if not isinstance(given, dict) or "instance" in given:
+            return given
+        robot, part = str(given.get("robot", DEFAULT_ROBOT)), str(given.get("part", "1/1"))
+        if part == "1/1" or not re.fullmatch(PART, part):
+            return given
+        with suppress(ContractError):  # the robot's own field tells what is wrong
+            return given | {"instance": f"{instance_name(robot)}-{part.replace('/', 'of')}"}
+        return given

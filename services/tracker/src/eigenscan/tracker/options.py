@@ -1,0 +1,20 @@
+"""What a tracker can be told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.tracker.settings import TrackerSettings
+from pydantic import Field
+
+
+class TrackerOptions(TrackerSettings, ServiceSettings):
+    """Settings of the tracker. The defaults suit indoor robots up to 2 m/s."""
+
+    last_pose: Path | None = Field(
+        None, description="folder for the last claimed pose of each robot, to begin there after a restart"
+    )
+    last_pose_age: float = Field(
+        60.0, ge=0, description="s, by the clock, after which it is not used any more"
+    )
