@@ -121,6 +121,9 @@ def broken(**changes: object) -> model_pb2.RegionModel:
         (broken(mean=float("nan")), "not finite"),
         (broken(outline_x=[1.0]), "1 x and 3 y"),
         (model_pb2.RegionModel(), "format 0"),
+        (broken(origin_x=1e308, origin_y=1e308), "no building"),
+        (broken(spacing=1e-9), "no building"),
+        (broken(beams=65536, index_x=[0] * 10_000, index_y=[0] * 10_000), "more than"),
     ],
 )
 def test_a_broken_model_is_refused_with_what_is_wrong(message: model_pb2.RegionModel, says: str) -> None:

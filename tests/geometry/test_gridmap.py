@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 from typing import Any
 
@@ -166,3 +167,55 @@ def test_the_version_is_the_contents() -> None:
         GridMap(grid.cells.reshape(11, 7), 0.05, grid.origin).version,
     }
     assert len(versions) == 5
+
+
+def _yaml(folder: Path, **fields: Any) -> Path:
+    return saved(folder, PIXELS, "map.pgm", **fields)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"resolution": 1e-9}, {"origin": "[1.0e+308, 0, 0]"}, {"origin": "[0, .inf, 0]"}],
+)
+def test_numbers_that_no_building_has(tmp_path: Path, fields: dict[str, Any]) -> None:
+    with pytest.raises(MapError, match=next(iter(fields))):
+        read_map(_yaml(tmp_path, **fields))
+
+
+def test_a_yaml_that_grows_when_it_is_read_is_refused(tmp_path: Path) -> None:
+    path = _yaml(tmp_path)
+    lines = ["a: &a0 [x, x]", *(f"b{n}: &a{n + 1} [{', '.join([f'*a{n}'] * 9)}]" for n in range(9))]
+    path.write_text(path.read_text() + "\n" + "\n".join(lines) + "\n")
+    with pytest.raises(MapError, match="alias") as error:
+        read_map(path)
+    assert len(str(error.value)) < 500
+
+
+@pytest.mark.parametrize("which", ["map.yaml", "map.pgm"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, which: str) -> None:
+    path = _yaml(tmp_path)
+    (tmp_path / which).unlink()
+    os.mkfifo(tmp_path / which)
+    with pytest.raises(MapError, match="no file"):
+        read_map(path)
+
+
+def test_an_image_that_would_start_a_program_is_refused(tmp_path: Path) -> None:
+    path = _yaml(tmp_path)
+    (tmp_path / "map.pgm").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EOF\n")
+    with pytest.raises(MapError, match="cannot be read"):
+        read_map(path)
+
+
+@given(
+    st.sampled_from(["resolution", "x", "y"]), st.sampled_from([1e308, -1e308, 1e300, float("nan"), 1e-300])
+)
+def test_a_grid_from_the_network_lies_where_a_building_can(field: str, value: float) -> None:
+    message = to_message(GridMap(np.zeros((2, 2), np.uint8), 0.05, np.zeros(3)), "map")
+    if field == "resolution":
+        message.cell_size.x = message.cell_size.y = value
+    else:
+        setattr(message.pose.position, field, value)
+    if field == "resolution" or not abs(value) < 1.0:
+        with pytest.raises(MapError):
+            from_message(message)

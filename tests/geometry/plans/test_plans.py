@@ -140,3 +140,37 @@ def test_models_are_built_of_a_plan(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "model/map.yaml").is_file()
+
+
+def test_blocks_that_repeat_each_other_without_end_are_refused(tmp_path: Path) -> None:
+    drawing = new(units=dxf_units.M)
+    drawing.blocks.new("B0").add_line((0, 0), (1, 0))
+    for level in range(1, 9):
+        block = drawing.blocks.new(f"B{level}")
+        for _ in range(10):
+            block.add_blockref(f"B{level - 1}", (0, 0))
+    drawing.modelspace().add_blockref("B8", (0, 0))
+    drawing.saveas(tmp_path / "bomb.dxf")
+    with pytest.raises(MapError, match=r"bomb\.dxf.*shapes"):
+        read_plan(tmp_path / "bomb.dxf", PlanOptions())
+
+
+def test_a_block_in_rows_and_columns_without_end_is_refused(tmp_path: Path) -> None:
+    drawing = new(units=dxf_units.M)
+    drawing.blocks.new("B0").add_line((0, 0), (1, 0))
+    rows_and_columns = {"row_count": 30_000, "column_count": 30_000, "row_spacing": 1, "column_spacing": 1}
+    drawing.modelspace().add_blockref("B0", (0, 0), rows_and_columns)
+    drawing.saveas(tmp_path / "bomb.dxf")
+    with pytest.raises(MapError, match=r"bomb\.dxf.*shapes"):
+        read_plan(tmp_path / "bomb.dxf", PlanOptions())
+
+
+@pytest.mark.parametrize("itself", [False, True])
+def test_uses_that_repeat_each_other_without_end_are_refused(tmp_path: Path, itself: bool) -> None:
+    levels = ['<g id="g0"><path d="M0,0 L1,0" stroke="black"/></g>']
+    levels += [f'<g id="g{n}">' + f'<use href="#g{n - 1}"/>' * 10 + "</g>" for n in range(1, 9)]
+    last = '<g id="round"><use href="#round"/></g>' if itself else '<use href="#g8"/>'
+    path = tmp_path / "bomb.svg"
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{"".join(levels)}{last}</svg>')
+    with pytest.raises(MapError, match=r"bomb\.svg"):
+        read_plan(path, PlanOptions(metres_per_unit=0.01))

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from eigenscan.eigenspace.components import Eigenspace
 from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.geometry.gridmap import FARTHEST_M, FINEST_M
 from eigenscan.schemas import model_pb2
 from numpy.typing import NDArray
 
@@ -19,6 +20,10 @@ RANGE_UNIT = 0.002
 """m per step of a stored range; the farthest is 131 m."""
 NO_WALL = np.uint16(65535)
 _MOST_BEAMS = 65536
+MOST_BYTES = 2**28
+"""Of a region's panoramas, inflated: 7,000 m2 at 0.25 m and 0.5 degrees. What is more is an attack."""
+MOST_CELLS_APART = 10**6
+"""Grid steps of a position from the region's origin, at most."""
 _COMPRESSION = 1
 """zlib level: higher ones take four times as long to save an eighth."""
 
@@ -182,6 +187,19 @@ def _check(message: model_pb2.RegionModel) -> None:
     for field_name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
             raise ModelError(f"{name}: {field_name} = {value}: expected a number above 0")
+    if 2 * len(message.index_x) * message.beams > MOST_BYTES:
+        raise ModelError(
+            f"{name}: {len(message.index_x)} panoramas of {message.beams} beams: more than {MOST_BYTES} bytes"
+        )
+    if not FINEST_M <= message.spacing <= FARTHEST_M or not (
+        max(map(abs, (message.origin_x, message.origin_y))) <= FARTHEST_M
+    ):
+        raise ModelError(
+            f"{name}: origin ({message.origin_x:g}, {message.origin_y:g}), spacing {message.spacing:g} m: "
+            "no building is there"
+        )
+    if max(map(abs, (*message.index_x, *message.index_y))) > MOST_CELLS_APART:
+        raise ModelError(f"{name}: positions farther than {MOST_CELLS_APART} steps from its origin")
     if not 1 <= message.sensor.beams <= message.beams <= _MOST_BEAMS:
         raise ModelError(f"{name}: a sensor of {message.sensor.beams} beams, panoramas of {message.beams}")
     if len(message.eigenvectors) != len(message.eigenvalues) * message.sensor.beams:

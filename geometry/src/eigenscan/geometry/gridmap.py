@@ -19,6 +19,15 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, 255
 FIELD = "occupancy"
 COARSEST_M = 1.0
 """m a cell, at most: in coarser ones there are no rooms; mostly a slip of the decimal point."""
+FINEST_M = 0.001
+"""m a cell, at least: no lidar tells walls apart more finely, and cells without end would take all memory."""
+FARTHEST_M = 1e7
+"""m from the map frame's origin, at most: the farthest that grid coordinates of the Earth (UTM) reach."""
+MOST_CELLS = 400_000_000
+"""A square kilometre in cells of 5 cm."""
+IMAGE_FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF", "GIF")
+"""Those that map savers write and people draw. Others may start programs, as EPS does."""
+_MOST_YAML_BYTES = 100_000
 _SAVED_UNKNOWN = 205.0
 """Grey that map savers write for unknown; a free_thresh above 0.196, such as Nav2's 0.25, makes it free."""
 
@@ -88,7 +97,7 @@ def read_map(path: Path) -> GridMap:
     if path.is_dir():
         raise MapError(f"{path}: is a folder: name the map_server yaml in it")
     try:
-        meta = yaml.safe_load(path.read_text(encoding="utf-8"))
+        meta = yaml.safe_load(_plain_yaml(path))
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {error.strerror}: check the path") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -96,15 +105,18 @@ def read_map(path: Path) -> GridMap:
     if not isinstance(meta, dict):
         raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
     resolution = _number(path, meta, "resolution", None)
-    if not 0 < resolution <= COARSEST_M:
+    if not FINEST_M <= resolution <= COARSEST_M:
         raise MapError(f"{path}: resolution = {resolution}: give metres per pixel, such as 0.05")
     origin = meta.get("origin")
     if not (
         isinstance(origin, list)
         and len(origin) == 3
-        and all(isinstance(v, int | float) and np.isfinite(v) for v in origin)
+        and all(isinstance(v, int | float) and abs(v) <= FARTHEST_M for v in origin)
     ):
-        raise MapError(f"{path}: origin = {origin!r}: give [x, y, yaw] in metres and radians")
+        raise MapError(
+            f"{path}: origin = {str(origin)[:80]}: give [x, y, yaw] in metres and radians, "
+            f"{FARTHEST_M:g} m at most"
+        )
     if not isinstance(meta.get("image"), str):
         raise MapError(f"{path}: image is missing: name the pgm or png beside this file")
     cells = _cells(path, meta)
@@ -116,10 +128,24 @@ def read_image(path: Path, metres_per_pixel: float) -> GridMap:
 
     Its frame begins at the lower left corner. Raises MapError.
     """
-    if not 0 < metres_per_pixel <= COARSEST_M:
+    if not FINEST_M <= metres_per_pixel <= COARSEST_M:
         raise MapError(f"{path}: {metres_per_pixel} metres per pixel: give a scale such as 0.05")
     cells = _cells(path, {"image": path.name})
     return GridMap(np.ascontiguousarray(cells[::-1]), metres_per_pixel, np.zeros(3))
+
+
+def _plain_yaml(path: Path) -> str:
+    """The text of a map_server yaml. Raises MapError for what only an attack or a slip makes of it."""
+    import yaml
+
+    if path.exists() and not path.is_file():
+        raise MapError(f"{path}: is no file that can be read to its end: give the map_server yaml")
+    if path.stat().st_size > _MOST_YAML_BYTES:
+        raise MapError(f"{path}: is too large for a map_server yaml: give the file that names the image")
+    text = path.read_text(encoding="utf-8")
+    if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):  # a few of them fill the memory
+        raise MapError(f"{path}: has a YAML alias (*name): write the value in its place")
+    return text
 
 
 def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) -> float:
@@ -129,22 +155,31 @@ def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) 
     return float(value)
 
 
-def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
+def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
+    """Red, green, blue and where there is one alpha (H, W, 3 or 4) of the image that the map `path` names."""
     from PIL import Image, UnidentifiedImageError
 
-    file = path.parent / meta["image"]
+    if file.exists() and not file.is_file():
+        raise MapError(f"{path}: image {file} is no file: name the pgm or png beside this file")
     try:
-        with Image.open(file) as image:
+        with Image.open(file, formats=IMAGE_FORMATS) as image:
+            if image.width * image.height > MOST_CELLS:
+                raise MapError(f"{path}: image {file} has {image.width} x {image.height} pixels: too large")
             if image.mode.startswith(("I", "F")):
                 raise MapError(f"{path}: image {file} has more than 8 bits a pixel: save it with 8")
             bands = image.getbands()
-            pixels = np.asarray(
+            return np.asarray(
                 image.convert("RGBA" if "A" in bands or "transparency" in image.info else "RGB")
             )
     except MapError:
         raise
     except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
         raise MapError(f"{path}: image {file} cannot be read: {error}") from error
+
+
+def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
+    file = path.parent / meta["image"]
+    pixels = _pixels(path, file)
     grey = pixels[..., :3].mean(axis=-1)
     mode = meta.get("mode", "trinary")
     if mode not in ("trinary", "scale", "raw"):
@@ -217,12 +252,17 @@ def from_message(message: Grid) -> GridMap:
     if not width or message.row_stride != width or message.cell_stride != 1 or len(message.data) % width:
         raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")
     resolution = message.cell_size.x
-    if not 0 < resolution <= COARSEST_M or resolution != message.cell_size.y:
+    if not FINEST_M <= resolution <= COARSEST_M or resolution != message.cell_size.y:
         raise MapError(
-            f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares of 1 m at most"
+            f"grid with cells of {resolution} x {message.cell_size.y} m: expected squares of {FINEST_M} to "
+            f"{COARSEST_M} m"
         )
+    if len(message.data) > MOST_CELLS:
+        raise MapError(f"grid of {len(message.data)} cells: expected {MOST_CELLS} at most")
     cells = np.frombuffer(message.data, dtype=np.uint8).reshape(-1, width)
     origin = from_pose3(message.pose)
-    if not np.isfinite(origin).all():
-        raise MapError(f"grid whose origin is {origin.tolist()}: expected metres and a rotation")
+    if not (np.abs(origin) <= FARTHEST_M).all():
+        raise MapError(
+            f"grid whose origin is {origin.tolist()}: expected metres, {FARTHEST_M:g} at most, and a rotation"
+        )
     return GridMap(cells, resolution, origin)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.plans.expansion import TooMuchError, placed
 from eigenscan.geometry.plans.raster import Walls
 
 OUTLINES = frozenset({"LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"})
@@ -30,6 +31,10 @@ def read_dxf(path: Path, metres_per_unit: float | None, layers: Collection[str])
         drawing = readfile(path)
     except (DXFError, OSError, UnicodeDecodeError) as error:
         raise MapError(f"{path}: is no DXF that can be read: {error}") from error
+    try:
+        _check_size(drawing)
+    except TooMuchError as error:
+        raise MapError(f"{path}: the block {error}: explode it, or save the walls alone") from error
     scale = metres_per_unit
     if scale is None:
         if not drawing.units:
@@ -49,13 +54,28 @@ def read_dxf(path: Path, metres_per_unit: float | None, layers: Collection[str])
     return Walls(lines)
 
 
+def _check_size(drawing: Any) -> None:
+    """Raises TooMuchError where its blocks repeat each other without end."""
+    known = {block.name.lower() for block in drawing.blocks}
+
+    def parts(name: str) -> Any:
+        return drawing.blocks.get(name) if name else drawing.modelspace()
+
+    def refers(name: str) -> Iterator[tuple[str, int]]:
+        for entity in parts(name):
+            if entity.dxftype() == "INSERT" and entity.dxf.name.lower() in known:
+                yield entity.dxf.name.lower(), max(1, entity.mcount)
+
+    placed("", refers, lambda name: len(parts(name)))
+
+
 def _walls(space: Iterable[Any]) -> Iterator[tuple[str, Any]]:
     """Layers and what may be a wall; in a block, layer 0 is the layer that the block is placed on."""
     from ezdxf.disassemble import recursive_decompose
 
-    for placed in space:
-        if placed.dxftype() in OUTLINES | {"INSERT"}:
-            for entity in recursive_decompose([placed]):
+    for item in space:
+        if item.dxftype() in OUTLINES | {"INSERT"}:
+            for entity in recursive_decompose([item]):
                 if entity.dxftype() in OUTLINES:
                     layer = entity.dxf.layer
-                    yield placed.dxf.layer if layer == "0" else layer, entity
+                    yield item.dxf.layer if layer == "0" else layer, entity

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
+from eigenscan.geometry.gridmap import FREE, MOST_CELLS, OCCUPIED, UNKNOWN, GridMap, MapError
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt, label, maximum
@@ -20,7 +20,6 @@ ROOM = 0.5
 """m: what nowhere is so far from its walls is the inside of a wall, a pillar or a table, and no room."""
 MARGIN = 2.0
 """m of outside around the drawing: more than half a doorway, so that the outside goes around it."""
-MOST_CELLS = 400_000_000
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 from xml.etree.ElementTree import ParseError
 
 import numpy as np
 from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.plans.expansion import TooMuchError, placed
 from eigenscan.geometry.plans.raster import Array, Walls
 
 LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
+HREF = "{http://www.w3.org/1999/xlink}href"
 SMOOTH = 0.05
 """m between the points that a curve becomes."""
 MOST_POINTS = 1000
@@ -35,7 +38,10 @@ def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str])
             f"{path}: an SVG does not say its scale: give --metres-per-unit, 0.01 where 1 m is 100 units"
         )
     try:
+        _check_size(path)
         drawing = SVG.parse(str(path))
+    except TooMuchError as error:
+        raise MapError(f"{path}: {error}: export the walls alone") from error
     except (ParseError, ValueError, OSError, UnicodeDecodeError) as error:
         raise MapError(f"{path}: is no SVG that can be read: {error}") from error
     groups = list(_groups(drawing, layers))
@@ -51,6 +57,23 @@ def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str])
                 if element.stroke.value is not None:
                     lines.append(points)
     return _upright(Walls(lines, filled))
+
+
+def _check_size(path: Path) -> None:
+    """Raises TooMuchError where its <use> elements repeat each other without end."""
+    root = ElementTree.parse(path).getroot()
+    elements = {str(number): element for number, element in enumerate(root.iter())}
+    names = {element: name for name, element in elements.items()}
+    by_id = {f"#{element.get('id')}": name for name, element in elements.items() if element.get("id")}
+
+    def refers(name: str) -> Iterator[tuple[str, int]]:
+        element = elements[name]
+        yield from ((names[child], 1) for child in element)
+        target = by_id.get(element.get("href") or element.get(HREF) or "")
+        if target is not None and element.tag.endswith("use"):
+            yield target, 1
+
+    placed(names[root], refers, lambda _: 1)
 
 
 def _groups(drawing: Any, layers: Collection[str]) -> Iterator[Any]:

@@ -81,7 +81,7 @@ class Shelf:
         regions = tuple(model for model in found if model is not None)
         if grid is None or len(regions) < len(found):
             return None
-        _fit_together(regions)
+        _fit_together(regions, grid)
         self._given = announced.version
         # only what the next set may share is kept
         self._models = {model.version: model for model in regions}
@@ -89,9 +89,16 @@ class Shelf:
         return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2)
 
 
-def _fit_together(regions: tuple[RegionModel, ...]) -> None:
-    """Raises ModelError where regions of one set lie on different grids."""
+def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:
+    """Raises ModelError where regions of one set lie on different grids, or outside of their map."""
     first = regions[0]
+    height, width = grid.cells.shape
+    for model in regions:
+        column, row = grid.to_grid(model.positions).T
+        if not ((column >= 0) & (column <= width) & (row >= 0) & (row <= height)).all():
+            raise ModelError(
+                f"region {model.region!r}: has positions outside of the map: build the site again"
+            )
     for model in regions[1:]:
         if model.spacing != first.spacing:
             raise ModelError(

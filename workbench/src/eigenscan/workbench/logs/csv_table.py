@@ -149,7 +149,7 @@ class CsvLog:
                     yield self._scan(line, stamp, lidar, *_row(line))
             else:
                 angles, ranges = _beams(lines)
-                step[lidar] = step.get(lidar) or _step(angles)
+                step[lidar] = step.get(lidar) or max(_step(angles), FINEST_DEG)
                 yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, step[lidar]))
             taken += 1
         if not taken:
@@ -215,6 +215,8 @@ def _beams(lines: list[_Line]) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return angles, np.where(quality > 0, ranges, np.nan)
 
 
+FINEST_DEG = 0.01
+"""Between beams, at least: finer than any lidar. A slip in an angle would ask for beams without end."""
 GAP = 3.0
 """Beams so many middle distances apart have a gap between them."""
 

@@ -1,0 +1,40 @@
+"""How much a drawing becomes once what it refers to again and again is put in place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+MOST_PLACED = 1_000_000
+"""Shapes of one drawing, blocks put in place: a hundred times those of a large floor."""
+
+
+class TooMuchError(ValueError):
+    """More than MOST_PLACED shapes, or something that contains itself."""
+
+
+def placed(start: str, refers: Callable[[str], Iterable[tuple[str, int]]], own: Callable[[str], int]) -> int:
+    """Shapes that `start` becomes: `own` ones, and those of what it `refers` to, so many times each.
+
+    Raises TooMuchError; takes time in proportion to the references, not to what they become.
+    """
+    totals: dict[str, int] = {}
+    begun: set[str] = set()
+    stack = [start]
+    while stack:
+        name = stack[-1]
+        if name in totals:
+            stack.pop()
+            continue
+        parts = list(refers(name))
+        waiting = [part for part, _ in parts if part not in totals]
+        if waiting and name not in begun:
+            begun.add(name)
+            if any(part in begun for part in waiting):
+                raise TooMuchError(f"{name!r} contains itself")
+            stack += waiting
+            continue
+        totals[name] = own(name) + sum(times * totals[part] for part, times in parts)
+        if totals[name] > MOST_PLACED:
+            raise TooMuchError(f"{name!r} becomes more than {MOST_PLACED} shapes")
+        stack.pop()
+    return totals[start]
