@@ -81,7 +81,11 @@ class Shelf:
         regions = tuple(model for model in found if model is not None)
         if grid is None or len(regions) < len(found):
             return None
-        _fit_together(regions, grid)
+        try:
+            _fit_together(regions, grid)
+        except ModelError:
+            self._announced = None  # it stays refused, however often one of its parts comes again
+            raise
         self._given = announced.version
         # only what the next set may share is kept
         self._models = {model.version: model for model in regions}
