@@ -24,16 +24,16 @@ from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.pose import from_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.keeping.custodian import Custodian
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
-from eigenscan.schemas.channels import HEALTH, HYPOTHESES, POSE, SCAN, SCAN_RAW
+from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
-from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import tick
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
@@ -78,11 +78,8 @@ class Site:
 
     def start_mapbuilder(self) -> None:
         """A new mapbuilder on the folder; the one before is gone without a word."""
-        store = Store(self.folder)
-        site = store.renewed()
-        assert site is not None
         settings = MapbuilderSettings(changes=self.changes, visit=VISIT_S / 60)
-        self.mapbuilder = MapbuilderCore(settings, site, store)
+        self.mapbuilder = Custodian(Store(self.folder), settings)
         self._teach(self.mapbuilder.start())
 
     @property
@@ -95,8 +92,8 @@ class Site:
         return dict(self.mapbuilder.condition().counters)
 
     def pulse(self) -> None:
-        """A second has passed: health is told, and what came into use is published."""
-        self._teach(self.mapbuilder.handle(Envelope(HEALTH, {"site": "site"}, Health())))
+        """A second has passed: what came into use is published."""
+        self._teach(self.mapbuilder.handle(tick(0)))
 
     def _teach(self, said: Iterator[Envelope]) -> None:
         for envelope in said:

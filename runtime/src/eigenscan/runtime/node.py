@@ -31,6 +31,7 @@ from eigenscan.runtime.work import Work
 from eigenscan.schemas.channels import HEALTH, Channel, ContractError
 from eigenscan.schemas.envelope import Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import TICK
 
 S = TypeVar("S", bound=ServiceSettings)
 
@@ -231,7 +232,7 @@ class Node:
         if settings.robot != "*":
             address["robot"] = settings.robot
         bus = self._bus = Bus(session)
-        apart = self._port.channels
+        apart = (*self._port.channels, TICK)
         hears = [channel for channel in core.hears if channel not in apart]
         bus.offer([channel for channel in core.says if channel not in apart], address)
         if self._whole_site and settings.robot == "*":

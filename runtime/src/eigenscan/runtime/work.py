@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -13,6 +14,7 @@ from eigenscan.runtime.wake import Wake
 from eigenscan.schemas.channels import ContractError
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import TICK, TICK_S, tick
 from eigenscan.schemas.wire import decode
 
 CONDITION_PERIOD_S = 0.25
@@ -52,8 +54,12 @@ class Work:
         """Works until it is to stop, then says what the core holds back."""
         if self._prompt:
             self._inbox.on_put = self._work_off
-        due = 0.0
+        due, tick_due = 0.0, (0.0 if TICK in self._core.hears else math.inf)
         while not self._wake.stopping:
+            if time.monotonic() >= tick_due:
+                with self._turn:
+                    self._give(tick(time.time_ns()), TICK.name)
+                tick_due = time.monotonic() + TICK_S
             if time.monotonic() >= due:
                 with self._turn:
                     changed = self._monitor.turn(self._condition())
@@ -91,19 +97,24 @@ class Work:
         except ContractError as error:
             self._tally.set_aside("undecodable", arrival.key, error)
             return
-        self._tally.counts[f"heard_{channel.name}"] += 1
+        self._give(heard, arrival.key)
+        if channel.qos.latched:
+            self._keep(arrival)
+        if channel.qos.rate_hz:  # what has a rate has a stamp
+            self._monitor.dealt_with(channel.name, heard.stamp)
+
+    def _give(self, heard: Envelope, key: str) -> None:
+        """Lets the core handle a message, and says what it answers."""
+        name = heard.channel.name
+        self._tally.counts[f"heard_{name}"] += 1
         began = time.perf_counter()
         try:
             self._say(self._core.handle(heard))
         except Exception as error:
             # the shell outlives a fault of the core: the next scan may be fine
             if not self._wake.stopping:
-                self._tally.set_aside("core_failed", arrival.key, error, trace=True)
-        self._monitor.handled(channel.name, time.perf_counter() - began)
-        if channel.qos.latched:
-            self._keep(arrival)
-        if channel.qos.rate_hz:  # what has a rate has a stamp
-            self._monitor.dealt_with(channel.name, heard.stamp)
+                self._tally.set_aside("core_failed", key, error, trace=True)
+        self._monitor.handled(name, time.perf_counter() - began)
 
     def _say(self, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:

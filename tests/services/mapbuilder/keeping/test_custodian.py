@@ -8,31 +8,30 @@ from eigenscan.eigenspace.folder import write_models
 from eigenscan.eigenspace.versions import choose, replace, versions
 from eigenscan.geometry.circle import TURN
 from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.keeping.custodian import Custodian
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
-from eigenscan.schemas.channels import HEALTH, MODEL_SET
+from eigenscan.schemas.channels import MODEL_SET
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
+from eigenscan.schemas.tick import TICK, tick
 from pydantic import ValidationError
 
 from tests.services.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
 
-PULSE = Envelope(HEALTH, {"site": "site", "service": "mapbuilder", "instance": "0"}, Health())
+PULSE = tick(0)
 
 
-def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> MapbuilderCore:
-    store = Store(folder)
-    site = store.renewed()
-    assert site is not None
-    core = MapbuilderCore(MapbuilderSettings(changes=changes), site, store)
+def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> Custodian:
+    core = Custodian(Store(folder), MapbuilderSettings(changes=changes))
     assert list(core.start())[-1].channel is MODEL_SET
     return core
 
 
-def come_by(core: MapbuilderCore, numbers: Iterable[int]) -> list[Envelope]:
+def come_by(core: Custodian, numbers: Iterable[int]) -> list[Envelope]:
     """Robots on visits of these numbers, and a pulse at the end; what was said."""
     said: list[Envelope] = []
     for number in numbers:
@@ -89,7 +88,7 @@ def _full(*_: object) -> None:
 
 def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> None:
     core, manifest = start(folder, "off"), folder / "manifest.json"
-    assert core.hears == (HEALTH,)
+    assert core.hears == (TICK,)
     good = manifest.read_text()
     manifest.write_text("{")
     assert list(core.handle(PULSE)) == []

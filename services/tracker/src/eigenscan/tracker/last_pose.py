@@ -1,39 +1,43 @@
 """The last pose that was claimed, on disk: a restarted tracker begins there, if that is not long ago.
 
 It goes out as a relocation, which the tracker hears as it would anybody's: so it stands in the recording,
-and a replay gives the same answers.
+and a replay gives the same answers. Disk and clock are of the shell; the core knows of neither.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
-from eigenscan.schemas.channels import POSE, RELOCATION
-from eigenscan.schemas.envelope import Envelope, nanoseconds
-from eigenscan.schemas.geometry_pb2 import Covariance3
+from eigenscan.schemas.channels import POSE, RELOCATION, Channel
+from eigenscan.schemas.envelope import Condition, Core, Envelope, nanoseconds
 from eigenscan.schemas.group import holds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation
-from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.options import TrackerOptions
+from eigenscan.tracker.relocation import aged
 from google.protobuf.message import DecodeError
 
 KEEP_EVERY_NS = 1_000_000_000
 
 
-class RememberingTracker(TrackerCore):
-    """A tracker that keeps each robot's last claim in a folder, a file a robot, and begins there."""
+class Remembering:
+    """A tracker whose robots' last claims are kept in a folder, a file a robot, and that begins there."""
 
-    def __init__(self, settings: TrackerOptions, folder: Path) -> None:
-        super().__init__(settings)
-        self.says = (*TrackerCore.says, RELOCATION)
-        self._told, self._folder = settings, folder
+    hears: tuple[Channel, ...]
+    says: tuple[Channel, ...]
+
+    def __init__(self, tracker: Core, options: TrackerOptions, folder: Path) -> None:
+        self._tracker, self._told, self._folder = tracker, options, folder
+        self.hears, self.says = tracker.hears, (*tracker.says, RELOCATION)
         self._kept_at: dict[str, int] = {}
+        self._not_kept = 0
         folder.mkdir(parents=True, exist_ok=True)
 
     def start(self) -> Iterator[Envelope]:
         """Where the robots were, as far as it is known and not too old."""
+        yield from self._tracker.start()
         for path in sorted(self._folder.glob(f"{self._told.site}.*.pose")):
             robot = path.name.removeprefix(f"{self._told.site}.").removesuffix(".pose")
             try:
@@ -42,16 +46,26 @@ class RememberingTracker(TrackerCore):
                 continue  # the machine went down while it was written
             age = time.time() - nanoseconds(last.timestamp) * 1e-9
             if holds(self._told.robot, robot) and 0.0 <= age <= self._told.last_pose_age:
-                self._grow(last.covariance, age)
-                yield Envelope(RELOCATION, {"site": self._told.site, "robot": robot}, last)
+                address = {"site": self._told.site, "robot": robot}
+                yield Envelope(RELOCATION, address, aged(last, age, self._told))
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, heard: Envelope) -> Iterator[Envelope]:
         """What the tracker says; a claim among it is kept, once a second."""
-        said = list(super().handle(heard))
-        for envelope in said:
-            if envelope.channel is POSE:
-                self._keep(envelope.address["robot"], envelope.open(PoseEstimate))
-        return said
+        for said in self._tracker.handle(heard):
+            if said.channel is POSE:
+                self._keep(said.address["robot"], said.open(PoseEstimate))
+            yield said
+
+    def finish(self) -> Iterable[Envelope]:
+        """What the tracker held back."""
+        return self._tracker.finish()
+
+    def condition(self) -> Condition:
+        """The tracker's, and how often a claim could not be kept."""
+        own = self._tracker.condition()
+        if not self._not_kept:
+            return own
+        return replace(own, counters={**own.counters, "pose_not_kept": self._not_kept})
 
     def _keep(self, robot: str, pose: PoseEstimate) -> None:
         stamp = nanoseconds(pose.timestamp)
@@ -67,10 +81,4 @@ class RememberingTracker(TrackerCore):
             partial.write_bytes(last.SerializeToString())
             partial.replace(path)
         except OSError:
-            self._counts["pose_not_kept"] += 1
-
-    def _grow(self, covariance: Covariance3, age: float) -> None:
-        """W = T^2 v_max^2: what it may have driven meanwhile (paper, section 7)."""
-        covariance.xx += (age * self._told.v_max) ** 2
-        covariance.yy += (age * self._told.v_max) ** 2
-        covariance.tt += (age * self._told.turn_max) ** 2
+            self._not_kept += 1

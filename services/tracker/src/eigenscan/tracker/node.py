@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from eigenscan.runtime.node import main as run
+from eigenscan.schemas.envelope import Core
 from eigenscan.tracker.options import TrackerOptions
-
-if TYPE_CHECKING:
-    from eigenscan.tracker.core import TrackerCore
 
 
 def main() -> None:
@@ -16,11 +12,12 @@ def main() -> None:
     run("tracker", TrackerOptions, _make_core)
 
 
-def _make_core(options: TrackerOptions) -> TrackerCore:
+def _make_core(options: TrackerOptions) -> Core:
     from eigenscan.tracker.core import TrackerCore  # it takes its time, and neighbours are found meanwhile
 
+    core = TrackerCore(options)
     if options.last_pose is None:
-        return TrackerCore(options)
-    from eigenscan.tracker.last_pose import RememberingTracker
+        return core
+    from eigenscan.tracker.last_pose import Remembering
 
-    return RememberingTracker(options, options.last_pose)
+    return Remembering(core, options, options.last_pose)

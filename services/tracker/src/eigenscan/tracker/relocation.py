@@ -17,6 +17,7 @@ from eigenscan.tracker.covariance import is_covariance
 from eigenscan.tracker.observation import FARTHEST, Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.tracks import begin, join
 from numpy.typing import NDArray
 
@@ -54,6 +55,16 @@ def hint_of(message: Relocation) -> Hint | None:
     if not is_covariance(covariance[None])[0]:
         covariance = np.diag(CLICKED_SIGMA**2)
     return Hint(nanoseconds(message.timestamp), message.frame_id, pose, limit_sigma(covariance[None])[0])
+
+
+def aged(last: Relocation, age: float, settings: TrackerSettings) -> Relocation:
+    """The word of `age` s ago, unsure by what it may have driven: W = T^2 v_max^2 (paper, section 7)."""
+    grown = Relocation()
+    grown.CopyFrom(last)
+    grown.covariance.xx += (age * settings.v_max) ** 2
+    grown.covariance.yy += (age * settings.v_max) ** 2
+    grown.covariance.tt += (age * settings.turn_max) ** 2
+    return grown
 
 
 def heed(belief: Belief, hint: Hint, seen: Observation, moved: Motion) -> None:

@@ -1,81 +1,134 @@
-"""What becomes of a change: proposed to the operator, or put in use; and the evidence, safe on disk."""
+"""The mapbuilder over a model folder: what came into use there is said, what the robots saw is kept there.
+
+The disk is of the shell, as is when it is looked at; what is seen, what changed and what follows from it are
+decided without it.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import ModelError
-from eigenscan.mapbuilder.keeping.change import Change
-from eigenscan.mapbuilder.keeping.keeper import Keeper
+from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.channels import DEFAULT_SITE, POSE, SCAN, Channel
+from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import TICK
+
+if TYPE_CHECKING:
+    from eigenscan.mapbuilder.keeping.change import Change
+    from eigenscan.mapbuilder.keeping.keeper import Keeper
 
 SAVE_EVERY = 200
 """Looks between two savings of a running visit: what a killed process loses."""
 
 
 class Custodian:
-    """Keeps the models of a folder true. Once another version is put in use by hand, it only proposes."""
+    """Says the models of a folder and keeps them true; what cannot be written beside is only said.
 
-    def __init__(self, store: Store, site: SiteModel, settings: MapbuilderSettings) -> None:
-        self._store, self._settings = store, settings
+    Once another version is put in use by hand, it only proposes.
+    """
+
+    says: tuple[Channel, ...] = MapbuilderCore.says
+
+    def __init__(self, store: Store, settings: MapbuilderSettings, site: str = DEFAULT_SITE) -> None:
+        """`site` is the first chunk of the keys that it speaks on. Raises ModelError."""
+        found = store.renewed()
+        assert found is not None  # the first time it is new
+        self._store, self._settings, self._site = store, settings, found
+        self._core = MapbuilderCore(settings, found, site)
         self._publish = settings.changes == "publish"
+        self._keeps = settings.changes != "off" and store.is_writable
+        self.hears: tuple[Channel, ...] = (TICK, SCAN, POSE) if self._keeps else (TICK,)
         self._counts: Counter[str] = Counter()
         self._proposed = self._accepted = ""
         self._saved = 0
-        self._problem = ""
+        self._problem = self._unreadable = ""
         self._note = ""
-        self._site = site
-        self._keeper = self._adopt(site)
+        self._keeper: Keeper | None = None
 
-    @property
-    def counters(self) -> dict[str, int]:
-        """Looks by what became of them, visits, changes."""
-        return dict(self._counts + self._keeper.counts)
+    def start(self) -> Iterator[Envelope]:
+        """The map and the models in use."""
+        yield from self._core.start()
+        if self._keeps:
+            self._keeper = self._adopt(self._site)
 
-    @property
-    def problem(self) -> str:
-        """Why the evidence or a proposal could not be written."""
-        return self._problem
+    def handle(self, heard: Envelope) -> Iterator[Envelope]:
+        """Says what has come into use since; of a scan or a pose, what the robots' visits made of it."""
+        if heard.channel is TICK:
+            yield from self._follow()
+        elif self._keeper is not None:
+            self._hear(self._keeper, heard)
 
-    @property
-    def note(self) -> str:
-        """What is proposed, and by which command it comes into use; empty where nothing is."""
-        return self._note
+    def finish(self) -> tuple[Envelope, ...]:
+        """Nothing is held back; what was seen is put on disk."""
+        if self._keeper is not None:
+            self._save(self._keeper)
+        return ()
 
-    def take_over(self, site: SiteModel) -> None:
+    def condition(self) -> Condition:
+        """OK once all models are said, and what is proposed; degraded where the store cannot be used."""
+        own = self._core.condition()
+        if own.status == Health.STATUS_WAITING:
+            return own
+        seen: Counter[str] = self._keeper.counts if self._keeper else Counter()
+        told = replace(own, counters={**(self._counts + seen), **own.counters})
+        problem = self._unreadable or self._problem
+        if problem:
+            return replace(told, status=Health.STATUS_DEGRADED, detail=problem)
+        return replace(told, detail=f"{told.detail}; {self._note}") if self._note else told
+
+    def _follow(self) -> Iterator[Envelope]:
+        """The models in use in the store, where they are others than those that were said."""
+        try:
+            site = self._store.renewed()
+        except ModelError as error:
+            self._counts["models_unreadable"] += 1
+            self._unreadable = str(error)
+            return
+        if site is not None:
+            self._unreadable = ""
+            yield from self._core.renew(site)
+            if self._keeper is not None:
+                self._take_over(self._keeper, site)
+
+    def _take_over(self, keeper: Keeper, site: SiteModel) -> None:
         """Another version is in use."""
         if site.to_message().version != self._accepted:
             self._publish = False
         self._proposed = self._note = ""
         self._try(self._store.withdraw)
-        if self._keeper.fits(site.grid) and site.frame_id == self._site.frame_id:
+        if keeper.fits(site.grid) and site.frame_id == self._site.frame_id:
             self._site = site
-            self._keeper.trust(site.grid)
+            keeper.trust(site.grid)
         else:
-            self._counts += self._keeper.counts
+            self._counts += keeper.counts
             self._keeper = self._adopt(site)
 
-    def hear(self, heard: Envelope) -> None:
+    def _hear(self, keeper: Keeper, heard: Envelope) -> None:
         """Takes a scan or a pose; at the end of a visit a change may follow."""
-        change = self._keeper.hear(heard)
+        change = keeper.hear(heard)
         if change is not None:
             self._counts["visits"] += 1
             self._problem = ""
             self._try(lambda: self._decide(change))
-        if change is not None or self._keeper.counts["looks_counted"] - self._saved >= SAVE_EVERY:
-            self.save()
+        if change is not None or keeper.counts["looks_counted"] - self._saved >= SAVE_EVERY:
+            self._save(keeper)
 
-    def save(self) -> None:
+    def _save(self, keeper: Keeper) -> None:
         """Puts the evidence on disk."""
-        self._saved = self._keeper.counts["looks_counted"]
-        self._try(lambda: self._store.save(self._keeper.evidence, self._site.grid))
+        self._saved = keeper.counts["looks_counted"]
+        self._try(lambda: self._store.save(keeper.evidence, self._site.grid))
 
     def _adopt(self, site: SiteModel) -> Keeper:
+        from eigenscan.mapbuilder.keeping.keeper import Keeper  # half of its start is for who keeps a map
+
         self._site, self._saved = site, 0
         evidence = self._store.load(site.grid, self._settings.visit * 60.0)
         return Keeper(site.grid, evidence, self._settings.visits, site.frame_id)
@@ -91,42 +144,18 @@ class Custodian:
                 self._counts["changes_published"] += 1
 
     def _propose(self, change: Change) -> None:
-        # what builds and draws is loaded when it is needed
-        from eigenscan.mapbuilder.keeping.picture import draw_change
-        from eigenscan.mapbuilder.keeping.rebuild import rebuild
+        from eigenscan.mapbuilder.keeping.proposal import Proposal  # what builds and draws: when it is needed
 
-        fresh = rebuild(self._site, change.grid, self._settings.plan)
-        version, words = fresh.to_message().version, self._words(change)
-        picture = draw_change(self._site.grid, change, f"red is new, blue is gone: {words}")
-        self._store.propose(fresh, self._about(change, fresh), picture)
+        proposal = Proposal.of(self._site, change, self._settings)
+        self._store.propose(proposal.site, proposal.about, proposal.picture)
         self._proposed = change.grid.version
         self._counts["changes_proposed"] += 1
+        version = proposal.site.to_message().version
         if self._publish:
             self._accepted = version
         else:
-            self._note = f"{words}: proposed as {version[:12]}, eigenscan models accept {self._store.folder}"
-
-    def _words(self, change: Change) -> str:
-        places = change.places()
-        new = sum(place.is_new for place in places)
-        return f"{new} new, {len(places) - new} gone on {self._settings.visits} visits in a row"
-
-    def _about(self, change: Change, fresh: SiteModel) -> dict[str, Any]:
-        before = {model.region: model.version for model in self._site.regions}
-        return {
-            "since": self._site.to_message().version,
-            "visits": self._settings.visits,
-            "regions": [m.region for m in fresh.regions if before[m.region] != m.version],
-            "places": [
-                {
-                    "what": "new" if place.is_new else "gone",
-                    "x": round(place.centre[0], 2),
-                    "y": round(place.centre[1], 2),
-                    "sides_m": [round(side, 2) for side in place.sides],
-                }
-                for place in change.places()
-            ],
-        }
+            accept = f"eigenscan models accept {self._store.folder}"
+            self._note = f"{proposal.words}: proposed as {version[:12]}, {accept}"
 
     def _try(self, work: Callable[[], None]) -> None:
         """A full disk must not end the service: the evidence is still there at the end of the next visit."""

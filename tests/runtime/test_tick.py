@@ -1,0 +1,81 @@
+"""A core that hears ticks is told the time once a second; nobody else is."""
+
+import threading
+import time
+from collections.abc import Iterable
+
+import pytest
+from eigenscan.runtime import work
+from eigenscan.runtime.health import Monitor
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.logs import logger
+from eigenscan.runtime.tally import Tally
+from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.work import Work
+from eigenscan.schemas.channels import CHANNELS, SCAN, Channel
+from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
+from eigenscan.schemas.tick import TICK
+from eigenscan.workbench.replay.services import PARTS
+from google.protobuf.timestamp_pb2 import Timestamp
+
+ENOUGH = 3
+PATIENCE_S = 30.0
+
+
+class Clockwork:
+    """Notes what it hears, and fails on the first of it."""
+
+    says: tuple[Channel, ...] = ()
+
+    def __init__(self, hears: tuple[Channel, ...], enough: threading.Event) -> None:
+        self.hears, self._enough = hears, enough
+        self.heard: list[Envelope] = []
+
+    def start(self) -> Iterable[Envelope]:
+        return ()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        self.heard.append(heard)
+        if len(self.heard) == 1:
+            raise RuntimeError("not yet wound up")
+        if len(self.heard) >= ENOUGH:
+            self._enough.set()
+        return ()
+
+    def finish(self) -> Iterable[Envelope]:
+        return ()
+
+    def condition(self) -> Condition:
+        return Condition()
+
+
+@pytest.mark.parametrize("prompt", [False, True])
+def test_a_core_that_hears_ticks_is_told_the_time(monkeypatch: pytest.MonkeyPatch, prompt: bool) -> None:
+    monkeypatch.setattr(work, "TICK_S", 0.01)
+    enough, wake, inbox, tally = threading.Event(), Wake(), Inbox(), Tally(logger())
+    clockwork, idle = Clockwork((TICK,), enough), Clockwork((SCAN,), threading.Event())
+    threads = [
+        threading.Thread(
+            target=Work(core, inbox, print, print, Monitor("m", "0", "1"), tally, wake, prompt=prompt).run
+        )
+        for core in (clockwork, idle)
+    ]
+    before = time.time_ns()
+    for thread in threads:
+        thread.start()
+    assert enough.wait(PATIENCE_S)
+    wake.stop()
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    wake.close()
+    times = [nanoseconds(heard.open(Timestamp)) for heard in clockwork.heard]
+    assert before <= times[0] <= times[-1] <= time.time_ns()
+    assert times == sorted(times)
+    assert tally.counts["core_failed"] == 1
+    assert tally.counts["heard_tick"] == len(times)
+    assert idle.heard == []
+
+
+def test_ticks_leave_no_process_and_move_no_core_that_is_replayed() -> None:
+    assert TICK not in CHANNELS
+    assert all(TICK not in part.hears for part in PARTS)
