@@ -9,7 +9,8 @@ from uuid import uuid4
 
 import psutil
 from eigenscan.cli.launch.network import open_hub
-from eigenscan.cli.launch.witness import Witness
+from eigenscan.cli.launch.services import lacking
+from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -28,19 +29,19 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -
     session, zenoh = open_hub(tmp_path / "net")
     command = [*EIGENSCAN, "run", "--map", str(tmp_path / "map.yaml"), "--robot", "r17", "--site", site,
                "--zenoh", str(zenoh), "--no-viewer", "--out", str(tmp_path / "out")]  # fmt: skip
-    with Bus(session) as bus, subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        witness = Witness(bus, site)
+    launch = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    with FleetView(session, site) as view, launch as process:
         deadline = time.monotonic() + 480.0
-        while witness.missing(["scan-ingest", "projector", "tracker", "mapbuilder", "recorder"]):
+        while lacking(view, ["scan-ingest", "projector", "tracker", "mapbuilder", "recorder"]):
             assert time.monotonic() < deadline
             assert process.poll() is None
-            witness.listen()
+            view.update()
             time.sleep(0.05)
         stage.epoch = time.time_ns()
-        publish(stage.messages(), bus.say)
+        publish(stage.messages(), view.say)
         poses: list[PoseEstimate] = []
         while time.monotonic() < deadline and not any(pose.state == STATE_LOCALIZED for pose in poses):
-            poses += witness.listen()
+            poses += view.update()
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
         process.send_signal(signal.SIGINT)

@@ -5,7 +5,7 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import between, compose
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.mapping.chain import Sweep
-from eigenscan.mapbuilder.registration import Outline
+from eigenscan.mapbuilder.mapping.cloud import Outline
 
 from tests.services.mapbuilder.floorplan import blank, box, room
 

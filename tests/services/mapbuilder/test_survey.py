@@ -12,7 +12,7 @@ from eigenscan.mapbuilder.mapping.cloud import Cloud
 from eigenscan.mapbuilder.mapping.correlation import Ground, correlate
 from eigenscan.mapbuilder.mapping.drawing import draw_way
 from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, survey
-from eigenscan.mapbuilder.registration import Outline
+from eigenscan.mapbuilder.mapping.cloud import Outline
 from scipy.spatial import KDTree
 
 from tests.services.mapbuilder.building import BEARINGS, building, drive, scans

@@ -28,6 +28,15 @@ def map_log(
     no_odometry: Annotated[
         bool, typer.Option("--no-odometry", help="by the scans alone, whatever the log has")
     ] = False,
+    of: Annotated[
+        int | None,
+        typer.Option(
+            "--composite",
+            min=2,
+            metavar="N",
+            help="of N scans alone, evenly spread, as if nothing were known of their order",
+        ),
+    ] = None,
     lidar: Annotated[
         list[str] | None,
         typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
@@ -48,6 +57,7 @@ def map_log(
       eigenscan build office.yaml -o model
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.geometry.gridmap import write_map
+    from eigenscan.mapbuilder.mapping.composite import composite
     from eigenscan.mapbuilder.mapping.drawing import draw_way
     from eigenscan.mapbuilder.mapping.pose_graph import check_installed
     from eigenscan.mapbuilder.mapping.survey import MappingError, Survey, survey
@@ -58,14 +68,19 @@ def map_log(
     target = out or Path((log.name.split(".")[0] or "map") + ".yaml")
     if target.suffix not in (".yaml", ".yml"):
         raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
-    check_installed()
+    if of is None:
+        check_installed()
     prepare(json_file)
     options = LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry)
     began = time.perf_counter()
     with Bars() as bars:
         scans = read_scans(log, options, bars.start_share("reading"), with_odometry=not no_odometry)
         try:
-            mapped = survey(scans.sweeps, Survey(resolution=resolution), _steps(bars))
+            if of is None:
+                mapped = survey(scans.sweeps, Survey(resolution=resolution), _steps(bars))
+            else:
+                scans = scans.spread(of)
+                mapped = composite(scans.sweeps, resolution, _steps(bars))
         except MappingError as error:
             raise UsageError(f"{log}: {error}{scans.set_aside}") from error
     write_map(mapped.grid, target)

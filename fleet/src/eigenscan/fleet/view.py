@@ -126,37 +126,41 @@ class FleetView:
         """Says something to the site."""
         self._bus.say(envelope)
 
-    def update(self) -> None:
-        """Takes in what was heard; ages count from here, so call it often."""
+    def update(self) -> list[PoseEstimate]:
+        """Takes in what was heard since the last call, and gives its poses; ages count from here, so call it often."""
+        poses = []
         while self._tokens:
             key, there = self._tokens.pop(0)
             _, _, name, instance, contract = key.split("/")
             contracts = self._service(name, instance).contracts
             (contracts.add if there else contracts.discard)(contract)
         while (arrival := self._inbox.take(0.0)) is not None:
-            self._hear(arrival, time.monotonic(), time.time_ns())
+            poses += self._hear(arrival, time.monotonic(), time.time_ns())
         since = time.monotonic() - FORGOTTEN_S
         self.robots = {name: each for name, each in self.robots.items() if each.heard_at > since}
         self.services = {
             who: each for who, each in self.services.items() if each.contracts or each.heard_at > since
         }
+        return poses
 
-    def _hear(self, arrival: Arrival, now: float, wall: int) -> None:
+    def _hear(self, arrival: Arrival, now: float, wall: int) -> list[PoseEstimate]:
         try:
             message = decode(arrival.channel, arrival.payload, arrival.encoding)
         except ContractError:
-            return  # not of this contract, and not ours to judge
+            return []  # not of this contract, and not ours to judge
         address = arrival.channel.parse(arrival.key) or {}
         if isinstance(message, ModelSet):
             self.model_version = message.version
         elif isinstance(message, PoseEstimate):
             robot = self.robots.setdefault(address["robot"], Robot(address["robot"]))
             robot.pose, robot.heard_at = message, now
+            return [message]
         elif isinstance(message, Health):
             service = self._service(address["service"], address["instance"])
             service.offsets.append((nanoseconds(message.timestamp) - wall) * 1e-9)
             service.first = service.first or message
             service.health, service.heard_at = message, now
+        return []
 
     def _service(self, name: str, instance: str) -> Service:
         return self.services.setdefault((name, instance), Service(name, instance))
@@ -171,6 +175,11 @@ class FleetView:
             if is_one(name)
         }
         return sorted(served | set(self.robots))
+
+    def health(self, name: str) -> Health | None:
+        """The newest word of a service of that name on itself."""
+        told = [each for each in self.services.values() if each.name == name and each.health is not None]
+        return max(told, key=lambda each: each.heard_at).health if told else None
 
     def serving(self, robot: str) -> Iterator[Service]:
         """The services that work for one robot, its own and those for all."""

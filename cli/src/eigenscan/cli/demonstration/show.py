@@ -14,10 +14,9 @@ from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.screen import StatusLine, error_text, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import Supervisor
-from eigenscan.cli.launch.witness import Witness
+from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.pose import from_message
-from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.wake import Wake
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -61,12 +60,11 @@ class Demonstration:
             stack.enter_context(self._wake.on_signals())
             stack.enter_context(self._line)
             session, zenoh = open_hub(folder)
-            bus = stack.enter_context(Bus(session))
+            view = stack.enter_context(FleetView(session, scenario.site))
             # declared before anybody listens: so this end knows of every listener by the first message
             for key in self._stage.keys:
                 stack.enter_context(session.declare_publisher(key))
             supervisor = stack.enter_context(Supervisor(folder / "logs"))
-            witness = Witness(bus, scenario.site)
             map_file = folder / "map.yaml"
             write_map(self._stage.grid, map_file)
             pipeline = Pipeline(
@@ -79,11 +77,11 @@ class Demonstration:
                 viewer=self._viewer,
             )
             pipeline.start(supervisor)
-            if not wait_until_ready(supervisor, witness, self._line, self._wake):
+            if not wait_until_ready(supervisor, view, self._line, self._wake):
                 return self._ended_early()
             if link := viewer_link(supervisor):
                 self._line.say(f"watch it here: {link}")
-            sightings = self._play(bus, witness, supervisor)
+            sightings = self._play(view, supervisor)
             if self._wake.stopping:
                 return self._ended_early()
             supervisor.stop(keep=["recorder"] if self._viewer else [])
@@ -96,7 +94,7 @@ class Demonstration:
         self._line.say("ended before the robot was found again")
         return False
 
-    def _play(self, bus: Bus, witness: Witness, supervisor: Supervisor) -> list[Sighting]:
+    def _play(self, view: FleetView, supervisor: Supervisor) -> list[Sighting]:
         """Publishes the simulation and hears the poses, until both are through."""
         stage = self._stage
         sightings: list[Sighting] = []
@@ -104,12 +102,12 @@ class Demonstration:
         stage.epoch = time.time_ns()
         last_scan = self._time(int(stage.times[stage.scan_ticks[-1]]))
         with ThreadPoolExecutor(1, "simulation") as pool:
-            robot = pool.submit(publish, stage.messages(), bus.say, self._speed, stop)
+            robot = pool.submit(publish, stage.messages(), view.say, self._speed, stop)
             patience = time.monotonic() + stage.scenario.seconds / self._speed + LAST_WORDS_S
             try:
                 while not self._wake.stopping:
                     supervisor.check()
-                    for estimate in witness.listen():
+                    for estimate in view.update():
                         sightings.append(self._sighting(estimate))
                         self._tell(estimate.state, sightings[-1])
                     if robot.done():

@@ -12,8 +12,7 @@ from eigenscan.cli.figures import Events
 from eigenscan.cli.launch.screen import StatusLine, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.cli.launch.witness import Witness
-from eigenscan.runtime.bus import Bus
+from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.session import MEETING, open_session
 from eigenscan.runtime.wake import Wake
@@ -40,12 +39,11 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
         stack.enter_context(wake.on_signals())
         line = stack.enter_context(StatusLine(to_stderr))
         session = _open(pipeline)
-        bus = stack.enter_context(Bus(session))
+        view = stack.enter_context(FleetView(session, pipeline.site))
         _refuse_second(session, pipeline)
-        witness = Witness(bus, pipeline.site)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
         pipeline.start(supervisor)
-        if not wait_until_ready(supervisor, witness, line, wake):
+        if not wait_until_ready(supervisor, view, line, wake):
             return
         line.say(
             f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r} at {_where(pipeline)}; "
@@ -59,10 +57,10 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
         newest: PoseEstimate | None = None
         while not wake.stopping:
             supervisor.check()
-            for pose in witness.listen():
+            for pose in view.update():
                 newest = pose
                 teller.hear(pose)
-            line.show(_text(newest, witness))
+            line.show(_text(newest, view))
             wake.wait(0.2)
         told.tell("ended", folder=str(folder))
         line.say(f"ended; recording and logs are in {folder}")
@@ -123,12 +121,12 @@ class _Teller:
         )
 
 
-def _text(pose: PoseEstimate | None, witness: Witness) -> str:
+def _text(pose: PoseEstimate | None, view: FleetView) -> str:
     if pose is None:
         lacking = [
-            f"{name}: {health.detail}"
-            for name, health in sorted(witness.health.items())
-            if health.status != Health.STATUS_OK and health.detail
+            f"{each.name}: {each.health.detail}"
+            for _, each in sorted(view.services.items())
+            if each.health and each.health.status != Health.STATUS_OK and each.health.detail
         ]
         return f"no pose yet ({'; '.join(lacking)})" if lacking else "no pose yet"
     at = pose.pose

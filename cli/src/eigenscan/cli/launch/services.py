@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from eigenscan.cli.launch.screen import StatusLine
 from eigenscan.cli.launch.supervision import ROS_BRIDGE, SERVICES, Supervisor
-from eigenscan.cli.launch.witness import Witness
+from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.wake import Wake
+from eigenscan.schemas.health_pb2 import Health
 
 READY_S = 180.0
 """What building the models of a large map may take at the start."""
+
+AWAIT_MODEL = ("mapbuilder", "projector")
+"""The services that work once they have the model; the others wait for scans only."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,19 @@ class Pipeline:
             supervisor.start("ros-bridge", ROS_BRIDGE, [*shared, *self.ros2_flags])
 
 
-def wait_until_ready(supervisor: Supervisor, witness: Witness, line: StatusLine, wake: Wake) -> bool:
+def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
+    """What is still to come before `services` work: names, with what they say they lack."""
+    found = []
+    for service in services:
+        health = view.health(service)
+        if health is None:
+            found.append(service)
+        elif service in AWAIT_MODEL and health.status == Health.STATUS_WAITING:
+            found.append(f"{service} ({health.detail})")
+    return found
+
+
+def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, wake: Wake) -> bool:
     """Waits until every service is there and has its model; False where the end was asked for.
 
     Raises ChildDiedError, or FailedError where it takes longer than READY_S.
@@ -56,8 +72,8 @@ def wait_until_ready(supervisor: Supervisor, witness: Witness, line: StatusLine,
     deadline = time.monotonic() + READY_S
     while not wake.stopping:
         supervisor.check()
-        witness.listen()
-        missing = witness.missing(supervisor.children)
+        view.update()
+        missing = lacking(view, supervisor.children)
         if not missing:
             return True
         if time.monotonic() > deadline:

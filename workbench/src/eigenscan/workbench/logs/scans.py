@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.mapping.chain import Sweep
-from eigenscan.mapbuilder.registration import Outline
+from eigenscan.mapbuilder.mapping.cloud import Outline
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import Scan
@@ -46,6 +46,11 @@ class Scans:
     def set_aside(self) -> str:
         """What could not be used, for people."""
         return "".join(f"; {count} set aside: {reason}" for reason, count in sorted(self.reasons.items()))
+
+    def spread(self, count: int) -> Scans:
+        """`count` of the scans, evenly spread over the log."""
+        chosen = np.unique(np.linspace(0, len(self.sweeps) - 1, count).astype(np.int64))
+        return replace(self, sweeps=[self.sweeps[k] for k in chosen.tolist()])
 
     def span(self, first: int, last: int) -> str:
         """A stretch of scans, for people."""

@@ -24,7 +24,7 @@ OUTVOTE = 2.0
 """Times that the votes must exceed those for any other pose."""
 STRICT = 1.6
 """Times the overlap of a loop closure that a match needs."""
-_ANYWHERE = np.array([np.inf, np.pi])
+ANYWHERE = np.array([np.inf, np.pi])
 _SAME = 1.0, float(np.deg2rad(15.0))
 
 
@@ -46,7 +46,7 @@ def _joined(closer: Closer, part: int, main: int) -> bool:
         (Edge(int(one), int(other), match.pose, RIGID), match.net)
         for other in asked
         for one in rest
-        if (match := closer.match(int(one), int(other), np.zeros(3), _ANYWHERE, STRICT)) is not None
+        if (match := closer.match(int(one), int(other), np.zeros(3), ANYWHERE, STRICT)) is not None
     ]
     if not votes:
         return False

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from eigenscan.geometry.pose import between, compose
 from eigenscan.mapbuilder.mapping.alignment import FLOOR, Alignment, align, energy
-from eigenscan.mapbuilder.mapping.cloud import Cloud
+from eigenscan.mapbuilder.mapping.cloud import Cloud, Outline
 from eigenscan.mapbuilder.mapping.correlation import Ground, correlate
-from eigenscan.mapbuilder.registration import Outline
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

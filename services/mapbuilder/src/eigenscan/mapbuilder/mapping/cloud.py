@@ -1,4 +1,4 @@
-"""Points on walls, with the direction of the wall through each: what is aligned and correlated."""
+"""What one scan saw, and points on walls with the direction of the wall through each: what is aligned and correlated."""
 
 from __future__ import annotations
 
@@ -9,11 +9,42 @@ from functools import cached_property
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
 from eigenscan.geometry.pose import transform
-from eigenscan.mapbuilder.registration import Outline
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What one scan saw: ranges (B,), m, along bearings (B,), rad, ascending; only finite ranges count."""
+
+    bearings: Array
+    ranges: Array
+
+    @classmethod
+    def of(cls, ranges: ArrayLike, bearings: ArrayLike) -> Outline:
+        """Outline of a scan (N,), m at rad; ranges that are not positive and finite are left out."""
+        distance, angle = np.asarray(ranges, dtype=np.float64), np.asarray(bearings, dtype=np.float64)
+        valid = np.isfinite(distance) & (distance > 0)
+        return cls(angle[valid], distance[valid])
+
+    @cached_property
+    def points(self) -> Array:
+        """Points (B, 2) in the sensor's frame."""
+        directions: Array = np.column_stack([np.cos(self.bearings), np.sin(self.bearings)])
+        return self.ranges[:, None] * directions
+
+    @cached_property
+    def walls(self) -> tuple[Array, Array]:
+        """Directions (B,), rad, of the wall through each point, and its length there, m; 0: on no wall."""
+        before, after = self.points[:-4], self.points[4:]
+        step = np.zeros_like(self.points)
+        step[2:-2] = after - before
+        length = np.linalg.norm(step, axis=1)
+        # across a jump between two walls the step is much longer than along one
+        step_limit = 0.3 + 0.1 * self.ranges
+        return np.arctan2(step[:, 1], step[:, 0]), np.where(length < step_limit, length, 0.0)
 
 
 @dataclass(frozen=True)
@@ -32,7 +63,8 @@ class Cloud:
     def of(cls, outline: Outline, mount: ArrayLike) -> Cloud:
         """Cloud of one scan in the base frame; `mount` (3,) is the sensor in it."""
         turn = float(np.asarray(mount)[2])
-        return cls(transform(mount, outline.points), wrap(outline.directions + turn), outline.lengths)
+        directions, lengths = outline.walls
+        return cls(transform(mount, outline.points), wrap(directions + turn), lengths)
 
     @classmethod
     def joined(cls, clouds: Sequence[Cloud]) -> Cloud:

@@ -8,8 +8,10 @@ from eigenscan.geometry.circle import difference
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import between, compose, transform
 from eigenscan.geometry.raycast import cast
-from eigenscan.mapbuilder.composite import composite, composite_map
-from eigenscan.mapbuilder.registration import Outline, Registration, register
+from eigenscan.mapbuilder.mapping.chain import Sweep
+from eigenscan.mapbuilder.mapping.cloud import Outline
+from eigenscan.mapbuilder.mapping.composite import composite
+from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError
 from eigenscan.mapbuilder.site import Plan, build_site
 
 from tests.environment import DATASETS
