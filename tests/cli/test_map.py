@@ -65,6 +65,21 @@ def test_a_part_of_a_real_log_becomes_a_map_and_a_trajectory(tmp_path: Path, odo
     assert (grid.at(found.poses[:, :2]) == FREE).mean() > 0.99
 
 
+@pytest.mark.dataset
+def test_a_few_scans_of_a_drive_are_joined_without_odometry(tmp_path: Path) -> None:
+    with gzip.open(DATASETS / "fr079/log.clf.gz", "rt") as file:
+        lines = [line.rstrip() for line in file if line.startswith("ROBOTLASER1")][:160]
+    out = tmp_path / "few.yaml"
+    done = run(write(tmp_path / "few.clf", lines), "-o", out, "--composite", "8", "--no-odometry")
+    assert done.returncode == 0, done.stderr
+    found, truth = read_trajectory(out.with_suffix(".tum")), read_trajectory(DATASETS / "fr079/log.tum")
+    reference, known = truth.at(found.stamps)
+    assert known.sum() >= 4
+    step = between(between(reference[0], reference[known]), between(found.poses[0], found.poses[known]))
+    assert np.hypot(step[:, 0], step[:, 1]).max() < 0.2
+    assert read_map(out).free_area > 10
+
+
 def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path: Path) -> None:
     log = write(tmp_path / "blind.clf", [robotlaser(np.full(180, 81.0), k) for k in range(1, 20)])
     done = run(log, "-o", tmp_path / "map.yaml")

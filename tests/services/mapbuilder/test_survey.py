@@ -8,11 +8,10 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import between, compose, transform
 from eigenscan.mapbuilder.mapping.alignment import align
 from eigenscan.mapbuilder.mapping.chain import Chain, Chainer, Step, Sweep
-from eigenscan.mapbuilder.mapping.cloud import Cloud
+from eigenscan.mapbuilder.mapping.cloud import Cloud, Outline
 from eigenscan.mapbuilder.mapping.correlation import Ground, correlate
 from eigenscan.mapbuilder.mapping.drawing import draw_way
 from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, survey
-from eigenscan.mapbuilder.mapping.cloud import Outline
 from scipy.spatial import KDTree
 
 from tests.services.mapbuilder.building import BEARINGS, building, drive, scans

@@ -127,7 +127,7 @@ class FleetView:
         self._bus.say(envelope)
 
     def update(self) -> list[PoseEstimate]:
-        """Takes in what was heard since the last call, and gives its poses; ages count from here, so call it often."""
+        """Takes in what was heard since the last call, and gives its poses; ages count from here."""
         poses = []
         while self._tokens:
             key, there = self._tokens.pop(0)

@@ -1,4 +1,4 @@
-"""What one scan saw, and points on walls with the direction of the wall through each: what is aligned and correlated."""
+"""What one scan saw, as points on walls with the direction of the wall through each: what is aligned."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import numpy as np
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.pose import compose, inverse, transform
 from eigenscan.mapbuilder.mapping.alignment import FINE, align
-from eigenscan.mapbuilder.mapping.bridges import ANYWHERE
+from eigenscan.mapbuilder.mapping.bridges import ANYWHERE, STRICT
 from eigenscan.mapbuilder.mapping.chain import Keyframe, Sweep
 from eigenscan.mapbuilder.mapping.closures import Closer, Match
 from eigenscan.mapbuilder.mapping.cloud import Cloud
@@ -32,17 +32,19 @@ def composite(
 ) -> Mapped:
     """Map of scans of which nothing is known but what they saw, `resolution` in m per cell.
 
-    Every pair is matched from nothing, as submaps are that close a loop; the surest pairs join first, to
-    the part in which the first scan is. Raises MappingError where no two scans join.
+    Every pair is matched from nothing, as submaps of two parts are; the surest pairs join first, to what
+    the first scan is in. Raises MappingError where no two scans join.
     """
     numbers = [k for k, sweep in enumerate(sweeps) if len(sweep.outline.ranges) >= _LEAST_POINTS]
-    frames = [Keyframe(k, k, np.zeros(3), Cloud.of(sweeps[k].outline, sweeps[k].mount), None) for k in numbers]
+    frames = [
+        Keyframe(k, k, np.zeros(3), Cloud.of(sweeps[k].outline, sweeps[k].mount), None) for k in numbers
+    ]
     closer = Closer(frames)
     closer.submaps = [Submap.of(frames, sweeps, range(n, n + 1), range(n, n + 1)) for n in range(len(frames))]
     pairs: list[tuple[int, int, Match]] = []
     for one in range(len(frames)):
         for other in range(one + 1, len(frames)):
-            match = closer.match(one, other, np.zeros(3), ANYWHERE)
+            match = closer.match(one, other, np.zeros(3), ANYWHERE, STRICT)
             if match is not None:
                 pairs.append((one, other, match))
         progress("joining scans", (one + 1) / len(frames))
