@@ -161,3 +161,20 @@ def test_live_simulation_keeps_the_pace(tmp_path: Path) -> None:
     # never ahead of the clock; how late is the machine's affair
     assert time.monotonic() - begun >= 0.49
     assert said.count("scan_raw") == 10
+
+
+def test_a_command_mistyped_is_told_the_one_that_was_meant() -> None:
+    result = _run("buidl")
+    assert result.returncode == 2
+    assert "did you mean build?" in result.stderr
+
+
+@pytest.mark.parametrize("command", [("replay",), ("view", "--no-open", "--rrd", "x.rrd")])
+def test_a_bag_in_a_recordings_place_is_told_how_to_become_one(
+    tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    bag = tmp_path / "drive.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
+    _expect_one_line(
+        _run(command[0], bag, *command[1:]), command[0], "ROS 1 bag", "eigenscan import drive.bag"
+    )

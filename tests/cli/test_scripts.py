@@ -152,11 +152,18 @@ def test_a_picture_tells_what_it_drew(drive: Path) -> None:
 
 
 def test_a_playback_tells_what_it_said(drive: Path) -> None:
-    options = ["--site", f"p{os.getpid()}", "--wait", 0.1, "--speed", 100, "--json", "-"]
+    options = ["--site", f"p{os.getpid()}", "--wait", 0, "--speed", 100, "--json", "-"]
     figures = _figures(_run("replay", "drive.mcap", *options, cwd=drive))
     assert figures["played"]["scan_raw"] == 20
     assert set(figures["played"]) == {"scan_raw", "odometry"}
     assert not figures["heard_by_somebody"]
+
+
+def test_playing_to_nobody_is_a_failure(drive: Path) -> None:
+    result = _run("replay", "drive.mcap", "--site", f"n{os.getpid()}", "--wait", 0.1, cwd=drive)
+    assert result.returncode == 1
+    assert "nobody subscribes to" in result.stderr
+    assert "--wait 0" in result.stderr
 
 
 def test_a_comparison_tells_both_verdicts(drive: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from uuid import uuid4
 
 import psutil
+from eigenscan.cli.launch.attend import pose_text
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.services import lacking
 from eigenscan.fleet.view import FleetView
@@ -58,6 +59,17 @@ def test_an_open_endpoint_must_be_asked_for_in_words(tmp_path: Path) -> None:
     _expect_one_line(
         tmp_path, ["--map", str(tmp_path / "map.yaml"), "--listen", "tcp/0.0.0.0:7447"], "--insecure"
     )
+
+
+def test_a_name_that_is_no_part_of_a_key_starts_nothing(tmp_path: Path) -> None:
+    write_map(office().render(), tmp_path / "map.yaml")
+    _expect_one_line(tmp_path, ["--map", str(tmp_path / "map.yaml"), "--robot", "r 17"], "--robot 'r 17'")
+
+
+def test_an_old_pose_is_not_told_as_where_the_robot_is() -> None:
+    pose = PoseEstimate(state=STATE_LOCALIZED, confidence=1.0)
+    assert "localized  confidence 1.00" in pose_text(pose, 0.1, [])
+    assert pose_text(pose, 60.0, []).startswith("no pose for 60 s")
 
 
 def test_a_second_run_of_one_robot_is_refused_at_once(tmp_path: Path) -> None:

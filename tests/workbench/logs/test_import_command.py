@@ -36,6 +36,16 @@ def test_a_log_becomes_a_recording_and_a_summary(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.clf", "a.mcap"]
 
 
+def test_a_file_that_is_there_is_kept(tmp_path: Path) -> None:
+    log, target = log_of(tmp_path / "a.clf"), tmp_path / "a.mcap"
+    target.write_text("precious")
+    code, _, err = run(log, "-o", target)
+    assert (code, target.read_text()) == (2, "precious")
+    assert "--force" in err
+    assert run(log, "-o", target, "--force")[0] == 0
+    assert len(list(read(target))) == 40
+
+
 def test_the_recording_reads_as_the_log(tmp_path: Path) -> None:
     log = log_of(tmp_path / "a.clf")
     run(log, "-o", tmp_path / "a.mcap")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -94,7 +95,9 @@ def lazy_group(
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args[0] not in commands:
-                ctx.fail(f"no command {args[0]!r}; there are {', '.join(commands)}")
+                near = difflib.get_close_matches(args[0], commands, n=1)
+                meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
+                ctx.fail(f"no command {args[0]!r}; {meant}")
             return super().resolve_command(ctx, args)
 
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -34,6 +34,7 @@ def import_log(
     ] = None,
     site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
     robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
+    force: Annotated[bool, typer.Option("--force", help="replace a file that is there")] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Turn a log into the pipeline's own MCAP: raw scans and odometry, in order of their stamps.
@@ -50,6 +51,8 @@ def import_log(
     target = out or Path(_stem(log) + ".mcap")
     if target.resolve() == log.resolve():
         raise UsageError(f"-o {target}: is the log itself: name another file")
+    if target.exists() and not force:
+        raise UsageError(f"-o {target}: is there already: name another file, or add --force")
     prepare(json_file)
     mounts = dict(_mount(text) for text in mount or ())
     options = LogOptions(site, robot, tuple(lidar or ()), odometry, base_frame, mounts)

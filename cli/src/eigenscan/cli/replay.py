@@ -14,7 +14,7 @@ import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.moment import METAVAR, START, Moment, moment
 from eigenscan.cli.process_replay import Request, process_replay
-from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 
 if TYPE_CHECKING:
     from eigenscan.schemas.envelope import Envelope
@@ -68,7 +68,10 @@ def replay(
         typer.Option("--commands", help="take pause, play, step, seek S, skip S, end from standard input"),
     ] = False,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
-    wait: Annotated[float, typer.Option(min=0.0, help="s to wait for somebody who listens")] = 5.0,
+    wait: Annotated[
+        float,
+        typer.Option(min=0.0, help="s to wait for a subscriber, then give up; 0: play to whoever comes"),
+    ] = 5.0,
     service: Annotated[
         str | None,
         typer.Option(help="replay into scan-ingest, projector, tracker or pipeline, here and without Zenoh"),
@@ -159,8 +162,11 @@ def replay(
     with Bus(open_session(zenoh)) as bus:
         bus.offer(selection.latched, first.address)
         heard = bus.wait_for_listener(first.key, wait)
-        if not heard:
-            typer.echo(f"eigenscan replay: nobody listens to {first.key}", err=True)
+        if wait and not heard:
+            raise FailedError(
+                f"nobody subscribes to {first.key} within {wait:g} s: start eigenscan run, or check "
+                "--site, --robot and --zenoh; --wait 0 plays all the same"
+            )
         said: Counter[str] = Counter()
 
         def say(envelope: Envelope) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 from eigenscan.cli.figures import JsonFile, events, prepare, wants_words
 from eigenscan.runtime.errors import UsageError
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 
 MAP_S = 30.0
 """What a robot's own map may take to come."""
@@ -70,6 +70,9 @@ def run(
       eigenscan run --ros2 rmw_zenoh
       eigenscan run --map MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
     """  # noqa: D301 - \b keeps the lines apart in --help
+    for name, value in (("--robot", robot), ("--site", site)):
+        if not is_chunk(value):
+            raise UsageError(f"{name} {value!r}: is part of every key: no blanks, none of / * $ # ? @")
     if map_or_model is None and ros2 is None:
         raise UsageError(
             "--map: give a map_server yaml or a model folder; only with --ros2 the robot has one"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -24,6 +25,9 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
 ASK_S = 1.0
 """What others may take to answer that they are there; on one machine they take milliseconds."""
+
+OLD_S = 2.0
+"""A pose older than this is not shown as where the robot is: 20 scans of a 10 Hz lidar have not come."""
 
 EVERY_S = 1.0
 """A pose is told as an event so often."""
@@ -55,12 +59,13 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
         told.tell("ready", site=pipeline.site, robot=pipeline.robot, viewer=link, folder=str(folder))
         teller = _Teller(told)
         newest: PoseEstimate | None = None
+        heard_at = 0.0
         while not wake.stopping:
             supervisor.check()
             for pose in view.update():
-                newest = pose
+                newest, heard_at = pose, time.monotonic()
                 teller.hear(pose)
-            line.show(_text(newest, view))
+            line.show(pose_text(newest, time.monotonic() - heard_at, _lacking(view)))
             wake.wait(0.2)
         told.tell("ended", folder=str(folder))
         line.say(f"ended; recording and logs are in {folder}")
@@ -121,14 +126,24 @@ class _Teller:
         )
 
 
-def _text(pose: PoseEstimate | None, view: FleetView) -> str:
+def _lacking(view: FleetView) -> list[str]:
+    """What services say they lack."""
+    return [
+        f"{each.name}: {each.health.detail}"
+        for _, each in sorted(view.services.items())
+        if each.health and each.health.status != Health.STATUS_OK and each.health.detail
+    ]
+
+
+def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str]) -> str:
+    """The newest pose, `age_s` old, for people; without one what is lacking.
+
+    What is old is not shown as if it held now.
+    """
     if pose is None:
-        lacking = [
-            f"{each.name}: {each.health.detail}"
-            for _, each in sorted(view.services.items())
-            if each.health and each.health.status != Health.STATUS_OK and each.health.detail
-        ]
         return f"no pose yet ({'; '.join(lacking)})" if lacking else "no pose yet"
+    if age_s > OLD_S:
+        return f"no pose for {age_s:.0f} s (then {state_name(pose.state)}): do scans still come?"
     at = pose.pose
     return (
         f"{state_name(pose.state)}  confidence {pose.confidence:.2f}  "

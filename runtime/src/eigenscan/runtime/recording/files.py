@@ -34,6 +34,10 @@ DAMAGE = (
 Raw = tuple[Schema | None, Channel, Message]
 
 
+_OTHER_LOGS = {b"#ROSBAG V": "a ROS 1 bag", b"SQLite format 3\0": "a ROS 2 bag's database"}
+"""How files that people take for recordings begin."""
+
+
 class RecordingError(ValueError):
     """A file that is no readable recording; the message names it."""
 
@@ -73,11 +77,23 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
     """The file at `path`. Raises RecordingError where it, or what is read of it, is missing or damaged."""
     try:
         with path.open("rb") as file:
+            _refuse_others(path, file)
             yield file
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     except DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
+
+
+def _refuse_others(path: Path, file: IO[bytes]) -> None:
+    """Raises RecordingError naming what the file is, where it is a log of another kind."""
+    start = file.read(max(map(len, _OTHER_LOGS)))
+    file.seek(0)
+    for magic, name in _OTHER_LOGS.items():
+        if start.startswith(magic):
+            raise RecordingError(
+                f"{path}: is {name}, no recording of ours: eigenscan import {path.name} makes one of it"
+            )
 
 
 def is_indexed(file: IO[bytes]) -> bool:
