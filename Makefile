@@ -1,5 +1,5 @@
 # Thin: every target is one command that also works alone.
-.PHONY: setup demo test check format contract lock
+.PHONY: setup demo test test-all check format contract lock
 
 setup:
 	@tools/setup
@@ -12,6 +12,9 @@ check: setup
 
 test: setup
 	@tools/test
+
+test-all: setup
+	@tools/test --all
 
 format: setup
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .

@@ -1,11 +1,13 @@
-"""What holds for all tests."""
+"""What holds for all tests: what is slow, what is skipped, and what runs beside what."""
 
 import os
 import signal
 
+import pytest
 from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadScopeScheduling
 
-from tests.environment import PATIENT
+from tests.environment import DATASETS, PATIENT
 
 # the same examples in each run, however slow the machine: what fails here fails everywhere
 settings.register_profile(
@@ -13,8 +15,25 @@ settings.register_profile(
 )
 settings.load_profile("suite")
 
+TOGETHER = ("tests/docker/",)
+"""Folders whose files share what is made once, so that one process has them all."""
+FIRST = ("tests/docker/", "tests/system/test_hour.py")
+"""Those that take minutes begin at once, so that nobody waits for them alone."""
 
-def pytest_configure() -> None:
+
+class ByFile(LoadScopeScheduling):
+    """Each file's tests run in one process, in order; so do those of a folder that shares something."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        return next((folder for folder in TOGETHER if file.startswith(folder)), file)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
+    return ByFile(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Services take their time; and Ctrl-C works, also where the tests run in a shell's background.
 
     Such a shell has it ignored, and children inherit that.
@@ -22,3 +41,15 @@ def pytest_configure() -> None:
     os.environ.update(PATIENT)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False  # pytest_collection_modifyitems has ordered them
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    without_data = pytest.mark.skip(reason="the datasets are not beside the project")
+    for item in items:
+        if item.get_closest_marker("docker") or item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("dataset") and not DATASETS.is_dir():
+            item.add_marker(without_data)
+    items.sort(key=lambda item: not item.nodeid.startswith(FIRST))

@@ -13,6 +13,8 @@ from eigenscan.workbench.evaluation.reference import read_trajectory
 
 from tests.environment import DATASETS, EIGENSCAN
 
+pytestmark = pytest.mark.slow
+
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(

@@ -14,6 +14,8 @@ import typer
 from eigenscan.cli import fleet
 from eigenscan.cli.main import COMMANDS, app
 
+pytestmark = pytest.mark.slow
+
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 
 

@@ -49,6 +49,7 @@ def test_every_command_is_one_that_there_is(block: Block, shell: None) -> None:
         assert refusal(words) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", RUN)
 def test_what_a_page_says_works(page: str, tmp_path: Path) -> None:
     """Shell blocks one after the other in one empty folder, then all Python of the page as one program."""

@@ -17,6 +17,8 @@ from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, RELOCATION, 
 
 from tests.fleet.conftest import READY_S, SITE, Fleet, make_fleet, run, until
 
+pytestmark = pytest.mark.slow
+
 ROBOT = "r17"
 RATE_HZ, ROUNDS = 50.0, 150
 ADDRESS = {"site": SITE, "robot": ROBOT, "instance": ROBOT, "service": "tracker"} | dict.fromkeys(

@@ -31,6 +31,8 @@ from eigenscan.workbench.simulation.world import office
 from tests.fleet.conftest import SITE, Fleet, run, until
 from tests.network import free_port
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = ("a-1", "b-7", "c-1")
 SERVED = ("a-1", "b-7")
 LAB = "lab"

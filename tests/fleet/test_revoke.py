@@ -10,6 +10,8 @@ from eigenscan.schemas.channels import MODEL, POSE
 
 from tests.fleet.conftest import ROBOTS, SITE, ZENOHD, Fleet, make_fleet, run, until
 
+pytestmark = pytest.mark.slow
+
 MODEL_KEY = MODEL.key({"site": SITE, "region": "hall"})
 
 

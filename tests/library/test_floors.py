@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from tests.services.projector.office import free_poses, office
 
+pytestmark = pytest.mark.slow
+
 STEP, BEAMS = np.deg2rad(1.0), 271
 
 

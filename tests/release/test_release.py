@@ -38,6 +38,7 @@ def workspace(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_everything_is_built_installed_and_used(tmp_path: Path) -> None:
     result = _release(ROOT, "build", "--out", tmp_path)
     assert result.returncode == 0, result.stderr

@@ -20,6 +20,8 @@ from tests.system.bad_link import BadLink
 from tests.system.house import Ear, House
 from tests.system.robot import Robot
 
+pytestmark = pytest.mark.slow
+
 LEASE_S = 10.0
 """Zenoh's: after so long in silence each side takes the other for gone."""
 GAP_S = 3.0

@@ -24,6 +24,8 @@ from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = Path(sys.executable).with_name("eigenscan")
 SITE, STEP_AT_S, SECONDS, RIGHT_M = "site", 6.0, 12.0, 0.5
 BACK_WITHIN_S = 3.0

@@ -6,6 +6,7 @@ from itertools import islice
 from pathlib import Path
 
 import psutil
+import pytest
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import ALIVE_TEMPLATE, ODOMETRY, SCAN, SCAN_RAW
@@ -13,6 +14,8 @@ from eigenscan.schemas.envelope import Envelope, stamp
 
 from tests.system.house import PATIENCE_S, House, eventually
 from tests.system.robot import Robot
+
+pytestmark = pytest.mark.slow
 
 FIRST, ALL = 20, 100
 FEW_FILES = 5

@@ -22,6 +22,8 @@ from tests.environment import PROGRAMS
 from tests.system.house import PATIENCE_S, House, eventually
 from tests.system.robot import Robot
 
+pytestmark = pytest.mark.slow
+
 
 def ask(house: House, *command: str, config: Path | None = None) -> tuple[int, Any]:
     """Exit code and JSON of a command on the house's site."""

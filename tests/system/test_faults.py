@@ -17,6 +17,8 @@ from eigenscan.schemas.wire import encode, encoding
 
 from tests.system.house import Drive, House, reference
 
+pytestmark = pytest.mark.slow
+
 ORDER = ("recorder", "mapbuilder", "projector", "tracker", "scan-ingest")
 
 

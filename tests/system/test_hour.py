@@ -8,6 +8,7 @@ import pytest
 from tests.machines.hour import CLOCK_S, hour, play
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.timeout(3600),
     pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root"),
 ]

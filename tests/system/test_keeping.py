@@ -24,6 +24,8 @@ from tests.environment import PROGRAMS
 from tests.services.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
 from tests.system.house import House
 
+pytestmark = pytest.mark.slow
+
 AT_ONCE = 100
 """Messages, so that the inbox holds them."""
 LIVE_S, LIVE_AT_ONCE = 0.1, 20

@@ -2,6 +2,7 @@
 
 import time
 
+import pytest
 from eigenscan.schemas.channels import POSE, RELOCATION
 from eigenscan.schemas.envelope import nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
@@ -9,6 +10,8 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Reloca
 
 from tests.system.house import House
 from tests.system.robot import Robot
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_restarted_tracker_begins_at_the_last_pose_unless_that_is_old(house: House) -> None:

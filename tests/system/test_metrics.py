@@ -15,6 +15,8 @@ from tests.system.house import PATIENCE_S, House
 from tests.system.prometheus import find_programs, serving, until_it_has
 from tests.system.robot import Robot
 
+pytestmark = pytest.mark.slow
+
 DEPLOY = ROOT / "deploy"
 ALERTS = DEPLOY / "prometheus/alerts.yml"
 ONLY_IN_TROUBLE = re.compile(r"> 0$")

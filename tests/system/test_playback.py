@@ -23,6 +23,8 @@ from typer.testing import CliRunner
 from tests.environment import PROGRAMS
 from tests.system.house import PATIENCE_S, House
 
+pytestmark = pytest.mark.slow
+
 S = 1_000_000_000
 START = 1_000 * S
 LENGTH_S, RATE_HZ = 20, 5

@@ -4,12 +4,15 @@ import json
 import subprocess
 from typing import Any
 
+import pytest
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 from tests.environment import PROGRAMS
 from tests.system.house import PATIENCE_S, House
 from tests.system.robot import Robot
+
+pytestmark = pytest.mark.slow
 
 
 def tell(house: House, *arguments: object) -> tuple[int, dict[str, Any], str]:

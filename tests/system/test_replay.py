@@ -10,6 +10,8 @@ from eigenscan.schemas.wire import encode
 from tests.environment import PROGRAMS
 from tests.system.house import Drive, House
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.dataset
 def test_a_stretch_of_a_recording_is_said_as_it_was(drive: Drive, house: House) -> None:

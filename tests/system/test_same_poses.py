@@ -14,6 +14,8 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from tests.environment import PROGRAMS
 from tests.system.house import INTEL, SPACING, Drive, House
 
+pytestmark = pytest.mark.slow
+
 Said = dict[int, tuple[float, float, float, int]]
 
 

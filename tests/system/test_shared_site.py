@@ -12,6 +12,8 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 from tests.system.house import Drive, House, reference
 
+pytestmark = pytest.mark.slow
+
 PARTS = 2
 
 

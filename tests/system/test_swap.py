@@ -27,6 +27,8 @@ from eigenscan.workbench.simulation.world import office
 from tests.environment import ROOT
 from tests.system.house import ONE_THREAD, PATIENCE_S, House
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = ROOT / "examples/exhaustive-projector/exhaustive_projector.py"
 RATE_HZ = 5.0
 WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)

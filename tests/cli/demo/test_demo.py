@@ -10,9 +10,12 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import psutil
+import pytest
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import CHANNELS, MODEL_SET, POSE, RELOCATION, SCAN, SCAN_RAW
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+
+pytestmark = pytest.mark.slow
 
 DEMO = [sys.executable, "-m", "eigenscan.cli.main", "demo"]
 PATIENCE_S = 240.0

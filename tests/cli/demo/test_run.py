@@ -8,6 +8,7 @@ from pathlib import Path
 from uuid import uuid4
 
 import psutil
+import pytest
 from eigenscan.cli.launch.attend import pose_text
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.services import lacking
@@ -18,6 +19,8 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
+
+pytestmark = pytest.mark.slow
 
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 

@@ -21,6 +21,8 @@ from eigenscan.schemas.wire import decode
 
 from tests.network import free_port
 
+pytestmark = pytest.mark.slow
+
 PATIENCE_S = 240
 
 

@@ -22,6 +22,8 @@ from eigenscan.mapbuilder.shards import Area, shards
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
 from eigenscan.schemas.model_pb2 import ModelSet
 
+pytestmark = pytest.mark.slow
+
 QUICK = Plan(step=TURN / 180)
 FINE = ["--spacing", "0.05", "--step", "1"]
 """Five shards of the office."""

@@ -16,6 +16,8 @@ from scipy.spatial import KDTree
 
 from tests.services.mapbuilder.building import BEARINGS, building, drive, scans
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def grid() -> GridMap:

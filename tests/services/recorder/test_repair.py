@@ -23,6 +23,8 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
+pytestmark = pytest.mark.slow
+
 COUNT = 300
 KILLS = 4
 

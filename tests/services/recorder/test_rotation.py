@@ -25,6 +25,8 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
 from tests.services.recorder.traffic import Site
 
+pytestmark = pytest.mark.slow
+
 S = 1_000_000_000
 ADDRESS = {"site": "s", "robot": "r"}
 COUNT = 600

@@ -19,6 +19,8 @@ from rerun.chunk import RrdReader
 from tests.services.recorder.conftest import PATIENCE_S
 from tests.services.recorder.traffic import Site
 
+pytestmark = pytest.mark.slow
+
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main", "view"]
 
 

@@ -30,6 +30,8 @@ from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from tests.services.ros_bridge.conftest import Ear, Network, Robot, eventually, fields, pipeline
 from tests.services.ros_bridge.test_core import header, scan, transform
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 8.0
 SIMULATION_STARTED = 5_000_000_000
 """ns"""

@@ -27,6 +27,8 @@ from tests.network import free_port
 from tests.services.ros_bridge.conftest import Bridge, Network, eventually
 from tests.services.ros_bridge.test_core import MOUNT, odometry, scan
 
+pytestmark = pytest.mark.slow
+
 Start = Callable[..., Bridge]
 REQUEST = b"rqh" + struct.pack("<qqB", 77, 1, 1)
 

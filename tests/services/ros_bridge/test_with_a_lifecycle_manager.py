@@ -27,6 +27,8 @@ from zenoh_ros2_sdk import ROS2ServiceClient, get_service_info
 
 from tests.services.ros_bridge.conftest import Bridge, Robot, eventually, fields
 
+pytestmark = pytest.mark.slow
+
 Start = Callable[..., Bridge]
 Call = Callable[..., Any]
 CONFIGURE, ACTIVATE, DEACTIVATE = 1, 3, 4  # lifecycle_msgs/Transition

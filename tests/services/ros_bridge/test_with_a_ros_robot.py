@@ -38,6 +38,8 @@ from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from tests.services.ros_bridge.conftest import PATIENCE_S, Bridge, Network, Robot, eventually, fields
 from tests.services.ros_bridge.test_cdr import BAG
 
+pytestmark = pytest.mark.slow
+
 Start = Callable[..., Bridge]
 LATCHED = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=10)
 TOPICS = {"/scan": cdr.LASER_SCAN, "/odom": cdr.ODOMETRY, "/tf_static": cdr.TRANSFORMS}

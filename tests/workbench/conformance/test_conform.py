@@ -15,6 +15,8 @@ import pytest
 
 from tests.environment import PROGRAMS
 
+pytestmark = pytest.mark.slow
+
 ODD_INGEST = Path(__file__).parent / "odd_ingest.py"
 AT_ONCE = 5
 """Runs mostly wait for their drive."""

@@ -9,6 +9,8 @@ import pytest
 
 from tests.environment import PROGRAMS, ROOT
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = ROOT / "examples"
 PROJECTOR = EXAMPLES / "exhaustive-projector"
 RUST_INGEST = EXAMPLES / "scan-ingest-rust"

@@ -19,6 +19,8 @@ from eigenscan.workbench.progress import Bars
 
 from tests.environment import EIGENSCAN
 
+pytestmark = pytest.mark.slow
+
 SPREAD = {"median": float, "p95": float}
 SPREAD_99 = {"median": float, "p99": float}
 # the JSON of the evaluation's definition, figure by figure

@@ -26,6 +26,8 @@ from scipy.ndimage import distance_transform_edt
 
 from tests.environment import DATASETS
 
+pytestmark = pytest.mark.slow
+
 SIMULATE = [sys.executable, "-m", "eigenscan.cli.main", "simulate"]
 SQUARE = FloorPlan(rooms={"square": Box(0.0, 0.0, 6.0, 6.0)}, doors=(), furniture=(Disc(2.0, 3.0, 0.25),))
 

@@ -1,0 +1,12 @@
+"""Compiles what tests use, once, before several processes each do it: `python -m tests.compile_all`."""
+
+from typing import get_args
+
+import eigenscan.tracker.core  # noqa: F401 - compiled where it is imported
+from eigenscan.projector.association.kinds import Kind
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.warm_up import warm_up
+
+if __name__ == "__main__":
+    for kind in get_args(Kind):
+        warm_up(ProjectorSettings(association=kind))
