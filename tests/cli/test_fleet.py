@@ -1,7 +1,6 @@
 """Several robots, boxes that the map lacks, lidars by name."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,8 @@ from eigenscan.workbench.simulation.unmapped import put_boxes
 from eigenscan.workbench.simulation.world import office
 from scipy.ndimage import label
 
+from tests.command import eigenscan
+
 
 @pytest.fixture(scope="module")
 def grid() -> GridMap:
@@ -25,8 +26,7 @@ def grid() -> GridMap:
 
 
 def _simulate(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "eigenscan.cli.main", "simulate", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    return eigenscan("simulate", *arguments, cwd=folder)
 
 
 def test_a_fleet_is_one_recording_with_a_truth_for_each(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The command's manners: one line for a user's error, exit codes, a quick start."""
 
+import os
 import subprocess
 import sys
 import time
@@ -7,13 +8,8 @@ from pathlib import Path
 
 import pytest
 
-EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
-
-
-def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, timeout=600, check=False
-    )
+from tests.command import eigenscan
+from tests.environment import EIGENSCAN
 
 
 def _expect_one_line(result: subprocess.CompletedProcess[str], command: str, *parts: str) -> None:
@@ -28,53 +24,53 @@ def _expect_one_line(result: subprocess.CompletedProcess[str], command: str, *pa
 @pytest.mark.parametrize("command", ["simulate", "demo", "run"])
 def test_a_map_without_a_resolution(tmp_path: Path, command: str) -> None:
     (tmp_path / "map.yaml").write_text("image: map.pgm\norigin: [0, 0, 0]\n")
-    result = _run(command, "--map", tmp_path / "map.yaml", "--out", tmp_path / "out")
+    result = eigenscan(command, "--map", tmp_path / "map.yaml", "--out", tmp_path / "out")
     _expect_one_line(result, command, "map.yaml", "resolution")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("command", ["simulate", "demo", "run"])
 def test_a_map_that_is_not_there(tmp_path: Path, command: str) -> None:
-    result = _run(command, "--map", tmp_path / "absent.yaml", "--out", tmp_path / "out")
+    result = eigenscan(command, "--map", tmp_path / "absent.yaml", "--out", tmp_path / "out")
     _expect_one_line(result, command, "absent.yaml")
 
 
 def test_a_kidnap_outside_the_drive(tmp_path: Path) -> None:
-    result = _run("simulate", "-o", tmp_path / "a.mcap", "--seconds", 10, "--kidnap", 12)
+    result = eigenscan("simulate", "-o", tmp_path / "a.mcap", "--seconds", 10, "--kidnap", 12)
     _expect_one_line(result, "simulate", "--kidnap 12")
 
 
 def test_nothing_to_do() -> None:
-    _expect_one_line(_run("simulate"), "simulate", "--truth")
+    _expect_one_line(eigenscan("simulate"), "simulate", "--truth")
 
 
 def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    result = _run("simulate", "-o", tmp_path / "file/drive.mcap", "--seconds", 1)
+    result = eigenscan("simulate", "-o", tmp_path / "file/drive.mcap", "--seconds", 1)
     _expect_one_line(result, "simulate", str(tmp_path / "file"))
 
 
 def test_a_zenoh_file_that_is_none(tmp_path: Path) -> None:
     (tmp_path / "zenoh.json5").write_text("{ nonsense")
-    result = _run("simulate", "--live", "--seconds", 1, "--zenoh", tmp_path / "zenoh.json5")
+    result = eigenscan("simulate", "--live", "--seconds", 1, "--zenoh", tmp_path / "zenoh.json5")
     _expect_one_line(result, "simulate", "zenoh.json5")
 
 
 def test_debug_shows_the_trace(tmp_path: Path) -> None:
-    result = _run("--debug", "simulate", "--map", tmp_path / "absent.yaml", "-o", tmp_path / "a.mcap")
+    result = eigenscan("--debug", "simulate", "--map", tmp_path / "absent.yaml", "-o", tmp_path / "a.mcap")
     assert "Traceback" in result.stderr
     assert "MapError" in result.stderr
 
 
 def test_a_command_that_is_none_names_those_that_are() -> None:
-    result = _run("fly")
+    result = eigenscan("fly")
     assert result.returncode == 2
     assert "fly" in result.stderr
     assert "simulate" in result.stderr
 
 
 def test_an_option_out_of_range() -> None:
-    result = _run("simulate", "-o", "a.mcap", "--beams", 1)
+    result = eigenscan("simulate", "-o", "a.mcap", "--beams", 1)
     assert result.returncode == 2
     assert "--beams" in result.stderr
 
@@ -90,14 +86,14 @@ def test_an_option_out_of_range() -> None:
     ],
 )
 def test_what_is_typed_wrongly_takes_one_line(typed: str, place: str, part: str) -> None:
-    result = _run(*typed.split())
+    result = eigenscan(*typed.split())
     _expect_one_line(result, place, part, f"see eigenscan {place} --help")
 
 
 @pytest.mark.parametrize("command", ["doctor", "fleet status", "fleet relocate r1 --anew"])
 def test_a_site_that_no_key_can_have_ends_the_command(command: str) -> None:
     place = command.partition(" r1")[0]
-    _expect_one_line(_run(*command.split(), "--site", "a/b"), place, "site", "a/b")
+    _expect_one_line(eigenscan(*command.split(), "--site", "a/b"), place, "site", "a/b")
 
 
 @pytest.mark.parametrize("command", ["simulate", "evaluate", "run"])
@@ -107,7 +103,7 @@ def test_a_file_that_is_no_map(tmp_path: Path, command: str) -> None:
         "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n1,0,1,2,2\n"
     )
     log = ["--log", tmp_path / "drive.csv"] if command == "evaluate" else ["--out", tmp_path / "out"]
-    result = _run(command, "--map", tmp_path / "drive.bag", *log)
+    result = eigenscan(command, "--map", tmp_path / "drive.bag", *log)
     _expect_one_line(result, command, "drive.bag", "map_server yaml")
 
 
@@ -116,12 +112,12 @@ def test_every_command_has_help_with_an_example() -> None:
     from eigenscan.cli.main import COMMANDS
 
     for group, commands in (((), COMMANDS), (("fleet",), fleet.COMMANDS)):
-        listing = _run(*group, "--help")
+        listing = eigenscan(*group, "--help")
         assert listing.returncode == 0
         for name, (_, line) in commands.items():
             assert f"  {name}" in listing.stdout
             assert line[:30] in listing.stdout
-            own = _run(*group, name, "--help")
+            own = eigenscan(*group, name, "--help")
             assert own.returncode == 0, own.stderr
             if name == "fleet":
                 continue  # a group: its commands have the examples
@@ -130,10 +126,26 @@ def test_every_command_has_help_with_an_example() -> None:
 
 
 def test_an_error_in_a_group_names_the_whole_command() -> None:
-    result = _run("fleet", "status", "--zenoh", "absent.json5", "--once")
+    result = eigenscan("fleet", "status", "--zenoh", "absent.json5", "--once")
     assert result.returncode == 2
     assert result.stderr.startswith("eigenscan fleet status: absent.json5: ")
-    assert "Traceback" in _run("fleet", "status", "--zenoh", "absent.json5", "--debug").stderr
+    assert "Traceback" in eigenscan("fleet", "status", "--zenoh", "absent.json5", "--debug").stderr
+
+
+@pytest.mark.parametrize(
+    "typed", ["--version", "fleet --help", "fly", "simulate", "simulate --map absent.yaml -o a.mcap --debug"]
+)
+def test_a_process_of_its_own_ends_as_it_does_here(typed: str) -> None:
+    """So that the tests need not start one for each command."""
+    words = typed.split()
+    process = subprocess.run(
+        [EIGENSCAN, *words], capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "80"}
+    )
+    here = eigenscan(*words, COLUMNS="80")
+    assert process.returncode == here.returncode
+    assert process.stdout == here.stdout
+    last = [said.stderr.strip().rpartition("\n")[2] for said in (process, here)]
+    assert last[0] == last[1]
 
 
 def test_help_starts_without_the_heavy_imports() -> None:
@@ -144,7 +156,7 @@ def test_help_starts_without_the_heavy_imports() -> None:
 
 
 def test_the_version_is_printed() -> None:
-    result = _run("--version")
+    result = eigenscan("--version")
     assert result.returncode == 0
     assert result.stdout.count(".") == 2
 

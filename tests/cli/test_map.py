@@ -1,4 +1,4 @@
-"""`eigenscan map` as a process: on a part of a real log, and on logs that no map can be made of."""
+"""`eigenscan map`: on a part of a real log, and on logs that no map can be made of."""
 
 import gzip
 import subprocess
@@ -11,15 +11,14 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, read_map
 from eigenscan.geometry.pose import between
 from eigenscan.workbench.evaluation.reference import read_trajectory
 
-from tests.environment import DATASETS, EIGENSCAN
+from tests.command import eigenscan
+from tests.environment import DATASETS
 
 pytestmark = pytest.mark.slow
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [EIGENSCAN, "map", *arguments], capture_output=True, text=True, timeout=600, check=False
-    )
+    return eigenscan("map", *arguments)
 
 
 def robotlaser(ranges: np.ndarray, second: int, x: float = 0.0) -> str:

@@ -14,21 +14,15 @@ import typer
 from eigenscan.cli import fleet
 from eigenscan.cli.main import COMMANDS, app
 
+from tests.command import eigenscan
+
 pytestmark = pytest.mark.slow
 
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 
 
 def _run(*arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*EIGENSCAN, *map(str, arguments)],
-        cwd=cwd,
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    return eigenscan(*arguments, cwd=cwd, **environment)
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.versions import KEPT, choose, exchange, kept_in, versions
 
+from tests.command import eigenscan
 from tests.eigenspace.test_model import model, site
-from tests.environment import EIGENSCAN
 
 
 def build(folder: Path, seed: int, at: int) -> str:
@@ -26,9 +26,7 @@ def three(tmp_path: Path) -> tuple[Path, list[str]]:
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [EIGENSCAN, "models", *arguments], capture_output=True, text=True, timeout=600, check=False
-    )
+    return eigenscan("models", *arguments)
 
 
 def in_use(folder: Path) -> str:

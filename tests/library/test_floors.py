@@ -1,7 +1,6 @@
 """Two floors in one set: a robot is found on the right one, also after a lift."""
 
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from eigenscan.localize import Localizer, Scan
 from eigenscan.mapbuilder.floors import stack
 from numpy.typing import NDArray
 
+from tests.command import eigenscan
 from tests.services.projector.office import free_poses, office
 
 pytestmark = pytest.mark.slow
@@ -34,8 +34,7 @@ FLOORS = {"ground": office(), "first": upstairs()}
 
 
 def build(folder: Path, *files: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "eigenscan.cli.main", "build", *files, "-o", "model"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+    return eigenscan("build", *files, "-o", "model", cwd=folder)
 
 
 @pytest.fixture(scope="module")

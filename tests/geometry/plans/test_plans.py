@@ -1,7 +1,5 @@
 """Floor plans become the maps that they show."""
 
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +10,8 @@ from eigenscan.geometry.plans import PlanOptions, read_plan
 from ezdxf import units as dxf_units
 from ezdxf.filemanagement import new
 from ezdxf.layouts.layout import Modelspace
+
+from tests.command import eigenscan
 
 # two rooms, 10 m by 6 m, a door of 1 m between them and one of 1 m to the outside; a pillar in the left room
 ROOM_LEFT, ROOM_RIGHT, DOOR = (2.0, 1.0), (8.0, 4.0), (5.0, 3.5)
@@ -135,9 +135,8 @@ def test_what_is_wrong_names_the_fix(tmp_path: Path) -> None:
 
 
 def test_models_are_built_of_a_plan(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "eigenscan.cli.main", "build", "plan.dxf", "-o", "model", "--step", "2"]
     _dxf(tmp_path, dxf_units.MM, 0.001)
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
+    done = eigenscan("build", "plan.dxf", "-o", "model", "--step", 2, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "model/map.yaml").is_file()
 

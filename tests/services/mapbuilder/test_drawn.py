@@ -14,7 +14,7 @@ from eigenscan.mapbuilder.regions import Division, Regions
 from eigenscan.mapbuilder.site import Plan, lay_out
 from numpy.typing import ArrayLike
 
-from tests.environment import EIGENSCAN
+from tests.command import eigenscan
 
 ALONE = Division(margin=0.0)
 
@@ -116,9 +116,7 @@ def test_a_region_without_free_space_is_named(office: GridMap) -> None:
 
 
 def build(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [EIGENSCAN, "build", *arguments], capture_output=True, text=True, timeout=600, check=False
-    )
+    return eigenscan("build", *arguments)
 
 
 def test_build_takes_regions_and_leaves_them_to_be_edited(office: GridMap, tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """Maps as users have them, good and bad, through `eigenscan build` itself."""
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,14 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.raycast import RayCaster
 from PIL import Image
 
+from tests.command import eigenscan
 from tests.services.mapbuilder.floorplan import two_rooms
 
 ORIGIN = (0.0, 0.0, 0.0)
 
 
 def build(yaml: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "eigenscan.cli.main", "build", yaml, "-o", out, "--step", "2"]
-    return subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=600, check=False)
+    return eigenscan("build", yaml, "-o", out, "--step", 2)
 
 
 def save(

@@ -16,6 +16,7 @@ from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import POSE
 from rerun.chunk import RrdReader
 
+from tests.command import eigenscan
 from tests.services.recorder.conftest import PATIENCE_S
 from tests.services.recorder.traffic import Site
 
@@ -34,7 +35,7 @@ def recording(tmp_path: Path) -> Path:
 
 
 def view(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*EIGENSCAN, *map(str, arguments)], capture_output=True, text=True, check=False)
+    return eigenscan("view", *arguments)
 
 
 def test_a_recording_becomes_a_picture(recording: Path, tmp_path: Path) -> None:

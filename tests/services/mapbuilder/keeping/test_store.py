@@ -16,6 +16,7 @@ from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.mapbuilder.keeping.store import PICTURE, Store
 from eigenscan.mapbuilder.site import Plan, build_site
 
+from tests.command import eigenscan
 from tests.services.mapbuilder.floorplan import box
 
 PLAN = Plan(step=TURN / 60, spacing=1.0)
@@ -40,13 +41,7 @@ def propose(store: Store, site: SiteModel) -> str:
 
 
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "eigenscan.cli.main", "models", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    return eigenscan("models", *arguments)
 
 
 def test_what_is_in_use_is_given_once_and_again_when_it_is_another(store: Store, office: GridMap) -> None:
