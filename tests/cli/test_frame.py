@@ -176,7 +176,7 @@ def test_live_simulation_keeps_the_pace(tmp_path: Path) -> None:
 
 
 def test_a_command_mistyped_is_told_the_one_that_was_meant() -> None:
-    result = _run("buidl")
+    result = eigenscan("buidl")
     assert result.returncode == 2
     assert "did you mean build?" in result.stderr
 
@@ -188,5 +188,5 @@ def test_a_bag_in_a_recordings_place_is_told_how_to_become_one(
     bag = tmp_path / "drive.bag"
     bag.write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
     _expect_one_line(
-        _run(command[0], bag, *command[1:]), command[0], "ROS 1 bag", "eigenscan import drive.bag"
+        eigenscan(command[0], bag, *command[1:]), command[0], "ROS 1 bag", "eigenscan import drive.bag"
     )
