@@ -18,12 +18,9 @@ from pathlib import Path
 import numpy as np
 from eigenscan.geometry.carving import Carving
 from eigenscan.geometry.gridmap import GridMap, write_map
-from eigenscan.geometry.pose import between, compose, transform
+from eigenscan.geometry.pose import Array, between, compose, transform
 from eigenscan.workbench.logs.carmen import saturation
 from eigenscan.workbench.logs.carmen_lines import NS, Line, LineError, read_line
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 PART_M, WINDOW_M, EVERY_M = 30.0, 30.0, 10.0
 SINGLE_SCANS = 100

@@ -11,8 +11,8 @@ from typing import Any
 
 import typer
 from eigenscan.cli.main import app
-from eigenscan.cli.settings_page import KINDS, settings_of
 from eigenscan.runtime.settings import load
+from eigenscan.workbench.settings_page import KINDS, settings_of
 from markdown_it import MarkdownIt
 
 from tests.environment import ROOT

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from eigenscan.geometry.pose import between, from_message, to_message
+from eigenscan.geometry.pose import Array, between, from_message, to_message
 from eigenscan.schemas.model_pb2 import ModelSet
-from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,8 @@ and the odd ones are those of two matrices of half the size (Cantoni and Butler 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from eigenscan.geometry.pose import Array
 from scipy.linalg import eigh, toeplitz
-
-Array = NDArray[np.float64]
 
 
 def eigenpairs(first_row: Array, count: int) -> tuple[Array, Array]:

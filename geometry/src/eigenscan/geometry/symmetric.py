@@ -11,10 +11,9 @@ other only by luck where several processes compile at the same time.
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.pose import Array
 from numba import njit, types
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Triangle = tuple[float, float, float, float, float, float]
 Column = tuple[float, float, float]
 MATRICES = types.Array(types.float64, 3, "A", readonly=True)

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from eigenscan.geometry.pose import covariance_from_message, from_message
+from eigenscan.geometry.pose import Array, covariance_from_message, from_message
 from eigenscan.localize.scan import Scan
 from eigenscan.schemas import hypotheses_pb2, tracking_pb2
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 State = Literal["lost", "ambiguous", "localized"]
 
 _STATES: dict[int, State] = {

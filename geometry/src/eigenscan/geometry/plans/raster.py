@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.geometry.gridmap import FREE, MOST_CELLS, OCCUPIED, UNKNOWN, GridMap, MapError
+from eigenscan.geometry.pose import Array
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt, label, maximum
-
-Array = NDArray[np.float64]
 
 DOORWAY = 1.2
 """m: an opening no wider than this does not let the outside in."""

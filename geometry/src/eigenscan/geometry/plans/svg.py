@@ -11,7 +11,8 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.plans.expansion import TooMuchError, placed
-from eigenscan.geometry.plans.raster import Array, Walls
+from eigenscan.geometry.plans.raster import Walls
+from eigenscan.geometry.pose import Array
 
 LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
 HREF = "{http://www.w3.org/1999/xlink}href"

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from eigenscan.geometry.gridmap import FREE, GridMap
+from eigenscan.geometry.pose import Array
 from eigenscan.mapbuilder.geojson import GivenRegion, Polygon, RegionsError
 from eigenscan.mapbuilder.regions import Division, Regions, reached
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, find_objects
 from skimage.draw import polygon2mask
 from skimage.measure import approximate_polygon, find_contours, label
-
-Array = NDArray[np.float64]
 
 
 def divide_as_drawn(grid: GridMap, drawn: Sequence[GivenRegion], division: Division) -> Regions:

@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from eigenscan.geometry.pose import Array
 
 _MOST_NAME = 64
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.pose import compose
+from eigenscan.geometry.pose import Array, compose
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.workbench.simulation.people import RADIUS
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

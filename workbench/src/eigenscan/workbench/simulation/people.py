@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.pose import Array
 from eigenscan.workbench.simulation.route import Planner
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 RADIUS = 0.22
 """m, of a body at the lidar's height."""

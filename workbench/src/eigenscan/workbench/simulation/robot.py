@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.pose import between, compose
+from eigenscan.geometry.pose import Array, between, compose
 from eigenscan.workbench.simulation.route import Planner
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 TICKS_PER_S = 100
 PERIOD = 1.0 / TICKS_PER_S

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.gridmap import FREE, GridMap, MapError
+from eigenscan.geometry.pose import Array
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 STEP = 0.1
 """m, cells of the planning grid."""

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from eigenscan.geometry.gridmap import GridMap
-from eigenscan.geometry.pose import to_message, to_pose3
+from eigenscan.geometry.pose import Array, to_message, to_pose3
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, ODOMETRY, SCAN_RAW, TRUTH
 from eigenscan.schemas.envelope import Envelope, stamp
@@ -27,8 +27,6 @@ from eigenscan.workbench.simulation.route import plan
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 EPOCH_NS = 1_000_000_000 * 1_000_000_000
 """Stamp of a recorded simulation's start: fixed, so that runs can be compared."""

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.pose import between, compose, covariance_from_message, from_message
+from eigenscan.geometry.pose import Array, between, compose, covariance_from_message, from_message
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from numpy.typing import NDArray
 
 CONFIDENCE = 0.9
 SIGMA_M, SIGMA_RAD = 0.1, float(np.deg2rad(3.0))
@@ -23,8 +22,6 @@ SPEED = 3.0
 """m/s, without odometry."""
 FARTHEST_M, FARTHEST_NS = 5.0, 60 * 1_000_000_000
 """Way, or time, for which odometry is believed from one sure pose to the next."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

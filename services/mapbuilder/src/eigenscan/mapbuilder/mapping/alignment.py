@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.pose import between, compose, transform
+from eigenscan.geometry.pose import Array, between, compose, transform
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
 
 SIGMA = 0.05
 """m, of a point about its wall: range noise, and what a wall is not straight."""

@@ -8,13 +8,10 @@ several submaps that agree, and by far outvote all others, join it.
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import compose, inverse
+from eigenscan.geometry.pose import Array, compose, inverse
 from eigenscan.mapbuilder.mapping.closures import RIGID, Closer
 from eigenscan.mapbuilder.mapping.correlation import apart
 from eigenscan.mapbuilder.mapping.pose_graph import Edge
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 ASKED = 12
 """Submaps of a part that vote."""

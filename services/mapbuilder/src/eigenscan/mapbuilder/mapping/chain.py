@@ -10,13 +10,10 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.geometry.pose import between, compose
+from eigenscan.geometry.pose import Array, between, compose
 from eigenscan.mapbuilder.mapping.alignment import FLOOR, Alignment, align, energy
 from eigenscan.mapbuilder.mapping.cloud import Cloud, Outline
 from eigenscan.mapbuilder.mapping.correlation import Ground, correlate
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 NS = 1e9
 _INERTIA_S = 0.5

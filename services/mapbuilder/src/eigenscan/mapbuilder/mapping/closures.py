@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.geometry.pose import between, compose, transform
+from eigenscan.geometry.pose import Array, between, compose, transform
 from eigenscan.mapbuilder.mapping.alignment import align
 from eigenscan.mapbuilder.mapping.chain import Keyframe
 from eigenscan.mapbuilder.mapping.correlation import apart, correlate
 from eigenscan.mapbuilder.mapping.pose_graph import Edge, optimise
 from eigenscan.mapbuilder.mapping.submap import Submap, compare
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 RIGID = np.diag([0.1, 0.1, np.deg2rad(1.0)]) ** 2
 """Covariance of a closure: a submap is not quite rigid."""

@@ -8,11 +8,9 @@ from functools import cached_property
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
-from eigenscan.geometry.pose import transform
-from numpy.typing import ArrayLike, NDArray
+from eigenscan.geometry.pose import Array, transform
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

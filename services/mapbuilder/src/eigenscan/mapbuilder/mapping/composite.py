@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from eigenscan.geometry.pose import compose, inverse, transform
+from eigenscan.geometry.pose import Array, compose, inverse, transform
 from eigenscan.mapbuilder.mapping.alignment import FINE, align
 from eigenscan.mapbuilder.mapping.bridges import ANYWHERE, STRICT
 from eigenscan.mapbuilder.mapping.chain import Keyframe, Sweep
@@ -14,10 +14,7 @@ from eigenscan.mapbuilder.mapping.closures import Closer, Match
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from eigenscan.mapbuilder.mapping.submap import Submap
 from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, Progress
-from numpy.typing import NDArray
 from skimage.draw import polygon
-
-Array = NDArray[np.float64]
 
 _LONGEST_GAP = np.deg2rad(3.0)
 """Between two beams of which something is known of the space between them."""

@@ -13,13 +13,11 @@ from functools import cached_property
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
-from eigenscan.geometry.pose import between, transform
+from eigenscan.geometry.pose import Array, between, transform
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import gaussian_filter, maximum_filter
-
-Array = NDArray[np.float64]
 
 CELL = 0.2
 """m, of the plane histogram."""

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
-from eigenscan.geometry.pose import between
+from eigenscan.geometry.pose import Array, between
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-
-Array = NDArray[np.float64]
 
 _ANCHOR = np.array([1e-4, 1e-4, 1e-5])
 

@@ -9,15 +9,13 @@ from functools import cached_property
 import numpy as np
 from eigenscan.geometry.carving import Carving
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
-from eigenscan.geometry.pose import between, inverse, transform
+from eigenscan.geometry.pose import Array, between, inverse, transform
 from eigenscan.mapbuilder.mapping.alignment import on_walls
 from eigenscan.mapbuilder.mapping.chain import Keyframe, Sweep
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from eigenscan.mapbuilder.mapping.correlation import CELL, Ground
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-
-Array = NDArray[np.float64]
 
 REACH = 12.0
 """m, beyond which beams are too sparse to compare walls by."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from eigenscan.geometry.carving import Carving
 from eigenscan.geometry.gridmap import GridMap
-from eigenscan.geometry.pose import between, compose, transform
+from eigenscan.geometry.pose import Array, between, compose, transform
 from eigenscan.mapbuilder.mapping.bridges import bridge
 from eigenscan.mapbuilder.mapping.chain import Chain, Chainer, Keyframe, Step, Sweep
 from eigenscan.mapbuilder.mapping.closures import Closer, Closing
@@ -21,7 +21,6 @@ from eigenscan.mapbuilder.mapping.submap import Submap
 from eigenscan.mapbuilder.mapping.visits import visit_edges
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Hears the step's name and the share of that step that is done."""
 

@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from eigenscan.geometry.pose import between
+from eigenscan.geometry.pose import Array, between
 from eigenscan.mapbuilder.mapping.alignment import FINE, align
 from eigenscan.mapbuilder.mapping.chain import Keyframe
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from eigenscan.mapbuilder.mapping.pose_graph import Edge
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-
-Array = NDArray[np.float64]
 
 NEAR = 3.0
 """m between two keyframes that are compared."""

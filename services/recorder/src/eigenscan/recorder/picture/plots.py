@@ -7,10 +7,10 @@ from collections import defaultdict, deque
 import numpy as np
 import rerun as rr
 from eigenscan.geometry.circle import difference
-from eigenscan.geometry.pose import from_message, from_pose3
+from eigenscan.geometry.pose import Array, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.palette import LOCALIZED, LOST, OBSTACLE, TRUTH, Colour
-from eigenscan.recorder.picture.shapes import Array, is_place
+from eigenscan.recorder.picture.shapes import is_place
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame

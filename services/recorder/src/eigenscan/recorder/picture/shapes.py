@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import compose, from_message, transform
+from eigenscan.geometry.pose import Array, compose, from_message, transform
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 MAHALANOBIS_95 = 2.4477

@@ -24,7 +24,7 @@ KINDS = {
 }
 """Where what each service can be told is."""
 
-MARK = "<!-- what follows is made from the settings' types by python -m eigenscan.cli.settings_page -->"
+MARK = "<!-- what follows is made from the settings' types by python -m eigenscan.workbench.settings_page -->"
 
 
 def settings_of(service: str) -> type[ServiceSettings]:
@@ -78,7 +78,7 @@ def main() -> None:
     if not arguments.check:
         arguments.file.write_text(text, encoding="utf-8")
     elif before != text:
-        again = f".venv/bin/python -m eigenscan.cli.settings_page {arguments.file}"
+        again = f".venv/bin/python -m eigenscan.workbench.settings_page {arguments.file}"
         sys.exit(f"{arguments.file}: is not current: run {again}")
 
 
