@@ -139,3 +139,21 @@ def test_numbers_that_json_does_not_have_are_null() -> None:
         "c": 3,
         "d": True,
     }
+
+
+@pytest.mark.parametrize(
+    ("claimed_from", "converged"),
+    [(0, 0), (19, 19), (20, 20), (21, None), (27, None), (30, None)],
+)
+def test_a_start_succeeds_by_its_last_third_and_not_by_three_scans_at_the_end(
+    claimed_from: int, converged: int | None
+) -> None:
+    truth = reference(30)
+    claims = [row >= claimed_from for row in range(30)]
+    assert judge(stream(truth, np.zeros((30, 3)), claims), truth).converged == converged
+
+
+def test_one_wrong_claim_in_the_last_third_is_no_success() -> None:
+    truth, offsets = reference(30), np.zeros((30, 3))
+    offsets[22, 0] = 0.6
+    assert judge(stream(truth, offsets, [True] * 30), truth).converged is None

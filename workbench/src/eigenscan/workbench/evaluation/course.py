@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from eigenscan.geometry.distance_field import DistanceField
+from eigenscan.workbench.evaluation.doubt import Walls
 from eigenscan.workbench.evaluation.figures import Figures, finite, windows_figures
 from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.models import Built, build, gallery_of
@@ -75,7 +77,8 @@ def evaluate(task: Task, bars: Bars) -> Figures:
             windows = plan_windows(log.scans, reference)
         if times is None:
             times = plan_scans(log.scans, reference)
-        bench = Bench(log, reference, workers, bars.start)
+        walls = Walls(DistanceField.of(built.site.grid), log.canonical)
+        bench = Bench(log, reference, workers, bars.start, walls)
         return finite({"reference": source} | _figures(task, bench, built, windows, times))
 
 

@@ -46,7 +46,7 @@ def _finite(value: Any) -> Any:
 def window_row(window: Window, judged: Judged, cpu_ms: NDArray[np.float64]) -> Figures:
     """What became of one window: its verdict, when it converged, how well it followed."""
     stream, found = judged.stream, judged.converged
-    first = np.flatnonzero(judged.right_claims)
+    first = next(iter(np.flatnonzero(judged.right_claims).tolist()), None)
     wrong = np.flatnonzero(judged.false_claims)
     return {
         "start": window.start / NS,
@@ -61,8 +61,8 @@ def window_row(window: Window, judged: Judged, cpu_ms: NDArray[np.float64]) -> F
         "ambiguous_share": rate(stream.states == STATE_AMBIGUOUS),
         "lost_share": rate(stream.states == STATE_LOST),
         "right_share": rate(judged.right),
-        "first_right_claim_scans": int(stream.scans[first[0]]) if len(first) else None,
-        "to_localize": _to_localize(judged, window, found),
+        "first_right_claim": _reached(judged, window, first),
+        "to_localize": _reached(judged, window, found),
         "error": _errors(judged, found),
         "worst": _worst(judged, found),
         "last": _last(judged),
@@ -70,7 +70,8 @@ def window_row(window: Window, judged: Judged, cpu_ms: NDArray[np.float64]) -> F
     }
 
 
-def _to_localize(judged: Judged, window: Window, found: int | None) -> Figures | None:
+def _reached(judged: Judged, window: Window, found: int | None) -> Figures | None:
+    """What it took until row `found`."""
     if found is None:
         return None
     stream = judged.stream
@@ -132,23 +133,27 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
         np.concatenate([np.empty(0), *(j.stream.confidence[tracked] for j, tracked in given)]),
         np.concatenate([np.empty(0, dtype=np.bool_), *(j.right[tracked] for j, tracked in given)]),
     )
-    reached = [row["to_localize"] for row in rows if row["to_localize"]]
     claims = sum(int(j.stream.localized.sum()) for j in judged)
     return {
         "windows": len(rows),
         "success_rate": rate([row["success"] for row in rows]),
         "false_claim_rate": rate([row["false_claims"] > 0 for row in rows]),
         "false_share_of_claims": sum(row["false_claims"] for row in rows) / claims if claims else None,
-        "to_localize": {
-            name: summary(row[name] for row in reached) for name in ("scans", "metres", "seconds", "cpu_s")
-        },
-        "first_right_claim_scans": summary(row["first_right_claim_scans"] for row in rows),
+        "right_claim_rate": rate([row["first_right_claim"] is not None for row in rows]),
+        "to_localize": _all_reached(rows, "to_localize"),
+        "first_right_claim": _all_reached(rows, "first_right_claim"),
         "error": {"position_m": summary(position), "heading_deg": summary(np.degrees(heading))},
         "normalised_error_squared": _normalised(nees, way),
         "normalised_innovation_squared": _normalised(nis, way),
         "calibration_error": calibration_error(diagram),
         "calibration": [vars(entry) for entry in diagram],
     }
+
+
+def _all_reached(rows: Sequence[Figures], what: str) -> Figures:
+    """Median and 95th percentile of what it took, in the windows that came to it."""
+    reached = [row[what] for row in rows if row[what]]
+    return {name: summary(row[name] for row in reached) for name in ("scans", "metres", "seconds", "cpu_s")}
 
 
 def _normalised(squares: NDArray[np.float64], way: NDArray[np.float64]) -> Figures:

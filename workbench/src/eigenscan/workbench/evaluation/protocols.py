@@ -10,8 +10,10 @@ from typing import Protocol
 
 import numpy as np
 from eigenscan.geometry.pose import from_message
+from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.evaluation.doubt import RULE, Walls, doubtful
 from eigenscan.workbench.evaluation.exhaustive import Gallery, best_pose
 from eigenscan.workbench.evaluation.figures import (
     Figures,
@@ -23,7 +25,7 @@ from eigenscan.workbench.evaluation.figures import (
 )
 from eigenscan.workbench.evaluation.kidnap import outcome, plan, splice
 from eigenscan.workbench.evaluation.log import Log
-from eigenscan.workbench.evaluation.metrics import AT_LEAST, errors, judge, right, summary
+from eigenscan.workbench.evaluation.metrics import AT_LEAST, Judged, errors, judge, right, summary
 from eigenscan.workbench.evaluation.poses import write_poses
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from eigenscan.workbench.evaluation.windows import Window
@@ -52,6 +54,8 @@ class Bench:
     reference: Trajectory
     workers: Workers
     progress: Progress
+    walls: Walls | None = None
+    """Of the map, to tell where the reference is in doubt."""
 
 
 def judgeable(bench: Bench, windows: Iterable[Window]) -> list[Window]:
@@ -73,13 +77,24 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
         rows.append(window_row(window, judged[-1], run.cpu_ms))
         cpu.append(run.cpu_ms)
         streams.append(run.stream)
+        rows[-1]["reference_in_doubt"] = _in_doubt(bench, window, judged[-1])
         advance()
     if poses:
         write_poses(poses, streams)
+    doubts = [row["reference_in_doubt"] for row in rows]
     return windows_figures(judged, rows) | {
+        "reference_in_doubt": {"claims": sum(doubts), "windows": sum(map(bool, doubts)), "rule": RULE},
         "cpu_ms_per_scan": summary(np.concatenate([np.empty(0), *cpu]), 99),
         "per_window": rows,
     }
+
+
+def _in_doubt(bench: Bench, window: Window, judged: Judged) -> int:
+    """How many of a window's false claims the scans support."""
+    if bench.walls is None or not judged.false_claims.any():
+        return 0
+    scans = [each for each in bench.log.between(window) if each.channel == SCAN_RAW]
+    return sum(1 for _ in doubtful(judged, scans, bench.walls))
 
 
 def kidnapping(bench: Bench, windows: Sequence[Window]) -> Figures:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from eigenscan.workbench.evaluation.doubt import RULE
 from eigenscan.workbench.evaluation.figures import Figures
 from eigenscan.workbench.evaluation.own_reference import WHOLE_DRIVE
 from rich.console import Console
@@ -38,7 +39,7 @@ def remarks(f: Figures) -> list[str]:
 
 
 def _lines(f: Figures) -> list[tuple[str, str]]:
-    reach, error = f["to_localize"], f["error"]
+    reach, first, error = f["to_localize"], f["first_right_claim"], f["error"]
     own = f["reference"] == WHOLE_DRIVE
     off = "off that reference" if own else "error"
     lines = [
@@ -47,9 +48,20 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
             "windows",
             f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference, or --limit)",
         ),
-        ("success", _percent(f["success_rate"])),
+        (
+            "success",
+            f"{_percent(f['success_rate'])}: claimed and right at each scan of the last third or more",
+        ),
+        ("a right claim at all", _percent(f["right_claim_rate"])),
         ("windows with a false claim", _percent(f["false_claim_rate"])),
-        *((f"to localize, {name}", _pair(reach[name], "p95")) for name in reach),
+        ("share of claims that are false", _percent(f["false_share_of_claims"], 2)),
+        *_doubt(f.get("reference_in_doubt")),
+        *((f"{name} to success", _pair(reach[name], "p95")) for name in reach),
+        *(
+            (f"{name} to the first right claim", _pair(first[name], "p95"))
+            for name in first
+            if name != "cpu_s"
+        ),
         (f"position {off}, m", _pair(error["position_m"], "p95")),
         (f"heading {off}, deg", _pair(error["heading_deg"], "p95")),
         ("calibration error", _percent(f["calibration_error"])),
@@ -63,10 +75,15 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
     if f["kidnap"]:
         kidnap = f["kidnap"]
         lines += [
-            ("kidnaps recovered", f"{_percent(kidnap['recovered_rate'])} of {kidnap['kidnaps']}"),
+            (
+                "kidnaps: right within 3 s and from then on",
+                f"{_percent(kidnap['recovered_within_3_s'])} of {kidnap['kidnaps']}",
+            ),
+            ("kidnaps: a first right claim within 3 s", _percent(kidnap["first_right_within_3_s"])),
+            ("kidnaps: right from some scan on", _percent(kidnap["recovered_rate"])),
             ("noticed, s", _pair(kidnap["noticed_s"], "p95")),
-            ("recovered, s", _pair(kidnap["recovered_s"], "p95")),
-            ("first right, s", _pair(kidnap["first_right_s"], "p95")),
+            ("right from then on, s", _pair(kidnap["recovered_s"], "p95")),
+            ("first right claim, s", _pair(kidnap["first_right_s"], "p95")),
         ]
     if f["single_scan"]:
         single = f["single_scan"]
@@ -130,8 +147,16 @@ def _number(value: Any) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.1f} %"
+def _doubt(found: Figures | None) -> list[tuple[str, str]]:
+    if not found or not found["claims"]:
+        return []
+    return [
+        ("of these, reference in doubt", f"{found['claims']} claims in {found['windows']} windows: {RULE}")
+    ]
+
+
+def _percent(value: float | None, digits: int = 1) -> str:
+    return "-" if value is None else f"{100 * value:.{digits}f} %"
 
 
 def _pair(values: Figures, upper: str) -> str:

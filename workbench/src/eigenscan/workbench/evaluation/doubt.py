@@ -1,0 +1,69 @@
+"""Claims that differ from the reference where the scan speaks for the claim.
+
+A reference made by SLAM has errors of its own. Such a claim still counts as false; it is listed beside, so
+that a reader can tell the two apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.distance_field import DistanceField
+from eigenscan.geometry.pose import compose, from_message, transform
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.workbench.evaluation.metrics import Judged
+from numpy.typing import NDArray
+
+ON_WALL_M = 0.15
+"""A return that ends this near to a wall is on it."""
+MORE = 0.25
+"""Of its returns a scan must have so many more on walls at the claim than at the reference."""
+NEAR_M, NEAR_RAD = 1.5, np.radians(30.0)
+"""A claim farther off is none of this: a place that looks alike also has more beams on walls than one that
+the map lacks."""
+LEAST_RETURNS = 30
+RULE = (
+    f"within {NEAR_M:g} m and {np.degrees(NEAR_RAD):.0f}° of it, with {100 * MORE:.0f} % more of the returns "
+    f"within {100 * ON_WALL_M:.0f} cm of a wall than at the reference"
+)
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Tells how well a scan fits at a pose."""
+
+    field: DistanceField
+    canonical: Callable[[Envelope], Scan | None]
+
+    def share(self, scan: Scan, base: NDArray[np.float64]) -> float:
+        """Of the scan's returns those on walls, seen from the base's pose (3,); NaN for too few returns."""
+        ranges = np.asarray(scan.ranges, dtype=np.float64)
+        angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+        seen = np.isfinite(ranges) & (ranges > 0) & (ranges < scan.range_max)
+        if np.count_nonzero(seen) < LEAST_RETURNS:
+            return float("nan")
+        points = ranges[seen, None] * np.column_stack([np.cos(angles[seen]), np.sin(angles[seen])])
+        ends = transform(compose(base, from_message(scan.mount)), points)
+        distances, _ = self.field.at(ends)
+        return float(np.mean(distances <= ON_WALL_M))
+
+
+def doubtful(judged: Judged, scans: Iterable[Envelope], walls: Walls) -> Iterator[int]:
+    """Rows of false claims for which the scan speaks more than for the reference, by RULE.
+
+    `scans`: the raw scans of the run.
+    """
+    by_stamp = {scan.stamp: scan for scan in scans}
+    for row in np.flatnonzero(judged.false_claims).tolist():
+        raw = by_stamp.get(int(judged.stream.stamps[row]))
+        if raw is None or judged.position_m[row] > NEAR_M or judged.heading_rad[row] > NEAR_RAD:
+            continue
+        scan = walls.canonical(raw)
+        if scan is None:
+            continue
+        claim = judged.stream.poses[row]
+        if walls.share(scan, claim) - walls.share(scan, claim - judged.offsets[row]) >= MORE:
+            yield row
