@@ -1,11 +1,13 @@
 """One scan, no prior: how often the projector's first pose is right, and what it costs.
 
     .venv/bin/python benchmarks/single_scan.py [--datasets FOLDER] [--only intel] [--scans 100]
-        [--spacing 0.5] [--error 0] [--occlude 0.3] [--foreign] [--exhaustive] [--stages] [--json OUT]
+        [--spacing 0.5] [--error 0] [--occlude 0.3] [--set association=tree] [--foreign] [--exhaustive]
+        [--stages] [--json OUT]
 
 `--foreign` adds the scans of the other buildings to each map, none of which may look like home. `--stages`
-tells in what share of the scans each stage of the search still had the right pose. The datasets are not part
-of the project; by default they are looked for beside it. CPU is process time: set OMP_NUM_THREADS=1.
+tells in what share of the scans each stage of the search still had the right pose, and how many wrong ones
+beside it, one a neighbourhood. The datasets are not part of the project; by default they are looked for
+beside it. CPU is process time: set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -34,7 +36,7 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.workbench.evaluation.exhaustive import Gallery, best_poses, gallery
 from eigenscan.workbench.evaluation.log import Log, read_log
-from eigenscan.workbench.evaluation.metrics import errors, right
+from eigenscan.workbench.evaluation.metrics import WITHIN_M, WITHIN_RAD, errors, right
 from eigenscan.workbench.evaluation.reference import NS, read_trajectory
 from eigenscan.workbench.logs.log import LogOptions
 
@@ -105,8 +107,8 @@ def occluded(scan: Scan, share: float, seed: int) -> Scan:
     return other
 
 
-def projector(site: SiteModel) -> ProjectorCore:
-    core = ProjectorCore(ProjectorSettings())
+def projector(site: SiteModel, settings: ProjectorSettings) -> ProjectorCore:
+    core = ProjectorCore(settings)
     core.handle(Envelope(MAP, {"site": "s"}, to_message(site.grid, site.frame_id)))
     for model in site.regions:
         core.handle(Envelope(MODEL, {"site": "s", "region": model.region}, model.to_message()))
@@ -209,21 +211,22 @@ def is_right(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return right(*errors(poses, np.broadcast_to(truth, poses.shape)))
 
 
-def whole_set(built: SiteModel) -> WholeSet:
-    return WholeSet("", built.frame_id, built.grid, tuple(built.regions), built.grid.free_area)
-
-
-def recall_by_stage(built: SiteModel, chosen: list[Sample], share: float) -> dict[str, Any]:
-    """Share of the scans of which a stage still has a pose that is right."""
-    settings = ProjectorSettings()
-    site = Site(whole_set(built), settings)
-    found: dict[str, list[bool]] = {}
+def recall_by_stage(
+    built: SiteModel, settings: ProjectorSettings, chosen: list[Sample], share: float
+) -> dict[str, Any]:
+    """Share of the scans of which a stage still has a pose that is right; how many it has that are not."""
+    models = WholeSet("", built.frame_id, built.grid, tuple(built.regions), built.grid.free_area)
+    site = Site(models, settings)
+    found: dict[str, list[float]] = {}
     for number, sample in enumerate(chosen):
         scan = occluded(sample.scan, share, number)
         seen, truth = observe(scan), compose(sample.truth, from_message(scan.mount))
 
         def witness(stage: str, poses: np.ndarray, truth: np.ndarray = truth) -> None:
             found.setdefault(stage, []).append(bool(is_right(poses, truth).any()))
+            order = np.arange(len(poses))
+            apart = poses[best_of_neighbourhoods(poses, order, WITHIN_M, WITHIN_RAD, len(poses) or 1)]
+            found.setdefault(f"{stage}: wrong", []).append(float(np.sum(~is_right(apart, truth))))
 
         find_candidates(site, site.view(seen.sensor), seen, settings, witness)
     return {stage: np.mean(hits) for stage, hits in found.items()}
@@ -247,11 +250,13 @@ def main() -> None:
     parser.add_argument("--spacing", type=float, default=0.5)
     parser.add_argument("--error", type=float, default=0.0, help="m, of adaptive positions")
     parser.add_argument("--occlude", type=float, default=0.0)
+    parser.add_argument("--set", action="append", default=[], help="SETTING=VALUE of the projector")
     parser.add_argument("--foreign", action="store_true")
     parser.add_argument("--exhaustive", action="store_true")
     parser.add_argument("--stages", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    settings = ProjectorSettings.model_validate(dict(given.split("=", 1) for given in options.set))
     rows = []
     for case in CASES:
         if options.only not in case.name:
@@ -260,7 +265,7 @@ def main() -> None:
             read_map(options.datasets / case.folder / "map.yaml"),
             Plan(spacing=options.spacing, error=options.error),
         )
-        core = projector(site)
+        core = projector(site, settings)
         chosen = samples(options.datasets, case, options.scans)
         row = {"case": case.name, "map_m2": site.grid.free_area, **judge(core, chosen, options.occlude)}
         if options.exhaustive:
@@ -275,7 +280,7 @@ def main() -> None:
             others = [c for c in CASES if c.folder != case.folder]
             row |= foreign_confidence(core, [s for c in others for s in samples(options.datasets, c, 20)])
         if options.stages:
-            row |= recall_by_stage(site, chosen, options.occlude)
+            row |= recall_by_stage(site, settings, chosen, options.occlude)
         rows.append(row)
         show(rows[-1:])
     if options.json:
