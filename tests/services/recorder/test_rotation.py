@@ -56,6 +56,19 @@ def fill(folder: Path, limits: Limits, count: int = COUNT) -> McapSink:
     return sink
 
 
+def test_a_file_that_another_recorder_writes_is_not_deleted_to_make_room(tmp_path: Path) -> None:
+    clock = Clock()
+    other = McapSink(tmp_path, "s", clock, 0.5, {})
+    other.write(Envelope(POSE, ADDRESS, PoseEstimate(timestamp=stamp(1), frame_id="map")))
+    written = other.path
+    assert written is not None
+    os.utime(written, ns=(0, 0))  # the oldest
+    filled = fill(tmp_path, Limits(file_bytes=50_000, total_bytes=100_000))
+    assert filled.counters["mcap_deleted"] > 0
+    other.close()
+    assert numbers(written) == [1]
+
+
 def numbers(path: Path) -> list[int]:
     return [record.publish_time for record in read(path) if record.envelope.channel is POSE]
 

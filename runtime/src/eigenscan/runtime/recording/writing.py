@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -27,6 +28,8 @@ class RecordingWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._file: IO[bytes] = path.open("wb")
+        with suppress(OSError):  # where locks are not known
+            fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # nobody deletes it meanwhile to make room
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="eigenscan")
         self._schemas: dict[str, int] = {}

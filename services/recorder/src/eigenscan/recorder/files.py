@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -23,6 +24,18 @@ class Limits:
         """Whether the next file is to begin."""
         too_large = self.file_bytes is not None and size >= self.file_bytes
         return too_large or (self.file_ns is not None and age_ns >= self.file_ns)
+
+
+def _is_written(path: Path) -> bool:
+    """Whether somebody's RecordingWriter has the file open; it holds a lock on it."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 @dataclass(frozen=True)
@@ -50,13 +63,16 @@ class Files:
         return sorted(found, key=lambda path: (path.stat().st_mtime_ns, path.name))
 
     def make_room(self, total_bytes: int, kept: Path) -> int:
-        """Deletes the oldest files until all take at most `total_bytes`, never `kept`; how many."""
+        """Deletes the oldest files until all take at most `total_bytes`; how many.
+
+        Never `kept`, and none that a recorder still writes.
+        """
         files = self.own()
         excess, deleted = sum(path.stat().st_size for path in files) - total_bytes, 0
         for path in files:
             if excess <= 0:
                 break
-            if path != kept:
+            if path != kept and not _is_written(path):
                 excess -= path.stat().st_size
                 path.unlink()
                 deleted += 1
