@@ -194,6 +194,21 @@ def test_a_gap_in_the_log_is_no_future(make_core: MakeCore, speaker: Speaker, po
     assert is_right(after[-1])
 
 
+@pytest.mark.parametrize("apart_s", [1.1, 2.0, 30.0])
+def test_sparse_scans_without_odometry_get_their_poses(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, apart_s: float
+) -> None:
+    core = make_core()
+    said = [
+        pose
+        for scan in range(26)
+        for pose in poses_of(core.handle(speaker.hypotheses(10.0 + apart_s * scan, [TRUTH], [60.0])))
+    ]
+    # one waits for odometry that never comes, and the first far stamp for another that confirms it
+    assert len(said) >= 24
+    assert is_right(said[-1])
+
+
 def test_late_hypotheses_of_a_second_lidar_count(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
@@ -241,7 +256,7 @@ def test_covariances_that_are_none_are_replaced(
 
 
 def test_robots_do_not_share_a_belief(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
-    core = make_core(robot="*")
+    core = make_core()
     one = speaker.hypotheses(1.0, [TRUTH], [40.0])
     two = speaker.hypotheses(1.0, [np.add(TRUTH, [3, 0, 0])], [40.0])
     two = Envelope(two.channel, {**two.address, "robot": "other"}, two.message)

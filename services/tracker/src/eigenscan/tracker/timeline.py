@@ -9,6 +9,8 @@ from eigenscan.tracker.observation import Observation
 
 FUTURE_NS = 1_000_000_000
 """A stamp this far ahead of everything heard is not believed until another one confirms it."""
+CONFIRMED_NS = 60_000_000_000
+"""Another stamp of the same source confirms it within this: scans may be sparse, a minute apart."""
 RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
 RECENT = 64
@@ -60,7 +62,7 @@ class Timeline:
             return False
         before = self._doubted.get(seen.source)
         self._doubted[seen.source] = seen.stamp
-        return before is None or not 0 < seen.stamp - before <= FUTURE_NS
+        return before is None or not 0 < seen.stamp - before <= CONFIRMED_NS
 
     def _hear_past(self, seen: Observation) -> bool:
         self._counts["hypotheses_too_late"] += 1
