@@ -38,7 +38,12 @@ def build(
     out: Annotated[Path, typer.Option("--out", "-o", help="folder to write the models to")],
     spacing: Annotated[float, typer.Option(min=0.05, max=5.0, help="m between positions")] = 0.5,
     error: Annotated[
-        float, typer.Option(min=0.0, max=20.0, help="m; closer where panoramas interpolate worse; 0: nowhere")
+        float,
+        typer.Option(
+            min=0.0,
+            max=20.0,
+            help="add positions where interpolation is off by more than this, m; 0 disables",
+        ),
     ] = 0.0,
     step: Annotated[float, typer.Option(min=0.1, max=10.0, help="degrees between beams")] = 0.5,
     clearance: Annotated[float, typer.Option(min=0.0, max=5.0, help="m from a position to a wall")] = 0.15,
@@ -69,11 +74,11 @@ def build(
 ) -> None:
     """Build the models of a map: regions, panoramas, eigenspaces, and a picture of them.
 
-    A floor plan's walls are its lines; what they enclose is free, doorways up to 1.2 m notwithstanding.
-    Regions are found, or taken from GeoJSON: polygons in the map frame, m, property "name".
-    Several maps are floors: one set, each floor named by its file.
-    What is finished is kept in MODEL.pieces until all is: the same command goes on after a break.
-    --workers and --scheduler are for large sites: pip install 'eigenscan[cluster]'.
+    In a floor plan lines are walls. What they enclose is free space, also where doorways up to 1.2 m wide are
+    open. Regions are found, or read from GeoJSON: polygons in the map frame, in m, with the property "name".
+    Several maps are the floors of one site; each floor is named by its file. Finished regions are kept in
+    MODEL.pieces, so that the same command continues after an interruption. --workers and --scheduler are for
+    large sites: pip install 'eigenscan[cluster]'.
 
     \b
     Examples:

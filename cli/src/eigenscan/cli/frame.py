@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import typing
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -44,6 +46,12 @@ def _told(error: Exception, command: str, is_known: bool) -> tuple[str, int] | N
     return f"{line} (a fault of ours; eigenscan --debug shows the trace)", EXIT_FAILED
 
 
+WIDEST = 120
+"""Columns that help takes of a wider terminal."""
+_VALUES = {float: "NUMBER", int: "N", Path: "PATH", str: "TEXT"}
+"""What help calls the value of an option that has no name for it."""
+
+
 def _load(name: str, place: str) -> Any:
     """The command or group `name` at `module:function` or `module:table`."""
     module, _, function = place.partition(":")
@@ -61,8 +69,25 @@ def _load(name: str, place: str) -> Any:
         group.callback()(lambda: None)
         return typer.main.get_command(group)
     single = typer.Typer(rich_markup_mode=None, add_completion=False)
-    single.command(name)(target)
-    return typer.main.get_command(single)
+    single.command(name, context_settings={"max_content_width": WIDEST})(target)
+    command = typer.main.get_command(single)
+    for parameter in command.params:
+        _name_value(parameter)
+    return command
+
+
+def _name_value(parameter: Any) -> None:
+    """Shows what to type for an option, where Typer shows Python's type."""
+    described = getattr(parameter, "type_descriptor", None)
+    named = [_VALUES[kind] for kind in _plain(getattr(described, "annotation", None)) if kind in _VALUES]
+    if named and parameter.metavar is None and hasattr(parameter, "is_flag"):  # an argument has a name
+        parameter.metavar = named[0]
+
+
+def _plain(annotation: Any) -> list[Any]:
+    """The types in `list[str] | None` and the like."""
+    inner = typing.get_args(annotation)
+    return [kind for each in inner for kind in _plain(each)] if inner else [annotation]
 
 
 def lazy_group(

@@ -45,35 +45,38 @@ class ServiceSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    site: str = Field(DEFAULT_SITE, description="site name, first chunk of every key")
+    site: str = Field(DEFAULT_SITE, description="name of the site; the first part of every key")
     robot: str = Field(
         DEFAULT_ROBOT,
-        description="robot to serve, or several: names and patterns with commas between, such as a-*,b-7; "
-        "* serves every robot of the site",
+        description="robots to serve: a name, or names and patterns separated by commas, such as a-*,b-7; "
+        "* serves every robot",
     )
     instance: str = Field(
         default_factory=lambda given: instance_name(given.get("robot", EVERY)),
-        description="name of this instance among those of its service; the robot's name without it",
+        description="name that tells this process from others of the same service; by default the robot's "
+        "name",
     )
     zenoh: Path | None = Field(
-        None, description="Zenoh configuration, JSON5; without it programs of this machine alone can join"
+        None,
+        description="Zenoh configuration file, JSON5; without it only programs on this machine can connect",
     )
     keep: Path | None = Field(
         None,
-        description="folder for the maps and models that were heard, to start with where the site is cut off",
+        description="folder that keeps the newest maps and models, so that the service can start without "
+        "the site",
     )
     metrics_port: int | None = Field(
         None,
         ge=0,
         le=65535,
-        description="serve /metrics and /healthz on this port; 0 chooses one; off without it",
+        description="port for /metrics and /healthz; 0 takes a free one; without it there are none",
     )
-    metrics_host: str = Field("127.0.0.1", description="address that the metrics are served on")
+    metrics_host: str = Field("127.0.0.1", description="address for /metrics and /healthz")
     behind_after: float = Field(
         1.0,
         ge=0,
-        description="s without having been through with all that waits, after which only the newest scan of "
-        "each lidar counts; inf: never, as mapbuilder and recorder have it",
+        description="seconds of backlog after which only the newest scan of each lidar is processed; inf "
+        "disables",
     )
     log_level: str = Field(
         "info", pattern="^(debug|info|warning|error)$", description="debug, info, warning or error"
@@ -81,12 +84,12 @@ class ServiceSettings(BaseModel):
     log_format: str = Field(
         "auto",
         pattern="^(auto|json|console)$",
-        description="json, console, or auto: console on a terminal",
+        description="json or console; auto is console on a terminal, else json",
     )
     stop_s: float = Field(
         2.0,
         gt=0.0,
-        description="s within which it ends when told to; more where the machine or its disk is very busy",
+        description="seconds that the service may take to stop; give more on a very busy machine or disk",
     )
 
     @classmethod

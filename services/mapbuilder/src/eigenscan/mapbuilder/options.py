@@ -21,8 +21,8 @@ class _Process(ServiceSettings):
     )
     behind_after: float = Field(math.inf, ge=0, description="s; no robot waits for its answer")
     map: Path | None = Field(None, description="map_server yaml to build models from")
-    model: Path | None = Field(None, description="folder of models that were built before, instead of map")
-    threads: int = Field(1, ge=1, le=256, description="threads that build; they do not change the result")
+    model: Path | None = Field(None, description="folder of models from eigenscan build, in place of map")
+    threads: int = Field(1, ge=1, le=256, description="threads for building; the result is the same")
 
 
 class MapbuilderOptions(MapbuilderSettings, _Process):

@@ -16,28 +16,40 @@ class MapbuilderSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    frame_id: str = Field("map", min_length=1, description="name of the map frame in what is published")
-    spacing: float = Field(0.5, ge=0.05, le=5.0, description="m, between positions of the grid")
+    frame_id: str = Field("map", min_length=1, description="name of the map frame in published messages")
+    spacing: float = Field(0.5, ge=0.05, le=5.0, description="m between grid positions")
     error: float = Field(
-        0.0, ge=0.0, le=20.0, description="m, closer where panoramas interpolate worse; 0: nowhere"
+        0.0,
+        ge=0.0,
+        le=20.0,
+        description="add positions where interpolation is off by more than this many metres; 0 disables",
     )
-    step: float = Field(0.5, ge=0.1, le=10.0, description="deg, between beams of a panorama")
-    clearance: float = Field(0.15, ge=0.0, le=5.0, description="m, of a position from the nearest wall")
-    range_max: float = Field(80.0, gt=0.0, le=130.0, description="m, walls farther than this are not seen")
-    range_cap: float = Field(20.0, gt=0.0, le=130.0, description="m, ranges are clipped to this for PCA")
-    field_of_view: float = Field(180.0, gt=0.0, le=360.0, description="deg, of the sensor of the eigenspaces")
-    share: float = Field(0.9, gt=0.0, le=1.0, description="of the variance that the eigenvectors hold")
-    margin: float = Field(1.0, ge=0.0, le=10.0, description="m, that a region reaches into its neighbours")
-    smallest: float = Field(4.0, ge=0.0, description="m^2, smaller regions join a neighbour")
-    largest: float = Field(150.0, ge=1.0, description="m^2, larger regions are halved")
+    step: float = Field(0.5, ge=0.1, le=10.0, description="degrees between the beams of a panorama")
+    clearance: float = Field(0.15, ge=0.0, le=5.0, description="m that grid positions keep from walls")
+    range_max: float = Field(80.0, gt=0.0, le=130.0, description="m; walls farther away are ignored")
+    range_cap: float = Field(
+        20.0,
+        gt=0.0,
+        le=130.0,
+        description="m; longer ranges count as this in the principal component analysis",
+    )
+    field_of_view: float = Field(
+        180.0, gt=0.0, le=360.0, description="degrees, of the sensor that the published eigenspaces are for"
+    )
+    share: float = Field(
+        0.9, gt=0.0, le=1.0, description="share of the variance that the published eigenvectors hold"
+    )
+    margin: float = Field(1.0, ge=0.0, le=10.0, description="m by which neighbouring regions overlap")
+    smallest: float = Field(4.0, ge=0.0, description="m^2; smaller regions are merged into a neighbour")
+    largest: float = Field(150.0, ge=1.0, description="m^2; larger regions are split")
     changes: Literal["off", "propose", "publish"] | None = Field(
         None,
-        description="what becomes of lasting changes that robots see: off, propose (the operator accepts) or "
-        "publish; without it propose with a model folder that can be written beside, else off",
+        description="what to do with lasting changes that robots see: off, propose (an operator accepts) "
+        "or publish; by default propose where the model folder can be written",
     )
-    visits: int = Field(4, ge=2, le=50, description="visits in a row that must agree on a change")
+    visits: int = Field(4, ge=2, le=50, description="visits in a row that must agree before a change counts")
     visit: float = Field(
-        30.0, ge=0.1, le=1440.0, description="min, of one visit: what is seen within counts once"
+        30.0, ge=0.1, le=1440.0, description="minutes of one visit; what is seen within counts once"
     )
 
     @property

@@ -17,33 +17,39 @@ class ProjectorSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    embedding: Kind = Field("ring", description="what of a range is analysed: ring, or range as in the paper")
-    range_cap: float = Field(15.0, gt=0, description="m, plain ranges count as this at most")
-    components: int = Field(16, ge=1, le=64, description="coefficients kept of each subspace")
+    embedding: Kind = Field(
+        "ring", description="quantity that is analysed: ring (default), or range as in the paper"
+    )
+    range_cap: float = Field(15.0, gt=0, description="m; with embedding range, longer ranges count as this")
+    components: int = Field(16, ge=1, le=64, description="principal components kept for each region")
     association: kinds.Kind = Field(
         "sweep",
         description=f"how near poses are found: {', '.join(get_args(kinds.Kind))}",
     )
     margin: float = Field(
-        0.5, ge=0, le=1, description="of its size that a scan may lie outside of a triangle or tetrahedron"
+        0.5,
+        ge=0,
+        le=1,
+        description="how far outside a triangle or tetrahedron a scan may lie, as a share of its size",
     )
-    candidates: int = Field(3000, ge=1, description="nearest poses in eigenspace that are verified")
+    candidates: int = Field(3000, ge=1, description="nearest poses in the eigenspace that are verified")
     refined: int = Field(
         200,
         ge=2,
-        description="candidates polished below the grid on 1,000 m2; on more by the root of the size",
+        description="candidates refined below the grid on 1,000 m2; grows with the square root of the area",
     )
-    published: int = Field(30, ge=1, le=30, description="hypotheses of a scan at most")
+    published: int = Field(30, ge=1, le=30, description="most hypotheses published for a scan")
     part: str = Field(
         "1/1",
         pattern=f"^{PART}$",
-        description="K/N: search the Kth of N shares of the regions; other projectors search the others",
+        description="K/N: search the Kth of N parts of the site; other projectors search the others",
     )
     focus: bool = Field(
         False,
-        description="search only around the pose of a tracker that is sure, and the whole site once a second",
+        description="while the tracker is localized, search around its pose, and the whole site once a "
+        "second",
     )
-    least_beams: int = Field(12, ge=1, description="beams with a return that a scan needs, at 2 degrees")
+    least_beams: int = Field(12, ge=1, description="beams with a return, 2 degrees apart, that a scan needs")
 
     @property
     def share(self) -> tuple[int, int]:

@@ -21,48 +21,49 @@ class RecorderOptions(ServiceSettings):
     robot: str = Field("*", description="robot to record; * records every robot of the site")
     behind_after: float = Field(math.inf, ge=0, description="s; it wants all")
     mcap: Path | None = Field(
-        None, description="folder for MCAP files, or one file ending in .mcap; none is ever overwritten"
+        None, description="folder for MCAP files, or one file ending in .mcap; files are never overwritten"
     )
-    flush_s: float = Field(
-        0.5, gt=0, le=60, description="s of traffic at most that a kill may cost the MCAP file"
-    )
+    flush_s: float = Field(0.5, gt=0, le=60, description="most seconds of traffic that a crash can lose")
     rotate_mb: float | None = Field(
-        None, gt=0, description="MB after which the next MCAP file begins; an eighth of budget_mb without it"
+        None, gt=0, description="MB after which a new MCAP file begins; by default an eighth of budget_mb"
     )
-    rotate_minutes: float = Field(60.0, gt=0, description="minutes after which the next MCAP file begins")
+    rotate_minutes: float = Field(60.0, gt=0, description="minutes after which a new MCAP file begins")
     budget_mb: float | None = Field(
-        None, gt=0, description="MB that all MCAP files of this recorder may take: the oldest are deleted"
+        None, gt=0, description="MB that all MCAP files together may take; the oldest are deleted"
     )
-    rrd: Path | None = Field(None, description="Rerun file to write the picture to; overwritten")
+    rrd: Path | None = Field(None, description="Rerun file to write; an existing file is replaced")
     viewer_port: int | None = Field(
-        None, ge=0, le=65535, description="serve the live web viewer on this port; 0 chooses one; off without"
+        None,
+        ge=0,
+        le=65535,
+        description="port of the live web viewer; 0 takes a free one; without it there is none",
     )
     data_port: int = Field(
         9876,
         ge=0,
         le=65535,
-        description="port of the picture's data, which the web viewer reads; 0 chooses one",
+        description="port that the web viewer reads its data from; 0 takes a free one",
     )
-    viewer_host: str = Field("127.0.0.1", description="address that viewer and data are served on")
+    viewer_host: str = Field("127.0.0.1", description="address for the viewer and its data")
     viewer_origin: str | None = Field(
         None,
-        description="further origin that may read the picture's data, such as http://r17.local:9090",
+        description="another origin that may read the data, such as http://r17.local:9090",
     )
     viewer_memory: str = Field(
         "256MB",
-        description="memory for late joining viewers; the oldest is dropped beyond it",
+        description="memory for viewers that join later; the oldest data is dropped first",
     )
     layout: Layout = Field(
         "operator",
-        description="what the picture shows first: operator, developer, researcher, or fleet (many robots)",
+        description="first layout of the viewer: operator, developer, researcher, or fleet (many robots)",
     )
     picture_hz: float = Field(
         10.0,
         gt=0,
         le=1000,
-        description="pictures per second and robot at most; plots and MCAP take everything",
+        description="most updates a second for each robot; plots and MCAP get everything",
     )
-    plot_window_s: float = Field(120.0, gt=0, description="s of the past that the live time plots show")
+    plot_window_s: float = Field(120.0, gt=0, description="seconds shown in live plots")
 
     @property
     def limits(self) -> Limits:

@@ -23,32 +23,30 @@ class ScanIngestSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    base_frame: str = Field("base_link", description="name of the robot's base frame in what is published")
+    base_frame: str = Field("base_link", description="name of the robot's base frame in published scans")
     angle_step: float | None = Field(
         None,
         ge=0.05,
         le=10.0,
-        description="deg, angular grid that scans are brought to; without it the sensor's own",
+        description="degrees between the beams of published scans; by default the lidar's own",
     )
     range_min: float | None = Field(
-        None, ge=0.0, allow_inf_nan=False, description="m, instead of the limit that the driver states"
+        None, ge=0.0, allow_inf_nan=False, description="m, in place of the driver's limit"
     )
     range_max: float | None = Field(
-        None, gt=0.0, allow_inf_nan=False, description="m, instead of the limit that the driver states"
+        None, gt=0.0, allow_inf_nan=False, description="m, in place of the driver's limit"
     )
     mounts: dict[str, Mount] = Field(
         default_factory=dict,
-        description="mount by lidar name (or *), instead of the driver's; "
-        'as JSON: {"front": {"x": 0.2, "yaw": 180, "upside_down": true}}',
+        description="where each lidar (or *) sits on the robot, in place of what the driver says; JSON, m "
+        'and degrees: {"front": {"x": 0.2, "yaw": 180, "upside_down": true}}',
     )
-    max_beams: int = Field(
-        16_384, ge=2, le=1_000_000, description="beams of a raw scan; larger scans are set aside"
-    )
+    max_beams: int = Field(16_384, ge=2, le=1_000_000, description="scans with more beams are rejected")
     clock_step_scans: int = Field(
         10,
         ge=2,
         le=1000,
-        description="late scans in a row after which the clock of the lidar counts as set back",
+        description="late scans in a row after which the lidar's clock counts as set back",
     )
 
     @model_validator(mode="after")

@@ -13,8 +13,6 @@ class TrackerOptions(TrackerSettings, ServiceSettings):
     """Settings of the tracker. The defaults suit indoor robots up to 2 m/s."""
 
     last_pose: Path | None = Field(
-        None, description="folder for the last claimed pose of each robot, to begin there after a restart"
+        None, description="folder that keeps each robot's last localized pose, to start from after a restart"
     )
-    last_pose_age: float = Field(
-        60.0, ge=0, description="s, by the clock, after which it is not used any more"
-    )
+    last_pose_age: float = Field(60.0, ge=0, description="s; an older last pose is not used")

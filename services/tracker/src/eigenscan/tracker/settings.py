@@ -14,55 +14,55 @@ class TrackerSettings(BaseModel):
 
     method: Literal["mixture", "paper"] = Field(
         "mixture",
-        description="mixture: with mass for 'none of these'; paper: section 7 alone, which assumes that "
-        "one of its sequences is right",
+        description="mixture (default) allows for 'none of these places'; paper follows section 7 of the "
+        "paper and assumes that one hypothesis is right",
     )
-    v_max: float = Field(2.0, gt=0, description="m/s, fastest the robot moves")
-    turn_max: float = Field(3.0, gt=0, description="rad/s, fastest the robot turns")
+    v_max: float = Field(2.0, gt=0, description="m/s, the robot's greatest speed")
+    turn_max: float = Field(3.0, gt=0, description="rad/s, the robot's greatest turn rate")
     grid_spacing: float = Field(
-        0.25, gt=0, description="m, sigma of x and y for a hypothesis without a usable covariance (Cp)"
+        0.25, gt=0, description="m, sigma of x and y for a hypothesis whose covariance cannot be used"
     )
     grid_step: float = Field(
-        0.0175, gt=0, description="rad, sigma of heading for a hypothesis without a usable covariance (Cp)"
+        0.0175, gt=0, description="rad, sigma of heading for a hypothesis whose covariance cannot be used"
     )
     odometry_slip: float = Field(
-        0.1, ge=0, description="m per sqrt(m), random error of odometry along the way; half of it sideways"
+        0.1, ge=0, description="m per sqrt(m), random error of odometry along the path; sideways half of it"
     )
     odometry_turn: float = Field(
-        0.1, ge=0, description="rad per sqrt(rad), random error of odometry's heading while turning"
+        0.1, ge=0, description="rad per sqrt(rad), random heading error of odometry while turning"
     )
     odometry_veer: float = Field(
-        0.05, ge=0, description="rad per sqrt(m), random error of odometry's heading while driving"
+        0.05, ge=0, description="rad per sqrt(m), random heading error of odometry while driving"
     )
     patience: float = Field(
-        0.2, ge=0, description="s, by the scans' stamps, that hypotheses wait for odometry of their time"
+        0.2, ge=0, description="s, by stamps, that hypotheses wait for odometry of the same time"
     )
-    late: float = Field(0.5, ge=0, description="s, hypotheses later than this are set aside")
+    late: float = Field(0.5, ge=0, description="s; hypotheses that come later are rejected")
     independence_m: float = Field(
-        0.5, gt=0, description="m of way after which a scan counts as new evidence of its own"
+        0.5, gt=0, description="m driven after which a scan counts as independent evidence"
     )
     independence_rad: float = Field(
-        0.5, gt=0, description="rad of turn after which a scan counts as new evidence of its own"
+        0.5, gt=0, description="rad turned after which a scan counts as independent evidence"
     )
-    memory: float = Field(
-        0.5, gt=0, description="s over which the evidence of scans from one place is averaged"
-    )
+    memory: float = Field(0.5, gt=0, description="s over which evidence from one place is averaged")
     kidnap_rate: float = Field(
-        0.001, ge=0, description="1/s, how often a robot is carried away or its track is wrong"
+        0.001, ge=0, description="1/s, how often a robot is carried off or its track is wrong"
     )
     trust: float = Field(
         1.0,
         gt=0,
         le=1,
-        description="exponent on likelihoods; below 1 for a projector that is too sure of itself",
+        description="exponent on likelihoods; below 1 for a projector that is overconfident",
     )
     gate_probability: float = Field(
-        0.999, gt=0, lt=1, description="share of right hypotheses that the validation gate lets through"
+        0.999, gt=0, lt=1, description="share of right hypotheses that the validation gate accepts"
     )
-    prune_below: float = Field(1e-9, gt=0, description="probability below which a track ends")
-    max_tracks: int = Field(64, ge=1, description="tracks kept, most probable first")
+    prune_below: float = Field(1e-9, gt=0, description="tracks below this probability are removed")
+    max_tracks: int = Field(64, ge=1, description="most tracks kept, the most probable ones")
     localized_above: float = Field(
-        0.9, gt=0, le=1, description="confidence at which a pose is claimed as localized"
+        0.9, gt=0, le=1, description="confidence from which a pose is claimed as localized"
     )
-    released_below: float = Field(0.7, ge=0, le=1, description="confidence at which the claim is withdrawn")
-    history: int = Field(100, ge=0, description="poses kept of each track's trajectory")
+    released_below: float = Field(
+        0.7, ge=0, le=1, description="confidence below which the claim is withdrawn"
+    )
+    history: int = Field(100, ge=0, description="past poses kept for each track")
