@@ -1,9 +1,13 @@
 """The library on a simulated drive whose truth is known."""
 
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,6 +120,50 @@ def test_what_is_wrong_with_a_scan_is_said(
     good = {"ranges": [2.0] * 361, "angle_min": -1.57, "angle_increment": np.pi / 360, "range_max": 30.0}
     with pytest.raises(ScanError, match=words):
         localizer.localize(Scan(**(good | change)))  # type: ignore[arg-type]
+
+
+GOOD = Scan([2.0] * 361, angle_min=-np.pi / 2, angle_increment=np.pi / 360, range_max=30.0)
+
+
+Untyped: Any = Localizer
+Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "words"),
+    [
+        (lambda _: Untyped("map.yaml"), TypeError, r"'map.yaml' .* Localizer.from_map\("),
+        (lambda _: Untyped(STAGE.grid), TypeError, r"Localizer.from_grid\(grid\)"),
+        (lambda it: it.localize(np.ones(361)), TypeError, r"ndarray is no Scan: give Scan\(ranges, "),
+        (lambda it: it.track([1.0] * 361), TypeError, "list is no Scan"),
+        (lambda _: Sweep(np.ones((2, 361))), ScanError, r"\(2, 361\).* such as ranges\[0\]"),
+        (lambda _: Sweep(["far"]), ScanError, "no numbers in m"),
+        (lambda _: Sweep([1.0], mount=(0.1, 0.0)), ScanError, "mount .* x, y and heading"),
+        (lambda it: it.track(GOOD, (1, 2)), ValueError, r"odometry of shape \(2,\): give x, y and heading"),
+    ],
+)
+def test_a_wrong_argument_is_named_with_what_would_do(
+    localizer: Localizer, call: Callable[[Any], object], kind: type[Exception], words: str
+) -> None:
+    with pytest.raises(kind, match=words):
+        call(localizer)
+
+
+def test_each_object_says_in_a_line_what_it_is(localizer: Localizer, drive: Path) -> None:
+    scan, odometry = read_log(drive / "drive.mcap")[0]
+    found = localizer.localize(scan)
+    x, y, heading = found.poses[0]
+    here = localizer.track(scan, odometry)
+    assert re.fullmatch(
+        r"<Localizer: \d+ m2 in \d+ regions of \d+ positions, version [0-9a-f]{12}>", repr(localizer)
+    )
+    assert "361 beams from -90.0 to 90.0 degrees, 361 with a return within 30 m" in repr(GOOD)
+    assert f"<Hypotheses: {len(found.poses)}, best at x {x:.2f} m, y {y:.2f} m" in repr(found)
+    assert f"heading {np.degrees(heading):.1f} degrees" in repr(found)
+    assert repr(here).startswith(f"<Estimate: {here.state}")
+    assert f"confidence {here.confidence:.2f}" in repr(here)
+    nothing = localizer.localize(Scan([np.inf] * 361, -np.pi / 2, np.pi / 360, 30.0))
+    assert "none" in repr(nothing)
 
 
 def test_a_scan_that_shows_nothing_has_no_poses(localizer: Localizer) -> None:

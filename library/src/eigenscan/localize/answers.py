@@ -18,7 +18,7 @@ _STATES: dict[int, State] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Hypotheses:
     """Where one scan may have been taken, most likely first; none where it says nothing.
 
@@ -32,6 +32,13 @@ class Hypotheses:
     log_likelihoods: Array
     scan: Scan
 
+    def __repr__(self) -> str:
+        if not len(self.poses):
+            return "<Hypotheses: none, the scan says nothing>"
+        best = f"best at {place(self.poses[0])}, log likelihood {self.log_likelihoods[0]:.1f}"
+        second = f", the next {self.log_likelihoods[1]:.1f}" if len(self.poses) > 1 else ""
+        return f"<Hypotheses: {len(self.poses)}, {best}{second}>"
+
     @classmethod
     def of(cls, message: hypotheses_pb2.Hypotheses, scan: Scan) -> Hypotheses:
         """The same as the contract's message."""
@@ -44,7 +51,7 @@ class Hypotheses:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """Where the robot is, by all that was tracked: act on `pose` only where `state` is "localized".
 
@@ -57,6 +64,10 @@ class Estimate:
     covariance: Array
     confidence: float
 
+    def __repr__(self) -> str:
+        at = f" at {place(self.pose)}" if np.isfinite(self.pose).all() else ""
+        return f"<Estimate: {self.state}{at}, confidence {self.confidence:.2f}>"
+
     @classmethod
     def of(cls, message: tracking_pb2.PoseEstimate) -> Estimate:
         """The same as the contract's message."""
@@ -67,3 +78,8 @@ class Estimate:
             covariance_from_message(message.covariance) if known else np.full((3, 3), np.nan),
             message.confidence,
         )
+
+
+def place(pose: Array) -> str:
+    """A pose (3,) in words."""
+    return f"x {pose[0]:.2f} m, y {pose[1]:.2f} m, heading {np.degrees(pose[2]):.1f} degrees"

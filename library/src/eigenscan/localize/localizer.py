@@ -22,13 +22,13 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.schemas import hypotheses_pb2
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, ODOMETRY, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.extra import needs
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
-from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
+    from eigenscan.tracker.core import TrackerCore
     from matplotlib.axes import Axes
 
 _ROBOT = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT}
@@ -41,11 +41,25 @@ class Localizer:
     """
 
     def __init__(self, site: SiteModel) -> None:
+        """Of models that were built or read; of a map see `from_map` and `from_grid`."""
+        if not isinstance(site, SiteModel):
+            fix = (
+                "Localizer.from_grid(grid)" if isinstance(site, GridMap) else 'Localizer.from_map("map.yaml")'
+            )
+            raise TypeError(f"{site!r:.80} is no SiteModel: of a map write {fix}")
         self.site = site
         self._projector = ProjectorCore(ProjectorSettings())
         self._projector_hears(site)
-        self._tracker = TrackerCore(TrackerSettings())
+        self._tracker: TrackerCore | None = None
         self._newest: int | None = None
+
+    def __repr__(self) -> str:
+        regions, grid = self.site.regions, self.site.grid
+        positions = sum(len(model.index) for model in regions)
+        return (
+            f"<Localizer: {grid.free_area:.0f} m2 in {len(regions)} regions of {positions} positions, "
+            f"version {self.site.to_message().version[:12]}>"
+        )
 
     @classmethod
     def from_map(
@@ -72,6 +86,7 @@ class Localizer:
 
     def localize(self, scan: Scan) -> Hypotheses:
         """Where `scan` may have been taken, by itself. Raises ScanError where it cannot be used."""
+        _be_a_scan(scan)
         return Hypotheses.of(self._answer(scan).open(hypotheses_pb2.Hypotheses), scan)
 
     def track(self, scan: Scan, odometry: ArrayLike | None = None) -> Estimate:
@@ -80,15 +95,18 @@ class Localizer:
         `odometry` (3,): the base in the odometry's own frame at the scan's time, m, m, rad; without it the
         robot may have gone anywhere within its greatest speed. Raises ScanError where it cannot be used.
         """
+        _be_a_scan(scan)
+        pose = None if odometry is None else _pose(odometry)
         if self._newest is not None and scan.stamp <= self._newest:
             raise ScanError(f"time = {scan.time}: must be after that of the scan before")
         found = self._answer(scan)
         self._newest = scan.stamp
-        if odometry is not None:
-            message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(np.asarray(odometry, np.float64)))
-            list(self._tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
+        tracker = self._tracker = self._tracker or _new_tracker()
+        if pose is not None:
+            message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(pose))
+            list(tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
         # nothing else comes that hypotheses could wait for
-        said = [*self._tracker.handle(found), *self._tracker.finish()]
+        said = [*tracker.handle(found), *tracker.finish()]
         (estimate,) = (each.open(PoseEstimate) for each in said if each.channel is POSE)
         return Estimate.of(estimate)
 
@@ -102,11 +120,12 @@ class Localizer:
 
     def forget(self) -> None:
         """Tracks anew, from nothing."""
-        self._tracker, self._newest = TrackerCore(TrackerSettings()), None
+        self._tracker = self._newest = None
 
     def plot(self, found: Hypotheses | None = None, axes: Axes | None = None) -> Axes:
-        """Draws the map and `found`. Needs matplotlib: pip install 'eigenscan[plot]'."""
-        from eigenscan.localize.drawing import draw
+        """Draws the map and `found`. Needs matplotlib: pip install 'eigenscan-localize[plot]'."""
+        with needs("eigenscan-localize[plot]"):
+            from eigenscan.localize.drawing import draw
 
         return draw(self.site.grid, found, axes)
 
@@ -121,3 +140,28 @@ class Localizer:
         if not found:
             raise ScanError(f"the projector set the scan aside: {self._projector.condition().detail}")
         return found[0]
+
+
+def _new_tracker() -> TrackerCore:
+    """It is compiled as it is imported, and who asks for single scans needs none."""
+    from eigenscan.tracker.core import TrackerCore
+    from eigenscan.tracker.settings import TrackerSettings
+
+    return TrackerCore(TrackerSettings())
+
+
+def _be_a_scan(scan: Scan) -> None:
+    """Raises TypeError for ranges without their angles, and all else that is no scan."""
+    if not isinstance(scan, Scan):
+        raise TypeError(
+            f"{type(scan).__name__} is no Scan: give Scan(ranges, angle_min, angle_increment, range_max), "
+            "m and rad"
+        )
+
+
+def _pose(odometry: ArrayLike) -> NDArray[np.float64]:
+    """The pose (3,). Raises ValueError where it is none."""
+    pose = np.asarray(odometry, np.float64)
+    if pose.shape != (3,):
+        raise ValueError(f"odometry of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
+    return pose

@@ -9,9 +9,8 @@ import numpy as np
 from eigenscan.geometry.pose import from_pose3
 from eigenscan.localize.scan import Scan
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.extra import needs
 from eigenscan.schemas.scan_pb2 import RawScan
-from eigenscan.workbench.logs import LogOptions, open_log
-from eigenscan.workbench.logs.scans import odometry_at
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
 
@@ -22,8 +21,11 @@ def read_log(
     """Scans in order of time, each with the odometry (3,) of its moment, m, m, rad; None where there is none.
 
     Reads what `eigenscan import` reads. `lidar`: topic or name, needed where there are several.
-    Raises LogError (ValueError) where the log cannot be read.
+    Raises LogError (ValueError) where the log cannot be read. Needs pip install 'eigenscan-localize[logs]'.
     """
+    with needs("eigenscan-localize[logs]"):
+        from eigenscan.workbench.logs import LogOptions, open_log
+        from eigenscan.workbench.logs.scans import odometry_at
     scans, steps = list[RawScan](), list[tuple[int, NDArray[np.float64]]]()
     for envelope in open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ())).envelopes():
         if envelope.channel is ODOMETRY:

@@ -11,7 +11,7 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 _SET_ASIDE = "set_aside_"
 
@@ -20,7 +20,7 @@ class ScanError(ValueError):
     """A scan that cannot be used; the message names what is wrong."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scan:
     """A sweep: beam j looks along `angle_min + j * angle_increment` in the sensor's frame.
 
@@ -36,6 +36,32 @@ class Scan:
     range_min: float = 0.0
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     time: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises ScanError where `ranges` or `mount` has another shape."""
+        self._row()
+        if np.shape(self.mount) != (3,):
+            raise ScanError(f"mount = {self.mount!r}: give x, y and heading in the robot's frame, m, m, rad")
+
+    def __repr__(self) -> str:
+        ranges = self._row()
+        ends = np.degrees([self.angle_min, self.angle_min + (len(ranges) - 1) * self.angle_increment])
+        seen = np.count_nonzero((ranges > self.range_min) & (ranges < self.range_max))
+        return (
+            f"<Scan: {len(ranges)} beams from {ends[0]:.1f} to {ends[1]:.1f} degrees, {seen} with a return "
+            f"within {self.range_max:g} m, time {self.time:g} s>"
+        )
+
+    def _row(self) -> NDArray[np.float32]:
+        """The ranges, one a beam."""
+        try:
+            ranges = np.asarray(self.ranges, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise ScanError(f"ranges are no numbers in m: {error}") from None
+        if ranges.ndim != 1:
+            hint = ", such as ranges[0]" if ranges.ndim == 2 else ""
+            raise ScanError(f"ranges of shape {ranges.shape}: give one row, one range a beam{hint}")
+        return ranges
 
     @classmethod
     def of(cls, raw: RawScan) -> Scan:
@@ -59,9 +85,7 @@ class Scan:
 
     def canonical(self) -> Envelope:
         """The scan as the contract has it. Raises ScanError where it cannot be used."""
-        ranges = np.asarray(self.ranges, dtype=np.float32)
-        if ranges.ndim != 1:
-            raise ScanError(f"ranges of shape {ranges.shape}: give one row, one range a beam")
+        ranges = self._row()
         raw = RawScan(
             timestamp=stamp(self.stamp),
             mount=to_message(self.mount),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from eigenscan.mapbuilder.options import MapbuilderOptions
-from eigenscan.runtime.node import main as run
-from eigenscan.runtime.settings import SettingsError
 from eigenscan.schemas.envelope import Core
+from eigenscan.schemas.extra import needs
+
+with needs("eigenscan-mapbuilder[node]", SystemExit):
+    from eigenscan.mapbuilder.options import MapbuilderOptions
+    from eigenscan.runtime.node import main as run
+    from eigenscan.runtime.settings import SettingsError
 
 
 def make_core(options: MapbuilderOptions) -> Core:

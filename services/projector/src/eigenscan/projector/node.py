@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eigenscan.projector.options import ProjectorOptions
-from eigenscan.runtime import node
+from eigenscan.schemas.extra import needs
+
+with needs("eigenscan-projector[node]", SystemExit):
+    from eigenscan.projector.options import ProjectorOptions
+    from eigenscan.runtime import node
+
 
 if TYPE_CHECKING:
     from eigenscan.projector.core import ProjectorCore

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 
-from eigenscan.recorder.aside import Aside
 from eigenscan.recorder.core import RecorderCore
-from eigenscan.recorder.mcap_sink import McapSink
-from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.sink import Sink
-from eigenscan.runtime.node import main as run_node
-from eigenscan.runtime.settings import SettingsError
+from eigenscan.schemas.extra import needs
+
+with needs("eigenscan-recorder[node]", SystemExit):
+    from eigenscan.recorder.aside import Aside
+    from eigenscan.recorder.mcap_sink import McapSink
+    from eigenscan.recorder.options import RecorderOptions
+    from eigenscan.runtime.node import main as run_node
+    from eigenscan.runtime.settings import SettingsError
 
 SERVICE = "recorder"
 

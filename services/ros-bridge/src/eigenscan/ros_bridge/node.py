@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from eigenscan.ros_bridge.core import RosBridgeCore
-from eigenscan.ros_bridge.options import RosBridgeOptions
-from eigenscan.ros_bridge.port import RosPort
-from eigenscan.runtime.node import main as run
+from eigenscan.schemas.extra import needs
+
+with needs("eigenscan-ros-bridge[node]", SystemExit):
+    from eigenscan.ros_bridge.options import RosBridgeOptions
+    from eigenscan.ros_bridge.port import RosPort
+    from eigenscan.runtime.node import main as run
 
 
 def main() -> None:

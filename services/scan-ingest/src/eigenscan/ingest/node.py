@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.options import ScanIngestOptions
-from eigenscan.runtime.node import main as run
+from eigenscan.schemas.extra import needs
+
+with needs("eigenscan-scan-ingest[node]", SystemExit):
+    from eigenscan.ingest.options import ScanIngestOptions
+    from eigenscan.runtime.node import main as run
 
 
 def main() -> None:

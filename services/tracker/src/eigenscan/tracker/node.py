@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from eigenscan.runtime.node import main as run
 from eigenscan.schemas.envelope import Core
-from eigenscan.tracker.options import TrackerOptions
+from eigenscan.schemas.extra import needs
+
+with needs("eigenscan-tracker[node]", SystemExit):
+    from eigenscan.runtime.node import main as run
+    from eigenscan.tracker.options import TrackerOptions
 
 
 def main() -> None:

@@ -87,6 +87,7 @@ class SweepTable:
         return Matches.on_grid(rows[order], (squares[order] * self.unit**2).astype(np.float32))
 
 
+# loops here and below: to assign a slice costs seconds of compilation, for the words of its error
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _in_blocks(table: Bytes) -> Index:
     """Order of the poses (n, M), halved across the widest coefficient until BLOCK are left."""
@@ -116,7 +117,8 @@ def _in_blocks(table: Bytes) -> Index:
             else:
                 other[above] = order[i]
                 above += 1
-        order[start:stop] = other[start:stop]
+        for i in range(start, stop):
+            order[i] = other[i]
         starts += [start, start + left]
         stops += [start + left, stop]
     return order
@@ -143,7 +145,9 @@ def _fill(table: Bytes, order: Index, start: int, first: int, blocks: Bytes, row
             if at < len(order):
                 rows[first + k, i] = start + order[at]
             # a block that is not full holds its last pose several times
-            blocks[first + k, :, i] = table[order[min(at, len(order) - 1)]]
+            row = order[min(at, len(order) - 1)]
+            for m in range(table.shape[1]):
+                blocks[first + k, m, i] = table[row, m]
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
@@ -195,9 +199,10 @@ def _to_centres(
     for r in searched:
         for start in range(bounds[r], bounds[r + 1], _CHUNK):
             size = min(_CHUNK, bounds[r + 1] - start)
-            which[done : done + size] = np.arange(start, start + size)
             part = away[done : done + size]
-            part[:] = beside[r]
+            for i in range(size):
+                which[done + i] = start + i
+                part[i] = beside[r]
             for m in range(len(centres)):
                 q, centre = query[r, m], centres[m, start:]
                 for i in range(size):
