@@ -1,5 +1,6 @@
 """What would be published: built, installed in a clean environment, and used."""
 
+import re
 import shutil
 import subprocess
 import tarfile
@@ -39,14 +40,21 @@ def workspace(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_everything_is_built_installed_and_used(tmp_path: Path) -> None:
-    result = _release(ROOT, "build", "--out", tmp_path)
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a release consists of; each test that needs it takes this one."""
+    out = tmp_path_factory.mktemp("dist")
+    result = _release(ROOT, "build", "--out", out)
     assert result.returncode == 0, result.stderr
-    with tarfile.open(next(tmp_path.glob("eigenscan_localize-0*.tar.gz"))) as sdist:
+    return out
+
+
+def test_everything_is_built_installed_and_used(dist: Path) -> None:
+    with tarfile.open(next(dist.glob("eigenscan_localize-0*.tar.gz"))) as sdist:
         names = sdist.getnames()
     assert any(name.endswith("eigenscan/localize/py.typed") for name in names)
     assert not any("__pycache__" in name for name in names)
-    wheels = list(tmp_path.glob("*.whl"))
+    wheels = list(dist.glob("*.whl"))
     assert len(wheels) == len(list(ROOT.glob("*/pyproject.toml"))) + len(
         list(ROOT.glob("services/*/pyproject.toml"))
     )
@@ -55,6 +63,24 @@ def test_everything_is_built_installed_and_used(tmp_path: Path) -> None:
         assert about["License-Expression"] == "Apache-2.0", wheel
         assert about["License-File"] == "LICENSE", wheel
         assert text == (ROOT / "LICENSE").read_text(), wheel
+
+
+@pytest.mark.slow
+def test_the_library_stands_alone(dist: Path) -> None:
+    """Its page's first example needs nothing of processes and pictures; services say what they lack."""
+    result = _release(ROOT, "library", "--out", dist)
+    assert result.returncode == 0, result.stderr
+    packages, size, *examples = result.stdout.splitlines()
+    names = {re.split("[= @]", package)[0] for package in packages.partition("packages: ")[2].split(", ")}
+    assert {"eigenscan-localize", "eigenscan-projector", "numba"} <= names
+    assert not names & {"eclipse-zenoh", "rerun-sdk", "pyarrow", "matplotlib", "eigenscan-runtime"}
+    megabytes = float(size.split()[1])
+    assert 100 < megabytes < 500
+    assert sum("first example" in line for line in examples) == 2
+    assert examples[2:] == [
+        f"eigenscan.runtime is not installed: pip install 'eigenscan-{service}[node]'"
+        for service in ("scan-ingest", "projector", "tracker", "mapbuilder")
+    ]
 
 
 def _licence(wheel: Path) -> tuple[Message, str]:
