@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
-from eigenscan.cli.fleet.status import listen, rows
+from eigenscan.cli.fleet.status import rows
 from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import MODEL, MODEL_SET, POSE
@@ -102,7 +102,7 @@ def test_a_robot_without_its_site_goes_on_and_catches_up(house: House, link: Bad
 
         cut = time.time_ns()
         link.cut()
-        listen(view, 0.5)  # what was under way
+        view.until(lambda: False, 0.5)  # what was under way
         house.kill("projector")
         machine.start("projector", "--keep", house.logs / "kept")
         more_claims(machine.ear, 5, "poses on the robot after a restart without the site")

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from eigenscan.cli.demonstration.summary import summarize
-from eigenscan.cli.demonstration.verdict import Sighting, judge
+from eigenscan.cli.demonstration.show import summarize
+from eigenscan.workbench.simulation.verdict import Sighting, judge
 
 
 def _seen(time: float, off_m: float = 0.0, claimed: bool = True, turn: float = 0.0) -> Sighting:

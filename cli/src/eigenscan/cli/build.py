@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 import time
 from contextlib import nullcontext
 from pathlib import Path
@@ -166,18 +165,12 @@ def _build(
 ) -> tuple[Mapping[str, Piece], int]:
     """The finished regions, with a progress bar on a terminal."""
     from eigenscan.mapbuilder.sharded import build_pieces
-    from rich.console import Console
-    from rich.progress import Progress
+    from eigenscan.workbench.progress import Bars
 
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        bar = progress.add_task("reading", total=1.0)
-
-        def moved(what: str, share: float) -> None:
-            progress.update(bar, description=what, completed=share)
-
+    with Bars(transient=True) as bars:
         try:
             with workers or nullcontext():
-                return build_pieces(grid, plan, layout, pieces, moved, workers)
+                return build_pieces(grid, plan, layout, pieces, bars.start_steps(), workers)
         except KeyboardInterrupt:
             raise FailedError(
                 f"stopped: what is finished is in {pieces.place}, the same command goes on"

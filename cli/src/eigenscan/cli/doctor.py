@@ -50,10 +50,8 @@ def doctor(
 
 
 def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds: float) -> list[Finding]:
-    from eigenscan.cli.fleet.connection import NoRouterError, connect
-    from eigenscan.cli.fleet.status import listen
     from eigenscan.fleet.diagnosis import Finding, diagnose
-    from eigenscan.fleet.view import FleetView
+    from eigenscan.fleet.view import FleetView, NoRouterError, connect
 
     try:
         session = connect(zenoh)
@@ -61,7 +59,7 @@ def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds
         what, _, mend = str(error).partition(": ")
         return [Finding("router", what, mend)]
     with FleetView(session, site) as view:
-        listen(view, seconds)
+        view.until(lambda: False, seconds)
         return diagnose(view, robots)
 
 

@@ -12,11 +12,8 @@ from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from eigenscan.mapbuilder.mapping.survey import Mapped
     from eigenscan.workbench.logs.scans import Scans
-    from eigenscan.workbench.progress import Bars
 
 
 def map_log(
@@ -77,28 +74,16 @@ def map_log(
         scans = read_scans(log, options, bars.start_share("reading"), with_odometry=not no_odometry)
         try:
             if of is None:
-                mapped = survey(scans.sweeps, Survey(resolution=resolution), _steps(bars))
+                mapped = survey(scans.sweeps, Survey(resolution=resolution), bars.start_steps())
             else:
                 scans = scans.spread(of)
-                mapped = composite(scans.sweeps, resolution, _steps(bars))
+                mapped = composite(scans.sweeps, resolution, bars.start_steps())
         except MappingError as error:
             raise UsageError(f"{log}: {error}{scans.set_aside}") from error
     write_map(mapped.grid, target)
     target.with_suffix(".tum").write_text(scans.trajectory(mapped.numbers, mapped.poses), encoding="utf-8")
     target.with_suffix(".png").write_bytes(draw_way(mapped))
     _summarize(scans, mapped, target, time.perf_counter() - began, json_file)
-
-
-def _steps(bars: Bars) -> Callable[[str, float], None]:
-    """A bar for each step of the mapping, as it begins."""
-    running: dict[str, Callable[[float], None]] = {}
-
-    def moved(step: str, share: float) -> None:
-        if step not in running:
-            running[step] = bars.start_share(step)
-        running[step](share)
-
-    return moved
 
 
 def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float, json_file: Path | None) -> None:

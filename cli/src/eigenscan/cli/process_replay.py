@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,73 +15,71 @@ if TYPE_CHECKING:
     from eigenscan.workbench.replay.survey import Survey
 
 
-@dataclass(frozen=True)
-class Request:
-    """The options of a process replay, as they were given."""
-
-    file: Path
-    service: str
-    compare: bool
-    out: Path | None
-    model: Path | None
-    changes: Sequence[str]
-    tolerant: bool
-    strict: bool
-    ignored: Sequence[str]
-    least: int
-    rrd: Path | None = None
-    json_file: Path | None = None
-
-
-def process_replay(request: Request) -> None:
+def process_replay(
+    file: Path,
+    service: str,
+    *,
+    compare: bool,
+    out: Path | None,
+    model: Path | None,
+    changes: Sequence[str],
+    tolerant: bool,
+    strict: bool,
+    ignored: Sequence[str],
+    least: int,
+    rrd: Path | None,
+    json_file: Path | None,
+) -> None:
     """Replays, reports, and raises FailedError for a difference."""
     from eigenscan.workbench.one_thread import one_thread
 
     one_thread()
+    from eigenscan.workbench.progress import Bars
     from eigenscan.workbench.replay.comparison import Terms
     from eigenscan.workbench.replay.report import figures, report, summary
     from eigenscan.workbench.replay.services import ARRIVAL, CHOICES
     from eigenscan.workbench.replay.survey import survey
     from eigenscan.workbench.replay.trial import Trial, picture, picture_beside, run
 
-    if request.service not in CHOICES:
-        raise UsageError(f"--service {request.service}: there are {', '.join(CHOICES)}")
-    if not (request.compare or request.out):
+    if service not in CHOICES:
+        raise UsageError(f"--service {service}: there are {', '.join(CHOICES)}")
+    if not (compare or out):
         raise UsageError("--service: give --compare, --out FILE, or both")
-    found = survey(request.file)
-    if request.out and request.out.exists() and request.out.samefile(request.file):
-        raise UsageError(f"--out {request.out}: is the recording itself: choose another file")
+    found = survey(file)
+    if out and out.exists() and out.samefile(file):
+        raise UsageError(f"--out {out}: is the recording itself: choose another file")
     trial = Trial(
-        CHOICES[request.service],
+        CHOICES[service],
         Terms(
-            tolerant=request.tolerant,
-            ignored=frozenset(_fields(request.ignored)),
-            unjudged={} if request.strict else ARRIVAL,
-            least=request.least,
+            tolerant=tolerant,
+            ignored=frozenset(_fields(ignored)),
+            unjudged={} if strict else ARRIVAL,
+            least=least,
         ),
-        _changes(request.changes, request.service),
-        _models(request.model, found) if request.model else (),
-        out=request.out,
+        _changes(changes, service),
+        _models(model, found) if model else (),
+        out=out,
     )
-    with _progress(found) as moved:
-        outcome = run(trial, found, moved)
-    wordy = wants_words(request.json_file)
+    with Bars(transient=True) as bars:
+        moved, length = bars.start_share("replay"), max(found.end - found.begin, 1)
+        outcome = run(trial, found, lambda time: moved((time - found.begin) / length))
+    wordy = wants_words(json_file)
     if wordy:
         typer.echo(report(outcome))
-    differs = request.compare and bool(outcome.comparison.problems)
-    target = request.rrd or picture_beside(request.file, request.service)
+    differs = compare and bool(outcome.comparison.problems)
+    target = rrd or picture_beside(file, service)
     drawn = differs and picture(trial, outcome, report(outcome), target)
     written = {
-        "recording": str(request.file),
-        "result": ("different" if differs else "same") if request.compare else None,
+        "recording": str(file),
+        "result": ("different" if differs else "same") if compare else None,
         "picture": str(target) if drawn else None,
     }
-    write_figures(written | figures(outcome), request.json_file)
+    write_figures(written | figures(outcome), json_file)
     if drawn and wordy:
         typer.echo(f"both sides: {target}")
     if differs:
-        raise FailedError(f"{request.file}: {summary(outcome)}")
-    if request.compare and wordy:
+        raise FailedError(f"{file}: {summary(outcome)}")
+    if compare and wordy:
         typer.echo(f"the same: {summary(outcome)}")
 
 
@@ -123,14 +118,3 @@ def _models(folder: Path, found: Survey) -> list[Envelope]:
         for site in sorted(found.sites)
         for envelope in MapbuilderCore(MapbuilderSettings(), built, site=site).start()
     ]
-
-
-@contextmanager
-def _progress(found: Survey) -> Iterator[Callable[[int], None]]:
-    """A bar in seconds of the recording; gives what moves it, by log time in ns."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
-        bar = bars.add_task("replay", total=max(found.end - found.begin, 1))
-        yield lambda time: bars.update(bar, completed=time - found.begin)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,14 +64,13 @@ def repair(
 @contextmanager
 def _progress(file: Path) -> Iterator[Callable[[str], Callable[[int], None]]]:
     """Gives a bar over the file's bytes for each thing that is done with it, on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
+    from eigenscan.workbench.progress import Bars
 
-    size = file.stat().st_size if file.exists() else 0
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bars:
+    size = file.stat().st_size if file.exists() else 1
+    with Bars(transient=True) as bars:
 
         def passed(what: str) -> Callable[[int], None]:
-            bar = bars.add_task(what, total=size)
-            return lambda done: bars.update(bar, completed=done)
+            moved = bars.start_share(what)
+            return lambda done: moved(done / max(size, 1))
 
         yield passed

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.moment import METAVAR, START, Moment, moment
-from eigenscan.cli.process_replay import Request, process_replay
+from eigenscan.cli.process_replay import process_replay
 from eigenscan.runtime.errors import FailedError, UsageError
 
 if TYPE_CHECKING:
@@ -125,16 +125,17 @@ def replay(
             robots=robots, commands=commands,
         )  # fmt: skip
         process_replay(
-            Request(
-                *(file, service, compare, out, model),
-                changes=changes or (),
-                tolerant=tolerant,
-                strict=strict,
-                ignored=ignore or (),
-                least=least,
-                rrd=rrd,
-                json_file=json_file,
-            )
+            *(file, service),
+            compare=compare,
+            out=out,
+            model=model,
+            changes=changes or (),
+            tolerant=tolerant,
+            strict=strict,
+            ignored=ignore or (),
+            least=least,
+            rrd=rrd,
+            json_file=json_file,
         )
         return
     if compare or out or model or changes or tolerant or strict or ignore or rrd:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -184,15 +183,14 @@ def _record(fleet: Fleet, path: Path, about: dict[str, str]) -> None:
 
 def _watched(fleet: Fleet) -> Iterator[Timed]:
     """The messages, with a progress bar on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
+    from eigenscan.workbench.progress import Bars
 
     first = fleet.stages[0]
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        bar = progress.add_task("simulating", total=first.scenario.seconds)
+    with Bars(transient=True) as bars:
+        moved = bars.start_share("simulating")
         for timed in fleet.messages():
             yield timed
-            progress.update(bar, completed=(timed.time - first.epoch) * 1e-9)
+            moved((timed.time - first.epoch) * 1e-9 / first.scenario.seconds)
 
 
 def _publish(fleet: Fleet, seconds: float, zenoh: Path | None, speed: float) -> None:

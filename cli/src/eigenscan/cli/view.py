@@ -79,8 +79,7 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
     """Draws what lies between two moments of a recording, message by message, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
-    from rich.console import Console
-    from rich.progress import Progress
+    from eigenscan.workbench.progress import Bars
 
     found = contents(recording)
     if not found.counts:
@@ -91,13 +90,13 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
     if end <= begin:
         raise UsageError("--to: must be after --at")
     sink = RerunSink(settings)
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"drawing {recording.name}", total=max(end - begin, 1))
+    with Bars() as bars:
+        moved = bars.start_share(f"drawing {recording.name}")
         for record in read(recording, begin):
             if record.log_time > end:
                 break
             sink.write(record.envelope)
-            progress.update(task, completed=max(record.log_time - begin, 0))
+            moved(max(record.log_time - begin, 0) / max(end - begin, 1))
     sink.close()
     if not found.complete:
         typer.echo(f"{recording}: its writer did not close it; drawn as far as it goes", err=True)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import zenoh
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.session import open_meanwhile
 from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, MODEL_SET, POSE, ContractError
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.group import holds, is_one, patterns
@@ -19,6 +22,9 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import decode
+
+OPEN_S = 5.0
+"""A client's configuration may wait for its router for ever; a person does not."""
 
 ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
 """What each robot needs, on it or for all robots at once (robot *)."""
@@ -28,6 +34,20 @@ FORGOTTEN_S = 24 * 3600.0
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
+
+
+class NoRouterError(FailedError):
+    """No session within OPEN_S."""
+
+
+def connect(path: Path | None) -> zenoh.Session:
+    """Session from a Zenoh configuration. Raises NoRouterError, or ContractError naming the file."""
+    try:
+        return open_meanwhile(path, "peer").result(OPEN_S)
+    except TimeoutError as error:
+        raise NoRouterError(
+            f"nobody answers within {OPEN_S:.0f} s: start the router, or correct connect.endpoints in {path}"
+        ) from error
 
 
 @dataclass
@@ -142,6 +162,16 @@ class FleetView:
             who: each for who, each in self.services.items() if each.contracts or each.heard_at > since
         }
         return poses
+
+    def until(self, holds: Callable[[], bool], seconds: float) -> bool:
+        """Takes in what comes until `holds`; False where it does not within `seconds`."""
+        end = time.monotonic() + seconds
+        while not holds():
+            if (left := end - time.monotonic()) <= 0:
+                return False
+            time.sleep(min(left, 0.05))
+            self.update()
+        return True
 
     def _hear(self, arrival: Arrival, now: float, wall: int) -> list[PoseEstimate]:
         try:

@@ -20,9 +20,12 @@ REDRAWN_EVERY_S = 0.2
 
 
 class Bars:
-    """Bars on standard error, where that is a terminal, one below the other. Use it with `with`."""
+    """Bars on standard error, where that is a terminal, one below the other. Use it with `with`.
 
-    def __init__(self) -> None:
+    `transient`: they go when all is done.
+    """
+
+    def __init__(self, transient: bool = False) -> None:
         self._progress = Progress(
             TextColumn("{task.description:<13}"),
             BarColumn(),
@@ -31,6 +34,7 @@ class Bars:
             TimeRemainingColumn(),
             console=Console(stderr=True),
             auto_refresh=False,
+            transient=transient,
             disable=not sys.stderr.isatty(),
         )
         self._drawn = 0.0
@@ -63,6 +67,17 @@ class Bars:
             self._draw(at_once=False)
 
         return move
+
+    def start_steps(self) -> Callable[[str, float], None]:
+        """A bar for each step of what tells the step's name and share, as it begins."""
+        running: dict[str, Callable[[float], None]] = {}
+
+        def moved(step: str, share: float) -> None:
+            if step not in running:
+                running[step] = self.start_share(step)
+            running[step](share)
+
+        return moved
 
     def _draw(self, at_once: bool) -> None:
         now = time.monotonic()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,8 +43,7 @@ def relocate(
       eigenscan fleet relocate r17 --pose 12.4 -3.0 90 --site hospital --zenoh /etc/eigenscan/operator.json5
       eigenscan fleet relocate r17 --anew
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.fleet.connection import connect
-    from eigenscan.fleet.view import FleetView
+    from eigenscan.fleet.view import FleetView, connect
 
     if (pose is None) == (not anew):
         raise UsageError("give either --pose X Y DEG or --anew")
@@ -57,13 +55,13 @@ def relocate(
         _wait_for_tracker(view, robot, seconds)
         before = _taken_up(view, robot)
         view.say(Envelope(RELOCATION, {"site": site, "robot": robot}, _word(pose, sigma)))
-        if not _until(view, lambda: _taken_up(view, robot) > before, seconds):
+        if not view.until(lambda: _taken_up(view, robot) > before, seconds):
             raise FailedError(
                 f"{robot} did not take it up within {seconds:.0f} s: its link is down, or --zenoh is not the "
                 "operator's, or its router and the site's have an older configuration (fleet configure)"
             )
         since = time.monotonic()
-        _until(view, lambda: _is_sure(view, robot, since), seconds)
+        view.until(lambda: _is_sure(view, robot, since), seconds)
         found = _outcome(view, robot, pose, since)
     if wants_words(json_file):
         typer.echo(_words(found))
@@ -80,16 +78,6 @@ def _word(pose: tuple[float, float, float] | None, sigma: float) -> Relocation:
     return message
 
 
-def _until(view: FleetView, holds: Callable[[], bool], seconds: float) -> bool:
-    end = time.monotonic() + seconds
-    while not holds():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-        view.update()
-    return True
-
-
 def _serving(view: FleetView, robot: str) -> list[Service]:
     """Its trackers that are there and have said how they are."""
     return [
@@ -100,7 +88,7 @@ def _serving(view: FleetView, robot: str) -> list[Service]:
 
 
 def _wait_for_tracker(view: FleetView, robot: str, seconds: float) -> None:
-    if not _until(view, lambda: bool(_serving(view, robot)), seconds):
+    if not view.until(lambda: bool(_serving(view, robot)), seconds):
         known = ", ".join(view.robot_names()) or "none"
         raise FailedError(f"{robot}: nobody tracks it on site {view.site}; robots that are heard of: {known}")
 

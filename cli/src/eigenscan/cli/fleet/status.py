@@ -37,15 +37,14 @@ def status(
       eigenscan fleet status --site hospital --once
       eigenscan fleet status --site hospital --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
-    from eigenscan.cli.fleet.connection import connect
-    from eigenscan.fleet.view import FleetView
+    from eigenscan.fleet.view import FleetView, connect
     from rich.console import Console
     from rich.live import Live
 
     console = Console()
     with FleetView(connect(zenoh), site) as view:
         if once or json_file is not None:
-            listen(view, seconds)
+            view.until(lambda: False, seconds)
             if wants_words(json_file):
                 console.print(table(view))
             write_figures({"site": site, "model": view.model_version, "robots": rows(view)}, json_file)
@@ -53,18 +52,10 @@ def status(
         with Live(table(view), console=console, auto_refresh=False) as live:
             try:
                 while True:
-                    listen(view, REFRESH_S)
+                    view.until(lambda: False, REFRESH_S)
                     live.update(table(view), refresh=True)
             except KeyboardInterrupt:
                 return
-
-
-def listen(view: FleetView, seconds: float) -> None:
-    """Takes in what comes within `seconds`."""
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0:
-        time.sleep(min(left, 0.1))
-        view.update()
 
 
 def rows(view: FleetView) -> list[dict[str, Any]]:
