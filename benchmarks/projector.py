@@ -154,7 +154,7 @@ def memory(core: ProjectorCore, built: Any) -> dict[str, float]:
         "panoramas": site.lattice.panoramas.nbytes + site.lattice.positions.nbytes
         + site.lattice.neighbours.nbytes,
         "index, a lidar": view.association.nbytes + view.row_position.nbytes + view.row_window.nbytes,
-        "predicted scans, a lidar": view.windows.nbytes,
+        "predicted scans, a lidar": view.windows.nbytes + view.leaves.nbytes,
         "eigenvectors, a lidar": view.spaces.vectors.nbytes,
     }  # fmt: skip
     area = built.grid.free_area

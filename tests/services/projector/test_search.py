@@ -13,13 +13,14 @@ from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.association.manifold import Sheets
 from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
+from eigenscan.projector.intervals import clearance, leaving
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.likelihood import support
+from eigenscan.projector.likelihood import beyond_walls, support
 from eigenscan.projector.observation import ANALYSIS_TURN, by_reach, observe
 from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.verification import LONG, RANGE_CAP, SHORT, foreseen, predicted, verify
+from eigenscan.projector.verification import LONG, OVERSHOT_M, RANGE_CAP, SHORT, overshot, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -75,18 +76,23 @@ def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:
     lattice = Lattice.of(site(0.25).regions)
     truth = free_poses(1, 3)[0]
     seen = observe(scan_at(truth))
-    windows = predicted(lattice, len(seen.coarse), 30.0)
+    thick = lattice.panoramas + np.float32(0.3)
+    windows, leaves = (predicted(ranges, len(seen.coarse), 30.0) for ranges in (lattice.panoramas, thick))
     rng = np.random.default_rng(0)
     position = rng.integers(0, len(lattice.positions), 50)
     heading = rng.integers(0, ANALYSIS_TURN, 50)
-    found_position, found_heading, cost = verify(windows, lattice, position, heading, seen.coarse, 30.0, 50)
+    found_position, found_heading, cost = verify(
+        windows, leaves, lattice, position, heading, seen.coarse, 30.0, 50
+    )
 
     used = np.isfinite(seen.coarse)
 
     def direct(p: int, k: int) -> float:
-        wall = np.minimum(lattice.panoramas[p, (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN], RANGE_CAP)
-        beyond = np.minimum(seen.coarse, RANGE_CAP) - wall
-        off = np.where(beyond > 0, np.minimum(beyond, LONG), np.minimum(-beyond, SHORT))
+        along = (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN
+        enter, leave = (np.minimum(ranges[p, along], RANGE_CAP) for ranges in (lattice.panoramas, thick))
+        ends = np.minimum(seen.coarse, RANGE_CAP)
+        off = np.where(ends > leave, np.minimum(ends - leave, LONG), 0.0)
+        off = np.where(ends < enter, np.minimum(enter - ends, SHORT), off)
         reach = np.sqrt(np.minimum(seen.coarse[used], RANGE_CAP))
         return float((off[used] * reach).sum() / reach.sum())
 
@@ -176,8 +182,9 @@ def test_support_counts_walls_and_beams_through_them() -> None:
     z, bearings = seen.coarse[used], seen.bearings[used]
 
     def of(pose: np.ndarray, ranges: np.ndarray) -> tuple[float, float]:
-        predicted_ = caster.cast(pose, bearings, 40.0)
-        mean, explained = support(field, pose[None], bearings, ranges.astype(np.float32), predicted_)
+        ends = ranges.astype(np.float32)
+        clear = clearance(field, pose[None], bearings, caster.cast(pose, bearings, 40.0), ends)
+        mean, explained = support(field, pose[None], bearings, ends, beyond_walls(clear))
         return float(mean[0]), float(explained[0])
 
     full, explained = of(truth, z)
@@ -197,21 +204,66 @@ def test_many_beams_on_one_near_thing_say_little_more_than_one() -> None:
     assert np.isclose(weight[1] / weight[0], 4.0)
 
 
-def test_the_nearest_panorama_foresees_what_a_pose_sees() -> None:
+def test_by_the_nearest_panorama_beams_go_through_walls_that_it_shows() -> None:
     lattice = Lattice.of(site(0.25).regions)
     truth = free_poses(20, 12)
     sensor = observe(scan_at(truth[0])).sensor
     beams = np.arange(0, 90, 7)
-    windows = predicted(lattice, 91, 0.0)
+    leaves = predicted(lattice.panoramas, 91, 0.0)
     apart = np.linalg.norm(lattice.positions[None] - truth[:, None, :2], axis=2)
     nearest = apart.argmin(axis=1)
     # from a neighbour of the nearest position the nearest one is found
     around = lattice.neighbours[nearest]
     home = np.where(around[:, 1] < 0, nearest, around[:, 1])
-    ranges = foreseen(windows, lattice, home, truth, beams, sensor.angle_min, 0.0)
     heading = np.rint((truth[:, 2] + sensor.angle_min) / (TURN / ANALYSIS_TURN)).astype(int)
-    expected = lattice.panoramas[nearest[:, None], (heading[:, None] + beams) % ANALYSIS_TURN]
-    assert np.array_equal(ranges, np.where(expected < RANGE_CAP, expected, np.inf))
+    wall = lattice.panoramas[nearest[:, None], (heading[:, None] + beams) % ANALYSIS_TURN]
+    seen = np.linspace(2.0, 8.0, len(beams), dtype=np.float32)
+    found = overshot(leaves, lattice, home, truth, beams, seen, sensor.angle_min, 0.0)
+    through = (wall < RANGE_CAP) & (seen > wall + np.float32(OVERSHOT_M))
+    assert 0.05 < through.mean() < 0.95
+    assert np.array_equal(found, through.astype(np.float32))
+
+
+def corridor() -> GridMap:
+    """10 m by 2 m of free ground between walls 0.4 m thick, and free ground again behind the upper one."""
+    cells = np.full((48, 108), OCCUPIED, dtype=np.uint8)
+    cells[4:24, 4:104] = FREE
+    cells[28:44, 4:104] = FREE
+    return GridMap(cells, 0.1, np.zeros(3))
+
+
+def test_a_beam_leaves_a_wall_where_it_is_out_of_what_is_drawn() -> None:
+    grid = corridor()
+    field = WallField.of(DistanceField.of(grid))
+    at = np.array([[5.05, 1.45]])
+    entered = RayCaster.of(grid).panoramas(at, 8, 20.0)
+    left = leaving(field, at, entered, 20.0)
+    straight, slanted = 2, 1  # 90 and 45 degrees
+    assert np.isclose(entered[0, straight], 0.95, atol=0.01)
+    assert np.isclose(left[0, straight], 1.35, atol=0.06)
+    # slanted, a wall is longer by itself
+    assert np.isclose(left[0, slanted], 1.35 * np.sqrt(2), atol=0.09)
+    # the wall below is the map's last: behind it nothing is known
+    assert left[0, 6] < np.inf
+    assert np.isinf(leaving(field, at, entered, 1.2)[0, straight])
+
+
+def test_a_beam_that_ends_in_its_wall_or_along_it_is_not_clear_of_it() -> None:
+    grid = corridor()
+    field, caster = WallField.of(DistanceField.of(grid)), RayCaster.of(grid)
+    pose = np.array([[2.05, 1.45, 0.0]])
+    bearings = np.deg2rad([90.0, 90.0, 90.0, 8.0, 20.0])
+    seen = np.array([0.9, 1.3, 2.2, 8.2, 6.0], dtype=np.float32)
+    clear = clearance(field, pose, bearings, caster.cast(pose, bearings, 40.0), seen)[0]
+    # before the wall; within it; well behind it; metres along it; through it at a slant into the next room
+    assert clear[0] == 0.0
+    assert clear[1] == 0.0
+    assert clear[2] >= 0.5
+    assert clear[3] < 0.05
+    assert clear[4] >= 0.4
+    sure = beyond_walls(clear)
+    assert sure[1] == 0.0
+    assert sure[2] > 0.9
 
 
 def candidates_verified(built: SiteModel) -> int:

@@ -9,6 +9,7 @@ from eigenscan.eigenspace.pieces import Piece, Pieces
 from eigenscan.eigenspace.region_file import pack_region
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.geometry.surfaces import Surfaces
 from eigenscan.mapbuilder.plan import Plan
 from eigenscan.mapbuilder.shards import CAST_AT_ONCE, Area, Shard, build_shard, shards
 from eigenscan.mapbuilder.site import Layout, Progress
@@ -52,7 +53,7 @@ def build_pieces(
     engine = engine or _Threads()
     waiting = shards(missing, _size(missing, engine.count))
     if waiting:
-        for number, contents in engine.build(RayCaster.of(grid), plan, waiting):
+        for number, contents in engine.build(RayCaster.of(Surfaces.of(grid).grid), plan, waiting):
             for area, content in zip(waiting[number], contents, strict=True):
                 ready[area.name] = pieces.keep(keys[area.name], content)
             progress(f"{len(ready)} of {len(keys)} regions", len(ready) / len(keys))

@@ -25,6 +25,9 @@ CAST_AT_ONCE = 16_000
 """Positions of a shard at most, unless one region has more: 46 MB of panoramas at half a degree. The walls
 around a shard are swept for each, so smaller ones cost more: at 4,000 a third more, at 1,000 three times."""
 
+CAST_AGAINST = "surfaces"
+"""What of a map panoramas are cast against; a piece of a build before that is another one."""
+
 Built = TypeVar("Built")
 
 
@@ -46,7 +49,9 @@ class Area:
         """SHA-256, hex, of all that its model is made of."""
         # how regions and positions were found and who builds them makes no difference to what is given
         how = replace(plan, threads=1, error=0.0, division=type(plan.division)())
-        digest = hashlib.sha256(repr((map_version, how, self.name, self.positions.spacing)).encode())
+        digest = hashlib.sha256(
+            repr((CAST_AGAINST, map_version, how, self.name, self.positions.spacing)).encode()
+        )
         for array in (self.positions.origin, self.positions.index, self.outline):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()

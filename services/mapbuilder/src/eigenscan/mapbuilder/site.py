@@ -12,6 +12,7 @@ from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import ModelError, RegionModel
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.geometry.surfaces import Surfaces
 from eigenscan.mapbuilder.adaptive import adaptive_positions
 from eigenscan.mapbuilder.drawn import divide_as_drawn
 from eigenscan.mapbuilder.geojson import GivenRegion, RegionsError
@@ -53,11 +54,12 @@ class Layout:
 
 
 def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Layout:
-    """Positions and regions of a map; the regions as they are found, or as `drawn`.
+    """Positions and regions of a map's surfaces; the regions as they are found, or as `drawn`.
 
     Raises ModelError where no position is free, RegionsError where a drawn region holds none.
     """
     within = math.nan
+    grid = Surfaces.of(grid).grid
     if plan.error:
         positions, within = adaptive_positions(grid, plan)
     else:
@@ -89,7 +91,7 @@ def build_site(
     """Models of all regions of the map, where `layout` says. Raises ModelError where no position is free."""
     progress("regions", 0.0)
     areas = (layout or lay_out(grid, plan)).areas
-    caster, models = RayCaster.of(grid), list[RegionModel]()
+    caster, models = RayCaster.of(Surfaces.of(grid).grid), list[RegionModel]()
     for shard in shards(areas):
         progress("panoramas", 0.1 + 0.9 * len(models) / len(areas))
         for model in build_shard(caster, plan, shard, in_memory):

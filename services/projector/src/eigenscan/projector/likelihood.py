@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 
 WALL_SCALE = 0.15
 """m from a wall at which an end point counts half: noise, the map's resolution, rest of the pose's error."""
-THROUGH_MARGIN = 0.3
-"""m behind the predicted wall before a beam counts as having gone through it."""
 THROUGH_WEIGHT = 0.8
 """What a beam through a wall says against a pose, in beams on a wall."""
 ORDINARY_RANK = 10
@@ -37,19 +35,29 @@ def support(
     poses: Array,
     bearings: Array,
     seen: NDArray[np.float32],
-    predicted: NDArray[np.float32],
-    margin: float = THROUGH_MARGIN,
+    through: NDArray[np.float32],
 ) -> tuple[Array, Array]:
     """Mean support (n,) of a scan for sensor poses (n, 3), at most 1, and the share (n,) of explained beams.
 
-    `seen` (B,) are finite ranges along `bearings` (B,), `predicted` (n, B) the map's, +inf where no wall is
-    in sight. A beam is explained that ends within `margin`, m, of the predicted wall. Beams count `by_reach`.
+    `seen` (B,) are finite ranges along `bearings` (B,); `through` (n, B), 0 to 1, tells how surely beams went
+    through a wall. A beam is explained that ends at a wall, and more likely than not at the first one. Beams
+    count `by_reach`.
     """
     local = np.ascontiguousarray(compose(field.map_in_field, poses))
     out = np.empty((2, len(local)))
     share = by_reach(seen) / max(len(seen), 1)
-    _support(field.cells, field.cell, local, bearings, seen, share, predicted, margin, out)
+    _support(field.cells, field.cell, local, bearings, seen, share, through, out)
     return out[0], out[1]
+
+
+def beyond_walls(clear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """How surely beams went through a wall, 0 to 1, that got so far, m, away from every wall behind it.
+
+    What an end point as far from a wall lacks of counting whole.
+    """
+    square = clear * clear
+    sure: NDArray[np.float32] = square / (square + np.float32(WALL_SCALE**2))
+    return sure
 
 
 def ordinary_support(supports: Array, parts: int = 1) -> float:
@@ -82,15 +90,14 @@ def _support(
     bearings: Array,
     seen: NDArray[np.float32],
     share: Array,
-    predicted: NDArray[np.float32],
-    margin: float,
+    through: NDArray[np.float32],
     out: Array,
 ) -> None:
     # single precision and no branches, so that it fits vector units
     one, half, zero, unit = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(cell)
     flat, columns = cells.reshape(-1), np.int32(cells.shape[1])
     right, top = np.float32(cells.shape[1]) - half, np.float32(cells.shape[0]) - half
-    s2, through, slack = np.float32(WALL_SCALE**2), np.float32(THROUGH_WEIGHT), np.float32(margin)
+    s2, against = np.float32(WALL_SCALE**2), np.float32(THROUGH_WEIGHT)
     px, py = (seen * np.cos(bearings) / cell).astype(np.float32), np.empty(len(seen), dtype=np.float32)
     py[:] = seen * np.sin(bearings) / cell
     weight = share.astype(np.float32)
@@ -99,7 +106,7 @@ def _support(
         cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
         # one cell of border lies around the grid
         x, y = np.float32(poses[i, 0] / cell + 1.0), np.float32(poses[i, 1] / cell + 1.0)
-        walls, total, explained = predicted[i], zero, zero
+        behind, total, explained = through[i], zero, zero
         # the words in a loop of their own: not every processor's vector units look up
         for j in range(len(px)):
             u = min(max(x + cos * px[j] - sin * py[j], zero), right)
@@ -113,10 +120,8 @@ def _support(
             column, row = np.int32(u), np.int32(v)
             centre, gx, gy = unpack(words[j])
             d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit
-            # +inf minus a range stays out of both comparisons under fast math
-            beyond = seen[j] - min(walls[j], np.float32(1e9))
-            behind = one if beyond > slack else zero
-            total += weight[j] * (s2 / (s2 + d * d) - through * behind)
-            explained += (one if beyond > -slack else zero) - behind
+            on_wall = s2 / (s2 + d * d)
+            total += weight[j] * (on_wall - against * behind[j])
+            explained += one if min(on_wall, one - behind[j]) > half else zero
         out[0, i] = total
         out[1, i] = explained / max(len(px), 1)

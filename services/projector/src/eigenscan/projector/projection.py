@@ -12,12 +12,13 @@ from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_pos
 from eigenscan.projector.covariance import pose_covariances
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
-from eigenscan.projector.likelihood import THROUGH_MARGIN, log_likelihood, ordinary_support, support
+from eigenscan.projector.intervals import clearance
+from eigenscan.projector.likelihood import beyond_walls, log_likelihood, ordinary_support, support
 from eigenscan.projector.observation import ANALYSIS_TURN, Observation
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
-from eigenscan.projector.verification import foreseen, verify
+from eigenscan.projector.verification import overshot, verify
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -33,8 +34,6 @@ SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
 """Refined poses this near to each other are one."""
 POLISHED = 48
 """Slid poses that are polished and weighed."""
-FORESEEN_MARGIN = 0.5
-"""m: what a panorama shows half a grid cell off is no nearer to what a pose sees."""
 UNKNOWN_GROUND = 0.1
 """Support that a pose loses off the known part of the map."""
 FOREGROUND_SHARE = 0.1
@@ -150,7 +149,7 @@ def _verified(
         window %= ANALYSIS_TURN
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
     position, window, cost = verify(
-        view.windows, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
+        view.windows, view.leaves, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
     )
     poses = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
     if between:
@@ -165,9 +164,9 @@ def _verified(
 def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Index:
     """Which slid poses to polish: the best supported, by ranges that the panoramas foresee."""
     used, sensor = seen.weighed(WEIGHED_BEAMS), seen.sensor
-    ranges = foreseen(view.windows, site.lattice, home, slid, used, sensor.angle_min, sensor.range_max)
     z, bearing = seen.coarse[used], seen.bearings[used]
-    supported, _ = support(site.walls, slid, bearing, z, ranges, FORESEEN_MARGIN)
+    through = overshot(view.leaves, site.lattice, home, slid, used, z, sensor.angle_min, sensor.range_max)
+    supported, _ = support(site.walls, slid, bearing, z, through)
     order = np.argsort(-_grounded(site, slid, supported))
     return best_of_neighbourhoods(slid, order, SAME_M, SAME_RAD, POLISHED)
 
@@ -191,8 +190,9 @@ def _weigh(
     witness("polished", polished.poses)
     used = seen.weighed(WEIGHED_BEAMS)
     z, bearing = seen.coarse[used], seen.bearings[used]
-    predicted = site.caster.cast(polished.poses, bearing, z + THROUGH_MARGIN)
-    supported, explained = support(site.walls, polished.poses, bearing, z, predicted)
+    entered = site.caster.cast(polished.poses, bearing, z)
+    clear = clearance(site.drawn, polished.poses, bearing, entered, z)
+    supported, explained = support(site.walls, polished.poses, bearing, z, beyond_walls(clear))
     supported = _grounded(site, polished.poses, supported)
     kept = best_of_neighbourhoods(
         polished.poses, np.argsort(-supported), SAME_M, SAME_RAD, settings.published

@@ -103,7 +103,7 @@ def obstacles_message(
     bearings: Array = sensor.angle_min + np.arange(sensor.beams, dtype=np.float64) * sensor.angle_increment
     limit = sensor.range_max if sensor.range_max > 0 else 100.0
     predicted = site.caster.cast(pose, bearings, limit)[0]
-    mask = find_obstacles(pose, bearings, seen.ranges, predicted, site.walls, site.caster.grid)
+    mask = find_obstacles(pose, bearings, seen.ranges, predicted, site.drawn, site.caster.grid)
     return Obstacles(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,

@@ -9,16 +9,18 @@ import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.geometry.surfaces import Surfaces
 from eigenscan.projector.association.kinds import association
 from eigenscan.projector.association.manifold import Association, Index, Sheets
 from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients, error_squares
 from eigenscan.projector.embedding import Embedding
+from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
 from eigenscan.projector.shelf import WholeSet
-from eigenscan.projector.verification import predicted
+from eigenscan.projector.verification import RANGE_CAP, predicted
 from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
 
@@ -39,7 +41,7 @@ class SensorView:
     A row of `association` is a pose: position `row_position` (n,) of the lattice and window `row_window` (n,)
     of its panorama; region r has the rows from `bounds[r]` to `bounds[r + 1]`.
     `usual_error` (R,): mean square of the error vector that nearly no scan of a region's own exceeds.
-    `windows` (P, N + J) are the panoramas to verify against.
+    `windows` (P, N + J) are the panoramas to verify against, `leaves` (P, N + J) where rays leave the walls.
     """
 
     embedding: Embedding
@@ -50,11 +52,13 @@ class SensorView:
     row_window: NDArray[np.int16]
     usual_error: NDArray[np.float64]
     windows: NDArray[np.float32]
+    leaves: NDArray[np.float32]
 
 
 class Site:
     """The set in use, as far as this projector searches it.
 
+    `walls` and `caster` are of the walls' surfaces, `drawn` of the walls as the map draws them.
     `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
     """
@@ -64,10 +68,14 @@ class Site:
         own = own_share(whole.regions, settings.share)
         self.parts = settings.share[1]
         self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
-        field = DistanceField.of(whole.grid)
+        surfaces = Surfaces.of(whole.grid).grid
+        field = DistanceField.of(surfaces)
         self.walls, self.coarse_walls = WallField.of(field), WallField.of(field, COARSE_CELL)
-        self.caster = RayCaster.of(whole.grid)
+        thin = surfaces is whole.grid
+        self.drawn = self.walls if thin else WallField.of(DistanceField.of(whole.grid))
+        self.caster = RayCaster.of(surfaces)
         self.lattice = Lattice.of(own)
+        self._leaves = leaving(self.drawn, self.lattice.positions, self.lattice.panoramas, RANGE_CAP)
         corners = [self.lattice.positions[positions] for positions in self.lattice.regions]
         self.boxes = np.array([[*points.min(axis=0), *points.max(axis=0)] for points in corners])
         self.regions = tuple(region.region for region in own)
@@ -122,5 +130,6 @@ class Site:
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),
             np.array(errors),
-            predicted(lattice, coarse.beams, coarse.range_max),
+            predicted(lattice.panoramas, coarse.beams, coarse.range_max),
+            predicted(self._leaves, coarse.beams, coarse.range_max),
         )

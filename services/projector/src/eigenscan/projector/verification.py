@@ -1,5 +1,7 @@
 """How well predicted scans explain a scan: one-sided truncated L1 over windows of the panoramas.
 
+A beam that ends in the wall, between where it enters it and where it would leave it, costs nothing.
+
 Each candidate of the search lattice is tried at the neighbouring headings, and the better ones also at the
 neighbouring positions of the model's own grid.
 """
@@ -17,14 +19,18 @@ SHORT, LONG = 0.5, 1.0
 doors shorten a beam, but nothing lets it through a wall."""
 RANGE_CAP = 10.0
 """m: beyond, ranges differ too much within a grid cell to be compared."""
+OVERSHOT_M = 0.5
+"""m behind a wall from which on a beam went through it: what a panorama shows half a grid cell off is no
+nearer to what a pose sees.
+"""
 EMPTY_WEIGHT = 0.5
 """Of a beam that came back empty to a short-sighted sensor: dark and slanted walls give none either."""
 
 
-def predicted(lattice: Lattice, beams: int, range_max: float) -> NDArray[np.float32]:
-    """Panoramas (P, N + beams) clipped, with their first beams once more behind their last."""
+def predicted(panoramas: NDArray[np.float32], beams: int, range_max: float) -> NDArray[np.float32]:
+    """Panoramas (P, N) clipped, with their first beams once more behind their last: (P, N + beams)."""
     cap = _cap(range_max)
-    clipped = np.minimum(lattice.panoramas, np.float32(cap))
+    clipped = np.minimum(panoramas, np.float32(cap))
     return np.concatenate([clipped, clipped[:, :beams]], axis=1)
 
 
@@ -34,6 +40,7 @@ def _cap(range_max: float) -> float:
 
 def verify(
     windows: NDArray[np.float32],
+    leaves: NDArray[np.float32],
     lattice: Lattice,
     position: NDArray[np.int64],
     heading: NDArray[np.int64],
@@ -44,7 +51,8 @@ def verify(
     """The best neighbours of candidates: position (n,), heading (n,) and cost (n,), m, in the same order.
 
     Beams count `by_reach`.
-    `windows` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in position.
+    `windows` and `leaves` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in
+    position.
     """
     cap = _cap(range_max)
     empty_counts = 0.0 < range_max <= RANGE_CAP
@@ -54,65 +62,76 @@ def verify(
     weight[finite] = by_reach(scan[finite])
     best_position, best_heading = position.copy(), heading.copy()
     cost = np.empty(len(position), dtype=np.float32)
-    _turn(windows, best_position, best_heading, scan, weight, cost)
+    _turn(windows, leaves, best_position, best_heading, scan, weight, cost)
     if lattice.finer:
         better = np.argsort(cost)[:climbing]
-        _climb(windows, lattice.neighbours, better, best_position, best_heading, scan, weight, cost)
+        _climb(windows, leaves, lattice.neighbours, better, best_position, best_heading, scan, weight, cost)
     return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
 
 
-def foreseen(
-    windows: NDArray[np.float32],
+def overshot(
+    leaves: NDArray[np.float32],
     lattice: Lattice,
     home: NDArray[np.int64],
     poses: NDArray[np.float64],
     beams: NDArray[np.int64],
+    seen: NDArray[np.float32],
     angle_min: float,
     range_max: float,
 ) -> NDArray[np.float32]:
-    """Ranges (n, B) that the panorama nearest to poses (n, 3) near positions `home` (n,) shows along `beams`.
+    """Whether `beams` (B,) of poses (n, 3) near positions `home` (n,) went through a wall: (n, B), 1 or 0.
 
-    Half a grid cell off: what costs nothing, for what needs no more. +inf where `windows` is clipped.
+    By the nearest panorama, half a grid cell off: what costs nothing, for what needs no more. `leaves` as of
+    `predicted`; `seen` (B,) are the beams' ranges.
     """
     apart = poses[:, :2] - lattice.positions[home]
     column, row = np.minimum(np.maximum(np.rint(apart / lattice.spacing), -1), 1).astype(np.int64).T
     there = lattice.neighbours[home, 3 * (column + 1) + row + 1]
     position = np.where(there < 0, home, there)
     window = windows_at(poses[:, 2], angle_min)
-    ranges = np.empty((len(poses), len(beams)), dtype=np.float32)
+    out = np.empty((len(poses), len(beams)), dtype=np.float32)
     beams = np.ascontiguousarray(beams)
-    _look_up(windows, position, window, beams, np.float32(_cap(range_max)), ranges)
-    return ranges
+    _overshot(leaves, position, window, beams, seen, np.float32(_cap(range_max)), out)
+    return out
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _look_up(
-    windows: NDArray[np.float32],
+def _overshot(
+    leaves: NDArray[np.float32],
     position: NDArray[np.int64],
     window: NDArray[np.int64],
     beams: NDArray[np.int64],
+    seen: NDArray[np.float32],
     cap: np.float32,
     out: NDArray[np.float32],
 ) -> None:
+    one, zero = np.float32(1.0), np.float32(0.0)
     for i in range(len(position)):
-        panorama, first = windows[position[i]], window[i]
+        panorama, first = leaves[position[i]], window[i]
         for j in range(len(beams)):
-            wall = panorama[first + beams[j]]
-            out[i, j] = wall if wall < cap else np.float32(np.inf)
+            leave = panorama[first + beams[j]]
+            # at the cap nothing is known of where it leaves
+            out[i, j] = one if leave < cap and seen[j] > leave + np.float32(OVERSHOT_M) else zero
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
-def _cost(window: NDArray[np.float32], scan: NDArray[np.float32], weight: NDArray[np.float32]) -> np.float32:
-    total = np.float32(0.0)
+def _cost(
+    enter: NDArray[np.float32],
+    leave: NDArray[np.float32],
+    scan: NDArray[np.float32],
+    weight: NDArray[np.float32],
+) -> np.float32:
+    total, none = np.float32(0.0), np.float32(0.0)
     for j in range(len(scan)):
-        beyond = scan[j] - window[j]
-        total += weight[j] * max(min(beyond, np.float32(LONG)), min(-beyond, np.float32(SHORT)))
+        beyond, before = scan[j] - leave[j], enter[j] - scan[j]
+        total += weight[j] * max(min(beyond, np.float32(LONG)), min(before, np.float32(SHORT)), none)
     return total
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _turn(
     windows: NDArray[np.float32],
+    leaves: NDArray[np.float32],
     position: NDArray[np.int64],
     heading: NDArray[np.int64],
     scan: NDArray[np.float32],
@@ -126,7 +145,7 @@ def _turn(
         cost[i] = np.float32(np.inf)
         for step in (0, -1, 1):
             k = (centre + step) % turn
-            c = _cost(windows[position[i], k : k + beams], scan, weight)
+            c = _cost(windows[position[i], k : k + beams], leaves[position[i], k : k + beams], scan, weight)
             if c < cost[i]:
                 cost[i], heading[i] = c, k
 
@@ -134,6 +153,7 @@ def _turn(
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _climb(
     windows: NDArray[np.float32],
+    leaves: NDArray[np.float32],
     neighbours: NDArray[np.int32],
     which: NDArray[np.int64],
     position: NDArray[np.int64],
@@ -153,6 +173,6 @@ def _climb(
                 continue
             for step in (-1, 0, 1):
                 k = (centre + step) % turn
-                c = _cost(windows[p, k : k + beams], scan, weight)
+                c = _cost(windows[p, k : k + beams], leaves[p, k : k + beams], scan, weight)
                 if c < cost[i]:
                     cost[i], heading[i], position[i] = c, k, p

@@ -84,6 +84,12 @@ def _pack(
     return words
 
 
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def distance_at(word: np.uint32) -> float:
+    """Distance, m, of the cell's centre."""
+    return float(np.float32(np.int32(word & np.uint32(0xFFF))) * _DISTANCE_UNIT)
+
+
 @njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
 def unpack(word: np.uint32) -> tuple[np.float32, np.float32, np.float32]:
     """Distance, m, and its gradient by column and by row."""

@@ -11,6 +11,7 @@ from eigenscan.eigenspace.model import RegionModel, quantize
 from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.geometry.surfaces import Surfaces
 from eigenscan.mapbuilder.positions import free_positions
 from eigenscan.mapbuilder.site import Plan
 from numpy.typing import NDArray
@@ -25,11 +26,13 @@ def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
     Positions that the change covers are left out, those that it frees join the regions of the nearest ones,
     and panoramas that do not see it stay bit for bit. A region that it covers whole stays as it is.
     """
-    spacing = site.regions[0].spacing
-    old, new = (free_positions(g, spacing, plan.clearance).index for g in (site.grid, grid))
+    spacing, known = site.regions[0].spacing, Surfaces.of(site.grid)
+    # by the same thickness, so that nothing differs where the map does not
+    before, now = known.grid, Surfaces.of(grid, known.thickness).grid
+    old, new = (free_positions(surfaces, spacing, plan.clearance).index for surfaces in (before, now))
     given = _without(new, old)
     nearest = _distance(np.concatenate([model.index for model in site.regions]), given)
-    work = _Rebuild(plan, RayCaster.of(site.grid), RayCaster.of(grid), _without(old, new), given, nearest)
+    work = _Rebuild(plan, RayCaster.of(before), RayCaster.of(now), _without(old, new), given, nearest)
     return replace(site, grid=grid, regions=tuple(work.after(model) for model in site.regions))
 
 

@@ -1,0 +1,80 @@
+"""Where in a map's walls the surfaces are that a lidar meets: in their middle, as far as anybody can tell.
+
+Walls that were drawn by a robot that was not sure of its way, or in coarse cells, are thicker than the
+building's. The surface lies anywhere in them, and nearest to all of it is their middle. In a map with thin
+walls every wall is its own middle, and nothing changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.distance_tiles import TILE, distance_tiles
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter
+
+DEEPEST_M = 1.0
+"""m inside a wall, beyond which it is as deep: what is thicker is no wall."""
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """A map's walls thinned to where their surfaces are.
+
+    `grid` is the map itself where all walls are thin. Walls up to `thickness`, m, are thinned to the line in
+    their middle, thicker ones (a cupboard, a pillar) by half of it on each side. It is the thickness of an
+    ordinary wall: of half of the cells that face free ground the wall is at least as thick.
+    """
+
+    grid: GridMap
+    thickness: float
+
+    @classmethod
+    def of(cls, grid: GridMap, thickness: float = 0.0) -> Surfaces:
+        """Surfaces of a map; `thickness` 0: as it is found in the map."""
+        wall = grid.cells == OCCUPIED
+        if not wall.any():
+            return cls(grid, thickness or grid.resolution)
+        depth = _depth(wall, DEEPEST_M / grid.resolution)
+        middle = wall & (depth >= maximum_filter(depth, 3) - _ROUNDING)
+        cells = 0.5 * thickness / grid.resolution if thickness else _ordinary_depth(grid, depth, middle)
+        gone = wall & ~middle & (depth < cells - _ROUNDING)
+        found = 2.0 * cells * grid.resolution
+        if not gone.any():
+            return cls(grid, found)
+        thinned = grid.cells.copy()
+        thinned[gone] = UNKNOWN
+        # only what free ground reaches without crossing the middle is free
+        reached = binary_dilation(
+            thinned == FREE, np.ones((3, 3), dtype=bool), int(np.ceil(cells)) + 1, mask=gone
+        )
+        thinned[reached & gone] = FREE
+        return cls(GridMap(thinned, grid.resolution, grid.origin), found)
+
+
+def _depth(wall: NDArray[np.bool_], deepest: float) -> NDArray[np.float32]:
+    """Depth (H, W), cells, of each wall cell's centre below the wall's outline; 0 where there is none."""
+    depth = np.zeros(wall.shape, dtype=np.float32)
+    for part, distance in distance_tiles(wall, deepest):
+        depth[part] = np.clip(distance - 0.5, 0.0, deepest)
+    return depth
+
+
+def _ordinary_depth(grid: GridMap, depth: NDArray[np.float32], middle: NDArray[np.bool_]) -> float:
+    """Half the thickness, cells, that the median cell facing free ground has behind it."""
+    faces = (grid.cells == OCCUPIED) & binary_dilation(grid.cells == FREE)
+    height, width = depth.shape
+    found = [np.empty(0, dtype=np.float32)]
+    for top in range(0, height, TILE):
+        for left in range(0, width, TILE):
+            part = slice(top, top + TILE), slice(left, left + TILE)
+            if faces[part].any():
+                row, column = distance_transform_edt(
+                    ~middle[part], return_distances=False, return_indices=True
+                )
+                found.append(depth[part][row, column][faces[part]])
+    halves = np.concatenate(found)
+    return float(np.median(halves)) if len(halves) else 0.5

@@ -1,0 +1,101 @@
+"""Walls as intervals: where a beam that meets a wall would leave it again, and how far it got away from it.
+
+A wall's surface lies anywhere in the wall as it is drawn. So a beam has gone through a wall only where it got
+clear of all that is drawn, and the farther it got the surer: a beam along a wall is metres long in it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.pose import compose
+from eigenscan.projector.wall_field import WallField, distance_at
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Words = NDArray[np.uint32]
+
+STEP_M = 0.1
+"""m along a beam, from one look at its clearance to the next: half of that is the most that is overlooked."""
+FAR_OFF = 0.5
+"""m: a beam that got so far away from every wall is as good as beyond the one that it met."""
+
+
+def leaving(field: WallField, positions: Array, entered: Singles, until: float) -> Singles:
+    """Ranges (P, N), m, at which rays from positions (P, 2) leave the walls that they `entered` (P, N).
+
+    Ray k looks along world direction k 2 pi / N. +inf where no wall is in sight, or it ends before `until`.
+    """
+    turn = entered.shape[1]
+    poses = np.column_stack([positions, np.zeros(len(positions))])
+    out = np.full(entered.shape, np.inf, dtype=np.float32)
+    local = np.ascontiguousarray(compose(field.map_in_field, poses))
+    _leaving(field.cells, field.cell, local, np.arange(turn) * (2.0 * np.pi / turn), entered, until, out)
+    return out
+
+
+def clearance(field: WallField, poses: Array, bearings: Array, entered: Singles, seen: Singles) -> Singles:
+    """How far (n, B), m, beams got away from every wall after they `entered` (n, B) one; 0 if they did not.
+
+    From poses (n, 3) along `bearings` (B,) to where they ended, `seen` (B,); about FAR_OFF at most.
+    """
+    out = np.zeros(entered.shape, dtype=np.float32)
+    local = np.ascontiguousarray(compose(field.map_in_field, poses))
+    _clearance(field.cells, field.cell, local, bearings, entered, seen, out)
+    return out
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _leaving(
+    cells: Words, cell: float, poses: Array, bearings: Array, entered: Singles, until: float, out: Singles
+) -> None:
+    height, width = cells.shape
+    half = 0.5 * cell
+    for i in range(len(poses)):
+        # one cell of border lies around the grid
+        x, y = poses[i, 0] / cell + 1.0, poses[i, 1] / cell + 1.0
+        for j in range(len(bearings)):
+            angle = poses[i, 2] + bearings[j]
+            dx, dy = np.cos(angle) / cell, np.sin(angle) / cell
+            along = entered[i, j] + half
+            while along < until:
+                u, v = x + dx * along, y + dy * along
+                inside = 0.0 <= u < width and 0.0 <= v < height
+                if not inside or distance_at(cells[int(v), int(u)]) >= half:
+                    out[i, j] = along
+                    break
+                along += half
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _clearance(
+    cells: Words, cell: float, poses: Array, bearings: Array, entered: Singles, seen: Singles, out: Singles
+) -> None:
+    height, width = cells.shape
+    half = 0.5 * cell
+    least = max(half, STEP_M)
+    cos, sin = np.cos(bearings) / cell, np.sin(bearings) / cell
+    for i in range(len(poses)):
+        x, y = poses[i, 0] / cell + 1.0, poses[i, 1] / cell + 1.0
+        ahead, aside = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        for j in range(len(bearings)):
+            along, end = entered[i, j], seen[j]
+            if not along < end:
+                continue
+            dx, dy = ahead * cos[j] - aside * sin[j], aside * cos[j] + ahead * sin[j]
+            most = 0.0
+            along += half
+            while True:
+                along = min(along, end)
+                u, v = x + dx * along, y + dy * along
+                if not (0.0 <= u < width and 0.0 <= v < height):
+                    most = FAR_OFF
+                    break
+                distance = distance_at(cells[int(v), int(u)])
+                most = max(most, distance)
+                if most >= FAR_OFF or along >= end:
+                    break
+                # distances change by no more than the way: what is much farther off is not stepped over
+                along += max(most - distance, least)
+            out[i, j] = most
