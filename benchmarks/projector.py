@@ -149,7 +149,7 @@ def memory(core: ProjectorCore, built: Any) -> dict[str, float]:
     view = next(iter(site._views.values()))
     parts = {
         "models": sum(m.ranges.nbytes for m in built.regions),
-        "map, distances, rays": site.walls.cells.nbytes + site.coarse_walls.cells.nbytes
+        "map, distances, rays": site.drawn.cells.nbytes + site.coarse_walls.cells.nbytes
         + site.caster.leap.nbytes + site.caster.grid.cells.nbytes,
         "panoramas": site.lattice.panoramas.nbytes + site.lattice.positions.nbytes
         + site.lattice.neighbours.nbytes,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.geometry.surfaces import Surfaces
+from eigenscan.geometry.surfaces import Surfaces, faces_of
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 ORIGIN = np.array([-1.0, 2.0, 0.3])
@@ -81,3 +81,13 @@ def test_a_given_thickness_holds_and_a_map_without_walls_is_as_it_was() -> None:
     assert Surfaces.of(fat, 0.05).grid is fat
     empty = GridMap(np.full((20, 20), FREE, dtype=np.uint8), 0.1, np.zeros(3))
     assert Surfaces.of(empty).grid is empty
+
+
+def test_faces_are_what_a_ray_meets() -> None:
+    fat = fatter(two_rooms(), 0.2)
+    faces = faces_of(fat)
+    pose = fat.to_map(np.array([50.0, 50.0]))
+    bearings = np.deg2rad(np.arange(0, 360, 3.0))
+    full, thin = (RayCaster.of(g).cast(np.array([*pose, 0.0]), bearings, 20.0) for g in (fat, faces))
+    assert np.array_equal(full, thin)
+    assert np.count_nonzero(faces.cells == OCCUPIED) < 0.5 * np.count_nonzero(fat.cells == OCCUPIED)

@@ -55,6 +55,16 @@ class Surfaces:
         return cls(GridMap(thinned, grid.resolution, grid.origin), found)
 
 
+def faces_of(grid: GridMap) -> GridMap:
+    """The map with only those wall cells that face what is no wall, in any of the eight directions.
+
+    The others are UNKNOWN.
+    """
+    wall = grid.cells == OCCUPIED
+    inside = wall & ~binary_dilation(~wall, np.ones((3, 3), dtype=bool), border_value=1)
+    return GridMap(np.where(inside, np.uint8(UNKNOWN), grid.cells), grid.resolution, grid.origin)
+
+
 def _depth(wall: NDArray[np.bool_], deepest: float) -> NDArray[np.float32]:
     """Depth (H, W), cells, of each wall cell's centre below the wall's outline; 0 where there is none."""
     depth = np.zeros(wall.shape, dtype=np.float32)

@@ -15,9 +15,9 @@ from eigenscan.projector.foreground import foreground
 from eigenscan.projector.intervals import clearance
 from eigenscan.projector.likelihood import beyond_walls, log_likelihood, ordinary_support, support
 from eigenscan.projector.observation import ANALYSIS_TURN, Observation
-from eigenscan.projector.refinement import POLISH, SLIDE, fit
+from eigenscan.projector.refinement import POLISH, SLIDE, Fit, fit
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.site import SensorView, Site
+from eigenscan.projector.site import Reading, SensorView, Site
 from eigenscan.projector.verification import overshot, verify
 from numpy.typing import NDArray
 
@@ -166,7 +166,7 @@ def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, hom
     used, sensor = seen.weighed(WEIGHED_BEAMS), seen.sensor
     z, bearing = seen.coarse[used], seen.bearings[used]
     through = overshot(view.leaves, site.lattice, home, slid, used, z, sensor.angle_min, sensor.range_max)
-    supported, _ = support(site.walls, slid, bearing, z, through)
+    supported, _ = support(site.drawn, slid, bearing, z, through)
     order = np.argsort(-_grounded(site, slid, supported))
     return best_of_neighbourhoods(slid, order, SAME_M, SAME_RAD, POLISHED)
 
@@ -174,6 +174,17 @@ def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, hom
 def _grounded(site: Site, poses: Array, supported: Array) -> Array:
     """Support (n,) of poses, less on what the map does not know: nothing there speaks against a pose."""
     return supported - UNKNOWN_GROUND * site.caster.in_dark(poses[:, :2])
+
+
+def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
+    """Slid poses polished on a reading's surfaces, with their support and the share of explained beams."""
+    polished = fit(reading.walls, slid, seen.points, POLISH)
+    used = seen.weighed(WEIGHED_BEAMS)
+    z, bearing = seen.coarse[used], seen.bearings[used]
+    entered = reading.caster.cast(polished.poses, bearing, z)
+    clear = clearance(site.drawn, polished.poses, bearing, entered, z)
+    supported, explained = support(reading.walls, polished.poses, bearing, z, beyond_walls(clear))
+    return polished, _grounded(site, polished.poses, supported), explained
 
 
 def _weigh(
@@ -186,19 +197,19 @@ def _weigh(
     witness: Witness,
     scope: Scope,
 ) -> Candidates:
-    polished = fit(site.walls, slid, seen.points, POLISH)
-    witness("polished", polished.poses)
-    used = seen.weighed(WEIGHED_BEAMS)
-    z, bearing = seen.coarse[used], seen.bearings[used]
-    entered = site.caster.cast(polished.poses, bearing, z)
-    clear = clearance(site.drawn, polished.poses, bearing, entered, z)
-    supported, explained = support(site.walls, polished.poses, bearing, z, beyond_walls(clear))
-    supported = _grounded(site, polished.poses, supported)
-    kept = best_of_neighbourhoods(
-        polished.poses, np.argsort(-supported), SAME_M, SAME_RAD, settings.published
+    weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
+    found = []
+    for polished, supported, explained in weighed:
+        order = np.argsort(-supported)
+        kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
+        ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
+        found.append((polished, supported, explained, kept, ordinary))
+    # whether walls are as thick as they are drawn is the same for all beams: the whole scan tells
+    polished, supported, explained, kept, ordinary = max(
+        found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4]).sum())
     )
+    witness("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
-    ordinary = max(ordinary_support(supports, site.parts), scope.ordinary)
     likelihood = log_likelihood(supports, ordinary)
     witness("published", poses)
     witness("first", poses[:1])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.geometry.surfaces import Surfaces
+from eigenscan.geometry.surfaces import Surfaces, faces_of
 from eigenscan.projector.association.kinds import association
 from eigenscan.projector.association.manifold import Association, Index, Sheets
 from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients, error_squares
@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 
 KEPT_SENSORS = 8
 """Sensor grids whose subspaces are kept; the longest unused one goes first."""
+Panoramas = NDArray[np.float32]
+
 COARSE_CELL = 0.1
 """m, of the walls that many poses slide to."""
 USUAL_SHARE = 0.999
@@ -55,10 +57,19 @@ class SensorView:
     leaves: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Reading:
+    """Where the surfaces of the walls are taken to be: the distance to them, and rays."""
+
+    walls: WallField
+    caster: RayCaster
+
+
 class Site:
     """The set in use, as far as this projector searches it.
 
-    `walls` and `caster` are of the walls' surfaces, `drawn` of the walls as the map draws them.
+    `readings`: where the walls' surfaces may be, in their middle and, where they are thick, at their faces;
+    each scan tells which. `caster` is the first one's, `drawn` of the walls as the map draws them.
     `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
     """
@@ -69,19 +80,34 @@ class Site:
         self.parts = settings.share[1]
         self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
         surfaces = Surfaces.of(whole.grid).grid
-        field = DistanceField.of(surfaces)
-        self.walls, self.coarse_walls = WallField.of(field), WallField.of(field, COARSE_CELL)
-        thin = surfaces is whole.grid
-        self.drawn = self.walls if thin else WallField.of(DistanceField.of(whole.grid))
-        self.caster = RayCaster.of(surfaces)
+        field = DistanceField.of(whole.grid)
+        self.drawn = WallField.of(field)
+        as_drawn = Reading(self.drawn, RayCaster.of(whole.grid))
+        self.readings: tuple[Reading, ...] = (as_drawn,)
+        if surfaces is not whole.grid:
+            middle = Reading(WallField.of(DistanceField.of(surfaces)), RayCaster.of(surfaces))
+            faces = WallField.of(DistanceField.of(faces_of(whole.grid)))
+            self.readings = middle, replace(as_drawn, walls=faces)
+        self.caster = self.readings[0].caster
+        self.coarse_walls = WallField.of(field, COARSE_CELL)
         self.lattice = Lattice.of(own)
-        self._leaves = leaving(self.drawn, self.lattice.positions, self.lattice.panoramas, RANGE_CAP)
+        self._enters, self._leaves = self._intervals()
         corners = [self.lattice.positions[positions] for positions in self.lattice.regions]
         self.boxes = np.array([[*points.min(axis=0), *points.max(axis=0)] for points in corners])
         self.regions = tuple(region.region for region in own)
         self._settings = settings
         self._views: OrderedDict[tuple[int, float], SensorView] = OrderedDict()
         self._sensors: dict[tuple[int, float], Sensor] = {}
+
+    def _intervals(self) -> tuple[Panoramas, Panoramas]:
+        """Where rays from the positions enter the walls as they are drawn, and where they leave them."""
+        positions, surfaces = self.lattice.positions, self.lattice.panoramas
+        leaves = leaving(self.drawn, positions, surfaces, RANGE_CAP)
+        if len(self.readings) == 1:
+            return surfaces, leaves
+        drawn = self.readings[1].caster.panoramas(positions, ANALYSIS_TURN, RANGE_CAP)
+        # a position within a wall as it is drawn tells nothing of where rays enter it
+        return np.where(drawn > 0, np.minimum(drawn, surfaces), surfaces), leaves
 
     def area(self, regions: NDArray[np.bool_] | None) -> float:
         """Free area of some of the regions (R,), m2, or of all."""
@@ -130,6 +156,6 @@ class Site:
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),
             np.array(errors),
-            predicted(lattice.panoramas, coarse.beams, coarse.range_max),
+            predicted(self._enters, coarse.beams, coarse.range_max),
             predicted(self._leaves, coarse.beams, coarse.range_max),
         )

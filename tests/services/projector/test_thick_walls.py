@@ -1,0 +1,55 @@
+"""Maps with fat walls: blurred ones, whose surfaces lie in the walls' middle, and buildings with fat walls."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from eigenscan.geometry.gridmap import OCCUPIED, GridMap
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector.core import ProjectorCore
+from scipy.ndimage import distance_transform_edt
+
+from tests.services.projector.office import free_poses, hear, is_right, office, poses_of, ready, scan_at
+
+SCANS = 20
+
+
+@cache
+def fat(by: float) -> GridMap:
+    grid = office()
+    far = distance_transform_edt(grid.cells != OCCUPIED) * grid.resolution
+    return GridMap(np.where(far <= by, np.uint8(OCCUPIED), grid.cells), grid.resolution, grid.origin)
+
+
+@cache
+def projector(by: float) -> ProjectorCore:
+    return ready(build_site(fat(by), Plan()))
+
+
+def first_right(by: float, seen_in: GridMap) -> float:
+    """Share of the scans of a building whose first pose is right in the map with walls fatter `by` m."""
+    hits = []
+    for i, truth in enumerate(free_poses(SCANS, 21, fat(0.2))):
+        message, _ = hear(projector(by), scan_at(truth, seed=i, grid=seen_in))
+        hits.append(bool(is_right(poses_of(message)[:1], truth).any()))
+    return float(np.mean(hits))
+
+
+@pytest.mark.parametrize("by", [0.1, 0.2])
+def test_on_a_blurred_map_scans_are_found(by: float) -> None:
+    assert first_right(by, office()) >= 0.8
+
+
+@pytest.mark.parametrize("by", [0.1, 0.2])
+def test_where_walls_are_as_fat_as_they_are_drawn_scans_are_found_too(by: float) -> None:
+    assert first_right(by, fat(by)) >= 0.7
+
+
+def test_the_pose_is_not_drawn_to_the_faces_of_blurred_walls() -> None:
+    off = []
+    for i, truth in enumerate(free_poses(SCANS, 21, fat(0.2))):
+        message, _ = hear(projector(0.2), scan_at(truth, seed=i))
+        best = poses_of(message)[0]
+        if is_right(best[None], truth)[0]:
+            off.append(np.hypot(*(best - truth)[:2]))
+    assert np.median(off) < 0.1
