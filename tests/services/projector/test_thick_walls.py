@@ -1,4 +1,4 @@
-"""Maps with fat walls: blurred ones, whose surfaces lie in the walls' middle, and buildings with fat walls."""
+"""Maps with fat walls: blurred ones, whose surfaces lie in the middle, and buildings with fat walls."""
 
 from functools import cache
 
