@@ -9,12 +9,10 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, read_map
 from eigenscan.geometry.pose import transform
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import SCAN_RAW, TRUTH
-from eigenscan.workbench.simulation.fleet import Fleet
 from eigenscan.workbench.simulation.lidar import LIDARS
 from eigenscan.workbench.simulation.people import RADIUS
-from eigenscan.workbench.simulation.stage import Scenario, Stage
-from eigenscan.workbench.simulation.unmapped import put_boxes
-from eigenscan.workbench.simulation.world import office
+from eigenscan.workbench.simulation.stage import Fleet, Scenario, Stage
+from eigenscan.workbench.simulation.world import office, put_boxes
 from scipy.ndimage import label
 
 from tests.command import eigenscan

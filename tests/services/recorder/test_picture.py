@@ -24,9 +24,9 @@ from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.belief import probabilities
 from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
+from eigenscan.recorder.picture.canvas import Pace
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.manifold import Manifold
-from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import LOCALIZED, LOST
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink

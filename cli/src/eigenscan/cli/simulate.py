@@ -15,9 +15,8 @@ from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
     from eigenscan.geometry.gridmap import GridMap
-    from eigenscan.workbench.simulation.fleet import Fleet
     from eigenscan.workbench.simulation.lidar import Lidar
-    from eigenscan.workbench.simulation.stage import Stage, Timed
+    from eigenscan.workbench.simulation.stage import Fleet, Stage, Timed
 
 
 CARRIED_M = 0.5
@@ -78,9 +77,8 @@ def simulate(
     if kidnap is not None and not 0 < kidnap < seconds:
         raise UsageError(f"--kidnap {kidnap:g}: give a second between 0 and --seconds {seconds:g}")
     from eigenscan.geometry.gridmap import write_map
-    from eigenscan.workbench.simulation.fleet import Fleet
     from eigenscan.workbench.simulation.robot import OdometryNoise
-    from eigenscan.workbench.simulation.stage import Scenario
+    from eigenscan.workbench.simulation.stage import Fleet, Scenario
 
     prepare(json_file)
     grid = _map(map_file)
@@ -149,7 +147,7 @@ def _lidar(model: str, fov: float | None, changes: Mapping[str, Any]) -> Lidar:
 def _with_boxes(grid: GridMap, boxes: int, seed: int) -> GridMap:
     """The building as it is, not as its map shows it."""
     import numpy as np
-    from eigenscan.workbench.simulation.unmapped import put_boxes
+    from eigenscan.workbench.simulation.world import put_boxes
 
     return put_boxes(grid, boxes, np.random.default_rng([seed, boxes])) if boxes else grid
 

@@ -7,7 +7,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping
 
-from eigenscan.recorder.sink import Sink
+from eigenscan.recorder.core import Sink
 from eigenscan.runtime.logs import logger
 from eigenscan.schemas.envelope import Envelope
 

@@ -2,12 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
 
-from eigenscan.recorder.sink import Sink
 from eigenscan.schemas.channels import CHANNELS, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
+
+
+class Sink(Protocol):
+    """Takes every message. Trouble of its own is a `problem`, not an exception."""
+
+    @property
+    def problem(self) -> str:
+        """Why it cannot do its work now; empty while it can."""
+        ...
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What was taken and what was lost."""
+        ...
+
+    def write(self, heard: Envelope) -> None:
+        """Takes one message."""
+        ...
+
+    def close(self) -> None:
+        """Completes what was written. Nothing may be written after it."""
+        ...
 
 
 class RecorderCore:

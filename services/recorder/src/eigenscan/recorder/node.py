@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 
-from eigenscan.recorder.core import RecorderCore
-from eigenscan.recorder.sink import Sink
+from eigenscan.recorder.core import RecorderCore, Sink
 from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-recorder[node]", SystemExit):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 from eigenscan.ros_bridge.cdr import (
     BOND,
@@ -176,3 +177,23 @@ def qualified(namespace: str, name: str) -> str:
         return name
     inside = namespace.strip("/")
     return f"/{inside}/{name}" if inside else f"/{name}"
+
+
+class Dialect(Protocol):
+    """Keys, liveliness tokens and attachments of one way."""
+
+    def key(self, endpoint: Endpoint) -> str:
+        """Key of its messages, or of its queries."""
+        ...
+
+    def tokens(self, endpoints: Iterable[Endpoint]) -> Iterator[str]:
+        """Keys of the liveliness tokens by which ROS 2's graph knows of the endpoints."""
+        ...
+
+    def attachment(self, endpoint: Endpoint, number: int, time: int) -> bytes | None:
+        """What travels beside the message number `number`, counted from 1, said at `time` (ns)."""
+        ...
+
+    def reply_attachment(self, request: bytes, time: int) -> bytes | None:
+        """What travels beside the reply to a service's request that had `request` beside it."""
+        ...

@@ -11,8 +11,7 @@ from typing import Any
 
 import zenoh
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
-from eigenscan.ros_bridge.dialect import Dialect
-from eigenscan.ros_bridge.endpoints import Endpoint, Role, endpoints
+from eigenscan.ros_bridge.endpoints import Dialect, Endpoint, Role, endpoints
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
 from eigenscan.runtime.inbox import Inbox

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import zenoh
-from eigenscan.ros_bridge.dialect import Dialect
-from eigenscan.ros_bridge.endpoints import Endpoint
+from eigenscan.ros_bridge.endpoints import Dialect, Endpoint
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
 from eigenscan.ros_bridge.ros2dds import Ros2Dds

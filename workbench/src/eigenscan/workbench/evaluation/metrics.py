@@ -6,8 +6,10 @@ of the reference. Poses without a reference are not judged.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from eigenscan.geometry.circle import difference
@@ -192,3 +194,19 @@ def normalised_errors(offsets: Floats, covariances: Floats) -> Floats:
 def seconds(stamps: NDArray[np.int64], since: int) -> Floats:
     """Seconds from `since` to each stamp, both ns."""
     return (stamps - since) / NS
+
+
+POSE_COLUMNS = ("window", "time_ns", "x", "y", "theta", "state", "confidence")
+
+
+def write_poses(path: Path, streams: Sequence[Stream]) -> None:
+    """Writes a row for each pose; m, rad, numbers exact to the last bit; `window` counts from 0."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(POSE_COLUMNS)
+        for number, said in enumerate(streams):
+            rows = zip(said.stamps, said.poses, said.states, said.confidence, strict=True)
+            for stamp, pose, state, confidence in rows:
+                table.writerow(
+                    [number, int(stamp), *map(repr, pose.tolist()), int(state), repr(float(confidence))]
+                )

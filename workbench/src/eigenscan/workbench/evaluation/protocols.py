@@ -25,8 +25,15 @@ from eigenscan.workbench.evaluation.figures import (
 )
 from eigenscan.workbench.evaluation.kidnap import outcome, plan, splice
 from eigenscan.workbench.evaluation.log import Log
-from eigenscan.workbench.evaluation.metrics import AT_LEAST, Judged, errors, judge, right, summary
-from eigenscan.workbench.evaluation.poses import write_poses
+from eigenscan.workbench.evaluation.metrics import (
+    AT_LEAST,
+    Judged,
+    errors,
+    judge,
+    right,
+    summary,
+    write_poses,
+)
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from eigenscan.workbench.evaluation.windows import Window
 from eigenscan.workbench.evaluation.workers import Workers

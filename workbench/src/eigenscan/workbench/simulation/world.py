@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
-from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 WALL = 0.1
 """Thickness of a wall, centred on the outline of its room."""
@@ -153,3 +154,24 @@ def _furniture() -> tuple[Box | Disc, ...]:
         # square room: nearly the same from four sides; a cupboard and a pillar tell them apart
         Box(25.2, 3.05, 25.95, 4.4), Disc(21.2, 8.6, 0.2),
     )  # fmt: skip
+
+
+BOX_SIDES = (0.4, 1.2)
+"""m, of a side, least and greatest."""
+BOX_AISLE = 0.8
+"""m that a box leaves free around it, so that every place can still be reached."""
+
+
+def put_boxes(grid: GridMap, count: int, random: np.random.Generator) -> GridMap:
+    """The map with `count` boxes more. Raises MapError where so many do not fit."""
+    cells = grid.cells.copy()
+    for number in range(count):
+        half = random.uniform(*BOX_SIDES, size=2) / 2
+        clear = distance_transform_edt(cells == FREE) * grid.resolution
+        places = np.argwhere(clear > float(np.hypot(*half)) + BOX_AISLE)
+        if not len(places):
+            raise MapError(f"{number} boxes fit into the map's free space, not {count}: ask for fewer")
+        row, column = places[random.integers(len(places))]
+        rows, columns = np.maximum(1, np.round(half / grid.resolution)).astype(np.int64)
+        cells[row - rows : row + rows + 1, column - columns : column + columns + 1] = OCCUPIED
+    return GridMap(cells, grid.resolution, grid.origin)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 from eigenscan.geometry.pose import Array
-from eigenscan.recorder.picture.canvas import Canvas, stamp_of
-from eigenscan.recorder.picture.pace import Pace
+from eigenscan.recorder.picture.canvas import Canvas, Pace, stamp_of
 from eigenscan.recorder.picture.palette import HYPOTHESIS, OBSTACLE, TRACK, UNLIKELY, blend
 from eigenscan.recorder.picture.shapes import are_places, arrows, is_place, lift
 from eigenscan.schemas.envelope import Envelope

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
-from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.recently_used import RecentlyUsed
+from eigenscan.schemas.scan_pb2 import Scan
 from google.protobuf.timestamp_pb2 import Timestamp
 
 TIMELINE = "time"
@@ -64,3 +67,50 @@ def stamp_of(timestamp: Timestamp) -> int | None:
     """Ns since the epoch, or None where that is no time that can be shown."""
     stamp = nanoseconds(timestamp)
     return stamp if 0 < stamp < LATEST_NS else None
+
+
+class Pace:
+    """Lets the first message of each period pass, for each key of its own.
+
+    Periods are cut from the stamps, so that all messages that follow from one scan pass together.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period = max(int(1e9 / rate_hz), 1)
+        self._last: dict[str, int] = {}
+
+    def due(self, key: str, stamp: int) -> bool:
+        """Whether the message of `key` at `stamp` (ns) is to be drawn."""
+        period = stamp // self._period
+        if self._last.get(key) == period:
+            return False
+        self._last[key] = period
+        return True
+
+
+SCANS_KEPT = 32
+
+
+class ScanMemory:
+    """Keeps SCANS_KEPT scans of each lidar of each robot."""
+
+    def __init__(self) -> None:
+        self._scans: RecentlyUsed[tuple[str, str], deque[tuple[int, Scan]]] = RecentlyUsed()
+
+    def keep(self, heard: Envelope) -> None:
+        """Remembers the scan, where its stamp is a time."""
+        scan = heard.open(Scan)
+        stamp = stamp_of(scan.timestamp)
+        if stamp is not None:
+            lidar = heard.address["robot"], heard.address["lidar"]
+            self._scans.use(lidar, lambda: deque(maxlen=SCANS_KEPT)).append((stamp, scan))
+
+    def lidars(self, robot: str) -> list[str]:
+        """Lidars of `robot` that have been heard."""
+        return [lidar for (owner, lidar), _ in self._scans.items() if owner == robot]
+
+    def newest(self, robot: str, lidar: str, until: int, age: int = 0) -> Scan | None:
+        """The last scan that came and is stamped `until` (ns) or at most `age` ns before."""
+        scans = self._scans.get((robot, lidar)) or ()
+        fitting = [scan for stamp, scan in scans if until - age <= stamp <= until]
+        return fitting[-1] if fitting else None

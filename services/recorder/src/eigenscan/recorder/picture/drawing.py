@@ -6,20 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 import rerun as rr
-from eigenscan.recorder.picture.beams import BeamsPicture
 from eigenscan.recorder.picture.belief import BeliefPicture
 from eigenscan.recorder.picture.blueprint import blueprint
-from eigenscan.recorder.picture.canvas import Canvas
+from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory
 from eigenscan.recorder.picture.eigenspace import EigenspacePicture
-from eigenscan.recorder.picture.events import Events
 from eigenscan.recorder.picture.floor import Floor
 from eigenscan.recorder.picture.layout import Layout
-from eigenscan.recorder.picture.legend import LEGEND
-from eigenscan.recorder.picture.pace import Pace
-from eigenscan.recorder.picture.plots import Plots
+from eigenscan.recorder.picture.plots import BeamsPicture, Plots
 from eigenscan.recorder.picture.robot import RobotPicture
-from eigenscan.recorder.picture.scan_memory import ScanMemory
-from eigenscan.recorder.picture.status import StatusBoard
+from eigenscan.recorder.picture.status import Events, StatusBoard
 from eigenscan.schemas.channels import (
     HEALTH,
     HYPOTHESES,
@@ -33,6 +28,36 @@ from eigenscan.schemas.channels import (
     Channel,
 )
 from eigenscan.schemas.envelope import Envelope
+
+LEGEND = """
+The **bar on top** says it in one word:
+**LOCALIZED** (green): one pose holds the belief, act on it;
+**AMBIGUOUS** (amber): several places fit all that was seen;
+**LOST** (red): no pose deserves belief, so none is drawn;
+**SILENT** (grey): no pose comes any more.
+
+**On the map** (north up, metres):
+- **arrow with a disc**, in the state's colour: the estimated pose
+- **blue points**: the scan, drawn at that pose; it lies on the walls when the pose is right
+- **red points**: unexpected; the map does not explain them
+- **black arrow**: the true pose, where a simulator tells it
+- **orange arrows**: hypotheses of the last scan; grey: improbable
+- **purple lines**: tracks and their past, from 1 % on; grey: improbable
+
+**Panels**:
+- **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
+- **Error**: distance from the true pose, m.
+- **Beams**: observed minus predicted range of each beam, m; blue: explained, red: unexpected.
+- **Eigenspace**: the scan (blue) and its hypotheses (orange; grey: improbable) by their first three
+  coefficients in the best region's space. The pale cloud is that region, all places and headings; the orange
+  loop is the best hypothesis' place, turned once round: the scan lies on it when the place is right.
+- **Scan and eigen-scans**: the scan's ranges (blue) and what the region's eigenspace keeps of them (orange);
+  below, the first eigen-scans (purple), of which it is mixed.
+- **Events**: changes of state and of the services' health.
+
+Hidden at first: the outlines of the regions that have an eigenspace (`world/regions`).
+"""
+
 
 CHARTS_LESS_OFTEN = 5
 """Charts are dear to draw and slow to read: by this factor less often than the map."""

@@ -8,12 +8,10 @@ import numpy as np
 import rerun as rr
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.recorder.picture.belief import HYPOTHESES_DRAWN, probabilities
-from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
+from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, Pace, ScanMemory, stamp_of
 from eigenscan.recorder.picture.curves import draw_eigenscans, draw_scan
 from eigenscan.recorder.picture.manifold import Manifold
-from eigenscan.recorder.picture.pace import Pace
 from eigenscan.recorder.picture.palette import HYPOTHESIS, PLACE, SCAN, UNLIKELY, blend
-from eigenscan.recorder.picture.scan_memory import ScanMemory
 from eigenscan.recorder.picture.shapes import are_places
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses

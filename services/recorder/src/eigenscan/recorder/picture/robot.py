@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import rerun as rr
 from eigenscan.geometry.pose import Array, covariance_from_message, from_message, from_pose3
-from eigenscan.recorder.picture.canvas import Canvas, stamp_of
-from eigenscan.recorder.picture.pace import Pace
+from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory, stamp_of
 from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state_name
-from eigenscan.recorder.picture.scan_memory import ScanMemory
 from eigenscan.recorder.picture.shapes import Array32, arrows, ellipse, is_place, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
