@@ -118,3 +118,15 @@ def boxes_around(
                 & (z <= high[2, i])
             )
     return np.flatnonzero(inside)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def square_to(coefficients: Singles, rows: Index, weights: Array, alpha: Singles) -> float:
+    """Squared distance of `alpha` (M,) from the scan that the poses `rows` (k,) give by `weights` (k,)."""
+    square = 0.0
+    for m in range(len(alpha)):
+        d = -np.float64(alpha[m])
+        for k in range(len(rows)):
+            d += weights[k] * coefficients[rows[k], m]
+        square += d * d
+    return square

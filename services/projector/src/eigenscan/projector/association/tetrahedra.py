@@ -15,6 +15,7 @@ from eigenscan.projector.association.patches import (
     boxes_around,
     once,
     rows_of,
+    square_to,
     triangulate,
 )
 from eigenscan.projector.association.points import leading
@@ -130,12 +131,7 @@ def _enclosing(
             if not _weights(coefficients, rows, first[r], weights, least):
                 continue
             own = np.argmax(weights)
-            square = 0.0
-            for m in range(alphas.shape[1]):
-                d = -np.float64(alphas[r, m])
-                for k in range(4):
-                    d += weights[k] * coefficients[rows[k], m]
-                square += d * d
+            square = square_to(coefficients, rows, weights, alphas[r])
             x, y, turn = 0.0, 0.0, 0.0
             for k in range(4):
                 x += weights[k] * positions[rows[k] // headings, 0]

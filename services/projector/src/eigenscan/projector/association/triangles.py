@@ -15,6 +15,7 @@ from eigenscan.projector.association.patches import (
     boxes_around,
     once,
     rows_of,
+    square_to,
     triangulate,
 )
 from eigenscan.projector.association.points import leading
@@ -127,12 +128,7 @@ def _below(
         if away > reach[patch] or weights.min() < least:
             continue
         own = np.argmax(weights)
-        square = 0.0
-        for m in range(alphas.shape[1]):
-            d = -np.float64(alphas[r, m])
-            for k in range(3):
-                d += weights[k] * coefficients[rows[k], m]
-            square += d * d
+        square = square_to(coefficients, rows, weights, alphas[r])
         home = rows[own] // headings
         out_rows[found], out_squares[found] = rows[own], square + residuals[r]
         for axis in range(2):
