@@ -315,11 +315,16 @@ def small_disk(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def hour(folder: Path, robots: Sequence[str], seconds: float, pause_s: float) -> Iterator[Hour]:
-    """A fleet whose first robot's clock is a minute behind, ready for an hour of `seconds` at most."""
+def hour(
+    folder: Path, robots: Sequence[str], seconds: float, pause_s: float, hold_back_floods: bool = True
+) -> Iterator[Hour]:
+    """A fleet whose first robot's clock is a minute behind, ready for an hour of `seconds` at most.
+
+    Without `hold_back_floods` the site's router lets through what comes late and at once: all of it counts.
+    """
     with (
         small_disk(folder / "recordings") as disk,
-        fleet(folder, robots, seconds, {robots[0]: CLOCK_S}, disk) as made,
+        fleet(folder, robots, seconds, {robots[0]: CLOCK_S}, disk, hold_back_floods) as made,
         FleetView(made.site.session(), SITE) as view,
         _updating(view),
     ):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from eigenscan.runtime.bus import STAGGER_S, Bus, stagger
+from eigenscan.runtime.bus import Bus, stagger
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.schemas import recently_used
 from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
@@ -19,6 +19,9 @@ from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.wire import decode, encode, encoding
 
 from tests.runtime.conftest import PATIENCE_S
+
+# written out, not taken from what is tested: a change there must show here
+STAGGER_S = 5.0
 
 Opener = Callable[[], Bus]
 

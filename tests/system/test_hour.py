@@ -21,6 +21,9 @@ BACK_S = 30.0
 """At most, beyond the time until what was taken says that it works. Zenoh tries again after up to 4 s."""
 LATE_S = 20.0
 """Of what is judged by the time of arrival, on a busy machine."""
+UNDELIVERED = 0.05
+"""Share of the poses that may be lost though there is a way: those that two processes time differently,
+of which one has them too soon after another for the air."""
 MISSED = 10
 """Poses in a row, of 2 s: by the contract a link may lose some, but it is not silent."""
 
@@ -28,7 +31,7 @@ MISSED = 10
 @pytest.fixture(scope="module")
 def passed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What the hour cost."""
-    with hour(tmp_path_factory.mktemp("hour"), ROBOTS, 1800.0, PAUSE_S) as made:
+    with hour(tmp_path_factory.mktemp("hour"), ROBOTS, 1800.0, PAUSE_S, hold_back_floods=False) as made:
         return play(made, CUT_S, FULL_S, 1, print)
 
 
@@ -59,7 +62,7 @@ def test_what_a_robot_says_is_heard_at_the_site_while_there_is_a_way(passed: dic
     """That it is heard again after each event, the script waits for."""
     assert passed["said"] > 100
     assert passed["longest_undelivered"] < MISSED
-    assert passed["undelivered"] < passed["said"] // 2
+    assert passed["undelivered"] < UNDELIVERED * passed["said"]
 
 
 def test_a_full_disk_is_said_and_what_is_written_stays(passed: dict[str, Any]) -> None:
@@ -73,7 +76,7 @@ def test_a_full_disk_is_said_and_what_is_written_stays(passed: dict[str, Any]) -
 def test_a_bad_link_delays_what_the_site_hears_and_nothing_else(passed: dict[str, Any]) -> None:
     air = passed["bad_air"]
     assert air["said"] > 15
-    assert air["arrived"] > 0.1  # of a burst the site's router takes one
+    assert air["arrived"] > 1.0 - UNDELIVERED  # TCP brings again what the link loses, and all of it counts
     assert air["longest_silence_s"] < LATE_S
     assert air["median_ms"] > air["delay_ms"] * 0.9
     assert max(air["unlocalized_s"].values()) < UNLOCALIZED_S

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.projector.focus import FULL_EVERY, SETTLED, STALE, Reach
+from eigenscan.projector.focus import Reach
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
@@ -13,6 +13,11 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate
 
 from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at
+
+# written out, not taken from what is tested: a change there must show here
+FULL_EVERY = 1_000_000_000
+SETTLED = 300_000_000
+STALE = 1_500_000_000
 
 START = 10**15
 FULL = 2 * np.pi

@@ -3,8 +3,6 @@ import math
 import numpy as np
 import pytest
 from eigenscan.ingest.normalize import (
-    GRAZING,
-    SURFACE_NOISE,
     TURN,
     ScanError,
     Sweep,
@@ -15,6 +13,10 @@ from eigenscan.ingest.normalize import (
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+
+# written out, not taken from what is tested: a change there must show here
+SURFACE_NOISE = 0.03
+GRAZING = math.tan(math.radians(75.0))
 
 INF, NAN = math.inf, math.nan
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
-from eigenscan.tracker.continuity import COMPARED, carried_ratio, goes_on
+from eigenscan.tracker.continuity import carried_ratio, goes_on
 from eigenscan.tracker.odometry import Motion
 from hypothesis import given
 from hypothesis import strategies as st
+
+# written out, not taken from what is tested: a change there must show here
+COMPARED = 10
 
 
 def moved(x: float, turn: float, unknown: float = 0.0) -> Motion:

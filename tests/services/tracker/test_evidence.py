@@ -8,13 +8,6 @@ import numpy as np
 import pytest
 from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.evidence import (
-    ENDS,
-    MOST_AHEAD,
-    SLIP_M,
-    SLIP_RAD,
-    SLIP_SHARE,
-    SLIPS,
-    TWINS,
     Merit,
     explained_by_twins,
     hide_and_show,
@@ -31,6 +24,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.stats import multivariate_normal
+
+# written out, not taken from what is tested: a change there must show here
+ENDS = 0.35
+MOST_AHEAD = 5.0
+SLIP_M = 0.1
+SLIP_RAD = 0.1
+SLIP_SHARE = 1.0
+SLIPS = 0.02
+TWINS = 0.015
 
 R = np.diag([0.05, 0.05, 0.02]) ** 2
 

@@ -239,7 +239,11 @@ def test_a_reference_with_other_stamps_fits_with_its_offset(drive: Drive, tmp_pa
     rows = [line.partition(" ") for line in drive.truth.read_text().splitlines()]
     moved.write_text("\n".join(f"{float(t) - 1000:.6f} {rest}" for t, _, rest in rows))
     figures = run(replace(drive.task, reference=moved, windows=None, offset_s=1000.0))
-    assert figures["windows"] >= 1
+    unmoved = run(replace(drive.task, windows=None))
+    assert figures["windows"] == unmoved["windows"] >= 1
+    assert figures["success_rate"] == unmoved["success_rate"] == 1.0
+    for name in ("position_m", "heading_deg"):
+        assert figures["error"][name]["median"] == pytest.approx(unmoved["error"][name]["median"], rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from eigenscan.mapbuilder.keeping.change import Change
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 from eigenscan.mapbuilder.keeping.keeper import Keeper
 from eigenscan.mapbuilder.keeping.look import Look
-from eigenscan.mapbuilder.keeping.witness import LEAST_RECORD, PROBATION, Witness
+from eigenscan.mapbuilder.keeping.witness import Witness
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.scan_pb2 import Scan
@@ -18,6 +18,9 @@ from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STA
 from scipy.ndimage import binary_dilation
 
 from tests.services.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol, apart
+
+# written out, not taken from what is tested: a change there must show here
+PROBATION, LEAST_RECORD = 10, 25
 
 RANGES = np.full(90, 2.0)
 SECOND = 1_000_000_000
