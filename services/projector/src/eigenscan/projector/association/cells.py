@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
+from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
 from eigenscan.projector.association.points import LEADING, Points, leading
 from numpy.typing import NDArray
 
@@ -14,7 +14,7 @@ _MOST_CELLS = 1 << 16
 
 
 @dataclass(frozen=True)
-class CellTable:
+class CellTable(Association):
     """The poses (n,) in the order of their cells' numbers `keys` (n,), along the first three coefficients.
 
     A cell is a cube of `side`; `low` (3,) is the corner of the first of `shape` (3,) cells of each region.
@@ -28,7 +28,7 @@ class CellTable:
     shape: Index
 
     @classmethod
-    def of(cls, regions: list[Sheets]) -> CellTable:
+    def of(cls, regions: list[Sheets], _margin: float = 0.0) -> CellTable:
         """Table with cells as wide as neighbouring poses are apart on average, over all regions."""
         points = Points.of(regions)
         first = leading(points.coefficients).astype(np.float64)

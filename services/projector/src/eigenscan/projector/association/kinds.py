@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from eigenscan.projector.association.manifold import Association, Sheets
 
-Kind = Literal["sweep", "cells", "tree", "connectivity", "triangles", "tetrahedra"]
+MODULES = {
+    "sweep": "sweep:SweepTable",
+    "cells": "cells:CellTable",
+    "tree": "tree:Trees",
+    "connectivity": "surfaces:Surfaces",
+    "triangles": "triangles:Triangles",
+    "tetrahedra": "tetrahedra:Tetrahedra",
+}
+"""Module beside this one, and class in it, of each: the one place that a new association is named in."""
+
+if TYPE_CHECKING:
+    Kind = str
+else:
+    Kind = Literal[tuple(MODULES)]
 
 
 def association(kind: Kind, regions: list[Sheets], margin: float) -> Association:
-    """The association `kind` with the sheets of all regions; `margin` as of Tetrahedra and Triangles."""
-    match kind:
-        case "sweep":
-            from eigenscan.projector.association.sweep import SweepTable
-
-            return SweepTable.of(regions)
-        case "cells":
-            from eigenscan.projector.association.cells import CellTable
-
-            return CellTable.of(regions)
-        case "tree":
-            from eigenscan.projector.association.tree import Trees
-
-            return Trees.of(regions)
-        case "connectivity":
-            from eigenscan.projector.association.surfaces import Surfaces
-
-            return Surfaces.of(regions)
-        case "triangles":
-            from eigenscan.projector.association.triangles import Triangles
-
-            return Triangles.of(regions, margin)
-        case "tetrahedra":
-            from eigenscan.projector.association.tetrahedra import Tetrahedra
-
-            return Tetrahedra.of(regions, margin)
+    """The association `kind` over the sheets of all regions; `margin` as in `Association.of`."""
+    module, _, name = MODULES[kind].partition(":")
+    made: type[Association] = getattr(import_module(f"{__package__}.{module}"), name)
+    return made.of(regions, margin)

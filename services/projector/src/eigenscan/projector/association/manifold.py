@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,16 +97,32 @@ class Matches:
 
 
 class Association(Protocol):
-    """Finds the poses whose scans lie near a scan in eigenspace."""
+    """Finds the poses whose scans lie near a scan in eigenspace.
+
+    Coefficients are in m: ||S - S'||^2 of two scans, m^2, is the sum over their beams of the
+    squared differences of what is analysed of a range (a point on the ring, m; or the range itself, m).
+    """
+
+    @classmethod
+    def of(cls, regions: list[Sheets], margin: float, /) -> Self:
+        """Over the sheets of all R regions of a site, for one sensor. Made once for each, not for each scan.
+
+        A row of a match counts through these in their order: all P * H poses of the first region, position
+        by position, then those of the next. `margin`: the share of its size, 0 to 1, by which a scan may lie
+        outside of what is interpolated in; who does not interpolate passes over it.
+        """
+        ...
 
     @property
     def nbytes(self) -> int:
         """Memory of the index, bytes."""
+        ...
 
     def nearest(self, alphas: Array, residuals: Array, count: int) -> Matches:
-        """At most about `count` matches of all regions.
+        """At most about `count` matches of all regions, nearest first; the same for the same arguments.
 
-        `alphas` (R, M): the scan in each region's space; `residuals` (R,): ||E||^2 there. What a space does
-        not hold counts in full: ||alpha - alpha'||^2 + ||E||^2 is comparable across spaces. A region with
-        +inf is not searched.
+        `alphas` (R, M): the scan in each region's space, as the sheets' coefficients; `residuals` (R,):
+        ||E||^2 there, m^2: what a space does not hold counts in full, so that ||alpha - alpha'||^2 + ||E||^2
+        is comparable across spaces. A region with +inf is not searched.
         """
+        ...

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
+from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
 from eigenscan.projector.association.sweep import SweepTable
 from numba import njit
 from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Surfaces:
+class Surfaces(Association):
     """All poses, and which of them are neighbours on a sheet.
 
     `neighbours` (P, 4): positions beside each position, -1 where there is none, counted through the regions;
@@ -26,7 +26,7 @@ class Surfaces:
     """Room (n,) for the poses' places in the list, -1 between scans."""
 
     @classmethod
-    def of(cls, regions: list[Sheets]) -> Surfaces:
+    def of(cls, regions: list[Sheets], _margin: float = 0.0) -> Surfaces:
         """Surfaces of the regions."""
         neighbours, before = [], 0
         for region in regions:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
+from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
 from numba import njit
 from numpy.typing import NDArray
 
@@ -32,7 +32,7 @@ Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class SweepTable:
+class SweepTable(Association):
     """B blocks of poses, region after region: region r has those from `bounds[r]` to `bounds[r + 1]`.
 
     `blocks` (B, M, BLOCK): coefficients in units of `unit`, M filled up with zeros to a multiple of 8;
@@ -48,7 +48,7 @@ class SweepTable:
     opened: float = OPENED
 
     @classmethod
-    def of(cls, regions: list[Sheets]) -> SweepTable:
+    def of(cls, regions: list[Sheets], _margin: float = 0.0) -> SweepTable:
         """Table of all poses of the regions."""
         tables = [r.coefficients.reshape(r.rows, -1) for r in regions]
         unit = max(max(float(np.abs(table).max(initial=0.0)) for table in tables) / _STEPS, 1e-9)

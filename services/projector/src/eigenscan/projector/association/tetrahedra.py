@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
+from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
 from eigenscan.projector.association.patches import (
     ROUNDING,
     Boxes,
@@ -27,7 +27,7 @@ CORNERS = ((0, 3, 4, 5), (0, 1, 4, 5), (0, 1, 2, 5))
 
 
 @dataclass(frozen=True)
-class Tetrahedra:
+class Tetrahedra(Association):
     """Between a patch and the same patch at the next heading lies a prism of three tetrahedra.
 
     `lowest` and `highest` (3, T * H): the box around each prism in the first three coefficients.

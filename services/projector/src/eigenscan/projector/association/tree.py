@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
+from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
 from scipy.spatial import cKDTree
 
 _NODE_BYTES = 72
@@ -13,14 +13,14 @@ _NODE_BYTES = 72
 
 
 @dataclass(frozen=True)
-class Trees:
+class Trees(Association):
     """A tree over all coefficients for each region; its poses are counted from `bounds` (R + 1,)."""
 
     trees: tuple[cKDTree, ...]
     bounds: Index
 
     @classmethod
-    def of(cls, regions: list[Sheets]) -> Trees:
+    def of(cls, regions: list[Sheets], _margin: float = 0.0) -> Trees:
         """Trees of all poses of the regions."""
         # the midpoint split builds in a fraction of the time and is as quick on such data
         trees = tuple(

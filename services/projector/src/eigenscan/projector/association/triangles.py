@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.projector.association.manifold import Array, Index, Matches, Sheets
+from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
 from eigenscan.projector.association.patches import (
     ROUNDING,
     Boxes,
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Triangles:
+class Triangles(Association):
     """Patches, and how far before and behind each the scan may lie: `reach` (T * H,).
 
     That is half of the farthest step from one of its corners to the next sheet, and the margin: no pose's
