@@ -37,19 +37,12 @@ from eigenscan.workbench.evaluation.windows import (
 )
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
+from evaluate import CASES, DATASETS
+from evaluate import Case as Listed
 from simulated_worlds import worlds, write
 from worse_maps import WAYS, Worse, stays
 
-DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
-CASES = {
-    "intel": ("intel", "log.clf.gz", "log.tum"),
-    "guardian 3": ("guardian", "guardian_3.bag", "guardian_3.tum"),
-    "fr079": ("fr079", "log.clf.gz", "log.tum"),
-    "aces": ("aces", "log.clf.gz", "log.tum"),
-    "jarvis": ("jarvis", "jarvis_complex_path_fast.bag", "jarvis_complex_path_fast.tum"),
-    "guardian 2": ("guardian", "guardian_controller_2.bag", "guardian_controller_2.tum"),
-    "olin": ("olin_mac", "rosbag2", "rosbag2.tum"),
-}
+LOGS = (*CASES, Listed("aces", "aces", "log.clf.gz", "log.tum"))
 CHOSEN_ON = ("intel", "guardian 3")
 """Logs that choices were made on; the others only judge."""
 LAST_SHARE = 1 / 3
@@ -106,8 +99,9 @@ def _options() -> argparse.Namespace:
 
 
 def _cases(options: argparse.Namespace) -> Iterator[Case]:
-    for name, (folder, log, reference) in CASES.items():
-        if name in (options.only or CASES):
+    for listed in LOGS:
+        name, folder, log, reference = listed.name, listed.folder, listed.log, listed.reference
+        if not options.only or name in options.only:
             yield _case(name, options.datasets / folder, log, reference)
     if options.simulated:
         for world in worlds():

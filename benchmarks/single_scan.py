@@ -39,8 +39,7 @@ from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.metrics import WITHIN_M, WITHIN_RAD, errors, right
 from eigenscan.workbench.evaluation.reference import NS, read_trajectory
 from eigenscan.workbench.logs.log import LogOptions
-
-DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
+from evaluate import DATASETS
 
 
 @dataclass(frozen=True)
