@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.pose import Array
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 DIRECTIONS = 120  # of a turn: 3 degrees
 CAP = 10.0  # m: a wall farther than that, or none, counts as this

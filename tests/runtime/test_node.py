@@ -171,6 +171,7 @@ def test_a_prompt_core_ends_in_time_with_its_last_words(
     assert service.log("stopped")["core_failed"] == 1
 
 
+@pytest.mark.slow
 def test_none_of_many_dies_of_its_end_amid_traffic(
     net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
 ) -> None:

@@ -103,6 +103,7 @@ def test_walls_of_one_pixel_hold_every_ray(tmp_path: Path) -> None:
     assert model.panoramas.max() <= 140 * 0.05
 
 
+@pytest.mark.slow
 def test_huge_unknown_areas_change_nothing(usual: tuple[GridMap, SiteModel], tmp_path: Path) -> None:
     grid, expected = usual
     cells = np.full((3200, 3600), 255, dtype=np.uint8)

@@ -285,6 +285,7 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
 
 
+@pytest.mark.slow
 def test_more_keys_than_a_file_can_number_begin_the_next_file(tmp_path: Path) -> None:
     clock, keys = Clock(), 2**16 + 10
     sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})

@@ -308,6 +308,7 @@ def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(
     assert not any(state == STATE_LOCALIZED and not right for state, right in states)
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_for_an_hour_stays_sure(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:

@@ -9,8 +9,6 @@ import pytest
 
 from tests.environment import PROGRAMS, ROOT
 
-pytestmark = pytest.mark.slow
-
 EXAMPLES = ROOT / "examples"
 PROJECTOR = EXAMPLES / "exhaustive-projector"
 RUST_INGEST = EXAMPLES / "scan-ingest-rust"
@@ -41,11 +39,13 @@ def test_the_projector_knows_nothing_of_ours_but_the_messages() -> None:
     assert all(name.endswith("_pb2") for name in foreign), foreign
 
 
+@pytest.mark.slow
 def test_the_projector_conforms() -> None:
     done = conforms("projector", sys.executable, PROJECTOR / "exhaustive_projector.py")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.rust
 @pytest.mark.timeout(1800)
 def test_the_scan_ingest_in_rust_conforms() -> None:

@@ -19,7 +19,7 @@ from eigenscan.workbench.logs import LogOptions, open_log
 
 from tests.environment import DATASETS
 
-pytestmark = pytest.mark.dataset
+pytestmark = [pytest.mark.dataset, pytest.mark.slow]
 Judging = Callable[[str], Any]
 
 
