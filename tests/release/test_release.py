@@ -39,7 +39,6 @@ def workspace(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a release consists of; each test that needs it takes this one."""
@@ -49,6 +48,7 @@ def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_everything_is_built_installed_and_used(dist: Path) -> None:
     with tarfile.open(next(dist.glob("eigenscan_localize-0*.tar.gz"))) as sdist:
         names = sdist.getnames()
