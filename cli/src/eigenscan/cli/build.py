@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from eigenscan.geometry.gridmap import GridMap
     from eigenscan.mapbuilder.cluster import Workers
     from eigenscan.mapbuilder.geojson import GivenRegion
+    from eigenscan.mapbuilder.quality import Quality
     from eigenscan.mapbuilder.site import Layout, Plan
     from eigenscan.schemas.model_pb2 import ModelSet
 
@@ -99,6 +100,7 @@ def build(
     from eigenscan.mapbuilder.floors import name_by_floor
     from eigenscan.mapbuilder.geojson import read_regions, to_geojson
     from eigenscan.mapbuilder.picture import draw_regions
+    from eigenscan.mapbuilder.quality import quality
     from eigenscan.mapbuilder.regions import Division
     from eigenscan.mapbuilder.site import Plan
 
@@ -136,7 +138,8 @@ def build(
             to_geojson(outlines(layout.regions, layout.names), frame_id),
             floors,
         )
-    _summarize(message, layout, built, out, time.perf_counter() - began, json_file)
+    found = quality(grid, layout.positions.points, plan.range_cap)
+    _summarize(message, layout, found, built, out, time.perf_counter() - began, json_file)
 
 
 def _stacked(maps: Sequence[tuple[str, GridMap]]) -> tuple[GridMap, tuple[Floor, ...]]:
@@ -180,6 +183,7 @@ def _build(
 def _summarize(
     message: ModelSet,
     layout: Layout,
+    found: Quality,
     built: tuple[Mapping[str, Piece], int],
     folder: Path,
     seconds: float,
@@ -187,16 +191,21 @@ def _summarize(
 ) -> None:
     from eigenscan.eigenspace.folder import PICTURE
 
-    pieces, found = built
+    pieces, before = built
     components = [piece.components for piece in pieces.values()]
     spacing = layout.positions.spacing
     shared = sum(len(area.positions.index) for area in layout.areas)
     wire_bytes = sum(entry.size for entry in message.entries)
     figures = {
         "regions": len(pieces),
-        "regions_finished_before": found,
+        "regions_finished_before": before,
         "floors": [floor.name for floor in message.floors],
         "free_area_m2": message.free_area_m2,
+        "map_cell_m": found.cell_m,
+        "wall_thickness_m": found.wall_thickness_m,
+        "walls_thinned": found.thinned,
+        "walls_in_sight": found.walls_in_sight,
+        "usual_range_m": None if math.isnan(found.usual_range_m) else found.usual_range_m,
         "positions": layout.held,
         "spacing_m": spacing,
         "within_error": None if math.isnan(layout.within) else layout.within,
@@ -211,9 +220,13 @@ def _summarize(
     if not math.isnan(layout.within):
         apart += " at the closest"
     rows = {
-        "regions": str(len(pieces)) + (f", {found} of them finished before" if found else ""),
+        "regions": str(len(pieces)) + (f", {before} of them finished before" if before else ""),
         **({"floors": ", ".join(floor.name for floor in message.floors)} if message.floors else {}),
         "free area": f"{message.free_area_m2:.0f} m²",
+        "walls": f"{found.wall_thickness_m:.2f} m thick in cells of {found.cell_m:g} m"
+        + (f": {found.expectation}" if found.expectation else ""),
+        "in sight": f"{found.walls_in_sight:.0%} of the beams meet a wall, "
+        f"{found.usual_range_m:.1f} m away in the median",
         "positions": f"{layout.held} ({shared} with the regions' overlap), {apart}",
         **(
             {}

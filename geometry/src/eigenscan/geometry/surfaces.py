@@ -67,10 +67,12 @@ def faces_of(grid: GridMap) -> GridMap:
 
 def _depth(wall: NDArray[np.bool_], deepest: float) -> NDArray[np.float32]:
     """Depth (H, W), cells, of each wall cell's centre below the wall's outline; 0 where there is none."""
-    depth = np.zeros(wall.shape, dtype=np.float32)
-    for part, distance in distance_tiles(wall, deepest):
+    # what lies beyond the map's edge is no wall
+    padded = np.pad(wall, 1)
+    depth = np.zeros(padded.shape, dtype=np.float32)
+    for part, distance in distance_tiles(padded, deepest):
         depth[part] = np.clip(distance - 0.5, 0.0, deepest)
-    return depth
+    return depth[1:-1, 1:-1]
 
 
 def _ordinary_depth(grid: GridMap, depth: NDArray[np.float32], middle: NDArray[np.bool_]) -> float:

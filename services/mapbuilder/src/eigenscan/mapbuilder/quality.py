@@ -1,0 +1,53 @@
+"""What can be said of a map before any robot drives in it: how thick its walls are, and what is in sight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.geometry.surfaces import Surfaces
+from numpy.typing import NDArray
+
+PLACES, BEAMS = 500, 72
+"""Of the positions at most, and the directions that are looked along from each."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """A map's cells, m; how thick an ordinary wall is in it, m, and whether walls are thinned for that.
+
+    Then the share of all beams that meet a wall within the range looked for, and how far it is, m, in the
+    median; NaN where none does.
+    """
+
+    cell_m: float
+    wall_thickness_m: float
+    thinned: bool
+    walls_in_sight: float
+    usual_range_m: float
+
+    @property
+    def expectation(self) -> str:
+        """What follows for who is to be found in it, in words; empty where nothing is out of the ordinary."""
+        return (
+            "thicker than a lidar's error: a surface may lie anywhere in them, and fewer scans are sure"
+            if self.thinned
+            else ""
+        )
+
+
+def quality(grid: GridMap, points: NDArray[np.float64], within: float) -> Quality:
+    """Quality of a map, as seen from positions (P, 2), m, as far as `within`, m."""
+    surfaces = Surfaces.of(grid)
+    chosen = points[np.linspace(0, len(points) - 1, min(len(points), PLACES)).round().astype(np.int64)]
+    ranges = RayCaster.of(surfaces.grid).panoramas(chosen, BEAMS, within)
+    seen = ranges[np.isfinite(ranges)]
+    return Quality(
+        cell_m=grid.resolution,
+        wall_thickness_m=surfaces.thickness,
+        thinned=surfaces.grid is not grid,
+        walls_in_sight=float(np.isfinite(ranges).mean()) if ranges.size else 0.0,
+        usual_range_m=float(np.median(seen)) if len(seen) else float("nan"),
+    )

@@ -1,0 +1,39 @@
+"""What is said of a map before any robot drives in it."""
+
+import numpy as np
+import pytest
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.mapbuilder.quality import quality
+
+
+def room(thick: int) -> GridMap:
+    """10 m by 6 m inside, in cells of 0.1 m, walls of so many cells."""
+    cells = np.full((60 + 2 * thick, 100 + 2 * thick), OCCUPIED, dtype=np.uint8)
+    cells[thick:-thick, thick:-thick] = FREE
+    return GridMap(cells, 0.1, np.array([-0.1 * thick, -0.1 * thick, 0.0]))
+
+
+POINTS = np.array([[2.0, 3.0], [5.0, 3.0], [8.0, 3.0]])
+
+
+def test_thin_walls_promise_nothing_out_of_the_ordinary() -> None:
+    found = quality(room(1), POINTS, 20.0)
+    assert found.cell_m == 0.1
+    assert found.wall_thickness_m == pytest.approx(0.1)
+    assert not found.thinned
+    assert not found.expectation
+    assert found.walls_in_sight == 1.0
+    assert found.usual_range_m == pytest.approx(3.4, abs=0.4)
+
+
+def test_thick_walls_are_told_and_what_follows() -> None:
+    found = quality(room(5), POINTS, 20.0)
+    assert found.wall_thickness_m == pytest.approx(0.5, abs=0.11)
+    assert found.thinned
+    assert "fewer scans" in found.expectation
+
+
+def test_where_no_wall_is_in_reach_none_is_in_sight() -> None:
+    found = quality(room(1), POINTS, 1.0)
+    assert found.walls_in_sight == 0.0
+    assert np.isnan(found.usual_range_m)
