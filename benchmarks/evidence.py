@@ -7,9 +7,6 @@ half a metre or half a radian on. There it has a hypothesis of some log-likeliho
 the next place, or none. The table is ln p(that | the track was right) / p(that | it was wrong); the
 tracker's own figures (services/tracker, evidence.py) stand beside it.
 
-Then how often more hypotheses of a list go on in a later one as the robot moved than as if it had moved
-backwards, and the other way round: what tells the sign of the way (services/tracker, direction.py).
-
 Then how many of a list's ten likeliest go on in the next list, and how many where the robot was carried to
 another place in between: what tells that it was (services/tracker, continuity.py).
 
@@ -34,10 +31,7 @@ from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import between, compose
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
-from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on, going_on
-from eigenscan.tracker.direction import NEAR_M as SIGN_NEAR_M
-from eigenscan.tracker.direction import NEAR_RAD as SIGN_NEAR_RAD
-from eigenscan.tracker.direction import REACH_M
+from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.evidence import ENDS, EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
 from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.log import read_log
@@ -206,31 +200,6 @@ def missing(windows: list[list[Answer]]) -> dict[str, float]:
     return {"missing": left_out / max(lists, 1)}
 
 
-def signs(windows: list[list[Answer]]) -> dict[str, float]:
-    """How often lists some way apart speak for the true direction of that way, against it, or not at all."""
-    for_it = against = total = 0
-    for scans in windows:
-        for start, seen in reaching(scans):
-            moved = between(start.truth, seen.truth)
-            true, back = (
-                going_on(compose(start.poses, moved * sign), seen.poses, SIGN_NEAR_M, SIGN_NEAR_RAD)
-                for sign in (np.ones(3), np.array([-1.0, -1.0, 1.0]))
-            )
-            for_it, against, total = for_it + (true > back), against + (true == 0 < back), total + 1
-    return {"sign_right": for_it / max(total, 1), "sign_wrong": against / max(total, 1)}
-
-
-def reaching(scans: list[Answer]) -> Iterator[tuple[Answer, Answer]]:
-    """One stretch after the other that reaches far enough ahead or back."""
-    if not scans:
-        return
-    start = scans[0]
-    for seen in scans:
-        if abs(between(start.truth, seen.truth)[0]) >= REACH_M:
-            yield start, seen
-            start = seen
-
-
 def continuity(windows: list[list[Answer]]) -> dict[str, list[float]]:
     """Shares of lists of which 0 to COMPARED go on: in the next one, and in one at least AWAY_M off."""
     together, apart = np.zeros(COMPARED + 1), np.zeros(COMPARED + 1)
@@ -274,7 +243,6 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
         }
         | hiding(windows)
         | missing(windows)
-        | signs(windows)
         | continuity(windows)
         | twins(windows)
     )
@@ -284,7 +252,6 @@ def show(row: dict[str, Any]) -> None:
     print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks, {row['wrong_tracks']:.0f} wrong ones")
     print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
     print(f"left out between two lists that have it: {row['missing']:.1%} (tracker {MISSES:.1%})")
-    print(f"the way's sign: right {row['sign_right']:.1%}, wrong {row['sign_wrong']:.1%} of the stretches")
     for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
         print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))
     ratio = [max(BY_CHANCE - count, np.log(LEAST)) for count in range(COMPARED + 1)]

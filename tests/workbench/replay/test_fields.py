@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from eigenscan.schemas.channels import HYPOTHESES, OBSTACLES, POSE, SCAN, TRACKS, TRANSFORM
+from eigenscan.schemas.channels import HYPOTHESES, OBSTACLES, POSE, SCAN, SCAN_MOTION, TRACKS, TRANSFORM
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
 from eigenscan.schemas.scan_pb2 import Scan
@@ -90,9 +90,10 @@ def test_the_table_names_fields_that_exist() -> None:
             elif field.cpp_type in {field.CPPTYPE_DOUBLE, field.CPPTYPE_FLOAT}:
                 floats.add((*around, field.name))
 
-    for channel in (SCAN, HYPOTHESES, OBSTACLES, POSE, TRACKS, TRANSFORM):
+    for channel in (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, POSE, TRACKS, TRANSFORM):
         visit(channel.message.DESCRIPTOR, ())
     assert TOLERANCES.keys() <= names
-    stated = {"range_min", "range_max", "searched_area_m2"}  # copied, never computed from a scan
+    # copied, never computed from a scan
+    stated = {"range_min", "range_max", "searched_area_m2", "protection_risk", "longest_step"}
     bare = {path for path in floats if not set(path) & TOLERANCES.keys()}
     assert {path[-1] for path in bare} == stated

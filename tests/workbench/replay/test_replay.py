@@ -18,6 +18,7 @@ from eigenscan.schemas.channels import (
     ODOMETRY,
     POSE,
     SCAN,
+    SCAN_MOTION,
     SCAN_RAW,
     TRACKS,
     TRANSFORM,
@@ -61,10 +62,10 @@ def with_message(timed: Timed, **fields: object) -> Timed:
 @pytest.mark.parametrize(
     ("service", "said"),
     [
-        ("scan-ingest", (SCAN,)),
+        ("scan-ingest", (SCAN, SCAN_MOTION)),
         ("projector", (HYPOTHESES, OBSTACLES)),
         ("tracker", TRACKER_SAYS),
-        ("pipeline", (SCAN, HYPOTHESES, OBSTACLES, *TRACKER_SAYS)),
+        ("pipeline", (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, *TRACKER_SAYS)),
     ],
 )
 def test_a_run_replays_to_the_same_bits(

@@ -16,7 +16,7 @@ from functools import cached_property
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
-from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -174,6 +174,13 @@ SCAN = Channel(
     _SWEEP,
     "the canonical scan, from scan-ingest, for all others",
 )
+SCAN_MOTION = Channel(
+    "scan_motion",
+    "{site}/robot/{robot}/scan/motion/{lidar}",
+    ScanMotion,
+    Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=5.0),
+    "how the robot moved between two scans, by these alone, from scan-ingest, for the tracker",
+)
 ODOMETRY = Channel(
     "odometry",
     "{site}/robot/{robot}/odom",
@@ -268,6 +275,7 @@ HEALTH = Channel(
 CHANNELS: tuple[Channel, ...] = (
     SCAN_RAW,
     SCAN,
+    SCAN_MOTION,
     ODOMETRY,
     HYPOTHESES,
     OBSTACLES,

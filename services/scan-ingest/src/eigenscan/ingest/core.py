@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import chain, pairwise
 
 import numpy as np
 from eigenscan.ingest.normalize import FARTHEST, Ranges, ScanError, Sweep, limit, orient, resample
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
-from eigenscan.schemas.channels import SCAN, SCAN_RAW, Channel, ContractError
-from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
-from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.ingest.watch import FROZEN, Watch, one_value
+from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
+from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
+from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.recently_used import RecentlyUsed
-from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 
 RECENT = 50
 GAP_NS = 1_000_000_000
 """Between two scans: the lidar paused, or its clock was set forward; its stamps do not tell which."""
+NAMED = 5
+"""Of a lidar's latest RECENT scans so many that are covered or late tell of a fault, not of a moment."""
 
 
 @dataclass
@@ -30,13 +34,33 @@ class _Lidar:
     late: int = 0  # scans in a row that lie before it
     latest_late: int = 0  # ns, stamp of the last of those
     published: int = 0
+    watch: Watch = field(default_factory=Watch)
+    recent: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))  # why set aside, or ""
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with it, in words that follow its name; empty: nothing."""
+        repeats, recent = self.watch.repeats, list(self.recent)
+        if repeats + 1 >= FROZEN:
+            return f"frozen: {repeats + 1} identical scans (or a simulated robot without noise stands)"
+        covered = recent.count("one_value")
+        if covered >= NAMED and recent[-1] == "one_value":
+            return f"covered: all beams say one value, in {covered} of the last {len(recent)} scans"
+        if self.watch.two_lidars:
+            return "has two mounts by turns: do two lidars use this name?"
+        turns = sum((a == "out_of_order") != (b == "out_of_order") for a, b in pairwise(recent))
+        if turns >= 2 * NAMED:
+            return (
+                "has stamps of two times by turns: do two lidars or two robots use this name, or two clocks?"
+            )
+        return ""
 
 
 class ScanIngestCore:
     """Normalizes the scans of any number of lidars; see the README for the rules."""
 
     hears: tuple[Channel, ...] = (SCAN_RAW,)
-    says: tuple[Channel, ...] = (SCAN,)
+    says: tuple[Channel, ...] = (SCAN, SCAN_MOTION)
 
     def __init__(self, settings: ScanIngestSettings) -> None:
         self._settings = settings
@@ -50,27 +74,40 @@ class ScanIngestCore:
         return ()
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        """The canonical scan of a raw one, or nothing where it was set aside."""
+        """The canonical scan of a raw one unless it was set aside; then, now and then, the motion."""
         self._counts["heard"] += 1
         try:
-            scan = self._normalize(heard)
+            raw = heard.open(RawScan)
         except ContractError:
             return self._set_aside("other_message")
+        lidar = self._lidars.use((heard.address["robot"], heard.address["lidar"]), self._new_lidar)
+        try:
+            scan, ranges = self._normalize(lidar, heard.address["lidar"], raw)
         except ScanError as unusable:
+            lidar.recent.append(unusable.reason)
             return self._set_aside(unusable.reason)
+        lidar.recent.append("")
         self._counts["published"] += 1
         self._recent.append("")
-        return (Envelope(SCAN, heard.address, scan),)
+        # the scan goes out before the motion is looked for
+        return chain((Envelope(SCAN, heard.address, scan),), self._motion(lidar, heard, scan, ranges))
 
     def finish(self) -> Iterable[Envelope]:
         """Nothing is held back."""
         return ()
 
     def condition(self) -> Condition:
-        """DEGRADED where most of the latest scans were set aside."""
+        """DEGRADED where a lidar is frozen, covered or not one alone, or most scans were set aside."""
         counters = dict(self._counts)
         if not self._recent:
             return Condition(Health.STATUS_WAITING, "no scan heard yet", counters)
+        faults = [
+            f"lidar {robot}/{name} {lidar.fault}"
+            for (robot, name), lidar in self._lidars.items()
+            if lidar.fault
+        ]
+        if faults:
+            return Condition(Health.STATUS_DEGRADED, "; ".join(faults[:3]), counters)
         reasons = Counter(reason for reason in self._recent if reason)
         if 2 * reasons.total() <= len(self._recent):
             return Condition(Health.STATUS_OK, "", counters)
@@ -83,12 +120,33 @@ class ScanIngestCore:
         self._recent.append(reason)
         return ()
 
-    def _normalize(self, heard: Envelope) -> Scan:
-        raw = heard.open(RawScan)
-        lidar = self._lidars.use((heard.address["robot"], heard.address["lidar"]), self._new_lidar)
-        stamp = nanoseconds(raw.timestamp)
-        self._check_order(lidar, stamp)
-        mount, upside_down = self._mount(heard.address["lidar"], raw)
+    def _motion(self, lidar: _Lidar, heard: Envelope, scan: Scan, ranges: Ranges) -> Iterator[Envelope]:
+        mount = (scan.mount.x, scan.mount.y, scan.mount.theta)
+        told = lidar.watch.hear(
+            nanoseconds(scan.timestamp), ranges, scan.angle_min, scan.angle_increment, mount
+        )
+        if told is None:
+            return
+        since, moved = told
+        message = ScanMotion(timestamp=scan.timestamp, since=stamp(since), repeats=lidar.watch.repeats)
+        if moved is not None:
+            message.explained, message.longest_step = moved.explained, lidar.watch.longest_step
+        else:
+            self._counts["identical_scans"] += 1
+        if moved is not None and moved.fits:
+            x, y, theta = moved.delta
+            (xx, xy, xt), (_, yy, yt), (_, _, tt) = moved.covariance.tolist()
+            message.motion.CopyFrom(Pose2(x=x, y=y, theta=theta))
+            message.covariance.CopyFrom(Covariance3(xx=xx, xy=xy, xt=xt, yy=yy, yt=yt, tt=tt))
+        yield Envelope(SCAN_MOTION, heard.address, message)
+
+    def _normalize(self, lidar: _Lidar, name: str, raw: RawScan) -> tuple[Scan, Ranges]:
+        time = nanoseconds(raw.timestamp)
+        self._check_order(lidar, time)
+        mount, upside_down = self._mount(name, raw)
+        lidar.watch.hear_layout((mount.x, mount.y, mount.theta), raw.angle_min)
+        if lidar.watch.two_lidars:
+            raise ScanError("two_lidars")
         range_min, range_max = self._limits(raw)
         sweep = orient(Sweep(self._ranges(raw), raw.angle_min, raw.angle_increment), upside_down)
         sweep = Sweep(limit(sweep.ranges, range_min, range_max), sweep.angle_min, sweep.angle_increment)
@@ -96,6 +154,8 @@ class ScanIngestCore:
             raise ScanError("no_valid_range")
         if self._step is not None:
             sweep = resample(sweep, self._step)
+        if one_value(sweep.ranges, sweep.angle_increment):
+            raise ScanError("one_value")
         scan = Scan(
             timestamp=raw.timestamp,
             frame_id=self._settings.base_frame,
@@ -107,8 +167,8 @@ class ScanIngestCore:
             ranges=sweep.ranges.tolist(),
             sequence=lidar.published,
         )
-        lidar.newest, lidar.late, lidar.published = stamp, 0, lidar.published + 1
-        return scan
+        lidar.newest, lidar.late, lidar.published = time, 0, lidar.published + 1
+        return scan, sweep.ranges
 
     def _new_lidar(self) -> _Lidar:
         self._counts["lidars"] += 1

@@ -12,7 +12,7 @@ from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
-from scipy.special import chndtr, ndtr
+from scipy.special import chndtr, ndtr, ndtri
 
 Array = NDArray[np.float64]
 
@@ -61,6 +61,43 @@ def share_within(delta: Array, C: Array) -> Array:
     heading = ndtr((NEAR_RAD - delta[:, 2]) / sigma) - ndtr((-NEAR_RAD - delta[:, 2]) / sigma)
     result: Array = np.nan_to_num(position).clip(0.0, 1.0) * heading
     return result
+
+
+PLACE_M, PLACE_RAD = 1.0, 0.35
+"""Tracks this near to the best are of its place: their poses widen the level, others are risk."""
+
+
+@dataclass(frozen=True)
+class Protection:
+    """A radius, m, and an angle, rad, that hold with a stated risk."""
+
+    radius: float
+    angle: float
+
+
+def protect(tracks: Tracks, best: int, risk: float) -> Protection | None:
+    """The level that the belief puts at most `risk` beyond; None where other places hold as much.
+
+    Mass of other tracks and of "none" is risk that no radius covers. What is left is shared by position, as
+    wide as the ellipses' long axes, and heading.
+    """
+    weight = np.exp(tracks.log_weight)
+    delta = residual(tracks.x, tracks.x[best])
+    off = np.hypot(delta[:, 0], delta[:, 1])
+    here = (tracks.frame == tracks.frame[best]) & (off <= PLACE_M) & (np.abs(delta[:, 2]) <= PLACE_RAD)
+    left = risk - (1.0 - float(weight[here].sum()))
+    if left <= 0.0:
+        return None
+    # each track that is left out costs its mass
+    order = np.flatnonzero(here)[np.argsort(weight[here], kind="stable")]
+    dropped = np.cumsum(weight[order]) <= 0.25 * left
+    C, kept = tracks.C, order[~dropped]
+    half = (C[kept, 0, 0] + C[kept, 1, 1]) / 2
+    wide = half + np.hypot((C[kept, 0, 0] - C[kept, 1, 1]) / 2, C[kept, 0, 1])
+    share = 0.375 * left
+    radius = off[kept] + np.sqrt(-2.0 * np.log(share) * wide)
+    angle = np.abs(delta[kept, 2]) - ndtri(share / 2.0) * np.sqrt(C[kept, 2, 2])
+    return Protection(float(radius.max()), float(angle.max()))
 
 
 def next_state(state: State, belief: Belief, confidence: float, settings: TrackerSettings) -> State:

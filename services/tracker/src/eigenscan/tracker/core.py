@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from math import isnan
+from math import isfinite, isnan
 
 import numpy as np
 from eigenscan.geometry.pose import (
@@ -14,13 +14,24 @@ from eigenscan.geometry.pose import (
     to_message,
     yaw,
 )
-from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS, TRANSFORM, Channel
+from eigenscan.schemas.channels import (
+    HYPOTHESES,
+    ODOMETRY,
+    POSE,
+    RELOCATION,
+    SCAN_MOTION,
+    TRACKS,
+    TRANSFORM,
+    Channel,
+)
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.recently_used import RecentlyUsed
+from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
-from eigenscan.tracker.observation import observe
+from eigenscan.tracker.agreement import ScanInterval
+from eigenscan.tracker.observation import FARTHEST, observe
 from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
 from eigenscan.tracker.settings import TrackerSettings
@@ -45,7 +56,7 @@ class _Tracked:
 class TrackerCore:
     """Hypotheses become one honest pose (paper, section 7); one state per robot."""
 
-    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, RELOCATION)
+    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, SCAN_MOTION, RELOCATION)
     says: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -66,6 +77,9 @@ class TrackerCore:
         if heard.channel is RELOCATION:
             self._relocate(robot, heard.open(Relocation))
             return ()
+        if heard.channel is SCAN_MOTION:
+            self._hear_motion(robot, heard.address["lidar"], heard.open(ScanMotion))
+            return ()
         seen = observe(heard.open(Hypotheses), heard.address, self._settings, self._counts)
         self._counts["hypotheses_heard"] += 1
         return list(self._say(address, robot, robot.tracker.hear(seen)))
@@ -81,6 +95,13 @@ class TrackerCore:
         """Waiting until hypotheses come; counters of what was taken, said and set aside."""
         if not self._counts["hypotheses_heard"]:
             return Condition(Health.STATUS_WAITING, "no hypotheses", dict(self._counts))
+        faults = [
+            f"{name}: {robot.tracker.fault}"
+            for (_, name), robot in self._robots.items()
+            if robot.tracker.fault
+        ]
+        if faults:
+            return Condition(Health.STATUS_DEGRADED, "; ".join(faults[:3]), dict(self._counts))
         return Condition(Health.STATUS_OK, "", dict(self._counts))
 
     def _robot(self, address: Mapping[str, str]) -> _Tracked:
@@ -95,6 +116,19 @@ class TrackerCore:
             self._counts["relocated"] += 1
         except ValueError:
             self._counts["relocation_not_a_pose"] += 1
+
+    def _hear_motion(self, robot: _Tracked, lidar: str, message: ScanMotion) -> None:
+        moved, c = None, message.covariance
+        if message.HasField("motion"):
+            moved = message.motion.x, message.motion.y, message.motion.theta
+            if not all(isfinite(value) and abs(value) < FARTHEST for value in (*moved, c.xx, c.xy, c.yy)):
+                self._counts["scan_motion_not_finite"] += 1
+                return
+        since, until = nanoseconds(message.since), nanoseconds(message.timestamp)
+        spread = max(c.xx, 0.0), c.xy, max(c.yy, 0.0)
+        robot.tracker.hear_motion(
+            ScanInterval(lidar, since, until, moved, spread, message.repeats, message.longest_step)
+        )
 
     def _hear_odometry(
         self, robot: _Tracked, address: Mapping[str, str], message: Odometry
@@ -129,11 +163,12 @@ class TrackerCore:
     ) -> Iterator[Envelope]:
         for estimate in estimates:
             robot.map_frame = estimate.frame
-            yield Envelope(POSE, address, _pose_message(estimate, robot.body_frame))
+            message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
+            yield Envelope(POSE, address, message)
             yield Envelope(TRACKS, address, _tracks_message(estimate))
 
 
-def _pose_message(estimate: Estimate, body: str) -> PoseEstimate:
+def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:
     message = PoseEstimate(
         timestamp=stamp(estimate.stamp),
         frame_id=estimate.frame,
@@ -144,6 +179,10 @@ def _pose_message(estimate: Estimate, body: str) -> PoseEstimate:
         has_odometry=estimate.map_to_odom is not None,
         model_version=estimate.model_version,
     )
+    if estimate.protection is not None:
+        message.protection_radius = estimate.protection.radius
+        message.protection_angle = estimate.protection.angle
+        message.protection_risk = risk
     best = estimate.verdict.track
     if best >= 0:
         message.pose.CopyFrom(to_message(estimate.tracks.x[best]))

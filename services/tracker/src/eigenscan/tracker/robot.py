@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
+from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
-from eigenscan.tracker.confidence import Verdict, judge, next_state
+from eigenscan.tracker.cause import likely_cause
+from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
-from eigenscan.tracker.direction import Direction
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
@@ -33,6 +34,8 @@ STANDING_RATE = 0.02
 """1/s, how fast scans from one place count anew: people pass, noise changes."""
 BLIND_RATE = 0.5
 """1/s, the same where nobody knows whether the robot moves."""
+BLIND_NS = 1_000_000_000
+"""Without an estimate for longer, a claim holds as long as odometry alone carries it."""
 HISTORY_STEP = (0.1, 0.1, 0.17)
 """m, m, rad between two kept poses of a trajectory."""
 
@@ -50,6 +53,7 @@ class Estimate:
     none_probability: float
     map_to_odom: Pose | None
     model_version: str
+    protection: Protection | None
 
 
 @dataclass
@@ -72,6 +76,7 @@ class RobotTracker:
         self._counts = counts
         self._trail = OdometryTrail(VelocityGate(settings.v_max, settings.turn_max))
         self._timeline = Timeline(settings.patience, settings.late, counts)
+        self._agreement = Agreement()
         self._reset()
 
     def _reset(self) -> None:
@@ -81,7 +86,6 @@ class RobotTracker:
         self._histories: dict[int, deque[Pose2]] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
-        self._direction = Direction()
         self._hint: Hint | None = None
 
     def relocate(self, hint: Hint | None) -> None:
@@ -95,6 +99,8 @@ class RobotTracker:
         """Takes odometry, base in the odom frame; gives the estimates that waited for it."""
         result = self._trail.take(stamp, pose)
         self._counts[result] += 1
+        if result == "odometry_taken_as_jump":
+            self._agreement.hear_jump(stamp)
         if self._trail.newest is not None:
             self._timeline.hear_odometry(self._trail.newest.stamp, result == "odometry_restarted")
         return [self._step(seen) for seen in self._timeline.ready()]
@@ -105,16 +111,44 @@ class RobotTracker:
             self._reset()
         return [self._step(each) for each in self._timeline.ready()]
 
+    def hear_motion(self, interval: ScanInterval) -> None:
+        """Takes what two scans tell of the motion between them."""
+        self._agreement.hear(interval)
+
     def finish(self) -> list[Estimate]:
         """Estimates for all that still waits."""
         return [self._step(seen) for seen in self._timeline.rest()]
 
+    @property
+    def fault(self) -> str:
+        """What is wrong with scans or odometry, in words; empty: nothing that shows."""
+        agreement = self._agreement
+        if agreement.two_robots:
+            return "odometry jumps again and again: do two robots use this name?"
+        if agreement.is_faulty:
+            return likely_cause(agreement.compared, self._trail)
+        if agreement.without_sign:
+            return "odometry counts driving backwards as forwards (encoders without a sign); made up for"
+        return ""
+
     def map_to_odom(self) -> Pose | None:
-        """Odom frame's origin in the map as of the newest odometry, once a pose was claimed."""
+        """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""
         newest = self._trail.newest
-        if self._anchor is None or newest is None:
+        if self._anchor is None or newest is None or self.state != STATE_LOCALIZED:
+            return None
+        if newest.stamp - (self.belief.stamp or 0) > BLIND_NS and not self._is_claimed_at(newest.stamp):
             return None
         return compose(self._anchor, compose(newest.chained, inverse(newest.raw)))
+
+    def _is_claimed_at(self, stamp: int) -> bool:
+        """Whether odometry alone still carries the claim to a stamp without scans."""
+        tracks = self.belief.tracks
+        if self.belief.stamp is None or not len(tracks):
+            return False
+        best = judge(tracks).track
+        moved = self._motion(self.belief.stamp, stamp)
+        _, C = predict(tracks.x[best][None], tracks.C[best][None], moved, self._settings)
+        return float(share_within(np.zeros((1, 3)), C)[0]) >= self._settings.released_below
 
     def _step(self, seen: Observation) -> Estimate:
         belief = self.belief
@@ -122,14 +156,13 @@ class RobotTracker:
             self._counts["hypotheses_late"] += 1
             seen = self._brought_forward(seen, belief.stamp)
         elif belief.stamp is not None:
-            belief.predict(self._direction.applied(self._motion(belief.stamp, seen.stamp)))
-            mistaken = self._direction.hear(seen.source, seen.stamp, seen.poses, self._motion)
-            if mistaken is not None:
-                self._counts["odometry_sign_turned"] += 1
-                belief.take_back(mistaken)
+            self._set_direction(belief.stamp)
+            belief.predict(self._applied(self._motion(belief.stamp, seen.stamp)))
         belief.stamp = seen.stamp
         belief.forget_innovations()
-        if seen.usable:
+        if self._agreement.is_repeated(seen.lidar, seen.stamp):
+            self._counts["scan_repeated"] += 1
+        elif seen.usable:
             self._heed_hint(seen)
             belief.observe(seen, self._share(seen))
             prune(belief)
@@ -139,6 +172,20 @@ class RobotTracker:
             self._counts["scan_unusable"] += 1
         self._remember()
         return self._conclude(seen)
+
+    def _set_direction(self, predicted: int) -> None:
+        """Sets tracks back that were predicted, up to a stamp, with the way's sign wrong."""
+        was = self._agreement.reversed
+        turned = self._agreement.compare(self._trail)
+        if turned is None:
+            return
+        self._counts["odometry_sign_turned"] += 1
+        if predicted > turned:
+            moved = self._motion(turned, predicted)
+            self.belief.take_back(_backwards(moved) if was else moved)
+
+    def _applied(self, moved: Motion) -> Motion:
+        return _backwards(moved) if self._agreement.reversed else moved
 
     def _heed_hint(self, seen: Observation) -> None:
         """Takes the hint that waits, if there is one, once a scan of its map frame has come."""
@@ -178,6 +225,8 @@ class RobotTracker:
             self._counts["continuity_broken"] += 1
             source.scans = 1
         progress = moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
+        # what was driven counts as far as the scans changed by it
+        progress *= self._agreement.change()
         progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
         # a new place counts anew, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
@@ -206,6 +255,7 @@ class RobotTracker:
     def _conclude(self, seen: Observation) -> Estimate:
         belief = self.belief
         verdict = judge(belief.tracks)
+        verdict = replace(verdict, confidence=verdict.confidence * self._agreement.trust)
         self.state = next_state(self.state, belief, verdict.confidence, self._settings)
         odometry = self._trail.at(seen.stamp) if self._near_odometry(seen.stamp) else None
         frame = belief.frames[int(belief.tracks.frame[verdict.track])] if verdict.track >= 0 else seen.frame
@@ -219,7 +269,13 @@ class RobotTracker:
             belief.none_probability,
             self._map_to_odom_of(verdict, odometry),
             seen.model_version,
+            self._protection(verdict),
         )
+
+    def _protection(self, verdict: Verdict) -> Protection | None:
+        if self.state != STATE_LOCALIZED or self._agreement.trust < self._settings.localized_above:
+            return None
+        return protect(self.belief.tracks, verdict.track, self._settings.protection_risk)
 
     def _near_odometry(self, stamp: int) -> bool:
         newest = self._trail.newest
@@ -233,6 +289,11 @@ class RobotTracker:
         if self.state == STATE_LOCALIZED:
             self._anchor = compose(pose, inverse(odometry.chained))
         return compose(pose, inverse(odometry.raw))
+
+
+def _backwards(moved: Motion) -> Motion:
+    x, y, turn = moved.delta
+    return replace(moved, delta=(-x, -y, turn))
 
 
 def _is_a_step(last: Pose2, pose: Pose) -> bool:

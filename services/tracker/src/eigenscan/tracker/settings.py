@@ -65,4 +65,7 @@ class TrackerSettings(BaseModel):
     released_below: float = Field(
         0.7, ge=0, le=1, description="confidence below which the claim is withdrawn"
     )
+    protection_risk: float = Field(
+        1e-3, gt=0, lt=0.5, description="probability with which a claim's protection level may be exceeded"
+    )
     history: int = Field(100, ge=0, description="past poses kept for each track")

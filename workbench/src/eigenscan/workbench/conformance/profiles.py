@@ -15,6 +15,7 @@ from eigenscan.schemas.channels import (
     ODOMETRY,
     POSE,
     SCAN,
+    SCAN_MOTION,
     SCAN_RAW,
     TRACKS,
     TRANSFORM,
@@ -63,7 +64,9 @@ class Profile:
 PROFILES: dict[str, Profile] = {
     profile.name: profile
     for profile in (
-        Profile("scan-ingest", LIDARS, (SCAN_RAW,), (SCAN,), SCAN_RAW, (SCAN,), (SCAN,), scan_numbers),
+        Profile(
+            "scan-ingest", LIDARS, (SCAN_RAW,), (SCAN, SCAN_MOTION), SCAN_RAW, (SCAN,), (SCAN,), scan_numbers
+        ),
         Profile(
             "projector",
             DRIVE,

@@ -37,6 +37,8 @@ TOLERANCES: dict[str, Tolerance] = {
     "probability": (1e-5, 0.0),
     "none_probability": (1e-5, 0.0),
     "nis": (1e-4, 1e-3),
+    "protection_radius": (1e-5, 1e-3),
+    "protection_angle": (1e-5, 1e-3),
     "age": (1e-7, 0.0),
     # the parts of a transform, which has no unit of its own
     "translation": (1e-5, 0.0),

@@ -9,14 +9,14 @@ from enum import Enum
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import ODOMETRY, RELOCATION
+from eigenscan.schemas.channels import ODOMETRY, RELOCATION, SCAN_MOTION
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.workbench.replay.casting import Instance
 from eigenscan.workbench.replay.services import Service, heard_by, said_by
 from eigenscan.workbench.replay.survey import Survey
 
-DISPENSABLE = (ODOMETRY, RELOCATION)
+DISPENSABLE = (ODOMETRY, RELOCATION, SCAN_MOTION)
 """What a service hears, but can do without."""
 
 

@@ -1,0 +1,283 @@
+"""Faults of sensors and of set-ups, put into a stretch of a log: what benchmarks/integrity.py tries."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from eigenscan.geometry.pose import compose, from_pose3, to_pose3
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.scan_pb2 import RawScan
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NS = 1_000_000_000
+NOISE_M = 0.01
+"""Sigma of a range's noise: a lidar's of today."""
+DELAY_S = 5.0
+ROOM_M = (6.0, 4.0)
+"""Sides of the invented room."""
+ROOM_TURN = 0.5
+"""rad/s, how fast the robot turns in it."""
+RUNS_AWAY = 1.0
+"""m/s that odometry adds where it runs away."""
+JUMP_EVERY_S = 5.0
+JUMP = np.array([3.0, -2.0, 1.0])
+"""m, m, rad that odometry's frame jumps by."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What the pipeline hears, and how it is judged.
+
+    `other`: messages of another stretch of the log, as long. `truth_at`: of a scan's stamp, ns, the
+    reference's, where these differ; None: there is no right pose.
+    """
+
+    heard: list[Envelope]
+    other: list[Envelope]
+    random: np.random.Generator
+    truth_at: dict[int, int | None] = field(default_factory=dict)
+
+    def saying(self, heard: Sequence[Envelope], truth_at: dict[int, int | None] | None = None) -> "Stretch":
+        """The same, hearing something else, in the order of its stamps."""
+        return Stretch(sorted(heard, key=lambda e: e.stamp), self.other, self.random, truth_at or {})
+
+
+Fault = Callable[[Stretch], Stretch]
+
+
+def scans_changed(change: Callable[[RawScan, int, Stretch], None]) -> Fault:
+    """Each raw scan after `change` of (message, its number, the stretch)."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        heard, count = list[Envelope](), 0
+        for original in stretch.heard:
+            envelope = original
+            if envelope.channel is SCAN_RAW:
+                message = RawScan()
+                message.CopyFrom(envelope.open(RawScan))
+                change(message, count, stretch)
+                count += 1
+                envelope = Envelope(SCAN_RAW, envelope.address, message)
+            heard.append(envelope)
+        return stretch.saying(heard)
+
+    return fault
+
+
+def odometry_changed(change: Callable[[Array, float, Stretch], Array]) -> Fault:
+    """Each odometry pose after `change` of (pose, seconds since the first, the stretch)."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        heard, first = list[Envelope](), min(e.stamp for e in stretch.heard)
+        for original in stretch.heard:
+            envelope = original
+            if envelope.channel is ODOMETRY:
+                message = Odometry()
+                message.CopyFrom(envelope.open(Odometry))
+                pose = change(from_pose3(message.pose), (envelope.stamp - first) / NS, stretch)
+                message.pose.CopyFrom(to_pose3(pose))
+                envelope = Envelope(ODOMETRY, envelope.address, message)
+            heard.append(envelope)
+        return stretch.saying(heard)
+
+    return fault
+
+
+def put(message: RawScan, ranges: Array) -> None:
+    del message.ranges[:]
+    message.ranges.extend(ranges.tolist())
+
+
+def covered(metres: float, noise: float = 0.0) -> Fault:
+    def change(message: RawScan, _: int, stretch: Stretch) -> None:
+        put(message, metres + noise * stretch.random.standard_normal(len(message.ranges)))
+
+    return scans_changed(change)
+
+
+def frozen(noise: float, after_s: float = 0.0) -> Fault:
+    """One scan of each lidar again and again, from some time on."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        first, held = min(e.stamp for e in stretch.heard), dict[str, Array]()
+        heard = list[Envelope]()
+        for original in stretch.heard:
+            envelope = original
+            if envelope.channel is SCAN_RAW and envelope.stamp - first >= after_s * NS:
+                message = RawScan()
+                message.CopyFrom(envelope.open(RawScan))
+                kept = held.setdefault(envelope.address["lidar"], np.asarray(message.ranges))
+                put(message, kept + noise * stretch.random.standard_normal(len(kept)))
+                envelope = Envelope(SCAN_RAW, envelope.address, message)
+            heard.append(envelope)
+        return stretch.saying(heard)
+
+    return fault
+
+
+def delayed(stretch: Stretch) -> Stretch:
+    by, heard = round(DELAY_S * NS), list[Envelope]()
+    last = max(e.stamp for e in stretch.heard)
+    for original in stretch.heard:
+        envelope = original
+        if envelope.channel is SCAN_RAW:
+            if envelope.stamp + by > last:
+                continue
+            message = RawScan()
+            message.CopyFrom(envelope.open(RawScan))
+            message.timestamp.CopyFrom(stamp(envelope.stamp + by))
+            envelope = Envelope(SCAN_RAW, envelope.address, message)
+        heard.append(envelope)
+    return stretch.saying(heard)
+
+
+def mirror(message: RawScan, _: int, __: Stretch) -> None:
+    message.angle_min = -(message.angle_min + (len(message.ranges) - 1) * message.angle_increment)
+    put(message, np.asarray(message.ranges)[::-1])
+
+
+def mount_off(degrees: float) -> Fault:
+    def change(message: RawScan, _: int, __: Stretch) -> None:
+        message.mount.theta += np.radians(degrees)
+
+    return scans_changed(change)
+
+
+def two_robots(stretch: Stretch) -> Stretch:
+    """Both stretches at once, as long as both last: no pose is that of the one robot they are taken for."""
+    shift = min(e.stamp for e in stretch.heard) - min(e.stamp for e in stretch.other) + 20_000_000
+    ends = max(e.stamp for e in stretch.other) + shift
+    truth: dict[int, int | None] = {e.stamp: None for e in stretch.heard if e.stamp <= ends}
+    heard = list(stretch.heard)
+    for envelope in stretch.other:
+        message = type(envelope.message)()
+        message.CopyFrom(envelope.message)
+        message.timestamp.CopyFrom(stamp(envelope.stamp + shift))  # type: ignore[attr-defined]
+        if envelope.channel is SCAN_RAW:
+            truth[envelope.stamp + shift] = None
+        heard.append(Envelope(envelope.channel, envelope.address, message))
+    return stretch.saying(heard, truth)
+
+
+def from_elsewhere(share: float) -> Fault:
+    """So many of the beams, in one sector, are those of the other stretch's scans, as they follow there."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        others = dict[str, list[Array]]()
+        for envelope in stretch.other:
+            if envelope.channel is SCAN_RAW:
+                ranges = np.asarray(envelope.open(RawScan).ranges)
+                others.setdefault(envelope.address["lidar"], []).append(ranges)
+        taken, heard = dict[str, int](), list[Envelope]()
+        for original in stretch.heard:
+            envelope = original
+            if envelope.channel is SCAN_RAW:
+                lidar = envelope.address["lidar"]
+                message = RawScan()
+                message.CopyFrom(envelope.open(RawScan))
+                ranges = np.array(message.ranges)
+                elsewhere = others.get(lidar) or [ranges]
+                number = taken.get(lidar, 0)
+                taken[lidar] = number + 1
+                foreign = elsewhere[min(number, len(elsewhere) - 1)]
+                count = min(round(share * len(ranges)), len(foreign))
+                ranges[:count] = foreign[:count]
+                put(message, ranges)
+                envelope = Envelope(SCAN_RAW, envelope.address, message)
+            heard.append(envelope)
+        return stretch.saying(heard)
+
+    return fault
+
+
+def invented_room(stretch: Stretch) -> Stretch:
+    """A robot turns in a room that no map has, and its odometry says so; no pose is right."""
+    first, truth = min(e.stamp for e in stretch.heard), dict[int, int | None]()
+    heard = list[Envelope]()
+    half = np.array(ROOM_M) / 2.0
+    at = np.array([0.15, -0.1]) * ROOM_M
+    for envelope in stretch.heard:
+        turned = ROOM_TURN * (envelope.stamp - first) / NS
+        if envelope.channel is ODOMETRY:
+            message = Odometry()
+            message.CopyFrom(envelope.open(Odometry))
+            message.pose.CopyFrom(to_pose3(np.array([0.0, 0.0, (turned + np.pi) % (2 * np.pi) - np.pi])))
+            heard.append(Envelope(ODOMETRY, envelope.address, message))
+            continue
+        scan = RawScan()
+        scan.CopyFrom(envelope.open(RawScan))
+        mount = compose(np.array([*at, turned]), np.array([scan.mount.x, scan.mount.y, scan.mount.theta]))
+        side = -1.0 if scan.upside_down else 1.0
+        angles = mount[2] + side * (scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)))
+        along = np.stack([np.cos(angles), np.sin(angles)])
+        with np.errstate(divide="ignore"):
+            reach = ((np.sign(along).T * half - mount[:2]) / along.T).min(axis=1)
+        put(scan, reach + NOISE_M * stretch.random.standard_normal(len(angles)))
+        truth[envelope.stamp] = None
+        heard.append(Envelope(SCAN_RAW, envelope.address, scan))
+    return stretch.saying(heard, truth)
+
+
+def odometry_frozen() -> Fault:
+    held: list[Array] = []
+
+    def change(pose: Array, seconds: float, _: Stretch) -> Array:
+        if seconds == 0.0 or not held:
+            held[:] = [pose]
+        return held[0]
+
+    return odometry_changed(change)
+
+
+def _runs_away(pose: Array, seconds: float, _: Stretch) -> Array:
+    return compose(pose, np.array([RUNS_AWAY * seconds, 0.0, 0.0]))
+
+
+def _jumps(pose: Array, seconds: float, _: Stretch) -> Array:
+    jumps = int(seconds / JUMP_EVERY_S)
+    if jumps and seconds % JUMP_EVERY_S < 0.1:
+        return np.full(3, np.nan)
+    for _unused in range(jumps):
+        pose = compose(JUMP, pose)
+    return pose
+
+
+def _reversed(pose: Array, _: float, __: Stretch) -> Array:
+    # the way of the frame turned by 180 degrees, headings as they are: x ahead counts as x back
+    return np.array([-pose[0], -pose[1], pose[2]])
+
+
+def none(stretch: Stretch) -> Stretch:
+    return stretch
+
+
+FAULTS: dict[str, Fault] = {
+    "none": none,
+    "covered, 0.5 m": covered(0.5),
+    "covered, 0.7 m": covered(0.7),
+    "covered, 1 m": covered(1.0),
+    "covered, 0.7 m, noise": covered(0.7, NOISE_M),
+    "frozen": frozen(0.0),
+    "frozen, noise": frozen(NOISE_M),
+    "frozen after 10 s": frozen(0.0, 10.0),
+    "frozen after 10 s, noise": frozen(NOISE_M, 10.0),
+    "delayed by 5 s": delayed,
+    "mirrored": scans_changed(mirror),
+    "mount off by 90 deg": mount_off(90.0),
+    "mount off by 180 deg": mount_off(180.0),
+    "odometry backwards": odometry_changed(_reversed),
+    "two robots, one name": two_robots,
+    "half of the beams from elsewhere": from_elsewhere(0.5),
+    "70 % of the beams from elsewhere": from_elsewhere(0.7),
+    "an invented room": invented_room,
+    "odometry frozen": odometry_frozen(),
+    "odometry runs away": odometry_changed(_runs_away),
+    "odometry jumps": odometry_changed(_jumps),
+}
+
+BEGINS_S = {name: 10.0 for name in FAULTS if "after 10 s" in name} | {"odometry jumps": JUMP_EVERY_S}
+"""s from the first scan on; others are there from the start."""

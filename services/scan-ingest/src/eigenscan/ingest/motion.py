@@ -1,0 +1,199 @@
+"""How a robot moved from one scan to a later one, by these two scans alone.
+
+Points of the later scan are laid on the lines through neighbouring points of the earlier one (Censi, "An ICP
+variant using a point-to-line metric", ICRA 2008), from a turn that the ranges themselves suggest and from the
+motion so far. Odometry plays no part, so that it can be held against the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, hypot, inf, pi, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+Pose = tuple[float, float, float]
+"""x [m], y [m], theta [rad]"""
+
+BEAMS = 90
+"""Beams of the later scan that are laid on the earlier one."""
+TURN_BEAMS, MOST_TURN, TURN_STEP = 60, 0.7, 0.02
+"""Beams that are compared for the first guess of the turn, rad either way, rad a step."""
+FAR_OFF = 0.5
+"""m, difference of two ranges beyond which it does not matter how far."""
+WIDE, NEAR = 0.6, 0.2
+"""m, how far a point may be off its line: in the first steps, and in the last."""
+NOISE = 0.02
+"""m, sigma of a point on its line: a lidar's noise and the roughness of walls."""
+REACH = 4
+"""Beams to either side that are looked at for the nearest point."""
+ROUNDS, WIDE_ROUNDS = 10, 4
+SETTLED = 1e-3
+"""m and rad: a smaller step is the last."""
+LEAST_POINTS = 15
+LEAST_SUPPORT = 0.08
+"""Share of the points that must fix a direction: fewer, at the ends of a hallway, slide along with it."""
+FITS = 0.4
+"""Share of the later scan that the earlier one has to explain."""
+ON_LINE = 0.06
+"""m off its line up to which a beam is explained: three sigma."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """A scan's beams in the base frame.
+
+    Ranges (B,) or NaN, points (B, 2), the normals (B, 2) of the lines through their neighbours, and which of
+    them have a range, and a line.
+    """
+
+    stamp: int
+    ranges: Array
+    angle_min: float
+    step: float
+    mount: Pose
+    xy: Array
+    normals: Array
+    ranged: Flags
+    lined: Flags
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The base at the later scan in its frame at the earlier one, with the inverse of its covariance (3, 3).
+
+    `explained`: share of the later scan's beams that the earlier one has too.
+    """
+
+    delta: Pose
+    information: Array
+    explained: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the two scans have enough in common for the motion to mean anything."""
+        return self.explained >= FITS
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) in m^2, m rad, rad^2; a metre or a radian where the scans tell nothing."""
+        return np.asarray(np.linalg.inv(self.information + np.eye(3)), dtype=np.float64)
+
+
+NOTHING_IN_COMMON = Motion((0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0)
+
+
+def points_of(ranges: Array, angle_min: float, step: float, mount: Pose, stamp: int) -> Points:
+    """The beams of a canonical scan, whose missing ranges are NaN or infinite."""
+    ranged = np.isfinite(ranges)
+    ranges = np.where(ranged, ranges, np.nan)
+    angles = angle_min + step * np.arange(len(ranges)) + mount[2]
+    reach = np.where(ranged, ranges, 0.0)
+    xy = np.column_stack([mount[0] + reach * np.cos(angles), mount[1] + reach * np.sin(angles)])
+    # a neighbour farther off than a wall seen at a slant would be is on another surface
+    along = np.diff(xy, axis=0)
+    length2 = (along**2).sum(axis=1)
+    joined = ranged[1:] & ranged[:-1]
+    joined &= length2 <= (0.1 + 4.0 * step * np.minimum(reach[1:], reach[:-1])) ** 2
+    steps = np.where(joined[:, None], along, 0.0)
+    tangents = np.zeros_like(xy)
+    tangents[1:] += steps
+    tangents[:-1] += steps
+    length = np.hypot(tangents[:, 0], tangents[:, 1])
+    lined = length > 1e-6
+    safe = np.where(lined, length, 1.0)
+    normals = np.column_stack([-tangents[:, 1] / safe, tangents[:, 0] / safe])
+    return Points(stamp, ranges, angle_min, step, mount, xy, normals, ranged, lined)
+
+
+def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
+    """Motion from an earlier scan of a lidar to a later one; `guess` is tried beside what the ranges say."""
+    if before.ranges.shape != after.ranges.shape or abs(before.angle_min - after.angle_min) > before.step:
+        return NOTHING_IN_COMMON
+    chosen = np.flatnonzero(after.ranged)
+    if len(chosen) < LEAST_POINTS:
+        return NOTHING_IN_COMMON
+    points = after.xy[chosen[:: max(len(chosen) // BEAMS, 1)]]
+    turn = _first_turn(before, after)
+    best = _lay(before, points, guess)
+    if abs(turn - guess[2]) > 2.0 * TURN_STEP or best.explained < 0.8:
+        other = _lay(before, points, (0.0, 0.0, turn))
+        best = other if other.explained > best.explained else best
+    return best
+
+
+def _first_turn(before: Points, after: Points) -> float:
+    """The turn, rad, after which the ranges of two scans are most alike, as if the lidar had not moved."""
+    count = len(after.ranges)
+    stride = max(count // TURN_BEAMS, 1)
+    beams = np.arange(0, count, stride)
+    shift = max(round(TURN_STEP / before.step), 1)
+    most = int(MOST_TURN / before.step / shift)
+    shifts = shift * np.arange(-most, most + 1)
+    found = beams[None, :] + shifts[:, None]
+    if 2.0 * pi - count * before.step < 1.5 * before.step:
+        found %= count
+    inside = (found >= 0) & (found < count)
+    off = np.abs(before.ranges[np.where(inside, found, 0)] - after.ranges[beams])
+    known = inside & np.isfinite(off)
+    alike = known.sum(axis=1)
+    cost = np.where(known, np.minimum(off, FAR_OFF), 0.0).sum(axis=1) / np.maximum(alike, 1)
+    # of turns that are as good the smallest, and none that few beams speak for
+    cost = np.where(2 * alike >= alike.max(), cost + 1e-3 * np.abs(shifts) * before.step, inf)
+    return float(shifts[int(np.argmin(cost))]) * before.step
+
+
+def _lay(before: Points, points: Array, start: Pose) -> Motion:
+    x, y, turn = start
+    count = len(before.ranges)
+    window = np.arange(-REACH, REACH + 1)
+    information, explained, count_used = np.zeros((3, 3)), 0.0, 0
+    mx, my, mt = before.mount
+    for number in range(ROUNDS):
+        c, s = cos(turn), sin(turn)
+        turned = np.column_stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]])
+        placed = turned + np.array([x, y])
+        bearing = np.arctan2(placed[:, 1] - my, placed[:, 0] - mx) - mt - before.angle_min
+        centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
+        visible = centre < count + REACH
+        near = np.minimum(np.maximum(centre[:, None] + window, 0), count - 1)
+        apart = before.xy[near] - placed[:, None]
+        distance2 = (apart**2).sum(axis=2)
+        distance2[~before.lined[near]] = inf
+        nearest = np.argmin(distance2, axis=1)
+        row = np.arange(len(points))
+        beam = near[row, nearest]
+        reach = WIDE if number < WIDE_ROUNDS else NEAR
+        used = visible & (distance2[row, nearest] <= reach**2)
+        count_used = int(np.count_nonzero(used))
+        if count_used < LEAST_POINTS:
+            return NOTHING_IN_COMMON
+        normal = before.normals[beam]
+        off = -(normal * apart[row, nearest]).sum(axis=1)
+        weight = np.where(used, 1.0 / (1.0 + (off / (2.0 * NOISE)) ** 2), 0.0)
+        lever = normal[:, 1] * turned[:, 0] - normal[:, 0] * turned[:, 1]
+        rows = np.column_stack([normal, lever])
+        weighted = rows * weight[:, None]
+        information = rows.T @ weighted
+        # where the scans tell nothing the motion stays as it was
+        step = np.linalg.solve(information + 0.1 * np.eye(3), -(weighted.T @ off))
+        x, y, turn = x + float(step[0]), y + float(step[1]), turn + float(step[2])
+        on_line = np.count_nonzero(used & (np.abs(off) <= ON_LINE))
+        explained = on_line / max(int(np.count_nonzero(visible)), LEAST_POINTS)
+        if number >= WIDE_ROUNDS and max(hypot(step[0], step[1]), abs(float(step[2]))) < SETTLED:
+            break
+    return Motion((x, y, turn), _supported(information, count_used) / NOISE**2, explained)
+
+
+def _supported(information: Array, points: int) -> Array:
+    """The information without what too few of the points say of a direction."""
+    values, directions = np.linalg.eigh(information[:2, :2])
+    kept = np.eye(3)
+    for value, direction in zip(values, directions.T, strict=True):
+        if value < LEAST_SUPPORT * points:
+            kept[:2, :2] -= np.outer(direction, direction)
+    return kept @ information @ kept

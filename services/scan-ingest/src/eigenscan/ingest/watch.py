@@ -1,0 +1,106 @@
+"""Watches one lidar: whether its scans are live, and how the robot moved between them."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import hypot
+
+import numpy as np
+from eigenscan.ingest.motion import Motion, Points, Pose, motion_between, points_of
+from numpy.typing import NDArray
+
+Ranges = NDArray[np.float32]
+
+MATCH_EVERY_NS = 150_000_000
+"""Between two scans that are laid on each other: robots move little in less."""
+STEP_M, STEP_RAD, STEP_NS = 0.15, 0.12, 600_000_000
+"""After this much motion or time it is told: several times what a match errs by (benchmarks/integrity.py)."""
+LONGEST_NS = 2_000_000_000
+"""Scans farther apart than this may have nothing in common."""
+FROZEN = 20
+"""Identical scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
+ONE_VALUE_M = 0.1
+"""Spread of the middle nine tenths of the ranges below which all beams say one value: nothing looks like it
+but a cover, or a round room whose centre the robot stands in."""
+LEAST_BEAMS, LEAST_SPAN = 10, np.pi / 2.0
+"""Fewer beams, or a narrower sector (rad), may well see one value."""
+LAYOUTS, ALTERNATIONS = 20, 4
+"""So many times among the last scans the layout went back to the one before: two lidars say them."""
+
+
+class Watch:
+    """What scans of one lidar say of each other."""
+
+    def __init__(self) -> None:
+        self.repeats = 0
+        """Scans before the newest that were the same to the last bit, in a row."""
+        self._last: Ranges | None = None
+        self._reference: Points | None = None
+        self._newest = 0
+        self._compared = 0
+        self.longest_step = 0.0
+        """s, longest between two scans that were compared, of what was told last."""
+        self._velocity: Pose = (0.0, 0.0, 0.0)
+        self._layouts: deque[tuple[float, ...]] = deque(maxlen=LAYOUTS)
+
+    @property
+    def two_lidars(self) -> bool:
+        """Whether scans of two layouts alternate."""
+        seen = list(self._layouts)
+        back = sum(a == c != b for a, b, c in zip(seen, seen[1:], seen[2:], strict=False))
+        return back >= ALTERNATIONS
+
+    def hear_layout(self, mount: Pose, angle_min: float) -> None:
+        """Notes where the beams of a raw scan start."""
+        self._layouts.append((*(round(value, 3) for value in mount), round(angle_min, 1)))
+
+    def hear(
+        self, stamp: int, ranges: Ranges, angle_min: float, step: float, mount: Pose
+    ) -> tuple[int, Motion | None] | None:
+        """What a canonical scan tells: since when, ns, and the motion since then.
+
+        None where it is too early to tell; no motion where the scan repeats the one before.
+        """
+        last, self._last = self._last, ranges
+        if last is not None and np.array_equal(last, ranges, equal_nan=True):
+            self.repeats += 1
+            since, self._newest = self._newest, stamp
+            return since, None
+        self.repeats = 0
+        reference, self._newest = self._reference, stamp
+        if reference is not None and 0 < stamp - reference.stamp < MATCH_EVERY_NS:
+            return None
+        points = points_of(ranges.astype(np.float64), angle_min, step, mount, stamp)
+        if reference is None or not 0 < stamp - reference.stamp <= LONGEST_NS:
+            self._begin(points)
+            return None
+        if self._compared == reference.stamp:
+            self.longest_step = 0.0
+        self.longest_step = max(self.longest_step, (stamp - self._compared) * 1e-9)
+        self._compared = stamp
+        seconds = (stamp - reference.stamp) * 1e-9
+        vx, vy, turning = self._velocity
+        moved = motion_between(reference, points, (vx * seconds, vy * seconds, turning * seconds))
+        x, y, turn = moved.delta
+        self._velocity = (x / seconds, y / seconds, turn / seconds) if moved.fits else (0.0, 0.0, 0.0)
+        far = hypot(x, y) >= STEP_M or abs(turn) >= STEP_RAD or stamp - reference.stamp >= STEP_NS
+        if not far and moved.fits:
+            return None
+        self._reference = points
+        return reference.stamp, moved
+
+    def _begin(self, points: Points) -> None:
+        self._reference, self._compared = points, points.stamp
+        self._velocity = (0.0, 0.0, 0.0)
+
+
+def one_value(ranges: Ranges, step: float) -> bool:
+    """Whether all beams of a canonical scan, `step` rad apart, say one value: a covered lidar."""
+    if len(ranges) * step < LEAST_SPAN:
+        return False
+    known = ranges[np.isfinite(ranges)]
+    if len(known) < max(LEAST_BEAMS, len(ranges) // 2):
+        return False
+    ordered = np.sort(known[:: max(len(known) // 100, 1)])
+    tail = len(ordered) // 20
+    return bool(ordered[-1 - tail] - ordered[tail] <= ONE_VALUE_M)

@@ -1,0 +1,257 @@
+"""Whether odometry and scans tell of one motion: each interval of scan motion is held against odometry.
+
+Scan-ingest says how the robot moved between two scans, by these alone. Where odometry says otherwise again
+and again, one of them lies: scans are frozen, late, mirrored or of another robot, the lidar's mount is not as
+stated, or wheels slip. Then no pose is claimed, for a lookalike goes on as well as the right place does.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import exp, hypot, log
+
+from eigenscan.tracker.odometry import Motion, OdometryTrail, motion
+from eigenscan.tracker.planar import IDENTITY, Pose, compose, wrap
+
+SIGMA_M, SIGMA_RAD = 0.03, 0.04
+"""What the two motions over an interval differ by where nothing is wrong..."""
+SIGMA_SHARE = 0.15
+"""...and this share of the way and of the turn on top (benchmarks/integrity.py --motion)."""
+FARTHEST_M, FARTHEST_RAD = 0.3, 0.4
+"""Between two scans farther apart by odometry than this the motion is often found wrongly: left out."""
+MOVED_M, MOVED_RAD = 0.06, 0.06
+"""Of intervals in which less moved several are taken together: they tell nothing alone."""
+TOGETHER = 8
+NEUTRAL, FOR_FAULT, AGAINST = 2.0, 3.0, -1.0
+"""Nats for a fault: half the squared distance less NEUTRAL, at most and at least; motion errs heavily."""
+AFTER_FAULT = -0.25
+"""The same at least once a fault was seen: also a lidar that lies agrees now and then."""
+APART = 1.5
+"""Nats for a fault where two scans that must have much in common do not fit each other."""
+FAULTY = log(0.01 / 0.99)
+"""Log odds of a fault before anything moved: one set-up in a hundred is wrong."""
+SUREST = (log(0.001), log(100.0))
+FORWARDS = 5
+"""Intervals driven as odometry says after which its reverse is its encoders' fault, and not the mount's."""
+JUMPS, JUMPS_NS = 3, 10_000_000_000
+"""So many jumps of odometry in so long are no reset but two robots."""
+KEPT = 40
+
+
+Spread = tuple[float, float, float]
+"""Covariance of a way: xx, xy, yy [m^2]."""
+
+
+@dataclass(frozen=True)
+class ScanInterval:
+    """Motion between two scans of a lidar, stamps in ns; None where they do not fit each other."""
+
+    lidar: str
+    since: int
+    stamp: int
+    moved: Pose | None
+    spread: Spread = (0.0, 0.0, 0.0)
+    repeats: int = 0
+    longest_step: float = 0.0
+    """s, longest between two scans on the way."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """An interval, or several, with both motions; `scans` None where the scans do not fit each other."""
+
+    since: int
+    stamp: int
+    scans: Pose | None
+    odometry: Pose
+    spread: Spread
+    is_fault: bool
+
+
+@dataclass
+class _Open:
+    """Intervals of one lidar that are not compared yet, for too little moved."""
+
+    since: int
+    scans: Pose = IDENTITY
+    odometry: Pose = IDENTITY
+    spread: Spread = (0.0, 0.0, 0.0)
+    count: int = 0
+
+
+class _Odds:
+    """Log odds that one part of the motion, the way or the turn, is told wrongly."""
+
+    def __init__(self) -> None:
+        self.value = FAULTY
+        self._seen = False
+
+    def take(self, gain: float) -> None:
+        gain = max(gain, AFTER_FAULT if self._seen else AGAINST)
+        self.value = min(max(self.value + min(gain, FOR_FAULT), SUREST[0]), SUREST[1])
+        self._seen = self.value > 0.0 or (self._seen and self.value > FAULTY)
+
+
+class Agreement:
+    """What scan motion and odometry of one robot say of each other."""
+
+    def __init__(self) -> None:
+        self._way, self._turn = _Odds(), _Odds()
+        self._waiting: deque[ScanInterval] = deque(maxlen=64)
+        self._open: dict[str, _Open] = {}
+        self._compared: deque[Compared] = deque(maxlen=KEPT)
+        self._forwards = 0
+        self._reversed_seen = False
+        self._jumps: deque[int] = deque(maxlen=JUMPS)
+        self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
+        self.reversed = False
+        """Whether odometry counted backwards as forwards when it was last compared."""
+
+    @property
+    def is_faulty(self) -> bool:
+        """Whether odometry or scans rather lie than not."""
+        return self.trust < 0.5
+
+    @property
+    def trust(self) -> float:
+        """Probability that odometry and scans tell of one motion."""
+        return 1.0 / ((1.0 + exp(self._way.value)) * (1.0 + exp(self._turn.value)))
+
+    @property
+    def compared(self) -> list[Compared]:
+        """The last comparisons, oldest first."""
+        return list(self._compared)
+
+    @property
+    def without_sign(self) -> bool:
+        """Whether encoders were found out to count backwards as forwards."""
+        return self._reversed_seen and self._forwards >= FORWARDS
+
+    def is_repeated(self, lidar: str, stamp: int) -> bool:
+        """Whether a scan repeats the one before: it shows nothing new."""
+        return (lidar, stamp) in self._repeated
+
+    def hear_jump(self, stamp: int) -> None:
+        """Odometry's frame jumped."""
+        self._jumps.append(stamp)
+        if self.two_robots:
+            self._way.value = SUREST[1]
+
+    @property
+    def two_robots(self) -> bool:
+        """Whether odometry jumps so often that two robots must use one name."""
+        return len(self._jumps) == JUMPS and abs(self._jumps[-1] - self._jumps[0]) <= JUMPS_NS
+
+    def hear(self, interval: ScanInterval) -> None:
+        """Keeps an interval until odometry has come as far."""
+        if interval.repeats:
+            self._repeated.append((interval.lidar, interval.stamp))
+            if interval.moved is None:
+                interval = ScanInterval(interval.lidar, interval.since, interval.stamp, IDENTITY)
+        self._waiting.append(interval)
+
+    def compare(self, trail: OdometryTrail) -> int | None:
+        """Compares what odometry covers by now.
+
+        Gives the stamp, ns, since when the way's direction was taken wrongly, where this showed it.
+        """
+        turned = None
+        while self._waiting and trail.covers(self._waiting[0].stamp):
+            interval = self._waiting.popleft()
+            a, b = trail.at(interval.since), trail.at(interval.stamp)
+            if a is None or b is None or not interval.since < interval.stamp:
+                continue
+            told = motion(a, b)
+            if told.breaks > 0 or abs(told.unknown) > 0.05:
+                self._open.pop(interval.lidar, None)
+                continue
+            turned = self._take(interval, told) or turned
+        return turned
+
+    def _take(self, interval: ScanInterval, told: Motion) -> int | None:
+        step = min(interval.longest_step / max(told.seconds, 1e-9), 1.0)
+        if told.way * step > FARTHEST_M or told.turn * step > FARTHEST_RAD:
+            self._open.pop(interval.lidar, None)
+            return None
+        if interval.moved is None:
+            self._open.pop(interval.lidar, None)
+            self._compared.append(
+                Compared(interval.since, interval.stamp, None, told.delta, (0.0, 0.0, 0.0), True)
+            )
+            self._way.take(APART)
+            return None
+        held = self._open.setdefault(interval.lidar, _Open(interval.since))
+        held.scans, held.odometry = compose(held.scans, interval.moved), compose(held.odometry, told.delta)
+        (xx, xy, yy), (more_xx, more_xy, more_yy) = held.spread, interval.spread
+        held.spread = xx + more_xx, xy + more_xy, yy + more_yy
+        held.count += 1
+        if not (moves(held.scans) or moves(held.odometry)) and held.count < TOGETHER:
+            return None
+        del self._open[interval.lidar]
+        if not (moves(held.scans) or moves(held.odometry)):
+            return None
+        return self._judge(held, interval.stamp)
+
+    def _judge(self, held: _Open, stamp: int) -> int | None:
+        way, turn = distances2(held.scans, held.odometry, held.spread)
+        back = distances2(held.scans, (-held.odometry[0], -held.odometry[1], held.odometry[2]), held.spread)[
+            0
+        ]
+        drives = hypot(*held.odometry[:2]) > MOVED_M
+        is_reversed = drives and way > 4.0 * NEUTRAL and back < 2.0 * NEUTRAL
+        is_fault = max(way, turn) > 2.0 * NEUTRAL
+        self._compared.append(Compared(held.since, stamp, held.scans, held.odometry, held.spread, is_fault))
+        self._learn_sign(is_reversed, drives and not is_fault)
+        if max(hypot(*held.scans[:2]), hypot(*held.odometry[:2])) >= MOVED_M:
+            if self.without_sign:
+                way = distances2(held.scans, _along(held.odometry, held.scans), held.spread)[0]
+            self._way.take(0.5 * way - NEUTRAL)
+        if max(abs(held.scans[2]), abs(held.odometry[2])) >= MOVED_RAD:
+            self._turn.take(0.5 * turn - NEUTRAL)
+        # on the spot both directions are the same
+        if not drives or is_reversed == self.reversed:
+            return None
+        self.reversed = is_reversed
+        return held.since
+
+    def _learn_sign(self, is_reversed: bool, is_forwards: bool) -> None:
+        known = self.without_sign
+        self._reversed_seen |= is_reversed
+        self._forwards += is_forwards
+        if self.without_sign and not known:
+            self._way = _Odds()  # what spoke for a fault was this
+
+    def change(self) -> float:
+        """How much the scans changed of what odometry foretold, 0..1, when they were last compared."""
+        last = self._compared[-1] if self._compared else None
+        if last is None or last.scans is None:
+            return 1.0
+        told = hypot(*last.odometry[:2]) + abs(last.odometry[2])
+        seen = hypot(*last.scans[:2]) + abs(last.scans[2])
+        return min(1.0, (seen + SIGMA_M) / (told + SIGMA_M))
+
+
+def _along(odometry: Pose, scans: Pose) -> Pose:
+    """What odometry without a sign foretells nearest to the scans: a part of its way, either way."""
+    x, y, turn = odometry
+    length2 = x * x + y * y
+    share = (x * scans[0] + y * scans[1]) / length2 if length2 else 0.0
+    share = min(max(share, -1.0), 1.0)
+    return share * x, share * y, turn
+
+
+def moves(moved: Pose) -> bool:
+    """Whether a motion tells anything."""
+    return hypot(moved[0], moved[1]) >= MOVED_M or abs(moved[2]) >= MOVED_RAD
+
+
+def distances2(scans: Pose, odometry: Pose, spread: Spread) -> tuple[float, float]:
+    """Squared distances of way and turn, in sigmas of what they differ by where nothing is wrong."""
+    way = max(hypot(scans[0], scans[1]), hypot(odometry[0], odometry[1]))
+    turn = max(abs(scans[2]), abs(odometry[2]))
+    x, y, turned = scans[0] - odometry[0], scans[1] - odometry[1], wrap(scans[2] - odometry[2])
+    variance = SIGMA_M**2 + (SIGMA_SHARE * way) ** 2
+    xx, xy, yy = spread[0] + variance, spread[1], spread[2] + variance
+    off = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / max(xx * yy - xy * xy, 1e-12)
+    return off, turned * turned / (SIGMA_RAD**2 + (SIGMA_SHARE * turn) ** 2)

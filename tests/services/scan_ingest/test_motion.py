@@ -1,0 +1,163 @@
+"""Motion between two scans, and lidars that are frozen, covered or not one alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.motion import motion_between, points_of
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan, ScanMotion
+from hypothesis import given
+from hypothesis import strategies as st
+
+BEAMS, FIRST, STEP = 361, -math.pi / 2, math.radians(0.5)
+MOUNT = (0.2, 0.05, 0.1)
+WALLS = np.array(
+    [
+        *((-3.0, -2.0, 5.0, -2.0), (5.0, -2.0, 5.0, 2.5), (5.0, 2.5, 1.0, 2.5), (1.0, 2.5, 1.0, 3.5)),
+        *((1.0, 3.5, -3.0, 3.5), (-3.0, 3.5, -3.0, -2.0), (2.0, -0.5, 3.0, -0.5), (3.0, -0.5, 3.0, 0.5)),
+    ]
+)
+"""x, y to x, y [m]: a room with a niche and a table."""
+
+
+def composed(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float]:
+    c, s = math.cos(a[2]), math.sin(a[2])
+    return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], a[2] + b[2]
+
+
+def seen(base: tuple[float, ...], rng: np.random.Generator, noise: float = 0.01) -> np.ndarray:
+    """Ranges from a base pose, by rays against WALLS."""
+    x, y, heading = composed(base, MOUNT)
+    angles = heading + FIRST + STEP * np.arange(BEAMS)
+    along = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None]
+    start, end = WALLS[:, :2] - (x, y), WALLS[:, 2:] - (x, y)
+    wall = end - start
+    across = along[..., 0] * wall[:, 1] - along[..., 1] * wall[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (start[:, 0] * wall[:, 1] - start[:, 1] * wall[:, 0]) / across
+        part = (start[:, 0] * along[..., 1] - start[:, 1] * along[..., 0]) / across
+    hit = (reach > 0.0) & (part >= 0.0) & (part <= 1.0)
+    return np.where(hit, reach, np.inf).min(axis=1) + noise * rng.standard_normal(BEAMS)
+
+
+@given(st.integers(0, 1000), st.floats(-0.25, 0.25), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5))
+def test_the_motion_between_two_scans_is_found_without_a_guess(
+    seed: int, x: float, y: float, turn: float
+) -> None:
+    rng, start = np.random.default_rng(seed), (0.0, 0.5, 0.3)
+    before, after = (
+        points_of(seen(pose, rng), FIRST, STEP, MOUNT, time)
+        for time, pose in enumerate((start, composed(start, (x, y, turn))))
+    )
+    moved = motion_between(before, after, (0.0, 0.0, 0.0))
+    assert moved.fits
+    assert moved.delta == pytest.approx((x, y, turn), abs=0.03)
+
+
+def test_along_a_hallway_the_covariance_says_that_nothing_is_known() -> None:
+    angles = -math.pi + STEP * np.arange(720)
+    with np.errstate(divide="ignore"):
+        ranges = np.minimum(np.abs(1.0 / np.sin(angles)), 20.0)
+    ranges[ranges >= 20.0] = np.nan
+    points = points_of(ranges, -math.pi, STEP, (0.0, 0.0, 0.0), 0)
+    covariance = motion_between(points, points, (0.0, 0.0, 0.0)).covariance
+    assert covariance[0, 0] > 0.5
+    assert covariance[1, 1] < 0.01
+
+
+def test_scans_of_two_places_do_not_fit() -> None:
+    rng = np.random.default_rng(2)
+    before = points_of(seen((0.0, 0.5, 0.3), rng), FIRST, STEP, MOUNT, 0)
+    after = points_of(rng.uniform(1.0, 9.0, BEAMS), FIRST, STEP, MOUNT, 1)
+    assert not motion_between(before, after, (0.0, 0.0, 0.0)).fits
+
+
+class Lidar:
+    """Says raw scans, ten a second, to a core."""
+
+    def __init__(self) -> None:
+        self.core, self.time = ScanIngestCore(ScanIngestSettings()), 0
+
+    def say(self, ranges: np.ndarray, mount: tuple[float, ...] = MOUNT) -> list[Envelope]:
+        self.time += 100_000_000
+        raw = RawScan(
+            timestamp=stamp(self.time),
+            mount=Pose2(x=mount[0], y=mount[1], theta=mount[2]),
+            angle_min=FIRST,
+            angle_increment=STEP,
+            ranges=ranges.tolist(),
+        )
+        return [*self.core.handle(Envelope(SCAN_RAW, {"site": "s", "robot": "r", "lidar": "front"}, raw))]
+
+    @property
+    def fault(self) -> str:
+        condition = self.core.condition()
+        return condition.detail if condition.status == Health.STATUS_DEGRADED else ""
+
+
+def test_a_drive_is_told_piece_by_piece() -> None:
+    lidar, rng, told, since = Lidar(), np.random.default_rng(5), (0.0, 0.0, 0.0), 100_000_000
+    pose = start = (-1.0, 0.5, 0.0)
+    for _ in range(40):
+        for envelope in lidar.say(seen(pose, rng)):
+            if envelope.channel is SCAN_MOTION:
+                message = envelope.open(ScanMotion)
+                assert message.since == stamp(since)
+                since, last = lidar.time, pose
+                told = composed(told, (message.motion.x, message.motion.y, message.motion.theta))
+        pose = composed(pose, (0.04, 0.0, 0.02))
+    assert composed(start, told) == pytest.approx(last, abs=0.1)
+    assert not lidar.fault
+
+
+def test_identical_scans_are_counted_told_and_named() -> None:
+    lidar, still = Lidar(), seen((0.0, 0.5, 0.3), np.random.default_rng(1))
+    said = [lidar.say(still) for _ in range(25)]
+    assert all(envelopes[0].channel is SCAN for envelopes in said)
+    repeats = [each[-1].open(ScanMotion).repeats for each in said[1:]]
+    assert repeats == list(range(1, 25))
+    assert lidar.fault.startswith("lidar r/front frozen: 25 identical scans")
+    lidar.say(seen((0.0, 0.5, 0.3), np.random.default_rng(2)))
+    assert not lidar.fault
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_covered_lidar_says_nothing_and_is_named(noise: float) -> None:
+    lidar, rng = Lidar(), np.random.default_rng(1)
+    for _ in range(6):
+        assert not lidar.say(0.7 + noise * rng.standard_normal(BEAMS))
+    assert "lidar r/front covered" in lidar.fault
+    lidar.say(seen((0.0, 0.5, 0.3), rng))
+    assert "covered" not in lidar.fault
+
+
+def test_a_wall_close_ahead_is_no_cover() -> None:
+    angles = FIRST + STEP * np.arange(BEAMS)
+    wall = np.minimum(0.2 / np.maximum(np.cos(angles), 0.01), 3.0)
+    assert Lidar().say(wall)
+
+
+def test_two_lidars_of_one_name_are_named_and_set_aside() -> None:
+    lidar, rng = Lidar(), np.random.default_rng(1)
+    said = [
+        lidar.say(seen((0.0, 0.5, 0.3), rng), MOUNT if scan % 2 else (-0.3, 0.0, math.pi))
+        for scan in range(20)
+    ]
+    assert not any(said[8:])
+    assert "two lidars" in lidar.fault
+
+
+def test_scans_of_two_clocks_are_named() -> None:
+    lidar, rng = Lidar(), np.random.default_rng(1)
+    for scan in range(30):
+        lidar.time += (3 if scan % 2 else -3) * 1_000_000_000
+        lidar.say(seen((0.0, 0.5, 0.3), rng))
+    assert "two clocks" in lidar.fault

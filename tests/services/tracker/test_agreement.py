@@ -1,0 +1,241 @@
+"""Odometry held against the motion that scans tell: what lies is found out, named, and not claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import compose, to_message
+from eigenscan.schemas.channels import SCAN_MOTION, TRANSFORM
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import ScanMotion
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.tracker.belief import Belief
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.tracks import begin
+
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
+
+Step = tuple[float, float, float]
+STEP: Step = (0.05, 0.0, 0.03)
+"""Of a scan, 0.1 s; each third one is told of by scan motion."""
+
+
+def motion(time: float, since: float, moved: Step | None, repeats: int = 0) -> Envelope:
+    message = ScanMotion(timestamp=stamp(round(time * 1e9)), since=stamp(round(since * 1e9)), repeats=repeats)
+    if moved is not None:
+        message.motion.CopyFrom(to_message(np.array(moved)))
+    return Envelope(SCAN_MOTION, {"site": "s", "robot": "r", "lidar": "front"}, message)
+
+
+def drive(
+    core: TrackerCore,
+    speaker: Speaker,
+    poses_of: PosesOf,
+    odometry: Callable[[int], Step],
+    scans: Callable[[int], Step],
+    count: int = 60,
+) -> list[PoseEstimate]:
+    """A robot that drives by STEP and is seen there; what odometry and scan motion say of each step."""
+    truth, told, seen, said = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.zeros(3), list[PoseEstimate]()
+    for scan in range(count):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, told)))
+        if scan and scan % 3 == 0:
+            list(core.handle(motion(time, time - 0.3, (seen[0], seen[1], seen[2]))))
+            seen = np.zeros(3)
+        said += poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        truth, told = compose(truth, np.array(STEP)), compose(told, np.array(odometry(scan)))
+        seen = compose(seen, np.array(scans(scan)))
+    return said
+
+
+def turned(angle: float) -> Step:
+    return cos(angle) * STEP[0], sin(angle) * STEP[0], STEP[2]
+
+
+def test_what_agrees_is_claimed_and_stays_healthy(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    said = drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP)
+    assert said[-1].state == STATE_LOCALIZED
+    assert said[-1].confidence > 0.99
+    assert core.condition().status == Health.STATUS_OK
+
+
+@pytest.mark.parametrize(
+    ("odometry", "scans", "words"),
+    [
+        (lambda _: STEP, lambda _: (0.0, 0.0, 0.0), "frozen"),
+        (lambda _: STEP, lambda _: (-STEP[0], 0.0, STEP[2]), "180°"),
+        (lambda _: STEP, lambda _: (STEP[0], 0.0, -STEP[2]), "upside down"),
+        (lambda _: STEP, lambda _: turned(pi / 2), "90°"),
+        (lambda _: (0.0, 0.0, 0.0), lambda _: STEP, "encoders"),
+    ],
+)
+def test_what_disagrees_is_named_and_not_claimed(
+    make_core: MakeCore,
+    speaker: Speaker,
+    poses_of: PosesOf,
+    odometry: Callable[[int], Step],
+    scans: Callable[[int], Step],
+    words: str,
+) -> None:
+    core = make_core()
+    said = drive(core, speaker, poses_of, odometry, scans)
+    late = said[20:]
+    assert not any(pose.state == STATE_LOCALIZED or pose.confidence > 0.7 for pose in late)
+    assert not any(pose.HasField("protection_radius") for pose in late)
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert condition.detail.startswith("r: ")
+    assert words in condition.detail
+
+
+def test_late_scans_are_named_with_their_delay(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    def step(scan: int) -> Step:
+        return (0.05, 0.0, 0.06 * (1.0 if scan // 7 % 2 else -1.0)) if scan > 0 else (0.0, 0.0, 0.0)
+
+    core = make_core()
+    drive(core, speaker, poses_of, step, lambda scan: step(max(scan - 10, 0)), count=90)
+    detail = core.condition().detail
+    assert "delayed" in detail
+    assert "1.0 s" in detail
+
+
+def test_encoders_without_a_sign_are_made_up_for_and_told(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Once it has driven ahead as odometry says, the mount is right: what runs backwards is the encoders."""
+    core, truth, told, said = make_core(), np.array([2.0, 3.0, 0.0]), np.zeros(3), list[PoseEstimate]()
+    errors = []
+    for scan in range(90):
+        time, back = 10.0 + 0.1 * scan, 40 <= scan < 70
+        list(core.handle(speaker.odometry(time, told)))
+        if scan:
+            moved = (-0.1 if 40 < scan <= 70 else 0.1, 0.0, 0.0)
+            list(core.handle(motion(time, time - 0.1, moved)))
+        # while it backs out, the map hardly shows the place
+        said += poses_of(core.handle(speaker.hypotheses(time, *(([], []) if back else ([truth], [17.0])))))
+        errors.append(np.hypot(said[-1].pose.x - truth[0], said[-1].pose.y - truth[1]))
+        truth = compose(truth, np.array([-0.1 if back else 0.1, 0.0, 0.0]))
+        told = compose(told, np.array([0.1, 0.0, 0.0]))
+    assert max(errors[5:]) < 0.3
+    assert said[-1].state == STATE_LOCALIZED
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert "without a sign" in condition.detail
+
+
+def test_a_repeated_scan_is_no_evidence(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core, told = make_core(), np.zeros(3)
+    for scan in range(40):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, told)))
+        if scan:
+            list(core.handle(motion(time, time - 0.1, None, scan)))
+        # of two places the first is a little likelier, again and again
+        said = poses_of(
+            core.handle(speaker.hypotheses(time, [np.array([1.0, 1, 0]), np.array([9.0, 4, 2])], [9.0, 8.0]))
+        )
+        told = compose(told, np.array([0.1, 0.0, 0.0]))
+    assert core.condition().counters["scan_repeated"] == 39
+    assert said[-1].state != STATE_LOCALIZED
+    assert "frozen" in core.condition().detail
+
+
+def test_odometry_of_two_robots_is_not_localized(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core = make_core()
+    for scan in range(30):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, np.array([8.0 * (scan % 2), 0.0, 0.0]))))
+        said = poses_of(core.handle(speaker.hypotheses(time, [np.array([2.0, 3.0, 0.0])], [17.0])))
+    assert said[-1].state != STATE_LOCALIZED
+    assert "two robots" in core.condition().detail
+
+
+def test_map_to_odom_ends_with_the_claim(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core()
+    drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP, count=30)
+    ahead, told = np.array([0.1, 0.0, 0.0]), np.zeros(3)
+    for _ in range(29):
+        told = compose(told, np.array(STEP))
+
+    def transforms(time: float) -> int:
+        heard = core.handle(speaker.odometry(time, told))
+        return sum(envelope.channel is TRANSFORM for envelope in heard)
+
+    # no scans any more: odometry carries the claim for some metres, and no farther
+    said = list[int]()
+    for step in range(200):
+        told = compose(told, ahead)
+        said.append(transforms(13.0 + 0.1 * step))
+    assert said[20] == 1
+    assert said[-1] == 0
+    assert 2.0 < 0.1 * sum(said) < 12.0
+
+
+def test_map_to_odom_is_not_told_while_lost(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+    core = make_core()
+    drive(core, speaker, poses_of, lambda _: STEP, lambda _: (0.0, 0.0, 0.0))
+    heard = core.handle(speaker.odometry(16.1, np.zeros(3)))
+    assert not [envelope for envelope in heard if envelope.channel is TRANSFORM]
+
+
+def test_the_protection_level_holds_the_error_and_is_absent_where_two_places_fit(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core, rng = make_core(), np.random.default_rng(4)
+    truth, given = np.array([2.0, 3.0, 0.0]), 0
+    for scan in range(60):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, np.array([0.1 * scan, 0.0, 0.0]))))
+        seen = truth + [0.1 * scan, 0, 0] + rng.normal(size=3) * [0.05, 0.05, 0.0175]
+        (pose,) = poses_of(core.handle(speaker.hypotheses(time, [seen], [17.0])))
+        if pose.HasField("protection_radius"):
+            given += 1
+            off = np.hypot(pose.pose.x - truth[0] - 0.1 * scan, pose.pose.y - truth[1])
+            assert off <= pose.protection_radius < 0.5
+            assert abs(pose.pose.theta) <= pose.protection_angle < 0.3
+            assert pose.protection_risk == TrackerSettings().protection_risk
+    assert given > 30
+    twice = [np.array([1.0, 1, 0]), np.array([9.0, 4, 2])]
+    undecided = make_core()
+    (pose,) = poses_of(
+        [*undecided.handle(speaker.hypotheses(10.0, twice, [12.0, 12.0])), *undecided.finish()]
+    )
+    assert not pose.HasField("protection_radius")
+
+
+def test_what_odometry_alone_carried_is_taken_back_and_what_a_scan_confirmed_is_not() -> None:
+    belief = Belief(TrackerSettings())
+    start = np.array([[2.0, 3.0, 0.5], [7.0, 1.0, -2.0], [4.0, 4.0, 3.1]])
+    belief.source_index("0")
+    belief.tracks = begin(
+        start,
+        np.tile(np.eye(3) * 1e-3, (3, 1, 1)),
+        np.log([0.5, 0.3, 0.2]),
+        np.zeros(3),
+        np.zeros((3, 1)),
+        0,
+        0,
+    )
+    told = Motion((0.3, 0.02, 0.15), 0.3, 0.15, 0.0, 0.0, 0.0, 0.5)
+    belief.predict(told)
+    belief.tracks.unchecked[1] = 0.0
+    carried = belief.tracks.x.copy()
+    belief.take_back(told)
+    x, y, turn = told.delta
+    right = compose(start, np.array([-x, -y, turn]))
+    np.testing.assert_allclose(belief.tracks.x[[0, 2]], right[[0, 2]], atol=1e-12)
+    np.testing.assert_allclose(belief.tracks.x[1], carried[1], atol=1e-12)
