@@ -32,7 +32,10 @@ def await_mute(config: Path, session: zenoh.Session) -> bool:
     since = time.monotonic()
     while time.monotonic() - since < MUTE_S:
         time.sleep(LOOK_EVERY_S)
-        if session.is_closed():
+        try:
+            if session.is_closed():
+                return False
+        except RuntimeError:  # another thread closes it just now
             return False
         if session.info.routers_zid() or not is_connected(ports):
             since = time.monotonic()
