@@ -31,6 +31,7 @@ def test_thin_walls_are_their_own_surfaces() -> None:
     found = Surfaces.of(grid)
     assert found.grid is grid
     assert found.thickness == pytest.approx(0.05)
+    assert found.inexactness == 0.0
 
 
 @pytest.mark.parametrize("by", [0.1, 0.2])
@@ -38,6 +39,8 @@ def test_fat_walls_are_thinned_to_where_they_were(by: float) -> None:
     grid = two_rooms()
     found = Surfaces.of(fatter(grid, by))
     assert found.thickness == pytest.approx(2 * by + 0.05, abs=0.06)
+    # a uniform distribution over the wall
+    assert found.inexactness == pytest.approx(found.thickness / np.sqrt(12))
     wall, was = found.grid.cells == OCCUPIED, grid.cells == OCCUPIED
     # within a cell of where they were, and nowhere else
     assert np.all(binary_dilation(was, np.ones((3, 3), dtype=bool))[wall])

@@ -7,6 +7,7 @@ import pytest
 from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.covariance import pose_covariances
 from scipy.ndimage import distance_transform_edt
 
 from tests.services.projector.office import free_poses, hear, is_right, office, poses_of, ready, scan_at
@@ -43,6 +44,14 @@ def test_on_a_blurred_map_scans_are_found(by: float) -> None:
 @pytest.mark.parametrize("by", [0.1, 0.2])
 def test_where_walls_are_as_fat_as_they_are_drawn_scans_are_found_too(by: float) -> None:
     assert first_right(by, fat(by)) >= 0.7
+
+
+def test_a_thick_wall_makes_its_pose_less_sure() -> None:
+    information = np.diag([40.0, 40.0, 90.0])[None]
+    thin, thick = pose_covariances(information)[0], pose_covariances(information, 0.12)[0]
+    # the surface's error beside a point's own 5 cm, before what the grid and the map's own error add
+    assert np.all(np.diag(thick) > np.diag(thin))
+    assert thick[0, 0] - thin[0, 0] == pytest.approx(0.12**2 / (0.25 * 40.0), rel=0.1)
 
 
 def test_the_pose_is_not_drawn_to_the_faces_of_blurred_walls() -> None:

@@ -31,6 +31,15 @@ class Surfaces:
 
     grid: GridMap
     thickness: float
+    thinned: bool = False
+
+    @property
+    def inexactness(self) -> float:
+        """How far, m, a surface anywhere in an ordinary wall is from its middle: standard deviation.
+
+        0 where walls are thin: then it is part of any lidar's error.
+        """
+        return self.thickness / 12.0**0.5 if self.thinned else 0.0
 
     @classmethod
     def of(cls, grid: GridMap, thickness: float = 0.0) -> Surfaces:
@@ -52,7 +61,7 @@ class Surfaces:
             thinned == FREE, np.ones((3, 3), dtype=bool), int(np.ceil(cells)) + 1, mask=gone
         )
         thinned[reached & gone] = FREE
-        return cls(GridMap(thinned, grid.resolution, grid.origin), found)
+        return cls(GridMap(thinned, grid.resolution, grid.origin), found, thinned=True)
 
 
 def faces_of(grid: GridMap) -> GridMap:

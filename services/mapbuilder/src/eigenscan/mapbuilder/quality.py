@@ -47,7 +47,7 @@ def quality(grid: GridMap, points: NDArray[np.float64], within: float) -> Qualit
     return Quality(
         cell_m=grid.resolution,
         wall_thickness_m=surfaces.thickness,
-        thinned=surfaces.grid is not grid,
+        thinned=surfaces.thinned,
         walls_in_sight=float(np.isfinite(ranges).mean()) if ranges.size else 0.0,
         usual_range_m=float(np.median(seen)) if len(seen) else float("nan"),
     )

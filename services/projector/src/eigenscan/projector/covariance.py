@@ -19,9 +19,12 @@ FLOOR = np.diag([0.03, 0.03, np.deg2rad(1.0)]) ** 2
 """No pose is surer than this: the map's own error."""
 
 
-def pose_covariances(information: Array) -> Array:
-    """Covariances (n, 3, 3) of poses from J'WJ (n, 3, 3) of their points' distances."""
-    certain = information * (INDEPENDENCE / POINT_SIGMA**2)
+def pose_covariances(information: Array, inexactness: float = 0.0) -> Array:
+    """Covariances (n, 3, 3) of poses from J'WJ (n, 3, 3) of their points' distances.
+
+    `inexactness`, m: how far a wall's surface may be from where it is taken to be (standard deviation).
+    """
+    certain = information * (INDEPENDENCE / (POINT_SIGMA**2 + inexactness**2))
     covariances: Array = inverse_each(certain + _HELD)
     covariances += FLOOR
     return covariances

@@ -215,7 +215,7 @@ def _weigh(
     witness("first", poses[:1])
     return Candidates(
         poses,
-        pose_covariances(polished.information[kept]),
+        pose_covariances(polished.information[kept], site.inexactness),
         supports,
         likelihood,
         explained[kept],

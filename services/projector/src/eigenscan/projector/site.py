@@ -70,6 +70,7 @@ class Site:
 
     `readings`: where the walls' surfaces may be, in their middle and, where they are thick, at their faces;
     each scan tells which. `caster` is the first one's, `drawn` of the walls as the map draws them.
+    `inexactness`, m: how far surfaces may be from there.
     `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
     """
@@ -79,7 +80,8 @@ class Site:
         own = own_share(whole.regions, settings.share)
         self.parts = settings.share[1]
         self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
-        surfaces = Surfaces.of(whole.grid).grid
+        found = Surfaces.of(whole.grid)
+        surfaces, self.inexactness = found.grid, found.inexactness
         field = DistanceField.of(whole.grid)
         self.drawn = WallField.of(field)
         as_drawn = Reading(self.drawn, RayCaster.of(whole.grid))
