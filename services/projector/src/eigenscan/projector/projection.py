@@ -210,12 +210,16 @@ def _weigh(
     )
     witness("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
-    likelihood = log_likelihood(supports, ordinary)
+    covariances = pose_covariances(polished.information[kept], site.inexactness)
+    exact = pose_covariances(polished.information[kept])
+    # that an inexact map spreads a place over more poses makes the place no likelier
+    spread = 0.5 * (np.linalg.slogdet(covariances)[1] - np.linalg.slogdet(exact)[1])
+    likelihood = log_likelihood(supports, ordinary) - spread
     witness("published", poses)
     witness("first", poses[:1])
     return Candidates(
         poses,
-        pose_covariances(polished.information[kept], site.inexactness),
+        covariances,
         supports,
         likelihood,
         explained[kept],
