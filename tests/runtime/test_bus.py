@@ -168,6 +168,7 @@ def test_who_asks_while_models_are_said_ends_with_the_newest(net: Any, buses: Op
     for inbox, versions in joiners:
         if versions[-1] != said[0]:
             versions += [int(version) for version in _until(inbox, str(said[0]))]
+    for inbox, versions in joiners:  # once all have the newest: the marks of one reach the others too
         assert _settled(holder, inbox, net) == []
         assert all(earlier < later for earlier, later in itertools.pairwise(versions))
 

@@ -23,6 +23,7 @@ from eigenscan.schemas.channels import (
     POSE,
     RELOCATION,
     SCAN,
+    SCAN_MOTION,
     SCAN_RAW,
     TRACKS,
     TRANSFORM,
@@ -32,7 +33,7 @@ from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
-from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 from eigenscan.schemas.tracking_pb2 import (
     STATE_AMBIGUOUS,
     STATE_LOCALIZED,
@@ -105,6 +106,7 @@ class Site:
     def _follow(self, raw: RawScan, time: int) -> Iterator[Envelope]:
         """What the services make of a scan."""
         at = nanoseconds(raw.timestamp)
+        yield self._say(SCAN_MOTION, ScanMotion(timestamp=raw.timestamp, since=stamp(at - 100_000_000)))
         scan = Scan(
             timestamp=raw.timestamp,
             frame_id="base",

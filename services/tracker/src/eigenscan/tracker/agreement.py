@@ -155,14 +155,16 @@ class Agreement:
                 interval = ScanInterval(interval.lidar, interval.since, interval.stamp, IDENTITY)
         self._waiting.append(interval)
 
-    def compare(self, trail: OdometryTrail) -> int | None:
-        """Compares what odometry covers by now.
+    def compare(self, trail: OdometryTrail, until: int) -> int | None:
+        """Compares what odometry covers of the intervals that end by `until`, ns.
 
-        Gives the stamp, ns, since when the way's direction was taken wrongly, where this showed it.
+        By stamps, whatever came first: what arrived early counts no sooner. Gives the stamp, ns, since when
+        the way's direction was taken wrongly, where this showed it.
         """
         turned = None
-        while self._waiting and trail.covers(self._waiting[0].stamp):
-            interval = self._waiting.popleft()
+        due = [each for each in self._waiting if each.stamp <= until and trail.covers(each.stamp)]
+        for interval in sorted(due, key=lambda each: (each.stamp, each.lidar)):
+            self._waiting.remove(interval)
             a, b = trail.at(interval.since), trail.at(interval.stamp)
             if a is None or b is None or not interval.since < interval.stamp:
                 continue

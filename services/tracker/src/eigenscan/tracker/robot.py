@@ -176,7 +176,7 @@ class RobotTracker:
     def _set_direction(self, predicted: int) -> None:
         """Sets tracks back that were predicted, up to a stamp, with the way's sign wrong."""
         was = self._agreement.reversed
-        turned = self._agreement.compare(self._trail)
+        turned = self._agreement.compare(self._trail, predicted)
         if turned is None:
             return
         self._counts["odometry_sign_turned"] += 1

@@ -15,6 +15,7 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN_RAW, TRACKS, find
 from eigenscan.schemas.envelope import Core, Envelope, nanoseconds
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode, encode
@@ -42,10 +43,14 @@ def unpack(packed: Packed) -> Iterator[Envelope]:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run said and cost: its poses, and the process time, ms, of each scan (n,)."""
+    """What a run said and cost: its poses, and the process time, ms, of each scan (n,).
+
+    `fault`: what the tracker's health found wrong with scans or odometry at the end; empty: nothing.
+    """
 
     stream: Stream
     cpu_ms: NDArray[np.float64]
+    fault: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,9 +82,12 @@ class Pipeline:
 
     def cold(self) -> Loopback:
         """The whole pipeline, knowing the map and nothing of the pose."""
+        return self._cold()[0]
+
+    def _cold(self) -> tuple[Loopback, TrackerCore]:
         ingest, tracker = ScanIngestCore(ScanIngestSettings()), TrackerCore(TrackerSettings())
         self._teach(tracker)
-        return Loopback([ingest, self._remembering, tracker])
+        return Loopback([ingest, self._remembering, tracker]), tracker
 
     def warm_up(self, heard: Iterable[Envelope]) -> None:
         """Hears a few messages before the clock counts: what is compiled late is compiled now."""
@@ -88,7 +96,7 @@ class Pipeline:
 
     def run(self, heard: Iterable[Envelope]) -> Run:
         """Hears raw scans and odometry in the order given, from a cold start."""
-        loop = self.cold()
+        loop, tracker = self._cold()
         said, cpu_ms, scans = list[_Said](), list[float](), list[int]()
         spent = at_last_scan = 0
         loop.start()
@@ -102,7 +110,10 @@ class Pipeline:
                 cpu_ms.append((spent - at_last_scan) / 1e6)
                 at_last_scan = spent
         said += _poses(loop.finish(), spent)
-        return Run(_stream(said, np.sort(np.asarray(scans, dtype=np.int64))), np.asarray(cpu_ms))
+        condition = tracker.condition()
+        fault = condition.detail if condition.status == Health.STATUS_DEGRADED else ""
+        stream = _stream(said, np.sort(np.asarray(scans, dtype=np.int64)))
+        return Run(stream, np.asarray(cpu_ms), fault)
 
     def answer(self, scan: Envelope) -> Answer:
         """Hears one raw scan: no odometry, no tracking, no prior."""

@@ -14,7 +14,7 @@ from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.mapping.chain import Sweep
 from eigenscan.mapbuilder.mapping.cloud import Outline
-from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.workbench.evaluation.reference import Trajectory
@@ -85,7 +85,7 @@ def read_scans(
         if envelope.channel is ODOMETRY:
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
-            scans += [said.open(Scan) for said in ingest.handle(envelope)]
+            scans += [said.open(Scan) for said in ingest.handle(envelope) if said.channel is SCAN]
     moved(1.0)
     counters = ingest.condition().counters
     reasons = {
