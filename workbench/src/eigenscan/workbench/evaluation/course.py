@@ -70,16 +70,19 @@ def evaluate(task: Task, bars: Bars) -> Figures:
         _check_overlap(task, log, reference)
     built = build(task.map, task.spacing, bars.start_share("model"))
     with Workers(task.jobs, built.models, log.beginning) as workers:
-        source = str(task.reference) if task.reference else RECORDED
+        source, fault = str(task.reference) if task.reference else RECORDED, ""
         if reference is None:
-            source, reference = WHOLE_DRIVE, whole_drive(task.log, log, workers)
+            source = WHOLE_DRIVE
+            reference, fault = whole_drive(task.log, log, workers)
         if windows is None:
             windows = plan_windows(log.scans, reference)
         if times is None:
             times = plan_scans(log.scans, reference)
         walls = Walls(DistanceField.of(built.site.grid), log.canonical)
         bench = Bench(log, reference, workers, bars.start, walls)
-        return finite({"reference": source} | _figures(task, bench, built, windows, times))
+        figures = _figures(task, bench, built, windows, times)
+        faults = sorted({*figures.get("faults", ()), *filter(None, [fault.partition(": ")[2]])})
+        return finite({"reference": source} | figures | {"faults": faults})
 
 
 def _figures(

@@ -40,19 +40,21 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
     return _trajectory(poses) if poses else None
 
 
-def whole_drive(path: Path, log: Log, workers: Workers) -> Trajectory:
-    """Where the pipeline claims to have been when it hears the whole log in one go.
+def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, str]:
+    """Where the pipeline claims to have been when it hears the whole log in one go, and its fault, if any.
 
     A wrong claim that a cold start makes as well is not found so. Raises EvaluationError.
     """
-    stream = next(workers.runs([log.whole])).stream
+    run = next(workers.runs([log.whole]))
+    stream = run.stream
     claimed = stream.where(stream.localized)
     if not len(claimed):
+        found = f" ({run.fault})" if run.fault else ""
         raise EvaluationError(
             f"{path}: nowhere localized on this map, so nothing to compare with: is it the map of this "
-            "building? Otherwise give --ground-truth"
+            f"building? Otherwise give --ground-truth{found}"
         )
-    return _trajectory(dict(zip(claimed.stamps.tolist(), claimed.poses, strict=True)))
+    return _trajectory(dict(zip(claimed.stamps.tolist(), claimed.poses, strict=True))), run.fault
 
 
 def _trajectory(poses: dict[int, Pose]) -> Trajectory:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +78,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
     """Cold starts at each window; `poses`: a file for all that was said."""
     advance = bench.progress("windows", len(windows))
     judged, rows, cpu, streams = [], [], [], []
-    faults: Counter[str] = Counter()
+    faults: set[str] = set()
     runs = bench.workers.runs(bench.log.between(window) for window in windows)
     for window, run in zip(windows, runs, strict=True):
         judged.append(judge(run.stream, bench.reference))
@@ -87,14 +86,14 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
         cpu.append(run.cpu_ms)
         streams.append(run.stream)
         if run.fault:
-            faults[run.fault.partition(": ")[2]] += 1  # without the robot's name
+            faults.add(run.fault.partition(": ")[2])  # without the robot's name
         rows[-1]["reference_in_doubt"] = _in_doubt(bench, window, judged[-1])
         advance()
     if poses:
         write_poses(poses, streams)
     doubts = [row["reference_in_doubt"] for row in rows]
     return windows_figures(judged, rows) | {
-        "faults": dict(faults),
+        "faults": sorted(faults),
         "reference_in_doubt": {"claims": sum(doubts), "windows": sum(map(bool, doubts)), "rule": RULE},
         "cpu_ms_per_scan": summary(np.concatenate([np.empty(0), *cpu]), 99),
         "per_window": rows,
