@@ -136,10 +136,7 @@ def _lacking(view: FleetView) -> list[str]:
 
 
 def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str]) -> str:
-    """The newest pose, `age_s` old, for people; without one what is lacking.
-
-    What is old is not shown as if it held now.
-    """
+    """The newest pose, for people, unless `age_s` says that it is old; without one what is lacking."""
     if pose is None:
         return f"no pose yet ({'; '.join(lacking)})" if lacking else "no pose yet"
     if age_s > OLD_S:
