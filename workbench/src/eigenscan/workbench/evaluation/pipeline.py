@@ -80,11 +80,8 @@ class Pipeline:
             if model.channel in core.hears:
                 list(core.handle(model))
 
-    def cold(self) -> Loopback:
-        """The whole pipeline, knowing the map and nothing of the pose."""
-        return self._cold()[0]
-
     def _cold(self) -> tuple[Loopback, TrackerCore]:
+        """The whole pipeline, knowing the map and nothing of the pose; and its tracker."""
         ingest, tracker = ScanIngestCore(ScanIngestSettings()), TrackerCore(TrackerSettings())
         self._teach(tracker)
         return Loopback([ingest, self._remembering, tracker]), tracker
