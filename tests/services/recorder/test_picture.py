@@ -49,8 +49,14 @@ ADDRESS = {"site": "s", "robot": "r1", "lidar": "front"}
 S = 1_000_000_000
 
 
-def draw(path: Path, messages: Iterable[Envelope], picture_hz: float = 1000.0) -> None:
-    sink = RerunSink(RecorderOptions(rrd=path, picture_hz=picture_hz))
+def draw(
+    path: Path,
+    messages: Iterable[Envelope],
+    picture_hz: float = 1000.0,
+    layout: Layout = "operator",
+    draw_all: bool = False,
+) -> None:
+    sink = RerunSink(RecorderOptions(rrd=path, picture_hz=picture_hz, layout=layout, draw_all=draw_all))
     for message in messages:
         sink.write(message)
     sink.close()
@@ -379,7 +385,7 @@ def test_whatever_decodes_can_be_drawn(tmp_path: Path) -> None:
     )
     broken = [damaged(dice.choice(sound), dice) for _ in range(3000)]
     empty = [Envelope(channel, sound[0].address, channel.message()) for channel in CHANNELS]
-    draw(tmp_path / "a.rrd", [*empty, *(message for message in broken if message), *sound])
+    draw(tmp_path / "a.rrd", [*empty, *(message for message in broken if message), *sound], draw_all=True)
     assert "/world/robots/r1/tracks" in entities(tmp_path / "a.rrd")
 
 
@@ -500,10 +506,10 @@ def origins(panel: Any) -> set[str]:
 
 
 def test_no_panel_of_any_layout_stays_empty(tmp_path: Path) -> None:
-    draw(tmp_path / "a.rrd", Site("s", seconds=3.0).messages())
+    draw(tmp_path / "a.rrd", Site("s", seconds=3.0).messages(), draw_all=True)
     drawn = entities(tmp_path / "a.rrd")
     for layout in get_args(Layout):
-        stood_on = origins(blueprint(layout, None, None, live=False).root_container)
+        stood_on = origins(blueprint(layout, None, None, live=False, draw_all=True).root_container)
         assert {"status", "world", "legend"} <= stood_on
         for origin in stood_on:
             assert any(entity.startswith(f"/{origin}") for entity in drawn), (layout, origin)

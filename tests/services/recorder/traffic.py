@@ -84,7 +84,10 @@ class Site:
         yield self._say(MAP, grid_message(self.grid, "map"))
         yield self._say(MODEL, self._model())
         yield self._say(MODEL_SET, ModelSet(timestamp=stamp(first), version="abc", frame_id="map"))
-        yield self._say(TRANSFORM, FrameTransform(timestamp=stamp(first), parent_frame_id="map"))
+        yield self._say(
+            TRANSFORM,
+            FrameTransform(timestamp=stamp(first), parent_frame_id="map", child_frame_id="odom"),
+        )
         for timed in timeline:
             yield timed.envelope
             if timed.envelope.channel == SCAN_RAW:

@@ -40,6 +40,9 @@ def view(
     picture_hz: Annotated[
         float, typer.Option(min=0.01, help="pictures a second of the recording's time")
     ] = 10.0,
+    draw_all: Annotated[
+        bool, typer.Option("--draw-all", help="also raw scans and coordinate frames")
+    ] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="port of the page; 0 chooses one")] = 0,
     json_file: JsonFile = None,
 ) -> None:
@@ -53,6 +56,7 @@ def view(
       eigenscan view night.mcap --at 03:11 --to 03:14
       eigenscan view night.mcap --at 8040
       eigenscan view drive.mcap --layout researcher
+      eigenscan view drive.mcap --layout developer --draw-all
       eigenscan view drive.mcap --rrd drive.rrd --no-open
     """  # noqa: D301 - \b keeps the lines apart in --help
     if rrd is None and not is_opened:
@@ -67,7 +71,7 @@ def view(
 
     with TemporaryDirectory(prefix="eigenscan-view-") as folder:
         target = rrd or Path(folder) / f"{recording.stem}.rrd"
-        settings = RecorderOptions(rrd=target, layout=layout, picture_hz=picture_hz)
+        settings = RecorderOptions(rrd=target, layout=layout, picture_hz=picture_hz, draw_all=draw_all)
         figures = {"picture": str(rrd) if rrd else None} | _draw(recording, at, end, settings)
         if is_opened:
             _open(target, port, figures, json_file)

@@ -63,6 +63,11 @@ class RecorderOptions(ServiceSettings):
         le=1000,
         description="most updates a second for each robot; plots and MCAP get everything",
     )
+    draw_all: bool = Field(
+        False,
+        description="also draws raw scans and coordinate frames, which fill the viewer's memory, and in the "
+        "layout fleet what is left out there; MCAP gets everything in any case",
+    )
     plot_window_s: float = Field(120.0, gt=0, description="seconds shown in live plots")
 
     @property

@@ -40,6 +40,7 @@ class RerunSink:
             settings.layout,
             settings.plot_window_s,
             live=settings.viewer_port is not None,
+            draw_all=settings.draw_all,
         )
 
     @property

@@ -24,15 +24,20 @@ Past = Sequence[rr.VisibleTimeRange] | None
 Extent = tuple[ArrayLike, ArrayLike]
 
 
-def blueprint(layout: Layout, extent: Extent | None, window_s: float | None, live: bool) -> rrb.Blueprint:
+def blueprint(
+    layout: Layout, extent: Extent | None, window_s: float | None, live: bool, draw_all: bool = False
+) -> rrb.Blueprint:
     """Panels for any number of robots.
 
     `extent`: low and high corner of the map, m, which the eye takes in; `window_s`: s of the past that time
-    plots show, None for everything; `live`: the newest is followed.
+    plots show, None for everything; `live`: the newest is followed; `draw_all`: raw scans and frames as well.
     """
     panels = {"operator": _operator, "developer": _developer, "researcher": _researcher, "fleet": _fleet}
+    shown = panels[layout](extent, _past(window_s))
+    if draw_all:
+        shown = rrb.Tabs(shown, rrb.Horizontal(_raw(), _frames(), name="Raw scans, frames"), active_tab=0)
     return rrb.Blueprint(
-        panels[layout](extent, _past(window_s)),
+        shown,
         rrb.TimePanel(
             state="collapsed",
             timeline=TIMELINE,
@@ -58,9 +63,14 @@ def _operator(extent: Extent | None, past: Past) -> rrb.Container:
 
 def _developer(extent: Extent | None, past: Past) -> rrb.Container:
     """Which service did what, when?"""
-    time = rrb.Vertical(_state(past), _belief(past), *_errors(past), row_shares=[1.8, 2, 2, 2])
-    here = rrb.Vertical(_map(extent), rrb.Tabs(_beams(), _legend()), row_shares=[7, 3])
-    return _under_the_bar(rrb.Horizontal(here, rrb.Vertical(time, _events(), row_shares=[3, 2])))
+    curves = rrb.Vertical(
+        _state(past),
+        _belief(past),
+        rrb.Tabs(*_motion(past), *_errors(past)),
+        row_shares=[1.8, 2, 4],
+    )
+    here = rrb.Vertical(_map(extent), rrb.Tabs(_beams(), _legend(), _models()), row_shares=[7, 3])
+    return _under_the_bar(rrb.Horizontal(here, rrb.Vertical(curves, _events(), row_shares=[3, 2])))
 
 
 def _researcher(extent: Extent | None, past: Past) -> rrb.Container:
@@ -131,6 +141,27 @@ def _errors(past: Past) -> tuple[rrb.View, rrb.View]:
         rrb.TimeSeriesView(origin="error/position", name="Error, m", time_ranges=past),
         rrb.TimeSeriesView(origin="error/heading", name="Heading error, deg", time_ranges=past),
     )
+
+
+def _motion(past: Past) -> tuple[rrb.View, rrb.View]:
+    return (
+        rrb.TimeSeriesView(origin="motion/speed", name="Speed, m/s", time_ranges=past),
+        rrb.TimeSeriesView(origin="motion/turn", name="Turn rate, deg/s", time_ranges=past),
+    )
+
+
+def _models() -> rrb.View:
+    return rrb.TextDocumentView(origin="models", name="Models")
+
+
+def _raw() -> rrb.View:
+    return rrb.Spatial3DView(
+        origin="raw", name="Raw scans (robot's frame, forward is right)", background=[255, 255, 255]
+    )
+
+
+def _frames() -> rrb.View:
+    return rrb.Spatial3DView(origin="frames", name="Frames")
 
 
 def _beams() -> rrb.View:

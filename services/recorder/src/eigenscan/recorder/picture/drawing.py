@@ -12,18 +12,27 @@ from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory
 from eigenscan.recorder.picture.eigenspace import EigenspacePicture
 from eigenscan.recorder.picture.floor import Floor
 from eigenscan.recorder.picture.layout import Layout
+from eigenscan.recorder.picture.models import ModelsPicture
+from eigenscan.recorder.picture.motion import MotionPicture, RelocationPicture
 from eigenscan.recorder.picture.plots import BeamsPicture, Plots
 from eigenscan.recorder.picture.robot import RobotPicture
+from eigenscan.recorder.picture.sensors import FramesPicture, RawScanPicture
 from eigenscan.recorder.picture.status import Events, StatusBoard
 from eigenscan.schemas.channels import (
     HEALTH,
     HYPOTHESES,
     MAP,
     MODEL,
+    MODEL_SET,
     OBSTACLES,
+    ODOMETRY,
     POSE,
+    RELOCATION,
     SCAN,
+    SCAN_MOTION,
+    SCAN_RAW,
     TRACKS,
+    TRANSFORM,
     TRUTH,
     Channel,
 )
@@ -43,6 +52,7 @@ The **bar on top** says it in one word:
 - **black arrow**: the true pose, where a simulator tells it
 - **orange arrows**: hypotheses of the last scan; grey: improbable
 - **purple lines**: tracks and their past, from 1 % on; grey: improbable
+- **blue arrow with an ellipse**: where somebody last told the robot that it is
 
 **Panels**:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
@@ -53,6 +63,10 @@ The **bar on top** says it in one word:
   loop is the best hypothesis' place, turned once round: the scan lies on it when the place is right.
 - **Scan and eigen-scans**: the scan's ranges (blue) and what the region's eigenspace keeps of them (orange);
   below, the first eigen-scans (purple), of which it is mixed.
+- **Speed, Turn rate**: of the robot, by odometry (orange) and by its scans alone (blue): they should agree.
+- **Models**: which models and map are in use.
+- **Raw scans, Frames**: with `draw_all` only: what the driver gives (red: beyond the sensor's limits), in the
+  robot's own frame; the coordinate frames, each in its parent.
 - **Events**: changes of state and of the services' health.
 
 Hidden at first: the outlines of the regions that have an eigenspace (`world/regions`).
@@ -76,8 +90,13 @@ class Picture:
         window_s: float | None,
         *,
         live: bool,
+        draw_all: bool = False,
     ) -> None:
-        """`rate_hz`: pictures per second and robot at most; the others: see `blueprint.blueprint`."""
+        """`rate_hz`: pictures per second and robot at most; `draw_all`: also raw scans and frames.
+
+        The others: see `blueprint.blueprint`.
+        """
+        self._draw_all = draw_all
         self._stream, self._layout, self._window_s, self._live = stream, layout, window_s, live
         canvas, scans = Canvas(stream), ScanMemory()
         pace, charts = Pace(rate_hz), Pace(rate_hz / CHARTS_LESS_OFTEN)
@@ -86,23 +105,38 @@ class Picture:
         belief = BeliefPicture(canvas, pace)
         beams, space = BeamsPicture(canvas, charts, scans), EigenspacePicture(canvas, charts, scans)
         board, events = StatusBoard(canvas), Events(canvas)
+        self._motion = MotionPicture(canvas)
         self._drawn_by: dict[Channel, tuple[Draw, ...]] = {
             MAP: (self._draw_map,),
             MODEL: (self._floor.draw_region,),
+            MODEL_SET: (ModelsPicture(canvas).draw,),
+            RELOCATION: (RelocationPicture(canvas).draw,),
             POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
             TRUTH: (robots.draw_truth, self._plots.hear_truth),
             HEALTH: (events.hear_health, board.hear_health),
         }
-        if layout != "fleet":  # many robots' guesses would hide the map
+        if draw_all or layout != "fleet":  # many robots' guesses would hide the map
             self._drawn_by |= {
                 MODEL: (self._floor.draw_region, space.keep_model),
                 SCAN: (scans.keep, robots.hear_scan),
                 HYPOTHESES: (belief.draw_hypotheses, space.draw),
                 OBSTACLES: (belief.draw_obstacles, beams.draw),
                 TRACKS: (belief.draw_tracks,),
+                ODOMETRY: (self._motion.hear_odometry,),
+                SCAN_MOTION: (self._motion.hear_scan_motion,),
+            }
+        if draw_all:
+            self._drawn_by |= {
+                SCAN_RAW: (RawScanPicture(canvas, pace).draw,),
+                TRANSFORM: (FramesPicture(canvas, pace).draw,),
             }
         canvas.fix("legend", rr.TextDocument(LEGEND, media_type=rr.MediaType.MARKDOWN))
         self._show()
+
+    @property
+    def channels(self) -> frozenset[Channel]:
+        """Those that are drawn."""
+        return frozenset(self._drawn_by)
 
     def draw(self, heard: Envelope) -> None:
         """Draws one message; channels without a picture are left out."""
@@ -113,6 +147,7 @@ class Picture:
     def flush(self) -> None:
         """Draws what was held back."""
         self._plots.flush()
+        self._motion.flush()
 
     def _draw_map(self, heard: Envelope) -> None:
         before = self._floor.extent
@@ -122,5 +157,7 @@ class Picture:
 
     def _show(self) -> None:
         self._stream.send_blueprint(
-            blueprint(self._layout, self._floor.extent, self._window_s, live=self._live)
+            blueprint(
+                self._layout, self._floor.extent, self._window_s, live=self._live, draw_all=self._draw_all
+            )
         )

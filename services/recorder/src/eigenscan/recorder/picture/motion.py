@@ -1,0 +1,108 @@
+"""How fast the robot moves by its odometry and by its scans, and what it is told from outside."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rerun as rr
+from eigenscan.geometry.pose import Array, between, covariance_from_message, from_message, from_pose3
+from eigenscan.recorder.picture.canvas import Canvas, stamp_of
+from eigenscan.recorder.picture.palette import HYPOTHESIS, SCAN, Colour
+from eigenscan.recorder.picture.plots import Series
+from eigenscan.recorder.picture.shapes import arrows, ellipse, is_place, lift
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.recently_used import RecentlyUsed
+from eigenscan.schemas.scan_pb2 import ScanMotion
+from eigenscan.schemas.tracking_pb2 import Relocation
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+
+SHORTEST_S = 0.1
+"""A speed is that between two poses at least so far apart: 50 Hz odometry in mm steps would be noise."""
+LONGEST_S = 2.0
+"""Between two poses farther apart nothing is plotted."""
+TOLD_M = 1.8
+"""Length of the arrow of a relocation: longer than the pose's own."""
+
+
+class MotionPicture:
+    """Plots speed (m/s, forward) and turn rate (degrees/s) of the base, by odometry and by each lidar."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        self._series: RecentlyUsed[str, tuple[Series, Series]] = RecentlyUsed(_flush)
+        self._before: RecentlyUsed[str, list[tuple[int, Array]]] = RecentlyUsed()
+
+    def hear_odometry(self, heard: Envelope) -> None:
+        """Plots the speed since the last pose that was plotted."""
+        message, robot = heard.open(Odometry), heard.address["robot"]
+        stamp, pose = stamp_of(message.timestamp), from_pose3(message.pose)
+        if stamp is None or not is_place(pose):
+            return
+        last = self._before.use(robot, list)
+        if last and 0 <= stamp - last[0][0] < SHORTEST_S * 1e9:
+            return
+        if last and 0 < stamp - last[0][0] < LONGEST_S * 1e9:
+            self._add(robot, "odometry", HYPOTHESIS, stamp, between(last[0][1], pose), stamp - last[0][0])
+        last[:] = [(stamp, pose)]
+
+    def hear_scan_motion(self, heard: Envelope) -> None:
+        """Plots the speed between two scans; a gap where they do not fit each other."""
+        message, where = heard.open(ScanMotion), heard.address
+        stamp, since = stamp_of(message.timestamp), stamp_of(message.since)
+        if stamp is None or since is None or since >= stamp:
+            return
+        moved = from_message(message.motion) if message.HasField("motion") else np.full(3, math.nan)
+        self._add(where["robot"], f"scans of {where['lidar']}", SCAN, stamp, moved, stamp - since)
+
+    def flush(self) -> None:
+        """Sends what waits."""
+        for _, pair in self._series.items():
+            _flush(pair)
+
+    def _add(self, robot: str, source: str, colour: Colour, stamp: int, moved: Array, took_ns: int) -> None:
+        name = f"{robot}: by {source}"
+        path = f"{robot}/{source.replace(' ', '_')}"
+        speed, turn = self._series.use(
+            path,
+            lambda: (
+                Series(self._canvas, f"motion/speed/{path}", [name], [colour]),
+                Series(self._canvas, f"motion/turn/{path}", [name], [colour]),
+            ),
+        )
+        speed.add(stamp, float(moved[0]) / (took_ns * 1e-9))
+        turn.add(stamp, math.degrees(float(moved[2])) / (took_ns * 1e-9))
+
+
+def _flush(pair: tuple[Series, Series]) -> None:
+    for series in pair:
+        series.flush()
+
+
+class RelocationPicture:
+    """Draws where a robot is told to be, until it is told otherwise, and a line among the events."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+
+    def draw(self, heard: Envelope) -> None:
+        """An arrow with its 95 % ellipse; nothing where the robot is to search anew."""
+        message, robot = heard.open(Relocation), heard.address["robot"]
+        stamp = stamp_of(message.timestamp) or self._canvas.newest
+        if not stamp:
+            return
+        path, pose = f"world/robots/{robot}/relocation", from_message(message.pose)
+        words = f"{robot}: told to search anew"
+        self._canvas.clear(stamp, path)
+        if message.HasField("pose") and is_place(pose):
+            covariance = covariance_from_message(message.covariance)
+            outline = [lift(ellipse(pose, covariance), 0.09)] if is_place(covariance) else []
+            self._canvas.style(path, _style)
+            self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, TOLD_M, 0.09), *outline]))
+            place = f"{pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg"
+            words = f"{robot}: told to be at {place}"
+        self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(words, level=rr.TextLogLevel.INFO))
+
+
+def _style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(2.0), colors=[SCAN]),)
