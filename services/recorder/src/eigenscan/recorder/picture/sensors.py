@@ -70,7 +70,9 @@ class FramesPicture:
         if not is_place(moved) or not is_place(turned) or not self._pace.due(path, stamp):
             return
         self._canvas.style(path, _axes_style)
-        self._canvas.draw(stamp, path, rr.Transform3D(translation=moved, quaternion=rr.Quaternion(xyzw=turned)))
+        self._canvas.draw(
+            stamp, path, rr.Transform3D(translation=moved, quaternion=rr.Quaternion(xyzw=turned))
+        )
 
     def _path(self, robot: str, child: str, parents: dict[str, str]) -> str:
         """The child below all its parents that are known; a circle is cut where it closes."""
