@@ -42,6 +42,8 @@ class Observation:
     """m^2 that the search covered."""
     usable: bool
     model_version: str = ""
+    listed: int = 0
+    """Hypotheses in the message, also those that are no numbers."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -93,6 +95,7 @@ def observe(
         message.searched_area_m2 if 1.0 <= message.searched_area_m2 < 1e9 else 1.0,
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
+        len(message.hypotheses),
     )
 
 

@@ -22,7 +22,8 @@ from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
-from eigenscan.tracker.timeline import Timeline
+from eigenscan.tracker.silence import Silence
+from eigenscan.tracker.timeline import Heard, Timeline
 from eigenscan.tracker.tracks import Tracks
 from eigenscan.tracker.unification import prune, unify
 from eigenscan.tracker.velocity_gate import VelocityGate
@@ -76,6 +77,7 @@ class RobotTracker:
         self._counts = counts
         self._trail = OdometryTrail(VelocityGate(settings.v_max, settings.turn_max))
         self._timeline = Timeline(settings.patience, settings.late, counts)
+        self._silence = Silence(self._timeline)
         self._agreement = Agreement()
         self._reset()
 
@@ -103,11 +105,14 @@ class RobotTracker:
             self._agreement.hear_jump(stamp)
         if self._trail.newest is not None:
             self._timeline.hear_odometry(self._trail.newest.stamp, result == "odometry_restarted")
+            self._silence.hear_odometry(self._trail.newest.stamp)
         return [self._step(seen) for seen in self._timeline.ready()]
 
     def hear(self, seen: Observation) -> list[Estimate]:
         """Takes an observation; gives the estimates that are ready."""
-        if self._timeline.hear(seen):
+        heard = self._timeline.hear(seen)
+        self._silence.hear(seen, heard)
+        if heard is Heard.RESTARTED:
             self._reset()
         return [self._step(each) for each in self._timeline.ready()]
 
@@ -121,7 +126,7 @@ class RobotTracker:
 
     @property
     def fault(self) -> str:
-        """What is wrong with scans or odometry, in words; empty: nothing that shows."""
+        """What is wrong with scans or odometry, or why no pose comes; empty: nothing that shows."""
         agreement = self._agreement
         if agreement.two_robots:
             return "odometry jumps again and again: do two robots use this name?"
@@ -129,7 +134,7 @@ class RobotTracker:
             return likely_cause(agreement.compared, self._trail)
         if agreement.without_sign:
             return "odometry counts driving backwards as forwards (encoders without a sign); made up for"
-        return ""
+        return self._silence.reason
 
     def map_to_odom(self) -> Pose | None:
         """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""
@@ -160,7 +165,8 @@ class RobotTracker:
             belief.predict(self._applied(self._motion(belief.stamp, seen.stamp)))
         belief.stamp = seen.stamp
         belief.forget_innovations()
-        if self._agreement.is_repeated(seen.lidar, seen.stamp):
+        repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
+        if repeated:
             self._counts["scan_repeated"] += 1
         elif seen.usable:
             self._heed_hint(seen)
@@ -171,7 +177,9 @@ class RobotTracker:
         else:
             self._counts["scan_unusable"] += 1
         self._remember()
-        return self._conclude(seen)
+        estimate = self._conclude(seen)
+        self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
+        return estimate
 
     def _set_direction(self, predicted: int) -> None:
         """Sets tracks back that were predicted, up to a stamp, with the way's sign wrong."""

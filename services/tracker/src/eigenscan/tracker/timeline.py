@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter, deque
+from enum import Enum
 
 from eigenscan.tracker.observation import Observation
 
@@ -15,6 +16,16 @@ RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
 RECENT = 64
 """Stamps kept of each source, to know a repetition."""
+
+
+class Heard(Enum):
+    """What becomes of an observation that is heard."""
+
+    TAKEN = "taken"
+    RESTARTED = "taken, and the clock was set back"
+    DUPLICATE = "its stamp was heard before"
+    TOO_LATE = "its stamp is older than what is still waited for"
+    FUTURE = "its stamp is not believed yet"
 
 
 class Timeline:
@@ -41,20 +52,30 @@ class Timeline:
             self._odometry = stamp
         self._odometry = max(self._odometry, stamp)
 
-    def hear(self, seen: Observation) -> bool:
-        """Takes an observation, or counts why not; True where this showed that the clock was set back."""
+    def hear(self, seen: Observation) -> Heard:
+        """Takes an observation, or counts why not."""
         recent = self._recent.setdefault(seen.source, deque(maxlen=RECENT))
         if seen.stamp in recent:
             self._counts["hypotheses_duplicate"] += 1
-            return False
+            return Heard.DUPLICATE
         if self._heard is not None and seen.stamp < self._heard - self._late:
             return self._hear_past(seen)
         self._past_in_row[seen.source] = 0
         if self._is_doubtful(seen):
             self._counts["hypotheses_from_future"] += 1
-            return False
+            return Heard.FUTURE
         self._push(seen)
-        return False
+        return Heard.TAKEN
+
+    @property
+    def newest(self) -> int | None:
+        """Newest stamp, ns, that is believed."""
+        return self._heard
+
+    @property
+    def longest_waiting(self) -> tuple[str, int] | None:
+        """Source and stamp, ns, of the oldest observation that waits."""
+        return (self._waiting[0][1], self._waiting[0][0]) if self._waiting else None
 
     def _is_doubtful(self, seen: Observation) -> bool:
         if self._heard is None or seen.stamp <= max(self._heard, self._odometry or 0) + FUTURE_NS:
@@ -64,18 +85,18 @@ class Timeline:
         self._doubted[seen.source] = seen.stamp
         return before is None or not 0 < seen.stamp - before <= CONFIRMED_NS
 
-    def _hear_past(self, seen: Observation) -> bool:
+    def _hear_past(self, seen: Observation) -> Heard:
         self._counts["hypotheses_too_late"] += 1
         self._past_in_row[seen.source] += 1
         if self._past_in_row[seen.source] < RESTART_AFTER:
-            return False
+            return Heard.TOO_LATE
         self._counts["clock_set_back"] += 1
         odometry = self._odometry
         self._forget()
         # odometry that has already gone back with the clock still counts
         self._odometry = odometry if odometry is not None and odometry <= seen.stamp + FUTURE_NS else None
         self._push(seen)
-        return True
+        return Heard.RESTARTED
 
     def _push(self, seen: Observation) -> None:
         self._recent.setdefault(seen.source, deque(maxlen=RECENT)).append(seen.stamp)

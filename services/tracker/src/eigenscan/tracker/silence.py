@@ -1,0 +1,125 @@
+"""Why hypotheses come and no pose is published, in words; by stamps and counts alone, without a clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.timeline import Heard, Timeline
+
+SILENT_NS = 2_000_000_000
+"""A source's hypotheses without a pose for longer, by their stamps or by odometry's, are a fault."""
+SILENT_LISTS = 20
+"""The same where stamps do not go on: 2 s of a lidar of 10 Hz."""
+RESTARTS_WITHIN = 40
+"""Lists between two set-backs of the clock, up to which they are two clocks."""
+
+
+class Ending(Enum):
+    """How a list of hypotheses ended without a pose."""
+
+    DUPLICATE = "each has a stamp that was heard before: the lidar's driver must set a new one for each scan"
+    TOO_LATE = "their stamps are {behind:.1f} s behind the newest that was heard: check the lidars' clocks"
+    FUTURE = (
+        "each stamp is more than 1 s ahead of all that was heard, and none within 60 s confirms it: check "
+        "the lidar's clock"
+    )
+    UNUSABLE = "scans have too few beams with a return: is the lidar covered?"
+    REPEATED = "each scan repeats the one before: is the lidar frozen?"
+    NOT_FINITE = "all of them are no numbers"
+    EMPTY = "the lists are empty: the projector finds no place for the scans"
+    UNLIKELY = "none is likelier than a pose that is not listed"
+
+
+_REFUSED = {
+    Heard.DUPLICATE: Ending.DUPLICATE,
+    Heard.TOO_LATE: Ending.TOO_LATE,
+    Heard.FUTURE: Ending.FUTURE,
+}
+
+
+@dataclass
+class _Run:
+    """Lists of one source, one after another, that ended without a pose."""
+
+    first: int
+    last: int
+    odometry: int | None
+    ending: Ending
+    behind_s: float = 0.0
+    lists: int = 0
+
+
+class Silence:
+    """Follows, for each source of hypotheses, how long they have ended without a pose."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._runs: dict[str, _Run] = {}
+        self._odometry: int | None = None
+        self._since_restart = RESTARTS_WITHIN
+        self._two_clocks_s = 0.0
+        self._newest: int | None = None
+
+    def hear_odometry(self, stamp: int) -> None:
+        """Odometry has come as far as `stamp`, ns."""
+        self._odometry = stamp
+
+    def hear(self, seen: Observation, heard: Heard) -> None:
+        """A list came, and the timeline took it or did not."""
+        behind_s = 0.0 if self._newest is None else (self._newest - seen.stamp) * 1e-9
+        self._newest = self._timeline.newest
+        self._since_restart += 1
+        if heard is Heard.RESTARTED:
+            self._two_clocks_s = behind_s if self._since_restart <= RESTARTS_WITHIN else 0.0
+            self._since_restart = 0
+        elif self._since_restart > RESTARTS_WITHIN:
+            self._two_clocks_s = 0.0
+        if heard in _REFUSED:
+            self._add(seen, _REFUSED[heard], behind_s)
+
+    def answer(self, seen: Observation, *, repeated: bool, has_pose: bool) -> None:
+        """A list that was taken became an estimate; `repeated`: its scan showed nothing new."""
+        if has_pose:
+            self._runs.pop(seen.source, None)
+        elif not seen.usable:
+            self._add(seen, Ending.UNUSABLE)
+        elif repeated:
+            self._add(seen, Ending.REPEATED)
+        elif not seen.listed:
+            self._add(seen, Ending.EMPTY)
+        else:
+            self._add(seen, Ending.UNLIKELY if len(seen.poses) else Ending.NOT_FINITE)
+
+    def _add(self, seen: Observation, ending: Ending, behind_s: float = 0.0) -> None:
+        run = self._runs.setdefault(seen.source, _Run(seen.stamp, seen.stamp, self._odometry, ending))
+        run.first, run.last = min(run.first, seen.stamp), max(run.last, seen.stamp)
+        run.ending, run.behind_s, run.lists = ending, behind_s, run.lists + 1
+
+    @property
+    def reason(self) -> str:
+        """Why poses are missing; empty: they are not."""
+        if self._two_clocks_s:
+            return (
+                f"stamps of scans jump back by {self._two_clocks_s:.1f} s again and again, and tracking "
+                "begins anew each time: the clocks of two lidars, or of two robots under one name, differ"
+            )
+        for source, run in sorted(self._runs.items()):
+            apart = run.last - run.first
+            if self._odometry is not None and run.odometry is not None:
+                apart = max(apart, self._odometry - run.odometry)
+            if apart > SILENT_NS or run.lists >= SILENT_LISTS:
+                return f"hypotheses of {source} arrive, no pose: " + run.ending.value.format(
+                    behind=run.behind_s
+                )
+        return self._waiting()
+
+    def _waiting(self) -> str:
+        oldest, newest = self._timeline.longest_waiting, self._timeline.newest
+        if oldest is None or newest is None or newest - oldest[1] <= SILENT_NS:
+            return ""
+        odometry = "none has come"
+        if self._odometry is not None:
+            odometry = f"odometry stamps are {(newest - self._odometry) * 1e-9:.1f} s behind the scans"
+        return f"hypotheses of {oldest[0]} wait for odometry, no pose: {odometry}"
