@@ -26,7 +26,7 @@ RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./g
 FROM python:3.11-slim-bookworm AS shell
 RUN groupadd --system --gid 10001 eigenscan \
  && useradd --system --uid 10001 --gid 10001 --no-create-home --home-dir /tmp eigenscan \
- && install -d -o eigenscan -g eigenscan /recordings /var/cache/eigenscan
+ && install -d -o eigenscan -g eigenscan /recordings /models /var/cache/eigenscan
 ENV PATH=/opt/own/bin:/opt/eigenscan/bin:$PATH PYTHONPATH=/opt/own PYTHONUNBUFFERED=1 HOME=/tmp OMP_NUM_THREADS=1 \
     NUMBA_CACHE_DIR=/var/cache/eigenscan EIGENSCAN_METRICS_PORT=9100 EIGENSCAN_METRICS_HOST=0.0.0.0
 USER 10001:10001

@@ -47,6 +47,7 @@ SITE_SERVICES = """
 [mapbuilder]
 zenoh = "{installed}/mapbuilder.json5"
 map = "{installed}/maps/map.yaml"
+model = "/var/lib/eigenscan/site/model"  # built of the map; what robots see for long is proposed for it
 
 [recorder]
 zenoh = "{installed}/recorder.json5"

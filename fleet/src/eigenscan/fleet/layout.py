@@ -49,7 +49,8 @@ hold_back_floods = true
 # Samples a second that a robot may send to the site where it is not what the contract says; 0: none.
 # Of all keys of the channel together, so of all lidars.
 [air]
-# scan = 1.0
+scan = 2.0  # by which the mapbuilder keeps the map true
+
 
 # [robots.r17]  # for one robot only
 # scan_raw = 5.0
@@ -109,10 +110,10 @@ class Fleet(BaseModel):
 
     def air_of(self, robot: str) -> Air:
         """Samples a second of each channel that this robot may send over the air."""
-        usual = {one.name: one.qos.air_hz for one in CHANNELS}
+        usual = {one.name: one.qos.air_hz for one in CHANNELS} | self.air
         if any(holds(group, robot) for group in self.groups.values()):
-            usual[SCAN.name] = math.inf
-        return usual | self.air | self.robots.get(robot, {})
+            usual[SCAN.name] = math.inf  # whoever answers them needs them all, whatever others send
+        return usual | self.robots.get(robot, {})
 
 
 def read(folder: Path) -> Fleet:

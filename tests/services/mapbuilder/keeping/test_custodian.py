@@ -5,15 +5,17 @@ from typing import Literal
 
 import pytest
 from eigenscan.eigenspace.folder import write_models
-from eigenscan.eigenspace.versions import choose, replace, versions
+from eigenscan.eigenspace.versions import accept, choose, choose_proposal, replace, versions
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.keeping.custodian import Custodian
+from eigenscan.mapbuilder.keeping.source import Source
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
-from eigenscan.schemas.channels import MODEL_SET
+from eigenscan.schemas.channels import MODEL_SET, POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
@@ -23,6 +25,7 @@ from pydantic import ValidationError
 from tests.services.mapbuilder.keeping.patrol import KNOWN, MOVED, VISIT_S, Patrol
 
 PULSE = tick(0)
+COARSE = MapbuilderSettings(step=3.0)
 
 
 def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> Custodian:
@@ -103,3 +106,45 @@ def test_a_map_alone_cannot_be_kept() -> None:
     with pytest.raises(ValidationError, match="eigenscan build"):
         MapbuilderOptions(map="map.yaml", changes="propose")
     assert MapbuilderCore(MapbuilderSettings(), KNOWN).hears == ()
+
+
+def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE) -> tuple[Custodian, str]:
+    """A mapbuilder with map and model folder, started; the version that it said."""
+    core = Custodian(Store(folder), settings, source=Source(grid, settings))
+    assert core.condition().status == Health.STATUS_WAITING
+    *_, whole = core.start()
+    assert core.condition().status == Health.STATUS_OK
+    return core, whole.open(ModelSet).version
+
+
+def test_a_folder_that_is_made_of_a_map_is_kept_true_and_outlives_a_start(tmp_path: Path) -> None:
+    folder = tmp_path / "model"
+    core, first = from_map(folder, KNOWN)
+    assert {SCAN, POSE} <= set(core.hears)
+    come_by(core, range(5))
+    assert "eigenscan models accept" in core.condition().detail
+    accept(folder, choose_proposal(versions(folder), None, folder).folder)
+    accepted = versions(folder)[0].version
+    _, again = from_map(folder, KNOWN)
+    assert again == accepted != first
+
+
+def test_another_map_or_other_settings_make_other_models_and_keep_those_before(tmp_path: Path) -> None:
+    folder = tmp_path / "model"
+    _, first = from_map(folder, KNOWN)
+    stood = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    _, same = from_map(folder, KNOWN, COARSE.model_copy(update={"visits": 7}))
+    assert (same, {path: path.stat().st_mtime_ns for path in folder.iterdir()}) == (first, stood)
+    _, moved = from_map(folder, MOVED)
+    _, finer = from_map(folder, MOVED, COARSE.model_copy(update={"spacing": 0.75}))
+    assert len({first, moved, finer}) == 3
+    assert {first, moved} <= {version.version for version in versions(folder)[1:]}
+
+
+def test_models_that_cannot_be_read_are_made_again_of_their_map(tmp_path: Path) -> None:
+    folder = tmp_path / "model"
+    _, first = from_map(folder, KNOWN)
+    (folder / "manifest.json").write_text("{")
+    core, again = from_map(folder, KNOWN)
+    assert again == first
+    assert core.condition().counters["models_unreadable"] == 1

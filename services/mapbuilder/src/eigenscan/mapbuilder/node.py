@@ -18,14 +18,18 @@ def make_core(options: MapbuilderOptions) -> Core:
 
     if options.model is not None:
         from eigenscan.mapbuilder.keeping.custodian import Custodian
+        from eigenscan.mapbuilder.keeping.source import Source
         from eigenscan.mapbuilder.keeping.store import Store
 
         store = Store(options.model)
+        source = Source(read_map(options.map), options) if options.map is not None else None
+        if source is not None:
+            options.model.parent.mkdir(parents=True, exist_ok=True)
         if options.changes in ("propose", "publish") and not store.is_writable:
             raise SettingsError(
                 f"{options.model}: nothing can be written beside it: set changes to off, or free the place"
             )
-        return Custodian(store, options, options.site)
+        return Custodian(store, options, options.site, source)
     assert options.map is not None  # the options hold one of the two
     return MapbuilderCore(options, read_map(options.map), options.site)
 

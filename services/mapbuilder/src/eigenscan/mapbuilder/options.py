@@ -21,7 +21,11 @@ class _Process(ServiceSettings):
     )
     behind_after: float = Field(math.inf, ge=0, description="s; no robot waits for its answer")
     map: Path | None = Field(None, description="map_server yaml to build models from")
-    model: Path | None = Field(None, description="folder of models from eigenscan build, in place of map")
+    model: Path | None = Field(
+        None,
+        description="folder of models from eigenscan build, in place of map; with map: the folder that "
+        "models of it are built into, at the first start and when the map changes, and kept true in",
+    )
     threads: int = Field(1, ge=1, le=256, description="threads for building; the result is the same")
 
 
@@ -30,10 +34,13 @@ class MapbuilderOptions(MapbuilderSettings, _Process):
 
     @model_validator(mode="after")
     def _one_source(self) -> MapbuilderOptions:
-        if (self.map is None) == (self.model is None):
-            raise ValueError("give one of map (a map_server yaml) and model (a folder of models)")
+        if self.map is None and self.model is None:
+            raise ValueError("give map (a map_server yaml), model (a folder of models), or both")
         if self.changes in ("propose", "publish") and self.model is None:
-            raise ValueError("changes needs model, a folder for new versions: build it with eigenscan build")
+            raise ValueError(
+                "changes needs model, a folder for new versions: give one beside map, "
+                "or build it with eigenscan build"
+            )
         return self
 
     @property

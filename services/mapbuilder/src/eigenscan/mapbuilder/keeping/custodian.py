@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.keeping.source import Source
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import DEFAULT_SITE, POSE, SCAN, Channel
@@ -32,17 +33,27 @@ SAVE_EVERY = 200
 class Custodian:
     """Says the models of a folder and keeps them true; what cannot be written beside is only said.
 
-    Once another version is put in use by hand, it only proposes.
+    With a `source` the folder is made of that map first, where that is due. Once another version is put in
+    use by hand, it only proposes.
     """
 
     says: tuple[Channel, ...] = MapbuilderCore.says
 
-    def __init__(self, store: Store, settings: MapbuilderSettings, site: str = DEFAULT_SITE) -> None:
-        """`site` is the first chunk of the keys that it speaks on. Raises ModelError."""
-        found = store.renewed()
-        assert found is not None  # the first time it is new
-        self._store, self._settings, self._site = store, settings, found
-        self._core = MapbuilderCore(settings, found, site)
+    def __init__(
+        self,
+        store: Store,
+        settings: MapbuilderSettings,
+        site: str = DEFAULT_SITE,
+        source: Source | None = None,
+    ) -> None:
+        """`site` is the first chunk of the keys that it speaks on.
+
+        Raises ModelError where the folder cannot be read and there is no source.
+        """
+        self._store, self._settings, self._site_name, self._source = store, settings, site, source
+        self._core: MapbuilderCore | None = None
+        if source is None:
+            self._open()
         self._publish = settings.changes == "publish"
         self._keeps = settings.changes != "off" and store.is_writable
         self.hears: tuple[Channel, ...] = (TICK, SCAN, POSE) if self._keeps else (TICK,)
@@ -54,8 +65,9 @@ class Custodian:
         self._keeper: Keeper | None = None
 
     def start(self) -> Iterator[Envelope]:
-        """The map and the models in use."""
-        yield from self._core.start()
+        """The map and the models in use. Raises ModelError where they cannot be read or made."""
+        core = self._core or self._make(self._source)
+        yield from core.start()
         if self._keeps:
             self._keeper = self._adopt(self._site)
 
@@ -74,6 +86,8 @@ class Custodian:
 
     def condition(self) -> Condition:
         """OK once all models are said, and what is proposed; degraded where the store cannot be used."""
+        if self._core is None:
+            return Condition(Health.STATUS_WAITING, "building models")
         own = self._core.condition()
         if own.status == Health.STATUS_WAITING:
             return own
@@ -83,6 +97,24 @@ class Custodian:
         if problem:
             return replace(told, status=Health.STATUS_DEGRADED, detail=problem)
         return replace(told, detail=f"{told.detail}; {self._note}") if self._note else told
+
+    def _open(self) -> MapbuilderCore:
+        """Reads the models in use. Raises ModelError."""
+        found = self._store.renewed()
+        assert found is not None  # the first time it is new
+        self._site, self._core = found, MapbuilderCore(self._settings, found, self._site_name)
+        return self._core
+
+    def _make(self, source: Source | None) -> MapbuilderCore:
+        """Makes the folder of its map where that is due, or what is there cannot be read."""
+        assert source is not None  # without one it was opened at once
+        if not source.is_due(self._store.folder):
+            try:
+                return self._open()
+            except ModelError:  # damaged, or of another format than this release's
+                self._counts["models_unreadable"] += 1
+        source.build(self._store.folder)
+        return self._open()
 
     def _follow(self) -> Iterator[Envelope]:
         """The models in use in the store, where they are others than those that were said."""
@@ -94,6 +126,7 @@ class Custodian:
             return
         if site is not None:
             self._unreadable = ""
+            assert self._core is not None  # it has started
             yield from self._core.renew(site)
             if self._keeper is not None:
                 self._take_over(self._keeper, site)
