@@ -1,6 +1,6 @@
 # One image for each service. Those that compute alike share the layer of what they need from others:
 #   docker build --target projector -t eigenscan/projector .
-# Targets: router, scan-ingest, projector, tracker, mapbuilder, ros-bridge, recorder, simulator.
+# Targets: router, scan-ingest, projector, tracker, mapbuilder, ros-bridge, recorder, robot-recorder, simulator.
 # A service takes its settings from flags (docker run IMAGE --site hospital), EIGENSCAN_* variables or a mounted TOML file.
 
 # --- what builds and installs; it is in no image ---
@@ -70,6 +70,11 @@ ENTRYPOINT ["eigenscan-mapbuilder"]
 FROM numeric AS ros-bridge
 COPY --from=own /own/ros-bridge /opt/own
 ENTRYPOINT ["eigenscan-ros-bridge"]
+
+# a robot's, which draws nothing: with the layer that the robot's other services have
+FROM numeric AS robot-recorder
+COPY --from=own /own/recorder /opt/own
+ENTRYPOINT ["eigenscan-recorder"]
 
 # the whole command but for what draws: a simulated robot, or docker run --entrypoint eigenscan IMAGE evaluate ...
 FROM numeric AS simulator

@@ -26,7 +26,7 @@ from tests.network import free_port
 SITE, ROBOTS = "hospital", ("r17", "r18")
 SERVICES = {
     "site": ("site-router", "mapbuilder", "recorder"),
-    "robot": ("robot-router", "scan-ingest", "projector", "tracker"),
+    "robot": ("robot-router", "scan-ingest", "projector", "tracker", "robot-recorder"),
 }
 USER = 10001
 PATIENCE_S = 600.0

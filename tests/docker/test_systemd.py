@@ -19,7 +19,7 @@ from tests.fleet.conftest import run
 SITE, ROBOT = "hospital", "r17"
 UNITS = {
     "site": ("router", "mapbuilder", "recorder"),
-    "robot": ("router", "scan-ingest", "projector", "tracker"),
+    "robot": ("router", "scan-ingest", "projector", "tracker", "recorder"),
 }
 RIGHTS = ("SYS_ADMIN", "NET_ADMIN", "SYS_PTRACE")
 """What systemd itself needs to shut services in; they get none of it."""

@@ -1,4 +1,4 @@
-"""A moment of a recording as people say it: seconds from its start, or the time of day."""
+"""Moments as people say them: of a recording, or of the past."""
 
 from __future__ import annotations
 
@@ -60,3 +60,36 @@ def span(begin: int, end: int) -> str:
     """From when to when a recording goes, ns since the epoch, for people."""
     first, last = (datetime.fromtimestamp(time * 1e-9, UTC) for time in (begin, end))
     return f"{first:%Y-%m-%d %H:%M:%S} to {last:%H:%M:%S} UTC, {(end - begin) * 1e-9:.1f} s"
+
+
+_AGO = re.compile(r"(\d+(?:\.\d+)?)(s|m|h|d)")
+_UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+INSTANT = "<ago, hh:mm or date>"
+
+
+def instant(text: str, now: int) -> int:
+    """A moment in the past, ns since the epoch, by the clock that says `now`.
+
+    `15m`: so long ago (s, m, h, d); `03:12` or `03:12:30`: the last time that it was that, UTC;
+    `2026-01-31T03:12`: ISO 8601, UTC where it names no zone; `now`. Raises typer's error for anything else.
+    """
+    if text == "now":
+        return now
+    if ago := _AGO.fullmatch(text):
+        return now - int(float(ago[1]) * _UNITS_S[ago[2]] * 1e9)
+    try:
+        if _CLOCK.fullmatch(text):
+            today = datetime.fromtimestamp(now * 1e-9, UTC)
+            midnight = today.replace(hour=0, minute=0, second=0, microsecond=0)
+            then = midnight + timedelta(seconds=moment(text).seconds)
+            return _ns(then if then <= today else then - timedelta(days=1))
+        then = datetime.fromisoformat(text)
+        return _ns(then if then.tzinfo else then.replace(tzinfo=UTC))
+    except (ValueError, OverflowError, typer.BadParameter):
+        raise typer.BadParameter(
+            f"{text!r}: give how long ago (15m, 2h), a time of day in UTC (03:12), or 2026-01-31T03:12"
+        ) from None
+
+
+def _ns(time: datetime) -> int:
+    return round((time - datetime.fromtimestamp(0, UTC)) / timedelta(microseconds=1)) * 1000

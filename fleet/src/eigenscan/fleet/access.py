@@ -17,6 +17,7 @@ from eigenscan.schemas.channels import (
     HYPOTHESES,
     LATCHED_TEMPLATE,
     OBSTACLES,
+    RECORDINGS_TEMPLATE,
     SCAN,
     Channel,
     Role,
@@ -98,7 +99,7 @@ def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights
             for one in says
             for service in (ON_A_ROBOT if one is HEALTH else ("*",))
         ),
-        answers=(),
+        answers=(_recordings(site, robot),),
         shows=tuple(_alive(site, robot, service) for service in ON_A_ROBOT),
         hears=_keys(hears, address),
         # a rule holds for a subscription as it stands: one for all robots brings this robot's
@@ -121,7 +122,10 @@ def of_service(site: str, role: Role) -> Rights:
         shows=(*_tokens(says, site), *([_alive(site, service=role.value)] if HEALTH in says else [])),
         hears=_keys(hears, {"site": site}),
         subscribes=(f"{site}/**",),  # a recorder counts what is not of the contract
-        asks=_keys([one for one in hears if one.qos.latched], {"site": site}),
+        asks=(
+            *_keys([one for one in hears if one.qos.latched], {"site": site}),
+            *([_recordings(site)] if role is Role.OPERATOR else []),
+        ),
         sees=(*_tokens(hears, site), _alive(site)),
     )
 
@@ -223,6 +227,10 @@ def _keys(channels: list[Channel], address: Mapping[str, str]) -> tuple[str, ...
 def _tokens(channels: list[Channel], site: str) -> tuple[str, ...]:
     names = [one.name for one in channels if one.qos.latched]
     return tuple(LATCHED_TEMPLATE.format(site=site, channel=name, session="*") for name in names)
+
+
+def _recordings(site: str, robot: str = "*") -> str:
+    return RECORDINGS_TEMPLATE.format(site=site, robot=robot, what="*")
 
 
 def _alive(site: str, instance: str = "*", service: str = "*") -> str:

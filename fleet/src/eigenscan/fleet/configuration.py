@@ -39,6 +39,11 @@ zenoh = "{installed}/service.json5"
 ROBOT_SERVICES = """
 [projector]
 keep = "/var/cache/eigenscan/models"  # to start with where the site is cut off
+
+[recorder]
+mcap = "/var/lib/eigenscan/recordings"
+rotate_minutes = 10.0  # eigenscan fleet fetch brings whole files
+budget_mb = 5000  # MB; beyond it the oldest recordings are deleted
 """
 SITE_NAMES = """\
 instance = "site"

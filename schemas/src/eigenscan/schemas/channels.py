@@ -297,6 +297,16 @@ LATCHED_TEMPLATE = "{site}/latched/{channel}/{session}"
 """Key of the liveliness token of a session that answers queries for a latched channel."""
 
 
+RECORDINGS_TEMPLATE = "{site}/recordings/{robot}/{what}"
+"""Key on which a robot's recorder answers queries for its files; `what` is one of RECORDINGS_ASKED."""
+
+RECORDINGS_ASKED = ("parts", "bytes")
+"""`parts`: which files there are (RecordingParts); `bytes`: a piece of one of them (RecordingRequest)."""
+
+MOST_RECORDED_BYTES = 1_048_576
+"""Of one answer: more would hold up what else leaves the robot."""
+
+
 def find(key: str) -> tuple[Channel, dict[str, str]] | None:
     """Channel and address of a key, or None where the key is not ours."""
     for channel in CHANNELS:

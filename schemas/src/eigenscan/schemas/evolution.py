@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from eigenscan.schemas.channels import CHANNELS
+from eigenscan.schemas.recordings_pb2 import RecordingParts
 from google.protobuf.descriptor_pb2 import (
     DescriptorProto,
     EnumDescriptorProto,
@@ -24,7 +25,7 @@ _OWN = "eigenscan."
 
 
 def contract() -> FileDescriptorSet:
-    """Our own .proto files behind the channels of today, with all that they import, in a fixed order."""
+    """Our own .proto files behind channels and queries, with all that they import, in a fixed order."""
     files: dict[str, Any] = {}
 
     def visit(file: Any) -> None:
@@ -35,6 +36,7 @@ def contract() -> FileDescriptorSet:
 
     for channel in CHANNELS:
         visit(channel.message.DESCRIPTOR.file)
+    visit(RecordingParts.DESCRIPTOR.file)
     result = FileDescriptorSet()
     for name in sorted(files):
         files[name].CopyToProto(result.file.add())

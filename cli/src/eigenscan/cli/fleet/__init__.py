@@ -4,6 +4,7 @@
 Examples:
   eigenscan fleet certify --site hospital --address 10.0.0.5 --robot r17 -o fleet
   eigenscan fleet status
+  eigenscan fleet fetch r17 --from 15m
 """  # noqa: D301 - \b keeps the lines apart in --help
 
 COMMANDS = {
@@ -11,6 +12,10 @@ COMMANDS = {
     "relocate": (
         "eigenscan.cli.fleet.relocate:relocate",
         "tell a robot where it is, or to search anew",
+    ),
+    "fetch": (
+        "eigenscan.cli.fleet.fetch:fetch",
+        "bring a robot's recordings of some time here",
     ),
     "metrics": ("eigenscan.cli.fleet.metrics:metrics", "all of that for Prometheus, from one place"),
     "certify": (

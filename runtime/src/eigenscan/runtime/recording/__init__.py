@@ -2,7 +2,9 @@
 
 from eigenscan.runtime.recording.contents import (
     Contents,
+    closed_span,
     contents,
+    first_time,
     is_complete,
     message_count,
     read_metadata,
@@ -20,7 +22,9 @@ __all__ = [
     "RecordingError",
     "RecordingWriter",
     "WholeReads",
+    "closed_span",
     "contents",
+    "first_time",
     "is_complete",
     "message_count",
     "parts",

@@ -104,3 +104,25 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
     """Metadata records by name; of a folder, of its first file. Raises RecordingError."""
     with opened(parts(path)[0]) as file:
         return {entry.name: dict(entry.metadata) for entry in make_reader(file).iter_metadata()}
+
+
+def closed_span(path: Path) -> tuple[int, int] | None:
+    """Log times, ns, of the first and last message of a file that its writer closed; None where it did not.
+
+    Only the index is read. Raises RecordingError where it is missing, no MCAP, or damaged.
+    """
+    with opened(path) as file:
+        if not is_indexed(file):
+            return None
+        summary = make_reader(file).get_summary()
+        statistics = summary.statistics if summary else None
+        return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
+
+
+def first_time(path: Path) -> int | None:
+    """Log time, ns, of the first message; None where no chunk is whole yet. Only that chunk is read.
+
+    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    """
+    with opened(path) as file:
+        return next((message.log_time for _, _, message in messages(file)), None)

@@ -8,13 +8,19 @@ from eigenscan.recorder.core import RecorderCore, Sink
 from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-recorder[node]", SystemExit):
+    import zenoh
     from eigenscan.recorder.aside import Aside
+    from eigenscan.recorder.files import Files
     from eigenscan.recorder.mcap_sink import McapSink
     from eigenscan.recorder.options import RecorderOptions
+    from eigenscan.recorder.uploads import Uploads
     from eigenscan.runtime.node import main as run_node
     from eigenscan.runtime.settings import SettingsError
+    from eigenscan.schemas.group import is_one
 
 SERVICE = "recorder"
+_UPLOADS: list[Uploads] = []
+"""Held for as long as the process is."""
 
 
 def make_core(settings: RecorderOptions) -> RecorderCore:
@@ -37,9 +43,16 @@ def make_core(settings: RecorderOptions) -> RecorderCore:
     return RecorderCore(sinks)
 
 
+def _offer_uploads(settings: RecorderOptions, session: zenoh.Session) -> None:
+    """Lets the site fetch what a robot's recorder wrote."""
+    if settings.mcap is not None and settings.uploads and is_one(settings.robot):
+        _UPLOADS.append(Uploads(Files(settings.mcap, settings.site)))
+        _UPLOADS[-1].offer(session, settings.site, settings.robot)
+
+
 def main() -> None:
     """Entry point."""
-    run_node(SERVICE, RecorderOptions, make_core, whole_site=True)
+    run_node(SERVICE, RecorderOptions, make_core, whole_site=True, attend=_offer_uploads)
 
 
 if __name__ == "__main__":

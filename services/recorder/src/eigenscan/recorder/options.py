@@ -31,6 +31,10 @@ class RecorderOptions(ServiceSettings):
     budget_mb: float | None = Field(
         None, gt=0, description="MB that all MCAP files together may take; the oldest are deleted"
     )
+    uploads: bool = Field(
+        True,
+        description="answer `eigenscan fleet fetch` with the MCAP files, where robot is one robot's name",
+    )
     rrd: Path | None = Field(None, description="Rerun file to write; an existing file is replaced")
     viewer_port: int | None = Field(
         None,

@@ -1,0 +1,96 @@
+"""`eigenscan fleet fetch`: a robot's recordings of some time, over the air, when somebody asks for them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.cli.moment import INSTANT, instant
+from eigenscan.runtime.errors import UsageError
+from eigenscan.schemas.channels import DEFAULT_SITE, is_chunk
+
+
+def fetch(
+    robot: Annotated[str, typer.Argument(help="the robot's name")],
+    begin: Annotated[
+        str,
+        typer.Option(
+            "--from",
+            metavar=INSTANT,
+            help="from when on: how long ago (15m, 2h), a time of day in UTC (03:12), or 2026-01-31T03:12",
+        ),
+    ],
+    end: Annotated[str, typer.Option("--to", metavar=INSTANT, help="until when, likewise")] = "now",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="folder for the files; out/fetched/ROBOT without it")
+    ] = None,
+    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="wait so long for each answer")] = 10.0,
+    json_file: JsonFile = None,
+) -> None:
+    """Bring a robot's recordings of some time here.
+
+    Whole files come, by the robot's clock; one that is still written comes as far as it is. The same command
+    goes on where it was cut off, and asks only for what is not here. Poses go first: it takes what they leave
+    of the link. Exit code 0: all is here, 1: it is not.
+
+    \b
+    Examples:
+      eigenscan fleet fetch r17 --from 15m --site hospital --zenoh /etc/eigenscan/operator.json5
+      eigenscan fleet fetch r17 --from 03:10 --to 03:20 --out night
+      eigenscan view out/fetched/r17
+    """  # noqa: D301 - \b keeps the lines apart in --help
+    if not is_chunk(robot) or "," in robot:
+        raise UsageError(f"{robot!r}: is no robot's name; each is asked by itself")
+    now = time.time_ns()
+    begin_ns, end_ns = instant(begin, now), instant(end, now)
+    if begin_ns >= end_ns:
+        raise UsageError(f"--from {begin} --to {end}: must be before --to")
+    from eigenscan.fleet.fetch import asker, missing_bytes, parts_within, utc
+    from eigenscan.fleet.fetch import fetch as fetch_one
+    from eigenscan.fleet.view import connect
+    from eigenscan.workbench.progress import Bars
+
+    prepare(json_file)
+    folder = out or Path("out/fetched") / robot
+    with connect(zenoh) as session:
+        ask = asker(session, site, robot, seconds)
+        parts = parts_within(ask, robot, begin_ns, end_ns)
+        missing, came = max(missing_bytes(parts, folder), 1), 0
+        with Bars() as bars:
+            share = bars.start_share(f"from {robot}")
+
+            def moved(size: int) -> None:
+                nonlocal came
+                came += size
+                share(min(came / missing, 1.0))
+
+            fetched = [fetch_one(ask, part, folder, moved) for part in parts]
+            share(1.0)
+    if wants_words(json_file):
+        for one in fetched:
+            state = "" if one.part.closed else ", still being written there"
+            told = f"{utc(one.part.begin_ns)} to {utc(one.part.end_ns)}, {one.part.size / 1e6:.1f} MB{state}"
+            typer.echo(f"{one.path}: {told}" + ("" if one.bytes_moved else ", was here"))
+    write_figures(
+        {
+            "robot": robot,
+            "folder": str(folder),
+            "bytes_moved": sum(one.bytes_moved for one in fetched),
+            "files": [
+                {
+                    "path": str(one.path),
+                    "begin_ns": one.part.begin_ns,
+                    "end_ns": one.part.end_ns,
+                    "bytes": one.part.size,
+                    "closed": one.part.closed,
+                }
+                for one in fetched
+            ],
+        },
+        json_file,
+    )
