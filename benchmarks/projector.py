@@ -127,7 +127,7 @@ def floors_of_stages(core: ProjectorCore, scan: Scan, rates: dict[str, float]) -
     view = site.view(seen.sensor)
     settings = ProjectorSettings()
     beams, turned = len(seen.coarse), 3
-    rows, components = int(view.bounds[-1]), settings.components
+    rows, components = int(view.bounds[-1]), view.spaces.prior.shape[1]
     slid = settings.refined * 6 * projection.SLIDE_POINTS
     polished = projection.POLISHED * 6 * len(seen.points)
     work = {  # floating point operations, bytes

@@ -12,7 +12,7 @@ from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.message import Message
 
-FORMAT = 1
+FORMAT = 2
 FREE, OCCUPIED = 0, 100
 NO_WALL = 65535
 

@@ -1,36 +1,38 @@
 import dataclasses
+import hashlib
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN, HEADING_STRIDE, Analysis, RegionSpace
 from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.embedding import Embedding
 from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import NO_WALL, RANGE_UNIT, ModelError, RegionModel, quantize, set_version
-from eigenscan.eigenspace.panorama import Sensor
-from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.eigenspace.panorama import Sensor, resample
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.schemas import model_pb2
 from eigenscan.schemas.channels import MODEL
 from eigenscan.schemas.wire import decode, encode
+
+ANALYSIS = Analysis(Embedding("ring", 9.0), beams=46, components=4)
 
 
 def model(region: str = "hall", seed: int = 0) -> RegionModel:
     rng = np.random.default_rng(seed)
     panoramas = rng.uniform(0.5, 30.0, (7, 48)).astype(np.float32)
     panoramas[2, 5:9] = np.inf
-    sensor = Sensor.facing(np.pi, 2 * np.pi / 48)
     index = np.column_stack([np.arange(7) - 3, np.arange(7) // 2]).astype(np.int32)
-    return RegionModel(
+    return RegionModel.of(
+        ANALYSIS,
         region=region,
         frame_id="map",
         spacing=0.25,
         origin=np.array([-1.5, 2.0]),
         index=index,
         ranges=quantize(panoramas),
-        sensor=sensor,
-        range_cap=20.0,
-        space=analyse(RangeTransform(20.0)(panoramas), sensor.beams, count=4),
         outline=np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]),
     )
 
@@ -39,12 +41,17 @@ def same(a: RegionModel, b: RegionModel) -> None:
     for field in dataclasses.fields(RegionModel):
         one, other = getattr(a, field.name), getattr(b, field.name)
         if field.name == "space":
-            assert one.mean == other.mean
-            assert one.total_variance == other.total_variance
-            np.testing.assert_array_equal(one.vectors, other.vectors)
-            np.testing.assert_array_equal(one.eigenvalues, other.eigenvalues)
+            same_space(one, other)
         else:
             np.testing.assert_array_equal(one, other)
+
+
+def same_space(one: RegionSpace, other: RegionSpace) -> None:
+    """To the last bit."""
+    assert one.embedding == other.embedding
+    assert (one.usual_error, one.space.total_variance) == (other.usual_error, other.space.total_variance)
+    for name in ("mean", "vectors", "eigenvalues"):
+        np.testing.assert_array_equal(getattr(one.space, name), getattr(other.space, name))
 
 
 def test_a_model_comes_back_from_the_wire_as_it_went() -> None:
@@ -75,14 +82,12 @@ def test_the_version_is_the_contents() -> None:
         dataclasses.replace(one, spacing=0.3),
         dataclasses.replace(one, index=one.index + 1),
         dataclasses.replace(one, ranges=one.ranges + np.uint16(1)),
-        dataclasses.replace(one, space=dataclasses.replace(one.space, mean=one.space.mean + 1e-9)),
+        dataclasses.replace(one, space=dataclasses.replace(one.space, usual_error=0.5)),
     ]
     assert len({one.version, *(m.version for m in changed)}) == 6
 
 
 def test_another_compressor_does_not_make_another_version() -> None:
-    import zlib
-
     message = model().to_message()
     message.panoramas = zlib.compress(zlib.decompress(message.panoramas), 9)
     assert RegionModel.from_message(message).version == message.version
@@ -100,10 +105,52 @@ def broken(**changes: object) -> model_pb2.RegionModel:
     return message
 
 
+def broken_space(**changes: object) -> model_pb2.RegionModel:
+    """A model whose version is right, but not its eigenspace."""
+    message = model().to_message()
+    for name, value in changes.items():
+        field = getattr(message.space, name)
+        if hasattr(field, "extend"):
+            del field[:]
+            field.extend(value)
+        else:
+            setattr(message.space, name, value)
+    return renamed(message)
+
+
+def renamed(message: model_pb2.RegionModel) -> model_pb2.RegionModel:
+    """With the version that its content has, by the contract's words."""
+    plain = model_pb2.RegionModel()
+    plain.CopyFrom(message)
+    plain.ClearField("version")
+    plain.panoramas = zlib.decompress(message.panoramas)
+    message.version = hashlib.sha256(plain.SerializeToString(deterministic=True)).hexdigest()
+    return message
+
+
+def test_what_a_later_version_adds_is_part_of_the_content() -> None:
+    message = model().to_message()
+    later = model_pb2.RegionModel.FromString(message.SerializeToString() + b"\xb1\x01" + 8 * b"\x3f")
+    with pytest.raises(ModelError, match="claims"):
+        RegionModel.from_message(later)
+    same(RegionModel.from_message(renamed(later)), model())
+
+
+def test_a_space_for_another_lidar_is_that_of_the_same_panoramas() -> None:
+    one = model()
+    wide = one.space.analysis.of(Sensor.facing(2 * np.pi, np.deg2rad(0.5), 5.0))
+    assert (wide.beams, wide.embedding.cap, wide.components) == (ANALYSIS_TURN, 5.0, 4)
+    space, held = one.derive(wide)
+    direct = analyse(Embedding("ring", 5.0)(resample(one.panoramas, ANALYSIS_TURN)), ANALYSIS_TURN, 4)
+    np.testing.assert_array_equal(space.space.vectors, direct.vectors)
+    assert held.shape[1:] == (ANALYSIS_TURN // HEADING_STRIDE, 4)
+    same_space(one.derive(one.space.analysis)[0], one.space)
+
+
 @pytest.mark.parametrize(
     ("message", "says"),
     [
-        (broken(format=2), "format 2"),
+        (broken(format=1), "format 1, this version reads 2: .* eigenscan build"),
         (broken(version="0" * 64), "claims"),
         (broken(spacing=0.26), "claims"),
         (broken(spacing=0.0), "spacing = 0"),
@@ -113,12 +160,20 @@ def broken(**changes: object) -> model_pb2.RegionModel:
         (broken(panoramas=model().to_message().panoramas[:-20]), "bytes of panoramas, expected 672"),
         (broken(panoramas=b"rubbish"), "do not inflate"),
         (broken(panoramas=b""), "0 bytes of panoramas"),
-        (broken(beams=24), "a sensor of 25 beams, panoramas of 24"),
+        (broken(beams=0), "panoramas of 0"),
         (broken(beams=4_000_000_000), "panoramas of 4000000000"),
         (broken(beams=50), "bytes of panoramas, expected 700"),
-        (broken(eigenvalues=[1.0]), "100 numbers for 1 eigenvectors"),
-        (broken(eigenvectors=[float("inf")] * 100), "not finite"),
-        (broken(mean=float("nan")), "not finite"),
+        (broken_space(eigenvalues=[1.0]), "368 numbers of vectors"),
+        (broken_space(vectors=[float("inf")] * 368), "not finite"),
+        (broken_space(vectors=[0.5] * 368), "unit length"),
+        (broken_space(eigenvalues=[-1.0] * 4), "at least 0"),
+        (broken_space(mean=[float("nan"), 0.0]), "not finite"),
+        (broken_space(mean=[0.0]), "1 of the mean"),
+        (broken_space(usual_error=float("nan")), "not finite"),
+        (broken_space(embedding=0), "embedding 0"),
+        (broken_space(cap=float("inf")), "range cap"),
+        (broken_space(turn=360), "46 beams of 360"),
+        (broken_space(beams=0), "0 beams of 180"),
         (broken(outline_x=[1.0]), "1 x and 3 y"),
         (model_pb2.RegionModel(), "format 0"),
         (broken(origin_x=1e308, origin_y=1e308), "no building"),
@@ -132,8 +187,6 @@ def test_a_broken_model_is_refused_with_what_is_wrong(message: model_pb2.RegionM
 
 
 def test_a_payload_that_inflates_beyond_measure_is_refused_unread() -> None:
-    import zlib
-
     bomb = zlib.compress(bytes(50_000_000), 9)
     with pytest.raises(ModelError, match="673 bytes of panoramas, expected 672"):
         RegionModel.from_message(broken(panoramas=bomb))
@@ -211,7 +264,7 @@ def damage_text(path: Path, old: str, new: str) -> None:
         (lambda m: (m / "manifest.json").write_text("{"), "is not JSON"),
         (lambda m: (m / "manifest.json").write_text("[]"), "no manifest"),
         (lambda m: (m / "manifest.json").write_text("{}"), "lacks 'layout'"),
-        (lambda m: damage_text(m / "manifest.json", '"layout": 1', '"layout": 9'), "layout 9"),
+        (lambda m: damage_text(m / "manifest.json", '"layout": 2', '"layout": 9'), "layout 9"),
         (lambda m: damage_text(m / "manifest.json", '"region": "a"', '"region": "../a"'), "region's name"),
         (lambda m: damage_text(m / "manifest.json", '"region": "a"', '"region": "b"'), "not the version"),
         (lambda m: (m / "regions/a.npz").unlink(), "a.npz: cannot be read"),

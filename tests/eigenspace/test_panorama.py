@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from eigenscan.eigenspace.panorama import Sensor, resample, windows
-from eigenscan.eigenspace.ranges import Curve, RangeTransform
 from eigenscan.geometry import raycast
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
@@ -75,22 +74,3 @@ def test_resampling_is_exact_on_a_straight_wall_and_keeps_no_wall() -> None:
     assert np.isinf(resample(wall, 1000)[np.cos(at) < 0.18]).all()
     assert not np.isnan(resample(wall, 1000)).any()
     assert resample(wall, 720) is wall
-
-
-@pytest.mark.parametrize("curve", ["range", "root", "log", "inverse"])
-def test_transforms_increase_clip_and_keep_what_is_missing(curve: Curve) -> None:
-    transform = RangeTransform(8.0, curve)
-    ranges = np.linspace(0, 12, 200)
-    values = transform(ranges)
-    assert (np.diff(values[ranges < 8]) > 0).all()
-    assert (values[ranges >= 8] == transform(8.0)).all()
-    assert transform(np.inf) == transform(8.0)
-    assert np.isnan(transform([np.nan])).all()
-
-
-def test_transforms_that_make_no_sense() -> None:
-    for cap in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="cap"):
-            RangeTransform(cap)
-    with pytest.raises(ValueError, match="curve"):
-        RangeTransform(5.0, "cube")  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from eigenscan.eigenspace.embedding import Kind
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, to_message
 from eigenscan.geometry.pose import compose
@@ -64,8 +65,11 @@ def tower() -> GridMap:
 
 
 @cache
-def site(spacing: float = 0.5, of: str = "office") -> SiteModel:
-    return build_site(office() if of == "office" else tower(), Plan(spacing=spacing))
+def site(
+    spacing: float = 0.5, of: str = "office", embedding: Kind = "ring", components: int = 16
+) -> SiteModel:
+    plan = Plan(spacing=spacing, embedding=embedding, components=components)
+    return build_site(office() if of == "office" else tower(), plan)
 
 
 def envelopes(built: SiteModel) -> list[Envelope]:

@@ -1,8 +1,9 @@
 """The coordinates of a hypothesis in eigenspace, against the inner products one by one."""
 
 import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.projector.coordinates import coordinates
-from eigenscan.projector.observation import ANALYSIS_TURN, observe
+from eigenscan.projector.observation import observe
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
@@ -11,9 +12,9 @@ from tests.services.projector.office import free_poses, hear, is_right, poses_of
 
 
 def test_they_are_those_of_the_nearest_pose_of_the_model() -> None:
-    model = site()
+    model = site(components=5)
     whole = WholeSet("", model.frame_id, model.grid, tuple(model.regions), model.grid.free_area)
-    built = Site(whole, ProjectorSettings(components=5))
+    built = Site(whole, ProjectorSettings())
     seen = observe(scan_at(free_poses(1, 2)[0]))
     view, lattice = built.view(seen.sensor), built.lattice
     poses = free_poses(20, 3)

@@ -322,7 +322,7 @@ def test_a_new_set_takes_over_between_two_scans() -> None:
 
 
 def test_plain_ranges_as_in_the_paper_work_too() -> None:
-    core = ready(embedding="range")
+    core = ready(site(embedding="range"))
     found = sum(
         bool(is_right(poses_of(hear(core, scan_at(truth, seed=i))[0])[:1], truth)[0])
         for i, truth in enumerate(free_poses(20, 101))

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN, coarse_sensor
+from eigenscan.eigenspace.embedding import Kind
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.projector.association.tree import Trees
-from eigenscan.projector.embedding import Kind
-from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor, observe
+from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import project
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
@@ -23,10 +24,9 @@ STEP = 2 * np.pi / ANALYSIS_TURN
 
 
 def _site(embedding: Kind, components: int) -> Site:
-    model = site()
+    model = site(embedding=embedding, components=components)
     whole = WholeSet("", model.frame_id, model.grid, tuple(model.regions), model.grid.free_area)
-    chosen = {"embedding": embedding, "components": components, "association": "tree"}
-    return Site(whole, ProjectorSettings.model_validate(chosen))
+    return Site(whole, ProjectorSettings(association="tree"))
 
 
 @settings(max_examples=100, deadline=None)

@@ -1,9 +1,10 @@
 """Figures 6 and 7 of the paper: volumes that enclose the scan give fewer false hypotheses than near poses."""
 
 import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.projector.association.kinds import Kind
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
-from eigenscan.projector.observation import ANALYSIS_TURN, Observation, observe
+from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import project
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import WholeSet
@@ -18,10 +19,9 @@ ALL = 10**6
 
 def _listed(kind: Kind, scans: list[Observation]) -> list[Array]:
     """All hypotheses of each scan in the paper's space, nearest first."""
-    model = site()
+    model = site(embedding="range", components=3)
     whole = WholeSet("", model.frame_id, model.grid, tuple(model.regions), model.grid.free_area)
-    chosen = {"association": kind, "embedding": "range", "components": 3, "margin": 0.25}
-    built = Site(whole, ProjectorSettings.model_validate(chosen))
+    built = Site(whole, ProjectorSettings(association=kind, margin=0.25))
     view = built.view(scans[0].sensor)
     lists = []
     for seen in scans:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.distance_field import DistanceField
@@ -16,7 +17,7 @@ from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_pos
 from eigenscan.projector.intervals import clearance, leaving
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.likelihood import beyond_walls, support
-from eigenscan.projector.observation import ANALYSIS_TURN, by_reach, observe
+from eigenscan.projector.observation import by_reach, observe
 from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings

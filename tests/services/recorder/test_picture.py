@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,9 +15,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import rerun.blueprint as rrb
-from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.analysis import Analysis
+from eigenscan.eigenspace.embedding import CIRCUMFERENCE, Embedding, Kind
 from eigenscan.eigenspace.model import RegionModel, quantize
-from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
@@ -26,7 +28,7 @@ from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
 from eigenscan.recorder.picture.canvas import Pace
 from eigenscan.recorder.picture.layout import Layout
-from eigenscan.recorder.picture.manifold import Manifold
+from eigenscan.recorder.picture.manifold import Manifold, analysis_of
 from eigenscan.recorder.picture.palette import LOCALIZED, LOST
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
@@ -39,7 +41,6 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from scipy.stats import chi2
 
@@ -401,14 +402,13 @@ def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tm
     assert "/world/map" in entities(tmp_path / "a.rrd")
 
 
-def hallway(components: int) -> RegionModel:
+def hallway(components: int, embedding: Kind = "ring") -> RegionModel:
     """Model of a room of 6 x 4 m by analytic ranges; positions every metre."""
-    sensor = Sensor.facing(math.pi, math.radians(1.0))
     index = np.array([[x, y] for x in range(1, 6) for y in range(1, 4)], dtype=np.int32)
     turns = np.arange(360) * math.radians(1.0)
-    ranges = np.array([[to_wall(x, y, turn) for turn in turns] for x, y in index])
-    space = analyse(ranges.astype(np.float32), sensor.beams, components)
-    return RegionModel("room", "map", 1.0, np.zeros(2), index, quantize(ranges), sensor, 20.0, space)
+    ranges = quantize(np.array([[to_wall(x, y, turn) for turn in turns] for x, y in index]))
+    analysis = Analysis(Embedding.of(embedding), components=components)
+    return RegionModel.of(analysis, "room", "map", 1.0, np.zeros(2), index, ranges, np.empty((0, 2)))
 
 
 def to_wall(x: float, y: float, turn: float) -> float:
@@ -419,61 +419,57 @@ def to_wall(x: float, y: float, turn: float) -> float:
 
 
 @pytest.mark.parametrize("components", [2, 5])
-def test_scan_pose_and_place_meet_in_one_point_of_eigenspace(components: int) -> None:
-    """A scan taken where the model has a place has the coordinates of that pose, by the definition."""
+@pytest.mark.parametrize("view_deg", [180, 100, 360])
+def test_a_scan_at_a_place_lies_on_the_places_loop(components: int, view_deg: int) -> None:
+    """By the definition, for the declared lidar and for others."""
     model = hallway(components)
-    manifold = Manifold(model.to_message())
     heading, place = math.radians(40.0), 7
     mount = np.array([0.2, -0.1, math.radians(30.0)])
     x, y = model.index[place].tolist()
-    bearings = np.radians(np.arange(-90, 91))
+    bearings = np.radians(np.arange(0, min(view_deg, 358) + 1) - view_deg / 2)
     scan = Scan(
         mount=to_message(mount),
-        angle_min=-math.pi / 2,
+        angle_min=bearings[0],
         angle_increment=math.radians(1.0),
         ranges=[to_wall(x, y, heading + bearing) for bearing in bearings],
     )
-    base = compose([x, y, heading], inverse(mount))
-    direct = [
-        sum((scan.ranges[j] - model.space.mean) * float(vector[j]) for j in range(len(bearings)))
-        for vector in model.space.vectors[:3]
-    ]
+    analysis = analysis_of(model, scan)
+    manifold = Manifold(model, analysis)
+    space = model.derive(analysis)[0].space
+    angle = np.array(scan.ranges)[::2] * (TURN / CIRCUMFERENCE)
+    channels = np.stack([np.cos(angle), np.sin(angle)]) * CIRCUMFERENCE / TURN
+    direct = [float(np.sum((channels - space.mean[:, None]) * vector)) for vector in space.vectors[:3]]
     direct += [0.0] * (3 - len(direct))
-    # ranges travel in steps of a few millimetres
-    assert manifold.scan(scan) == pytest.approx(direct, abs=1e-3)
-    assert manifold.poses(base, scan)[0] == pytest.approx(direct, abs=0.05)
+    base = compose([x, y, heading], inverse(mount))
     loop = manifold.loop(base, scan)
-    # from one of its points to the next the scan turns by two degrees
-    assert np.linalg.norm(loop - np.array(direct), axis=1).min() < 0.5 * _longest_step(loop)
     assert np.array_equal(loop[0], loop[-1])
+    # the lidar looks along one of the loop's headings; ranges travel in steps of a few millimetres
+    assert np.linalg.norm(loop - np.array(direct), axis=1).min() < 0.02
     elsewhere = compose([*model.index[0].tolist(), heading], inverse(mount))
-    assert np.linalg.norm(manifold.loop(elsewhere, scan) - np.array(direct), axis=1).min() > _longest_step(
-        loop
-    )
+    assert np.linalg.norm(manifold.loop(elsewhere, scan) - np.array(direct), axis=1).min() > 0.5
     cloud = manifold.cloud()
     assert np.linalg.norm(cloud[:, None] - loop, axis=2).min() == pytest.approx(0.0, abs=1e-5)
 
 
-def _longest_step(line: NDArray[np.float32]) -> float:
-    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).max())
-
-
-def test_the_curves_are_the_scan_and_what_its_coefficients_stand_for() -> None:
-    """Of a scan with one missing beam and a narrower field of view than the model's."""
-    model = hallway(4)
-    manifold = Manifold(model.to_message())
-    bearings = np.radians(np.arange(-80, 91))
+@pytest.mark.parametrize("embedding", ["ring", "range"])
+def test_the_curves_are_the_scan_and_what_its_coefficients_stand_for(embedding: Kind) -> None:
+    """Of a scan with one missing beam; with all components nothing is lost of it."""
+    model = hallway(64, embedding)
+    bearings = np.radians(np.arange(-20, 21))
     ranges = [to_wall(2, 1, 0.3 + bearing) for bearing in bearings]
-    ranges[40] = math.nan
+    ranges[10] = math.nan
     scan = Scan(angle_min=bearings[0], angle_increment=math.radians(1.0), ranges=ranges)
-    seen, kept = manifold.sight(scan)
-    assert np.flatnonzero(np.isnan(seen)).tolist() == [*range(10), 50]
-    assert seen[10:] == pytest.approx(ranges, abs=1e-5, nan_ok=True)
-    offset = np.where(np.isnan(seen), 0.0, seen - model.space.mean)
-    direct = model.space.mean + sum((offset @ vector) * vector for vector in model.space.vectors)
-    assert kept == pytest.approx(direct, abs=1e-3)
-    assert np.degrees(manifold.bearings) == pytest.approx(np.arange(-90, 91), abs=1e-3)
-    _, shares = manifold.eigenscans(3)
+    manifold = Manifold(model, analysis_of(model, scan))
+    seen = manifold.seen(scan)
+    assert seen == pytest.approx(ranges[::2], abs=1e-5, nan_ok=True)
+    assert np.degrees(manifold.bearings(scan)) == pytest.approx(np.arange(-20, 21, 2), abs=1e-3)
+    whole = np.array([to_wall(2, 1, 0.3 + bearing) for bearing in bearings[::2]])
+    space = model.derive(analysis_of(model, scan))[0]
+    offset = space.embedding(whole) - space.space.mean[:, None]
+    alpha = [float(np.sum(offset * vector)) for vector in space.space.vectors]
+    assert manifold.kept(alpha, seen) == pytest.approx(whole, abs=5e-3)
+    vectors, shares = manifold.eigenscans(3)
+    assert vectors.shape == (3, space.embedding.channels, 21)
     assert np.all(np.diff(shares) <= 0)
     assert 0.3 < shares.sum() < 1
 
@@ -515,7 +511,12 @@ def test_no_panel_of_any_layout_stays_empty(tmp_path: Path) -> None:
             assert any(entity.startswith(f"/{origin}") for entity in drawn), (layout, origin)
 
 
-def test_missing_beams_and_another_field_of_view_pull_nowhere() -> None:
-    model = hallway(3)
-    nothing = Scan(angle_min=-1.0, angle_increment=0.01, ranges=[math.nan] * 200)
-    assert Manifold(model.to_message()).scan(nothing) == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
+def test_a_range_beyond_the_ring_is_drawn_near_what_was_seen() -> None:
+    model = hallway(64)
+    analysis = replace(model.space.analysis, beams=1)
+    manifold = Manifold(model, analysis)
+    space = model.derive(analysis)[0]
+    offset = space.embedding(np.array([10.5])) - space.space.mean[:, None]
+    alpha = [float(np.sum(offset * vector)) for vector in space.space.vectors]
+    assert manifold.kept(alpha, np.array([10.9], dtype=np.float32)) == pytest.approx([10.5], abs=1e-2)
+    assert manifold.kept(alpha, np.array([np.nan], dtype=np.float32)) == pytest.approx([0.5], abs=1e-2)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from eigenscan.eigenspace.components import Eigenspace, analyse
-from eigenscan.eigenspace.model import RANGE_UNIT, quantize
+from eigenscan.eigenspace.analysis import Analysis
 from eigenscan.eigenspace.model import RegionModel as Model
-from eigenscan.eigenspace.panorama import Sensor
-from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.eigenspace.model import quantize
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, covariance_to_message, to_message, transform
 from eigenscan.geometry.raycast import RayCaster
@@ -101,10 +99,7 @@ class Site:
         index = np.array([[x, y] for x in range(1, 19) for y in range(1)], dtype=np.int32)
         positions = index + np.array([0.0, 6.5])
         ranges = quantize(self._caster.panoramas(positions, 720, 30.0))
-        sensor = Sensor.facing(np.pi, np.deg2rad(0.5))
-        transform = RangeTransform(20.0)
-        panoramas = transform(np.where(ranges == 65535, np.inf, ranges * RANGE_UNIT))
-        return hallway_model(index, ranges, sensor, analyse(panoramas, sensor.beams, 6)).to_message()
+        return hallway_model(index, ranges).to_message()
 
     def _follow(self, raw: RawScan, time: int) -> Iterator[Envelope]:
         """What the services make of a scan."""
@@ -213,16 +208,14 @@ class Site:
         )
 
 
-def hallway_model(index: np.ndarray, ranges: np.ndarray, sensor: Sensor, space: Eigenspace) -> Model:
-    return Model(
+def hallway_model(index: np.ndarray, ranges: np.ndarray) -> Model:
+    return Model.of(
+        Analysis(components=4),
         region="hallway",
         frame_id="map",
         spacing=1.0,
         origin=np.array([0.0, 6.5]),
         index=index,
         ranges=ranges,
-        sensor=sensor,
-        range_cap=20.0,
-        space=space,
         outline=np.array([[0.0, 5.5], [19.0, 5.5], [19.0, 7.5], [0.0, 7.5]]),
     )

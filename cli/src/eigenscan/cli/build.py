@@ -7,7 +7,7 @@ import os
 import time
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
@@ -49,9 +49,18 @@ def build(
     clearance: Annotated[float, typer.Option(min=0.0, max=5.0, help="m from a position to a wall")] = 0.15,
     margin: Annotated[float, typer.Option(min=0.0, max=10.0, help="m that regions overlap")] = 1.0,
     range_max: Annotated[float, typer.Option(min=1.0, max=130.0, help="m that a beam reaches")] = 80.0,
-    range_cap: Annotated[float, typer.Option(min=1.0, max=130.0, help="m that PCA clips ranges to")] = 20.0,
-    fov: Annotated[float, typer.Option(min=1.0, max=360.0, help="degrees that the sensor sees")] = 180.0,
-    share: Annotated[float, typer.Option(min=0.01, max=1.0, help="of the variance to hold")] = 0.9,
+    fov: Annotated[
+        float, typer.Option(min=1.0, max=360.0, help="degrees that the site's usual lidar sees")
+    ] = 180.0,
+    embedding: Annotated[
+        Literal["ring", "range"],
+        typer.Option(help="what of a range is analysed; range: itself, as in the paper"),
+    ] = "ring",
+    range_cap: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=130.0, help="m; longer ranges count as this; by default as suits"),
+    ] = None,
+    components: Annotated[int, typer.Option(min=1, max=64, help="principal components of a region")] = 16,
     regions: Annotated[
         Path | None, typer.Option(help="GeoJSON of the regions, such as an edited MODEL/regions.geojson")
     ] = None,
@@ -100,7 +109,7 @@ def build(
     from eigenscan.mapbuilder.floors import name_by_floor
     from eigenscan.mapbuilder.geojson import read_regions, to_geojson
     from eigenscan.mapbuilder.picture import draw_regions
-    from eigenscan.mapbuilder.quality import quality
+    from eigenscan.mapbuilder.quality import IN_SIGHT_M, quality
     from eigenscan.mapbuilder.regions import Division
     from eigenscan.mapbuilder.site import Plan
 
@@ -110,9 +119,10 @@ def build(
         step=math.radians(step),
         clearance=clearance,
         range_max=range_max,
+        embedding=embedding,
         range_cap=range_cap,
         field_of_view=math.radians(fov),
-        share=share,
+        components=components,
         frame_id=frame_id,
         division=Division(margin=margin),
         threads=jobs or len(os.sched_getaffinity(0)),
@@ -138,7 +148,7 @@ def build(
             to_geojson(outlines(layout.regions, layout.names), frame_id),
             floors,
         )
-    found = quality(grid, layout.positions.points, plan.range_cap)
+    found = quality(grid, layout.positions.points, IN_SIGHT_M)
     _summarize(message, layout, found, built, out, time.perf_counter() - began, json_file)
 
 
@@ -192,7 +202,7 @@ def _summarize(
     from eigenscan.eigenspace.folder import PICTURE
 
     pieces, before = built
-    components = [piece.components for piece in pieces.values()]
+    explained = [piece.explained for piece in pieces.values()]
     spacing = layout.positions.spacing
     shared = sum(len(area.positions.index) for area in layout.areas)
     wire_bytes = sum(entry.size for entry in message.entries)
@@ -209,7 +219,7 @@ def _summarize(
         "positions": layout.held,
         "spacing_m": spacing,
         "within_error": None if math.isnan(layout.within) else layout.within,
-        "components": components,
+        "explained": explained,
         "wire_bytes": wire_bytes,
         "build_s": seconds,
         "version": message.version,
@@ -233,7 +243,7 @@ def _summarize(
             if math.isnan(layout.within)
             else {"bound held": f"at {layout.within:.1%} of the places between"}
         ),
-        "components": f"{min(components)} to {max(components)} a region",
+        "eigenspaces": f"{min(explained):.0%} to {max(explained):.0%} of a region's variance",
         "on the wire": f"{wire_bytes / 1e6:.1f} MB",
         "built in": f"{seconds:.1f} s",
         "version": message.version[:12],

@@ -1,8 +1,11 @@
-"""Principal components of all windows of a set of panoramas (paper, section 2).
+"""Principal components of all windows of a set of panoramas (paper, section 2), with F channels a beam.
 
-Every heading of every position is in the set. So the mean scan is one constant, and the covariance of
-two beams depends only on their distance: it is the Toeplitz matrix of the panoramas' mean circular
-autocorrelation, which takes one FFT a panorama instead of N outer products.
+Every heading of every position is in the set. So the mean of a channel is one constant, and the covariance of
+channel f at beam j and channel g at beam l depends on j - l only: it is block Toeplitz, and exact by one FFT
+a panorama instead of N outer products. With one channel it is the Toeplitz matrix of plain ranges.
+
+What comes of it is rounded to single precision, as it travels: whoever analyses the same panoramas has the
+same bits as who was told.
 """
 
 from __future__ import annotations
@@ -11,119 +14,102 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from eigenscan.eigenspace.symmetric_toeplitz import eigenpairs
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import fft
+from scipy.linalg import eigh
 from threadpoolctl import threadpool_limits
 
-_BLOCK = 1024
-"""Panoramas transformed at once, which bounds the memory."""
-_CACHED = 32
-"""Panoramas whose coefficients stay in the cache until they are put in place."""
+Channels = NDArray[np.float32]
+
+_CACHED = 64
+"""Panoramas whose spectra stay in the cache."""
 
 
 @dataclass(frozen=True)
 class Eigenspace:
-    """Mean constant, unit eigenvectors (M, B) by decreasing eigenvalue (M,), and the covariance's trace.
+    """Mean (F,) of the channels, unit eigenvectors (M, F, J), their eigenvalues (M,), decreasing.
 
-    Units follow the values that were analysed: m and m^2 for plain ranges.
+    `total_variance` is the covariance's trace. Units follow the channels: m and m^2 for both embeddings.
     """
 
-    mean: float
+    mean: NDArray[np.float32]
     vectors: NDArray[np.float32]
     eigenvalues: NDArray[np.float32]
     total_variance: float
 
     @property
     def beams(self) -> int:
-        """B of a scan."""
-        return int(self.vectors.shape[1])
+        """J of a scan."""
+        return int(self.vectors.shape[2])
 
     @property
     def explained(self) -> float:
         """Share of the variance that the kept components hold."""
         return float(self.eigenvalues.sum(dtype=np.float64)) / max(self.total_variance, 1e-300)
 
-    def project(self, scans: ArrayLike) -> NDArray[np.float32]:
-        """Coefficients (..., M) of scans (..., B): the inner products with S - mean (paper, eq. 2)."""
-        offset: NDArray[np.float32] = np.asarray(scans, dtype=np.float32) - np.float32(self.mean)
-        coefficients: NDArray[np.float32] = np.matmul(offset, self.vectors.T)
-        return coefficients
+    @property
+    def noise(self) -> float:
+        """Mean variance of a channel of a beam that the kept components leave out."""
+        left_over = self.total_variance - float(self.eigenvalues.sum(dtype=np.float64))
+        return float(max(left_over / self.vectors[0].size, 1e-9 * self.total_variance, 1e-12))
 
-    def reconstruct(self, coefficients: ArrayLike) -> NDArray[np.float32]:
-        """Scans (..., B) that coefficients (..., M) stand for (paper, eq. 3)."""
-        scans: NDArray[np.float32] = np.asarray(coefficients, dtype=np.float32) @ self.vectors + np.float32(
-            self.mean
-        )
-        return scans
-
-    def error(self, scans: ArrayLike) -> NDArray[np.float32]:
-        """Error vectors E = S - S^ (..., B) of scans (..., B) (paper, eq. 4)."""
-        error: NDArray[np.float32] = np.asarray(scans, dtype=np.float32) - self.reconstruct(
-            self.project(scans)
-        )
-        return error
-
-    def energy(self, scans: ArrayLike) -> NDArray[np.float32]:
-        """Norms ||E|| (...,) of the error vectors of scans (..., B)."""
-        norms: NDArray[np.float32] = np.linalg.norm(self.error(scans), axis=-1)
-        return norms
+    def reconstruct(self, coefficients: NDArray[np.float32]) -> Channels:
+        """Channels (F, J) that coefficients (M,) stand for (paper, eq. 3)."""
+        whole: Channels = np.tensordot(coefficients, self.vectors, 1) + self.mean[:, None]
+        return whole
 
 
-def autocovariance(values: NDArray[np.float32], workers: int = 1) -> tuple[float, NDArray[np.float64]]:
-    """Mean of panoramas (P, N), and their mean circular autocovariance (N,) about it."""
-    mean = float(values.mean(dtype=np.float64))
-    turn = values.shape[1]
-    power = np.zeros(turn // 2 + 1)
-    for block in _blocks(values):
-        spectrum = fft.rfft(block.astype(np.float64) - mean, axis=1, workers=workers)
-        power += (spectrum.real**2 + spectrum.imag**2).sum(axis=0)
-    return mean, fft.irfft(power, turn) / (turn * len(values))
+def analyse(channels: Channels, beams: int, count: int) -> Eigenspace:
+    """Space of all N windows of `beams` beams of panoramas with channels (F, P, N), `count` components.
 
-
-def analyse(
-    values: NDArray[np.float32],
-    beams: int,
-    count: int | None = None,
-    share: float = 0.9,
-    workers: int = 1,
-) -> Eigenspace:
-    """Eigenspace of all N windows of `beams` beams of panoramas (P, N).
-
-    Keeps `count` components, or the fewest that hold `share` of the variance. Raises ValueError for an empty
-    set, values that are not finite (see RangeTransform), or a window beyond a turn. Limits the process's
-    BLAS to one thread.
+    Fewer where F * J are fewer. Raises ValueError for an empty set, values that are not finite, or a window
+    beyond a turn. Limits the process's BLAS to one thread.
     """
-    if values.ndim != 2 or not values.size:
-        raise ValueError(f"no panoramas to analyse: shape {values.shape}")
-    if not 1 <= beams <= values.shape[1]:
-        raise ValueError(f"a window of {beams} beams in a panorama of {values.shape[1]}")
-    mean, covariance = autocovariance(values, workers)
-    if not np.isfinite(covariance).all():
-        raise ValueError("panoramas hold values that are not finite: clip them first")
     one_blas_thread()
-    total = float(covariance[0]) * beams
-    wanted = beams if count is None else min(count, beams)
-    eigenvalues, vectors = eigenpairs(covariance[:beams], wanted)
-    if count is None:
-        # rounding must not ask for components that hold nothing
-        held = np.cumsum(eigenvalues)
-        wanted = min(int(np.searchsorted(held, share * total * (1 - 1e-12))) + 1, beams)
-    kept = np.maximum(eigenvalues[:wanted], 0.0).astype(np.float32)
-    return Eigenspace(mean, _upright(vectors[:wanted]), kept, total)
+    many, positions, turn = channels.shape
+    if not positions or not np.isfinite(channels).all():
+        raise ValueError(f"no finite panoramas to analyse: shape {channels.shape}")
+    if not 1 <= beams <= turn:
+        raise ValueError(f"a window of {beams} beams in a panorama of {turn}")
+    mean = channels.mean(axis=(1, 2), dtype=np.float64)
+    covariance = _block_toeplitz(_autocovariance(channels, mean), beams)
+    size = many * beams
+    kept = min(count, size)
+    eigenvalues, vectors = eigh(covariance, subset_by_index=(size - kept, size - 1), check_finite=False)
+    return Eigenspace(
+        mean.astype(np.float32),
+        _upright(vectors.T[::-1]).reshape(kept, many, beams),
+        np.maximum(eigenvalues[::-1], 0.0).astype(np.float32),
+        float(np.float32(np.trace(covariance))),
+    )
 
 
-def all_coefficients(values: NDArray[np.float32], space: Eigenspace) -> NDArray[np.float32]:
-    """Coefficients (P, N, M) of every window of panoramas (P, N): [p, k] is the window k of panorama p."""
-    turn = values.shape[1]
-    filters = np.conj(fft.rfft(space.vectors, turn, axis=1))
-    out = np.empty((len(values), turn, len(space.vectors)), dtype=np.float32)
-    for start in range(0, len(values), _CACHED):
-        block = values[start : start + _CACHED] - np.float32(space.mean)
-        spectrum = fft.rfft(block, axis=1)
-        every = fft.irfft(spectrum[:, None] * filters, turn, axis=-1)
-        out[start : start + _CACHED] = every.transpose(0, 2, 1)
+def coefficients(channels: Channels, space: Eigenspace, every: int = 1) -> NDArray[np.float32]:
+    """Coefficients (P, N / every, M) of every `every`-th window of panoramas with channels (F, P, N).
+
+    They are the inner products with S - mean (paper, eq. 2), by one FFT a panorama.
+    """
+    turn = channels.shape[2]
+    filters = np.conj(fft.rfft(space.vectors, turn, axis=2))
+    out = np.empty((channels.shape[1], -(-turn // every), len(space.vectors)), dtype=np.float32)
+    for start in range(0, channels.shape[1], _CACHED):
+        block = channels[:, start : start + _CACHED] - space.mean[:, None, None]
+        spectrum = np.einsum("fpk,mfk->pmk", fft.rfft(block, axis=2), filters)
+        out[start : start + _CACHED] = fft.irfft(spectrum, turn, axis=2)[:, :, ::every].transpose(0, 2, 1)
     return out
+
+
+def error_squares(
+    channels: Channels, space: Eigenspace, held: NDArray[np.float32], every: int = 1
+) -> NDArray[np.float64]:
+    """Mean squares (P, N / every) of the error vectors of windows with coefficients `held`; paper, eq. 4."""
+    beams = space.beams
+    squares = ((channels - space.mean[:, None, None].astype(np.float64)) ** 2).sum(axis=0)
+    running = np.cumsum(np.concatenate([squares, squares[:, :beams]], axis=1), axis=1)
+    norms = running[:, beams - 1 : -1] - running[:, :-beams] + squares
+    explained = (held.astype(np.float64) ** 2).sum(axis=2)
+    square: NDArray[np.float64] = np.maximum(norms[:, ::every] - explained, 0.0) / space.vectors[0].size
+    return square
 
 
 @cache
@@ -136,8 +122,24 @@ def one_blas_thread() -> None:
     threadpool_limits(1, user_api="blas")
 
 
-def _blocks(values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-    return [values[start : start + _BLOCK] for start in range(0, len(values), _BLOCK)]
+def _autocovariance(channels: Channels, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean circular covariance (F, F, N) of two channels, by how many beams the first is ahead."""
+    many, positions, turn = channels.shape
+    power = np.zeros((many, many, turn // 2 + 1), dtype=np.complex128)
+    for start in range(0, positions, _CACHED):
+        spectrum = fft.rfft(channels[:, start : start + _CACHED] - mean[:, None, None], axis=2)
+        power += np.einsum("fpk,gpk->fgk", spectrum, np.conj(spectrum))
+    lags: NDArray[np.float64] = fft.irfft(power, turn, axis=2) / (turn * positions)
+    return lags
+
+
+def _block_toeplitz(lags: NDArray[np.float64], beams: int) -> NDArray[np.float64]:
+    """Covariance (F * J, F * J) of the channels of a window."""
+    many, _, turn = lags.shape
+    beam = np.arange(beams)
+    apart = (beam[:, None] - beam[None, :]) % turn
+    blocks: NDArray[np.float64] = lags[:, :, apart].transpose(0, 2, 1, 3)
+    return blocks.reshape(many * beams, many * beams)
 
 
 def _upright(vectors: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -29,7 +29,7 @@ from eigenscan.schemas import model_pb2
 
 MAP, REGIONS, PICTURE = "map.yaml", "regions", "regions.png"
 OUTLINES = "regions.geojson"
-LAYOUT = 1
+LAYOUT = 2
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,8 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         manifest = json.loads(path.read_text(encoding="utf-8"))
         if manifest["layout"] != LAYOUT:
             raise ModelError(
-                f"{path}: layout {manifest['layout']}, this build reads {LAYOUT}: build it again"
+                f"{path}: layout {manifest['layout']}, this version reads {LAYOUT}: build the models again, "
+                "eigenscan build MAP -o MODEL"
             )
         if not (manifest["version"] and manifest["frame_id"] and manifest["regions"]):
             raise ModelError(f"{path}: names no regions")

@@ -5,17 +5,18 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from eigenscan.eigenspace.components import Eigenspace
-from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN, Analysis, RegionSpace, region_space, searched
+from eigenscan.eigenspace.panorama import resample
+from eigenscan.eigenspace.space_message import space_from_message, space_to_message
 from eigenscan.geometry.gridmap import FARTHEST_M, FINEST_M
 from eigenscan.schemas import model_pb2
 from numpy.typing import NDArray
 
-FORMAT = 1
+FORMAT = 2
 RANGE_UNIT = 0.002
 """m per step of a stored range; the farthest is 131 m."""
 NO_WALL = np.uint16(65535)
@@ -34,7 +35,7 @@ class ModelError(ValueError):
 
 @dataclass(frozen=True)
 class RegionModel:
-    """The panoramas of one region's positions, and the eigenspace of one sensor there.
+    """The panoramas of one region's positions, and its eigenspace for the declared lidar.
 
     `index` (P, 2) int32: grid indices (x, y) of the positions, `spacing` m apart, from `origin` (2,) m in the
     frame `frame_id`. `ranges` (P, N) uint16 in steps of `range_unit` m; NO_WALL where no wall is in sight.
@@ -47,11 +48,37 @@ class RegionModel:
     origin: NDArray[np.float64]
     index: NDArray[np.int32]
     ranges: NDArray[np.uint16]
-    sensor: Sensor
-    range_cap: float
-    space: Eigenspace
+    space: RegionSpace
     outline: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     range_unit: float = RANGE_UNIT
+
+    @classmethod
+    def of(
+        cls,
+        analysis: Analysis,
+        region: str,
+        frame_id: str,
+        spacing: float,
+        origin: NDArray[np.float64],
+        index: NDArray[np.int32],
+        ranges: NDArray[np.uint16],
+        outline: NDArray[np.float64],
+    ) -> RegionModel:
+        """Of panoramas, with the eigenspace that `analysis` makes of them. Raises ValueError without any."""
+        space, _ = _derived(ranges, RANGE_UNIT, index, spacing, analysis)
+        return cls(region, frame_id, spacing, origin, index, ranges, space, outline)
+
+    def with_ranges(self, index: NDArray[np.int32], ranges: NDArray[np.uint16]) -> RegionModel:
+        """The same region with other positions and panoramas, by the same analysis."""
+        space, _ = _derived(ranges, self.range_unit, index, self.spacing, self.space.analysis)
+        return replace(self, index=index, ranges=ranges, space=space)
+
+    def derive(self, analysis: Analysis) -> tuple[RegionSpace, NDArray[np.float32]]:
+        """The region's eigenspace for another kind of lidar, and the coefficients (S, H, M) there.
+
+        Of the positions that `searched` names: as of `sampled`.
+        """
+        return _derived(self.ranges, self.range_unit, self.index, self.spacing, analysis)
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -61,13 +88,17 @@ class RegionModel:
     @property
     def panoramas(self) -> NDArray[np.float32]:
         """Ranges (P, N), m, +inf where no wall is in sight."""
-        return np.where(self.ranges == NO_WALL, np.float32(np.inf), self.ranges * np.float32(self.range_unit))
+        return _metres(self.ranges, self.range_unit)
+
+    @property
+    def analysed(self) -> NDArray[np.float32]:
+        """Panoramas (P, ANALYSIS_TURN), m, at the step of the analysis: what eigenspaces are made of."""
+        return resample(self.panoramas, ANALYSIS_TURN)
 
     @cached_property
     def version(self) -> str:
         """SHA-256 of the content, hex: of the message without `version` and with `panoramas` inflated."""
-        message = self._message(self.ranges.astype("<u2").tobytes())
-        return hashlib.sha256(message.SerializeToString(deterministic=True)).hexdigest()
+        return _digest(self._message(b""), self.ranges)
 
     @cached_property
     def packed(self) -> bytes:
@@ -99,39 +130,48 @@ class RegionModel:
             index_y=self.index[:, 1].tolist(),
             panoramas=panoramas,
             range_unit=self.range_unit,
-            sensor=self.sensor.to_message(),
-            range_cap=self.range_cap,
-            mean=self.space.mean,
-            eigenvectors=self.space.vectors.ravel().tolist(),
-            eigenvalues=self.space.eigenvalues.tolist(),
-            total_variance=self.space.total_variance,
             outline_x=self.outline[:, 0].tolist(),
             outline_y=self.outline[:, 1].tolist(),
+            space=space_to_message(self.space),
         )
 
     @classmethod
     def from_message(cls, message: model_pb2.RegionModel) -> RegionModel:
         """Model of a message. Raises ModelError where it is of another format, damaged or empty."""
         _check(message)
-        model = cls(
+        ranges = _inflate(message)
+        version = _digest(message, ranges)
+        if version != message.version:
+            raise ModelError(
+                f"region {message.region!r}: content is {version[:12]}, not the version "
+                f"{message.version[:12]!r} it claims: damaged on the way, fetch it again"
+            )
+        try:
+            space = space_from_message(message.space)
+        except ValueError as error:
+            raise ModelError(f"region {message.region!r}: space: {error}") from error
+        return cls(
             region=message.region,
             frame_id=message.frame_id,
             spacing=message.spacing,
             origin=np.array([message.origin_x, message.origin_y]),
             index=np.column_stack([message.index_x, message.index_y]).astype(np.int32),
-            ranges=_inflate(message),
-            sensor=Sensor.from_message(message.sensor),
-            range_cap=message.range_cap,
-            space=_space(message),
+            ranges=ranges,
+            space=space,
             outline=np.column_stack([message.outline_x, message.outline_y]),
             range_unit=message.range_unit,
         )
-        if model.version != message.version:
-            raise ModelError(
-                f"region {message.region!r}: content is {model.version[:12]}, not the version "
-                f"{message.version[:12]!r} it claims: damaged on the way, fetch it again"
-            )
-        return model
+
+
+def _derived(
+    ranges: NDArray[np.uint16], unit: float, index: NDArray[np.int32], spacing: float, analysis: Analysis
+) -> tuple[RegionSpace, NDArray[np.float32]]:
+    coarse = resample(_metres(ranges, unit), ANALYSIS_TURN)
+    return region_space(coarse, searched(index, spacing)[0], analysis)
+
+
+def _metres(ranges: NDArray[np.uint16], unit: float) -> NDArray[np.float32]:
+    return np.where(ranges == NO_WALL, np.float32(np.inf), ranges * np.float32(unit))
 
 
 def quantize(panoramas: NDArray[np.float32], unit: float = RANGE_UNIT) -> NDArray[np.uint16]:
@@ -175,14 +215,15 @@ def _check(message: model_pb2.RegionModel) -> None:
     """Raises ModelError for fields that do not fit together."""
     name = f"region {message.region!r}"
     if message.format != FORMAT:
-        raise ModelError(f"{name}: model format {message.format}, this build reads {FORMAT}: build it again")
+        raise ModelError(
+            f"{name}: model format {message.format}, this version reads {FORMAT}: build the models again, "
+            "eigenscan build MAP -o MODEL"
+        )
     if not len(message.index_x) or len(message.index_x) != len(message.index_y):
         raise ModelError(f"{name}: {len(message.index_x)} x and {len(message.index_y)} y of positions")
     numbers = {
         "spacing": message.spacing,
         "range_unit": message.range_unit,
-        "range_cap": message.range_cap,
-        "sensor.angle_increment": message.sensor.angle_increment,
     }
     for field_name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
@@ -200,16 +241,8 @@ def _check(message: model_pb2.RegionModel) -> None:
         )
     if max(map(abs, (*message.index_x, *message.index_y))) > MOST_CELLS_APART:
         raise ModelError(f"{name}: positions farther than {MOST_CELLS_APART} steps from its origin")
-    if not 1 <= message.sensor.beams <= message.beams <= _MOST_BEAMS:
-        raise ModelError(f"{name}: a sensor of {message.sensor.beams} beams, panoramas of {message.beams}")
-    if len(message.eigenvectors) != len(message.eigenvalues) * message.sensor.beams:
-        raise ModelError(
-            f"{name}: {len(message.eigenvectors)} numbers for {len(message.eigenvalues)} eigenvectors "
-            f"of {message.sensor.beams} beams"
-        )
-    others = [message.origin_x, message.origin_y, message.mean, message.total_variance]
-    if not np.isfinite([*others, *message.eigenvectors, *message.eigenvalues]).all():
-        raise ModelError(f"{name}: holds numbers that are not finite")
+    if not 1 <= message.beams <= _MOST_BEAMS:
+        raise ModelError(f"{name}: panoramas of {message.beams} beams")
     if len(message.outline_x) != len(message.outline_y):
         raise ModelError(f"{name}: {len(message.outline_x)} x and {len(message.outline_y)} y of the outline")
 
@@ -227,7 +260,10 @@ def _inflate(message: model_pb2.RegionModel) -> NDArray[np.uint16]:
     return np.frombuffer(raw, dtype="<u2").astype(np.uint16).reshape(shape)
 
 
-def _space(message: model_pb2.RegionModel) -> Eigenspace:
-    vectors = np.array(message.eigenvectors, dtype=np.float32).reshape(-1, message.sensor.beams)
-    values = np.array(message.eigenvalues, dtype=np.float32)
-    return Eigenspace(message.mean, vectors, values, message.total_variance)
+def _digest(message: model_pb2.RegionModel, ranges: NDArray[np.uint16]) -> str:
+    """The version of a message with these ranges; fields that this build does not know count too."""
+    plain = model_pb2.RegionModel()
+    plain.CopyFrom(message)
+    plain.ClearField("version")
+    plain.panoramas = ranges.astype("<u2").tobytes()
+    return hashlib.sha256(plain.SerializeToString(deterministic=True)).hexdigest()

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
-from eigenscan.schemas import model_pb2
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float32] | NDArray[np.float64]
@@ -49,20 +48,6 @@ class Sensor:
         """Window index in [0, N), with fraction, of headings of any shape; inverse of `headings`."""
         index = (np.asarray(headings, dtype=np.float64) + self.angle_min) * (turn / TURN)
         return np.mod(index, turn)
-
-    def to_message(self) -> model_pb2.Sensor:
-        """The message of the same name."""
-        return model_pb2.Sensor(
-            angle_min=self.angle_min,
-            angle_increment=self.angle_increment,
-            beams=self.beams,
-            range_max=self.range_max,
-        )
-
-    @classmethod
-    def from_message(cls, message: model_pb2.Sensor) -> Sensor:
-        """Inverse of to_message."""
-        return cls(message.angle_min, message.angle_increment, message.beams, message.range_max)
 
 
 def windows(panoramas: NDArray[np.float32], index: ArrayLike, beams: int) -> NDArray[np.float32]:

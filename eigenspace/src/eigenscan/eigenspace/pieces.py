@@ -19,18 +19,18 @@ import numpy as np
 from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.folder import check_place, publish
 from eigenscan.eigenspace.model import ModelError, set_of
-from eigenscan.eigenspace.region_file import read_region
+from eigenscan.eigenspace.region_file import read_region, space_of_arrays
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.schemas.model_pb2 import ModelSet
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A finished region: its file, what a set says of it, and how many components it has."""
+    """A finished region: its file, what a set says of it, and the share of the variance its space holds."""
 
     path: Path
     entry: ModelSet.Entry
-    components: int
+    explained: float
 
 
 class Pieces:
@@ -115,7 +115,7 @@ def _described(path: Path) -> Piece:
         entry = ModelSet.Entry(
             region=str(file["region"]), version=str(file["version"]), size=int(file["wire_bytes"])
         )
-        return Piece(path, entry, len(file["eigenvalues"]))
+        return Piece(path, entry, space_of_arrays(file).space.explained)
 
 
 def _link(piece: Path, target: Path) -> None:

@@ -8,12 +8,13 @@ from typing import Any
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 import numpy as np
+from eigenscan.eigenspace.analysis import RegionSpace
 from eigenscan.eigenspace.components import Eigenspace
+from eigenscan.eigenspace.embedding import Embedding
 from eigenscan.eigenspace.model import ModelError, RegionModel
-from eigenscan.eigenspace.panorama import Sensor
 from numpy.lib import format as npy
 
-_PLAIN = ("region", "frame_id", "spacing", "origin", "index", "ranges", "range_cap", "range_unit", "outline")
+_PLAIN = ("region", "frame_id", "spacing", "origin", "index", "ranges", "range_unit", "outline")
 _COMPRESSION = 1
 """zlib level, as on the wire; np.savez_compressed's takes four times as long."""
 
@@ -30,10 +31,7 @@ def pack_region(model: RegionModel) -> bytes:
 
 def _arrays(model: RegionModel) -> dict[str, Any]:
     arrays: dict[str, Any] = {name: getattr(model, name) for name in _PLAIN}
-    sensor, space = model.sensor, model.space
-    arrays["sensor"] = np.array([sensor.angle_min, sensor.angle_increment, sensor.beams, sensor.range_max])
-    arrays["mean"], arrays["total_variance"] = space.mean, space.total_variance
-    arrays["eigenvectors"], arrays["eigenvalues"] = space.vectors, space.eigenvalues
+    arrays |= space_arrays(model.space)
     arrays["version"], arrays["wire_bytes"] = model.version, model.entry.size
     return arrays
 
@@ -53,7 +51,6 @@ def read_region(path: Path, version: str) -> RegionModel:
 
 
 def _from_arrays(file: Any) -> RegionModel:
-    angle_min, step, beams, range_max = file["sensor"].tolist()
     return RegionModel(
         region=str(file["region"]),
         frame_id=str(file["frame_id"]),
@@ -61,11 +58,31 @@ def _from_arrays(file: Any) -> RegionModel:
         origin=file["origin"],
         index=file["index"],
         ranges=file["ranges"],
-        sensor=Sensor(angle_min, step, int(beams), range_max),
-        range_cap=float(file["range_cap"]),
-        space=Eigenspace(
-            float(file["mean"]), file["eigenvectors"], file["eigenvalues"], float(file["total_variance"])
-        ),
+        space=space_of_arrays(file),
         outline=file["outline"],
         range_unit=float(file["range_unit"]),
+    )
+
+
+def space_arrays(one: RegionSpace) -> dict[str, Any]:
+    """A space as arrays by name."""
+    space = one.space
+    return {
+        "embedding": one.embedding.kind,
+        "cap": one.embedding.cap,
+        "mean": space.mean,
+        "vectors": space.vectors,
+        "eigenvalues": space.eigenvalues,
+        "total_variance": space.total_variance,
+        "usual_error": one.usual_error,
+    }
+
+
+def space_of_arrays(file: Any) -> RegionSpace:
+    """Inverse of space_arrays. Raises KeyError or ValueError."""
+    kind: Any = str(file["embedding"])
+    return RegionSpace(
+        Embedding(kind, float(file["cap"])),
+        Eigenspace(file["mean"], file["vectors"], file["eigenvalues"], float(file["total_variance"])),
+        float(file["usual_error"]),
     )

@@ -179,6 +179,9 @@ def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> d
             nargs="?" if field.annotation is bool else None,
             const="true" if field.annotation is bool else None,
         )
+    for given in arguments:
+        if gone := _gone(kind, given.partition("=")[0].removeprefix("--").replace("-", "_")):
+            raise SettingsError(f"{given.partition('=')[0]}: {gone}")
     return {
         name: _Given(_typed(kind, name, value), _flag(name))
         for name, value in vars(parser.parse_args(arguments)).items()
@@ -201,7 +204,8 @@ def _environment(kind: type[ServiceSettings], service: str) -> dict[str, _Given]
     for variable in os.environ:
         rest = variable.removeprefix(own)
         if variable.startswith(own) and rest not in names:
-            raise SettingsError(f"environment: {variable}: unknown{_nearest(rest, names, own)}")
+            hint = _gone(kind, rest.lower()) or f"unknown{_nearest(rest, names, own)}"
+            raise SettingsError(f"environment: {variable}: {hint}")
     return found
 
 
@@ -246,10 +250,16 @@ def _file(kind: type[ServiceSettings], service: str, path: Path) -> dict[str, _G
         for name in values:
             if name not in known:
                 hint = f", is it for [{service}]?" if name in kind.model_fields else _nearest(name, known)
-                raise SettingsError(f"{path}: {place}{name}: unknown{hint}")
+                raise SettingsError(f"{path}: {place}{name}: {_gone(kind, name) or f'unknown{hint}'}")
     return {name: _Given(value, f"{path}: {name}") for name, value in shared.items()} | {
         name: _Given(value, f"{path}: [{service}] {name}") for name, value in own.items()
     }
+
+
+def _gone(kind: type[BaseModel], name: str) -> str:
+    """What took the place of a setting that there once was, in words; empty for any other name."""
+    replaced: typing.Mapping[str, str] = getattr(kind, "gone", {})
+    return f"is a setting no more: {replaced[name]}" if name in replaced else ""
 
 
 def _nearest(name: str, known: typing.Iterable[str], prefix: str = "") -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.eigenspace.ranges import RangeTransform
+from eigenscan.eigenspace.embedding import Embedding
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.plan import Plan
@@ -86,7 +86,7 @@ class _Scene:
         free = stands(self.grid, self.place, points)
         values = np.zeros((len(held), _BEAMS), dtype=np.float32)
         seen = self.caster.panoramas(points[free], _BEAMS, self.plan.range_max, self.plan.threads)
-        values[free] = RangeTransform(self.plan.range_cap)(seen)
+        values[free] = Embedding("range", self.plan.analysis.embedding.cap)(seen)[0]
         corner, between = np.split(where.reshape(-1, len(_CORNERS) + len(_BETWEEN)), [len(_CORNERS)], axis=1)
         weights = _WEIGHTS * free[corner][:, None]
         known = weights.sum(axis=2, keepdims=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.eigenspace.analysis import COMPONENTS, Analysis, beams_of
+from eigenscan.eigenspace.embedding import Embedding, Kind
 from eigenscan.geometry.circle import TURN
 from eigenscan.mapbuilder.regions import Division
 
@@ -20,17 +21,21 @@ class Plan:
     step: float = float(np.deg2rad(0.5))
     clearance: float = 0.15
     range_max: float = 80.0
-    range_cap: float = 20.0
+    embedding: Kind = "ring"
+    range_cap: float | None = None
+    """None: the usual one of the embedding."""
     field_of_view: float = float(np.pi)
-    share: float = 0.9
+    """Of the declared lidar: the one that the published eigenspaces are for."""
+    components: int = COMPONENTS
     frame_id: str = "map"
     division: Division = field(default_factory=Division)
     threads: int = 1
 
     @property
-    def sensor(self) -> Sensor:
-        """The sensor that the published eigenspaces are for."""
-        return Sensor.facing(self.field_of_view, TURN / self.turn, self.range_cap)
+    def analysis(self) -> Analysis:
+        """What makes eigenspaces of panoramas."""
+        embedding = Embedding.of(self.embedding, self.range_cap)
+        return Analysis(embedding, beams_of(self.field_of_view), self.components)
 
     @property
     def turn(self) -> int:

@@ -10,6 +10,8 @@ from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces
 from numpy.typing import NDArray
 
+IN_SIGHT_M = 20.0
+"""What is farther does not count as in sight."""
 PLACES, BEAMS = 500, 72
 """Of the positions at most, and the directions that are looked along from each."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,6 +16,9 @@ class MapbuilderSettings(BaseModel):
     """Settings of mapbuilder: a map in, eigenspace models out."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    gone: ClassVar[Mapping[str, str]] = {
+        "share": "components says how many are kept, and their share of the variance follows"
+    }
 
     frame_id: str = Field("map", min_length=1, description="name of the map frame in published messages")
     spacing: float = Field(0.5, ge=0.05, le=5.0, description="m between grid positions")
@@ -27,18 +31,22 @@ class MapbuilderSettings(BaseModel):
     step: float = Field(0.5, ge=0.1, le=10.0, description="degrees between the beams of a panorama")
     clearance: float = Field(0.15, ge=0.0, le=5.0, description="m that grid positions keep from walls")
     range_max: float = Field(80.0, gt=0.0, le=130.0, description="m; walls farther away are ignored")
-    range_cap: float = Field(
-        20.0,
+    embedding: Literal["ring", "range"] = Field(
+        "ring", description="quantity that is analysed: ring (default), or range as in the paper"
+    )
+    range_cap: float | None = Field(
+        None,
         gt=0.0,
         le=130.0,
-        description="m; longer ranges count as this in the principal component analysis",
+        description="m; longer ranges count as this in the analysis; default 12 on the ring, 15 as ranges",
     )
     field_of_view: float = Field(
-        180.0, gt=0.0, le=360.0, description="degrees, of the sensor that the published eigenspaces are for"
+        180.0,
+        gt=0.0,
+        le=360.0,
+        description="degrees that the site's usual lidar sees; eigenspaces for others are added",
     )
-    share: float = Field(
-        0.9, gt=0.0, le=1.0, description="share of the variance that the published eigenvectors hold"
-    )
+    components: int = Field(16, ge=1, le=64, description="principal components kept for each region")
     margin: float = Field(1.0, ge=0.0, le=10.0, description="m by which neighbouring regions overlap")
     smallest: float = Field(4.0, ge=0.0, description="m^2; smaller regions are merged into a neighbour")
     largest: float = Field(150.0, ge=1.0, description="m^2; larger regions are split")
@@ -64,9 +72,10 @@ class MapbuilderSettings(BaseModel):
             step=math.radians(self.step),
             clearance=self.clearance,
             range_max=self.range_max,
+            embedding=self.embedding,
             range_cap=self.range_cap,
             field_of_view=math.radians(self.field_of_view),
-            share=self.share,
+            components=self.components,
             frame_id=self.frame_id,
             division=Division(margin=self.margin, smallest=self.smallest, largest=self.largest),
         )

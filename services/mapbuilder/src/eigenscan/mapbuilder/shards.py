@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from eigenscan.eigenspace.components import analyse
 from eigenscan.eigenspace.model import RegionModel, quantize
-from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.plan import Plan
 from eigenscan.mapbuilder.positions import Positions
@@ -90,18 +88,14 @@ def build_shard(
 
 
 def _model(plan: Plan, area: Area, panoramas: NDArray[np.float32]) -> RegionModel:
-    sensor = plan.sensor
-    space = analyse(RangeTransform(plan.range_cap)(panoramas), sensor.beams, share=plan.share)
-    return RegionModel(
+    return RegionModel.of(
+        plan.analysis,
         region=area.name,
         frame_id=plan.frame_id,
         spacing=area.positions.spacing,
         origin=area.positions.origin,
         index=area.positions.index,
         ranges=quantize(panoramas),
-        sensor=sensor,
-        range_cap=plan.range_cap,
-        space=space,
         outline=area.outline,
     )
 

@@ -7,14 +7,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from eigenscan.eigenspace.analysis import SEARCH_SPACING, searched
 from eigenscan.eigenspace.model import RegionModel
-from eigenscan.eigenspace.panorama import resample
-from eigenscan.projector.observation import ANALYSIS_TURN
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-
-SEARCH_SPACING = 0.5
-"""m, between the positions that are searched in eigenspace; the finer ones refine what was found."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +49,8 @@ class Lattice:
         regions = tuple(member[a:b] for a, b in pairwise(bounds))
         index = np.concatenate([model.index for model in models])
         stride = max(1, round(SEARCH_SPACING / models[0].spacing))
-        blocks = [np.unique(model.index // stride, axis=0, return_index=True) for model in models]
-        searched = tuple(own[at] for own, (_, at) in zip(regions, blocks, strict=True))
-        cells = tuple(cell.astype(np.int64) for cell, _ in blocks)
-        panoramas = np.concatenate([resample(model.panoramas, ANALYSIS_TURN) for model in models])
+        sampled = [searched(model.index, model.spacing) for model in models]
+        panoramas = np.concatenate([model.analysed for model in models])
         positions = np.concatenate([model.positions for model in models])
         return cls(
             positions[first],
@@ -65,8 +59,8 @@ class Lattice:
             models[0].spacing,
             stride > 1,
             regions,
-            searched,
-            cells,
+            tuple(own[at] for own, (at, _) in zip(regions, sampled, strict=True)),
+            tuple(cells for _, cells in sampled),
         )
 
 

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN, coarse_sensor
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
-
-ANALYSIS_TURN = 180
-"""Beams and headings of a full turn in the analysis: steps of 2 degrees."""
 
 NEAREST = 0.25
 """m: a shorter beam met a cover or the robot itself and says nothing of the building."""
@@ -57,15 +55,6 @@ def by_reach(ranges: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.fl
     """
     root: NDArray[np.float64] = np.sqrt(ranges, dtype=np.float64)
     return root / max(float(root.mean()), 1e-9)
-
-
-def coarse_sensor(sensor: Sensor) -> Sensor:
-    """The sensor at the analysis step, over the same field of view."""
-    step = 2.0 * np.pi / ANALYSIS_TURN
-    span = sensor.angle_increment * (sensor.beams - 1)
-    # half a beam more is one more, whatever rounding made of it
-    beams = min(int(np.floor(span / step + 0.5 + 1e-9)) + 1, ANALYSIS_TURN)
-    return Sensor(sensor.angle_min, step, beams, sensor.range_max)
 
 
 def windows_at(headings: NDArray[np.float64], angle_min: float) -> NDArray[np.int64]:

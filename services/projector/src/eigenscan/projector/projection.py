@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.geometry.circle import TURN
 from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
@@ -14,7 +15,7 @@ from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
 from eigenscan.projector.intervals import clearance
 from eigenscan.projector.likelihood import beyond_walls, log_likelihood, ordinary_support, support
-from eigenscan.projector.observation import ANALYSIS_TURN, Observation
+from eigenscan.projector.observation import Observation
 from eigenscan.projector.refinement import POLISH, SLIDE, Fit, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, SensorView, Site

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from collections.abc import Mapping
+from typing import ClassVar, get_args
 
 from eigenscan.projector.association import kinds
-from eigenscan.projector.embedding import Kind
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 PART = r"[1-9]\d*/[1-9]\d*"
@@ -16,12 +16,11 @@ class ProjectorSettings(BaseModel):
     """Candidate poses and obstacles from one scan, by the eigenspaces of the site's regions."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-    embedding: Kind = Field(
-        "ring", description="quantity that is analysed: ring (default), or range as in the paper"
+    gone: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("embedding", "range_cap", "components"),
+        "the models decide it: set it for the mapbuilder, or as an option of eigenscan build",
     )
-    range_cap: float = Field(15.0, gt=0, description="m; with embedding range, longer ranges count as this")
-    components: int = Field(16, ge=1, le=64, description="principal components kept for each region")
+
     association: kinds.Kind = Field(
         "sweep",
         description=f"how near poses are found: {', '.join(get_args(kinds.Kind))}",

@@ -104,6 +104,11 @@ def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:
                 f"region {model.region!r}: has positions outside of the map: build the site again"
             )
     for model in regions[1:]:
+        if model.space.analysis != first.space.analysis:
+            raise ModelError(
+                f"region {model.region!r}: its eigenspace is of another analysis than that of "
+                f"{first.region!r}: build the whole site again"
+            )
         if model.spacing != first.spacing:
             raise ModelError(
                 f"region {model.region!r}: positions {model.spacing} m apart, those of {first.region!r} "

@@ -6,20 +6,27 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 
 import numpy as np
+from eigenscan.eigenspace.analysis import (
+    ANALYSIS_TURN,
+    HEADING_STRIDE,
+    Analysis,
+    RegionSpace,
+    coarse_sensor,
+    sampled,
+)
+from eigenscan.eigenspace.embedding import Embedding
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces, faces_of
 from eigenscan.projector.association.kinds import association
 from eigenscan.projector.association.manifold import Association, Index, Sheets
-from eigenscan.projector.channel_space import ChannelSpaces, analyse_channels, coefficients, error_squares
-from eigenscan.projector.embedding import Embedding
 from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.observation import ANALYSIS_TURN, coarse_sensor
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
 from eigenscan.projector.shelf import WholeSet
+from eigenscan.projector.subspaces import Subspaces
 from eigenscan.projector.verification import RANGE_CAP, predicted
 from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
@@ -30,10 +37,6 @@ Panoramas = NDArray[np.float32]
 
 COARSE_CELL = 0.1
 """m, of the walls that many poses slide to."""
-USUAL_SHARE = 0.999
-"""Of a region's own scans whose error is usual there."""
-HEADING_STRIDE = 3
-"""Headings of the analysis grid from one searched heading to the next: 6 degrees."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class SensorView:
     """
 
     embedding: Embedding
-    spaces: ChannelSpaces
+    spaces: Subspaces
     association: Association
     bounds: Index
     row_position: NDArray[np.int32]
@@ -92,6 +95,7 @@ class Site:
             self.readings = middle, replace(as_drawn, walls=faces)
         self.caster = self.readings[0].caster
         self.coarse_walls = WallField.of(field, COARSE_CELL)
+        self._models, self.analysis = own, own[0].space.analysis
         self.lattice = Lattice.of(own)
         self._enters, self._leaves = self._intervals()
         corners = [self.lattice.positions[positions] for positions in self.lattice.regions]
@@ -138,26 +142,30 @@ class Site:
 
     def _make(self, coarse: Sensor) -> SensorView:
         settings, lattice = self._settings, self.lattice
-        embedding = Embedding.of(settings.embedding, settings.range_cap, coarse.range_max)
-        spaces, regions, errors = [], [], []
-        for own, searched, cells in zip(lattice.regions, lattice.searched, lattice.cells, strict=True):
-            space = analyse_channels(embedding(lattice.panoramas[own]), coarse.beams, settings.components)
-            channels = embedding(lattice.panoramas[searched])
-            sampled = coefficients(channels, space, HEADING_STRIDE)
-            square = error_squares(channels, space, sampled, HEADING_STRIDE)
-            errors.append(float(np.quantile(square, USUAL_SHARE)))
-            spaces.append(space)
-            regions.append(Sheets(sampled, lattice.positions[searched], cells))
+        analysis = self.analysis.of(coarse)
+        spaces, regions = [], []
+        for number, (which, cells) in enumerate(zip(lattice.searched, lattice.cells, strict=True)):
+            own, held = self._space(number, analysis)
+            spaces.append(own)
+            regions.append(Sheets(held, lattice.positions[which], cells))
         searched = np.concatenate(lattice.searched).astype(np.int32)
         headings = np.arange(0, ANALYSIS_TURN, HEADING_STRIDE, dtype=np.int16)
         return SensorView(
-            embedding,
-            ChannelSpaces.of(spaces),
+            analysis.embedding,
+            Subspaces.of([own.space for own in spaces]),
             association(settings.association, regions, settings.margin),
             np.cumsum([0, *(region.rows for region in regions)]),
             np.repeat(searched, len(headings)),
             np.tile(headings, len(searched)),
-            np.array(errors),
+            np.array([own.usual_error for own in spaces]),
             predicted(self._enters, coarse.beams, coarse.range_max),
             predicted(self._leaves, coarse.beams, coarse.range_max),
         )
+
+    def _space(self, number: int, analysis: Analysis) -> tuple[RegionSpace, NDArray[np.float32]]:
+        """The eigenspace of a region, as published or derived, and the coefficients of its searched poses."""
+        model = self._models[number]
+        if model.space.analysis != analysis:
+            return model.derive(analysis)
+        searched = self.lattice.panoramas[self.lattice.searched[number]]
+        return model.space, sampled(searched, model.space.embedding, model.space.space)

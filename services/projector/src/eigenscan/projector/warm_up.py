@@ -6,10 +6,8 @@ Without it the first scan on a new machine waits for numba: half a minute on a s
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.eigenspace.components import analyse
+from eigenscan.eigenspace.analysis import Analysis
 from eigenscan.eigenspace.model import RegionModel, model_set, quantize
-from eigenscan.eigenspace.panorama import Sensor
-from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, to_message
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.projector.core import ProjectorCore
@@ -50,11 +48,8 @@ def _model(grid: GridMap) -> RegionModel:
     # finer than what is searched, so that the positions between are looked at too
     index = np.array([(x, y) for x in range(6, 15) for y in range(4, 11)], dtype=np.int32)
     panoramas = RayCaster.of(grid).panoramas(index * _SPACING_M, _BEAMS, _CAP_M)
-    sensor = Sensor.facing(np.pi, 2 * np.pi / _BEAMS, _CAP_M)
-    space = analyse(RangeTransform(_CAP_M)(panoramas), sensor.beams)
-    return RegionModel(
-        "room", "map", _SPACING_M, np.zeros(2), index, quantize(panoramas), sensor, _CAP_M, space
-    )
+    ranges = quantize(panoramas)
+    return RegionModel.of(Analysis(), "room", "map", _SPACING_M, np.zeros(2), index, ranges, np.empty((0, 2)))
 
 
 def _scan(grid: GridMap, time: int) -> Scan:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from eigenscan.eigenspace.embedding import CAPS
 from eigenscan.eigenspace.folder import MAP, SiteModel
 from eigenscan.geometry.gridmap import read_map
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
-from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.schemas.channels import MODEL
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.evaluation.exhaustive import Gallery, gallery
@@ -65,4 +65,4 @@ def gallery_of(built: Built) -> Gallery:
     positions = np.vstack([model.positions for model in regions])
     panoramas = np.vstack([model.panoramas for model in regions])
     _, first = np.unique(np.round(positions, 6), axis=0, return_index=True)
-    return gallery(positions[first], panoramas[first].astype(np.float64), ProjectorSettings().range_cap)
+    return gallery(positions[first], panoramas[first].astype(np.float64), CAPS["range"])

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from eigenscan.eigenspace.components import analyse
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import RegionModel, quantize
-from eigenscan.eigenspace.ranges import RangeTransform
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces
@@ -65,9 +63,7 @@ class _Rebuild:
         index = np.concatenate([kept, joining])
         ranges = np.concatenate([ranges, self._ranges(self.now, model, joining)])
         order = np.lexsort(index.T)
-        built = replace(model, index=index[order], ranges=ranges[order])
-        values = RangeTransform(model.range_cap)(built.panoramas)
-        return replace(built, space=analyse(values, model.sensor.beams, share=self.plan.share))
+        return model.with_ranges(index[order], ranges[order])
 
     def _ranges(self, caster: RayCaster, model: RegionModel, index: Index) -> NDArray[np.uint16]:
         points, beams = model.origin + index * model.spacing, model.ranges.shape[1]

@@ -6,6 +6,8 @@ of Rerun counts y downwards.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 from eigenscan.recorder.picture.canvas import Canvas
@@ -28,29 +30,34 @@ BOUNDS = (
 """What a view must show: x from, to; y from (top), to."""
 
 
-def draw_scan(canvas: Canvas, stamp: int, path: str, manifold: Manifold, scan: Scan) -> None:
-    """The scan's ranges, and its reconstruction from all coefficients (paper, eq. 3)."""
-    seen, again = manifold.sight(scan)
+def draw_scan(
+    canvas: Canvas, stamp: int, path: str, manifold: Manifold, scan: Scan, alpha: Sequence[float]
+) -> None:
+    """The scan's ranges, and its reconstruction from its coefficients `alpha` (M,) (paper, eq. 3)."""
+    bearings, seen = manifold.bearings(scan), manifold.seen(scan)
+    again = manifold.kept(alpha, seen)
     for name, values, style in (("kept", again, _kept_style), ("seen", seen, _seen_style)):
         canvas.style(f"{path}/{name}", style)
         height = -values * np.float32(SCAN_HEIGHT / manifold.far)
-        canvas.draw(stamp, f"{path}/{name}", rr.LineStrips2D(_unbroken(manifold.bearings, height)))
+        canvas.draw(stamp, f"{path}/{name}", rr.LineStrips2D(_unbroken(bearings, height)))
 
 
-def draw_eigenscans(canvas: Canvas, stamp: int, path: str, manifold: Manifold) -> None:
-    """The first eigenvectors below each other, with their shares of the variance."""
+def draw_eigenscans(canvas: Canvas, stamp: int, path: str, manifold: Manifold, scan: Scan) -> None:
+    """The first eigenvectors below each other, a line a channel, with their shares of the variance."""
+    bearings = manifold.bearings(scan)
     vectors, shares = manifold.eigenscans(EIGENSCANS_DRAWN)
     middles = EIGENSCAN_HEIGHT * (np.arange(len(vectors)) + 0.5)
     largest = max(float(np.abs(vectors).max(initial=0.0)), 1e-9)
-    heights = middles[:, None] - vectors * (0.45 * EIGENSCAN_HEIGHT / largest)
-    strips = [_curve(manifold.bearings, height) for height in heights]
+    heights = middles[:, None, None] - vectors * (0.45 * EIGENSCAN_HEIGHT / largest)
+    strips = [_curve(bearings, height) for vector in heights for height in vector]
+    colours = [colour for vector in heights for colour in (TRACK, HYPOTHESIS)[: len(vector)]]
     zeros = [np.array([[-HALF_WIDTH, y], [HALF_WIDTH, y]]) for y in middles]
     labels = [f"{n + 1}: {share:.0%} of the variance" for n, share in enumerate(shares)]
     canvas.style(f"{path}/zero", _zero_style)
     canvas.draw(stamp, f"{path}/zero", rr.LineStrips2D(zeros))
     canvas.style(path, _eigenscan_style)
     beside = np.column_stack([np.full(len(middles), HALF_WIDTH + 0.5 * LABEL_WIDTH), middles])
-    canvas.draw(stamp, path, rr.LineStrips2D(strips), rr.Points2D(beside, labels=labels))
+    canvas.draw(stamp, path, rr.LineStrips2D(strips, colors=colours), rr.Points2D(beside, labels=labels))
 
 
 def _curve(bearings: Array32, height: Array32) -> Array32:
@@ -75,7 +82,7 @@ def _kept_style() -> tuple[rr.LineStrips2D]:
 
 def _eigenscan_style() -> tuple[rr.LineStrips2D, rr.Points2D]:
     return (
-        rr.LineStrips2D.from_fields(colors=[TRACK], radii=rr.Radius.ui_points(1.5)),
+        rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(1.5)),
         rr.Points2D.from_fields(colors=[TRACK], radii=rr.Radius.ui_points(0.0), show_labels=True),
     )
 

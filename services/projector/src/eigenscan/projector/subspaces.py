@@ -1,54 +1,29 @@
-"""Principal components of windows of panoramas with several channels a beam.
-
-As in one channel (paper, section 2) every heading of every position is in the set, so the covariance of
-channel f at beam j and channel g at beam l depends on j - l only: it is block Toeplitz, and exact by one FFT
-a panorama.
-"""
+"""One scan in the eigenspaces of all regions (paper, eq. 2 and 4)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.eigenspace.components import one_blas_thread
+from eigenscan.eigenspace.components import Eigenspace
 from numba import njit
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.linalg import eigh
-
-_CACHED = 64
 
 
 @dataclass(frozen=True)
-class ChannelSpace:
-    """Mean (F,) of the channels, unit eigenvectors (M, F, J), eigenvalues (M,), trace of the covariance."""
-
-    mean: NDArray[np.float64]
-    vectors: NDArray[np.float64]
-    eigenvalues: NDArray[np.float64]
-    total_variance: float
-
-    @property
-    def noise(self) -> float:
-        """Mean variance of a channel of a beam that the kept components leave out."""
-        left_over = self.total_variance - float(self.eigenvalues.sum())
-        return float(max(left_over / self.vectors[0].size, 1e-9 * self.total_variance, 1e-12))
-
-
-@dataclass(frozen=True)
-class ChannelSpaces:
-    """The spaces of R regions: mean (R, F), vectors (R, M, F, J), prior (R, M) = noise / eigenvalue."""
+class Subspaces:
+    """The eigenspaces of R regions: mean (R, F), vectors (R, M, F, J), prior (R, M) = noise / eigenvalue."""
 
     mean: NDArray[np.float32]
     vectors: NDArray[np.float32]
     prior: NDArray[np.float64]
 
     @classmethod
-    def of(cls, spaces: list[ChannelSpace]) -> ChannelSpaces:
+    def of(cls, spaces: list[Eigenspace]) -> Subspaces:
         """Stack of spaces of the same sensor."""
         return cls(
-            np.stack([space.mean for space in spaces]).astype(np.float32),
-            np.stack([space.vectors for space in spaces]).astype(np.float32),
+            np.stack([space.mean for space in spaces]),
+            np.stack([space.vectors for space in spaces]),
             np.stack([space.noise / np.maximum(space.eigenvalues, 1e-12) for space in spaces]),
         )
 
@@ -138,57 +113,3 @@ def _solve(normal: NDArray[np.float64], target: NDArray[np.float64], out: NDArra
         out[m] /= normal[m, m]
         for n in range(m):
             out[n] -= normal[m, n] * out[m]
-
-
-def analyse_channels(channels: NDArray[np.float32], beams: int, count: int) -> ChannelSpace:
-    """Space of all N windows of `beams` beams of panoramas with channels (F, P, N), `count` components.
-
-    Raises ValueError for an empty set or values that are not finite.
-    """
-    one_blas_thread()
-    many, positions, turn = channels.shape
-    if not positions or not np.isfinite(channels).all():
-        raise ValueError(f"no finite panoramas to analyse: shape {channels.shape}")
-    mean = channels.mean(axis=(1, 2), dtype=np.float64)
-    power = np.zeros((many, many, turn // 2 + 1), dtype=np.complex128)
-    for start in range(0, positions, _CACHED):
-        spectrum = fft.rfft(channels[:, start : start + _CACHED] - mean[:, None, None], axis=2)
-        power += np.einsum("fpk,gpk->fgk", spectrum, np.conj(spectrum))
-    lag = fft.irfft(power, turn, axis=2) / (turn * positions)
-    beam = np.arange(beams)
-    apart = (beam[:, None] - beam[None, :]) % turn
-    covariance = lag[:, :, apart].transpose(0, 2, 1, 3).reshape(many * beams, many * beams)
-    size = many * beams
-    kept = min(count, size)
-    eigenvalues, vectors = eigh(covariance, subset_by_index=(size - kept, size - 1))
-    return ChannelSpace(
-        mean,
-        np.ascontiguousarray(vectors.T[::-1]).reshape(kept, many, beams),
-        np.maximum(eigenvalues[::-1], 0.0),
-        float(np.trace(covariance)),
-    )
-
-
-def error_squares(
-    channels: NDArray[np.float32], space: ChannelSpace, coefficients: NDArray[np.float32], every: int = 1
-) -> NDArray[np.float64]:
-    """Mean squares (P, N / every) of the error vectors of the windows that have these coefficients."""
-    beams = space.vectors.shape[2]
-    squares = ((channels - space.mean[:, None, None]) ** 2).sum(axis=0)
-    running = np.cumsum(np.concatenate([squares, squares[:, :beams]], axis=1), axis=1)
-    norms = running[:, beams - 1 : -1] - running[:, :-beams] + squares
-    held = (coefficients.astype(np.float64) ** 2).sum(axis=2)
-    square: NDArray[np.float64] = np.maximum(norms[:, ::every] - held, 0.0) / space.vectors[0].size
-    return square
-
-
-def coefficients(channels: NDArray[np.float32], space: ChannelSpace, every: int = 1) -> NDArray[np.float32]:
-    """Coefficients (P, N / every, M) of every `every`-th window of panoramas with channels (F, P, N)."""
-    turn = channels.shape[2]
-    filters = np.conj(fft.rfft(space.vectors, turn, axis=2))
-    out = np.empty((channels.shape[1], -(-turn // every), len(space.vectors)), dtype=np.float32)
-    for start in range(0, channels.shape[1], _CACHED):
-        block = channels[:, start : start + _CACHED] - space.mean[:, None, None]
-        spectrum = np.einsum("fpk,mfk->pmk", fft.rfft(block, axis=2), filters)
-        out[start : start + _CACHED] = fft.irfft(spectrum, turn, axis=2)[:, :, ::every].transpose(0, 2, 1)
-    return out

@@ -3,41 +3,52 @@
 On a ring a range is an angle, 2 pi r / circumference, and enters as cosine and sine. Two ranges are then
 never farther apart than the ring's diameter: a beam that is wrong by metres (a person, an open door) counts
 little more than one that is wrong by a metre, where in plain ranges it counts with the square of its error.
+A beam without a wall in sight says "at least as far as I look": it counts as the cap in both.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Kind = Literal["ring", "range"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 CIRCUMFERENCE = 10.0
 """m around the ring: a quarter of it, 2.5 m, is what two ranges can differ by before more says no more."""
-RING_CAP = 1.2 * CIRCUMFERENCE
-"""m: all walls beyond lie at one place of the ring, among the near ones and not opposite to them."""
+CAPS: dict[Kind, float] = {"ring": 1.2 * CIRCUMFERENCE, "range": 15.0}
+"""m. On the ring all walls beyond lie at one place, among the near ones and not opposite to them."""
 
 
 @dataclass(frozen=True)
 class Embedding:
-    """Ranges (...,) to channels (F, ...): F = 2 on a ring, in metres of the chord; F = 1 for plain ranges."""
+    """Ranges (...,) to channels (F, ...): F = 2 on a ring, in metres of the chord; F = 1 for plain ranges.
+
+    `cap`, m: longer ranges count as this.
+    """
 
     kind: Kind
     cap: float
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for an unknown kind, or a cap that is not positive."""
+        if self.kind not in KINDS:
+            raise ValueError(f"embedding = {self.kind!r}: there are {', '.join(KINDS)}")
+        if not (np.isfinite(self.cap) and self.cap > 0):
+            raise ValueError(f"range cap = {self.cap}: give metres above 0")
+
+    @classmethod
+    def of(cls, kind: Kind, cap: float | None = None) -> Embedding:
+        """With the usual cap of its kind where none is given."""
+        return cls(kind, CAPS[kind] if cap is None else cap)
 
     @property
     def channels(self) -> int:
         """F."""
         return 2 if self.kind == "ring" else 1
-
-    @classmethod
-    def of(cls, kind: Kind, range_cap: float, range_max: float) -> Embedding:
-        """Embedding for a sensor; plain ranges are clipped to `range_cap`, m; `range_max` 0: not limited."""
-        limit = range_max if range_max > 0 else np.inf
-        return cls(kind, min(RING_CAP if kind == "ring" else range_cap, limit))
 
     def __call__(self, ranges: ArrayLike) -> NDArray[np.float32]:
         """Channels of ranges, m; +inf counts as the cap."""

@@ -1,0 +1,111 @@
+"""The one analysis of a region: builder, projector and pictures have their eigenspaces from here.
+
+A lidar of any step is taken at 2 degrees. So what an eigenspace depends on, besides the region's panoramas,
+is the embedding with its cap, how many beams the field of view has at that step, and how many components
+stay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from eigenscan.eigenspace.components import Eigenspace, analyse, coefficients, error_squares
+from eigenscan.eigenspace.embedding import Embedding
+from eigenscan.eigenspace.panorama import Sensor
+from eigenscan.geometry.circle import TURN
+from numpy.typing import NDArray
+
+ANALYSIS_TURN = 180
+"""Beams and headings of a full turn in the analysis: steps of 2 degrees."""
+COMPONENTS = 16
+"""Principal components kept: docs/reports/components.md."""
+SEARCH_SPACING = 0.5
+"""m, between the positions that are searched in eigenspace; the finer ones refine what was found."""
+HEADING_STRIDE = 3
+"""Headings of the analysis grid from one searched heading to the next: 6 degrees."""
+USUAL_SHARE = 0.999
+"""Of a region's own scans whose error is usual there."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What decides a region's eigenspace besides its panoramas: J `beams`, M `components`."""
+
+    embedding: Embedding = field(default_factory=lambda: Embedding.of("ring"))
+    beams: int = ANALYSIS_TURN // 2 + 1
+    components: int = COMPONENTS
+
+    def of(self, sensor: Sensor) -> Analysis:
+        """The same for another lidar. Where its first beam looks makes no difference."""
+        coarse, cap = coarse_sensor(sensor), self.embedding.cap
+        if coarse.range_max > 0:
+            cap = min(cap, coarse.range_max)
+        return replace(self, embedding=replace(self.embedding, cap=cap), beams=coarse.beams)
+
+    @property
+    def name(self) -> str:
+        """One chunk of a key and of a file's name, such as `ring12-91`."""
+        return f"{self.embedding.kind}{self.embedding.cap:g}-{self.beams}"
+
+
+@dataclass(frozen=True)
+class RegionSpace:
+    """A region's eigenspace for one kind of lidar.
+
+    `usual_error`, m^2: mean square of the error vector that nearly no scan of the region's own exceeds.
+    """
+
+    embedding: Embedding
+    space: Eigenspace
+    usual_error: float
+
+    @property
+    def analysis(self) -> Analysis:
+        """What made it."""
+        return Analysis(self.embedding, self.space.beams, len(self.space.eigenvalues))
+
+
+def coarse_sensor(sensor: Sensor) -> Sensor:
+    """The sensor at the analysis step, over the same field of view."""
+    step = 2.0 * np.pi / ANALYSIS_TURN
+    span = sensor.angle_increment * (sensor.beams - 1)
+    # half a beam more is one more, whatever rounding made of it
+    beams = min(int(np.floor(span / step + 0.5 + 1e-9)) + 1, ANALYSIS_TURN)
+    return Sensor(sensor.angle_min, step, beams, sensor.range_max)
+
+
+def beams_of(field_of_view: float) -> int:
+    """J of a lidar that sees `field_of_view`, rad."""
+    return coarse_sensor(Sensor.facing(field_of_view, TURN / ANALYSIS_TURN)).beams
+
+
+def searched(index: NDArray[np.int32], spacing: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which positions are searched (S,), of grid indices (P, 2) `spacing` m apart, and their cells (S, 2).
+
+    Cells are SEARCH_SPACING wide, or as wide as the grid; the first position in each is searched.
+    """
+    stride = max(1, round(SEARCH_SPACING / spacing))
+    cells, at = np.unique(index // stride, axis=0, return_index=True)
+    return at, cells.astype(np.int64)
+
+
+def region_space(
+    panoramas: NDArray[np.float32], at: NDArray[np.int64], analysis: Analysis
+) -> tuple[RegionSpace, NDArray[np.float32]]:
+    """Eigenspace of panoramas (P, ANALYSIS_TURN), m, and the coefficients of those `at` (S,).
+
+    As of `sampled`. Raises ValueError where there is nothing to analyse.
+    """
+    embedding = analysis.embedding
+    channels = embedding(panoramas)
+    space = analyse(channels, analysis.beams, analysis.components)
+    held = sampled(panoramas[at], embedding, space)
+    square = error_squares(channels[:, at], space, held, HEADING_STRIDE)
+    usual = float(np.float32(np.quantile(square, USUAL_SHARE)))
+    return RegionSpace(embedding, space, usual), held
+
+
+def sampled(panoramas: NDArray[np.float32], embedding: Embedding, space: Eigenspace) -> NDArray[np.float32]:
+    """Coefficients (S, H, M) of panoramas (S, N) at every HEADING_STRIDE-th heading (paper, section 4)."""
+    return coefficients(embedding(panoramas), space, HEADING_STRIDE)
