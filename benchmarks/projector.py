@@ -38,7 +38,7 @@ from floors import floor, poses, scan_at
 SITE = {"site": "s", "robot": "r", "lidar": "l"}
 STAGES = {
     "observe": (core_module, "observe"),
-    "tell what stands free": (projection, "foreground"),
+    "foreground": (projection, "foreground"),
     "project": (projection, "project"),
     "associate": (projection, "_nearest"),
     "verify": (projection, "verify"),

@@ -13,7 +13,6 @@ or scan (`per_...`), are not kept.
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import os
 import platform
@@ -41,10 +40,9 @@ HEAD = """# Benchmarks
 .venv/bin/python benchmarks/record.py replay restart    # runs these, keeps their figures, writes this page
 ```
 
-Written by `benchmarks/record.py` from `benchmarks/results`, one JSON a benchmark; no figure is typed by hand.
-**Bold** is a goal that is not reached. *Load* is the machine's load average before and after: above the
-number of its cores other work ran beside the benchmark, and times are too high. Studies that are concluded
-are [reports](reports/README.md).
+`benchmarks/record.py` writes this page from `benchmarks/results`. **Bold** misses a goal. *Load* is the load
+average before and after: above the number of cores, times are too high. Finished studies are in
+[reports](reports.md).
 """
 
 
@@ -149,18 +147,17 @@ def pages() -> Iterator[tuple[Path, str]]:
     shown = [name for name in spec if name in kept and "columns" in spec[name]]
     missed = [line for name in shown for line in _missed(spec[name], kept[name]["figures"])]
     parts = [HEAD, "## Goals that are not reached\n", "\n".join(missed or ["None."]) + "\n"]
-    yield PAGE, "\n".join([*parts, *(_section(name, spec[name], kept[name]) for name in shown)])
+    yield PAGE, "\n".join([*parts, *(_section(spec[name], kept[name]) for name in shown)])
     for page in sorted({path for pattern in PAGES for path in ROOT.glob(pattern)} - {PAGE}):
         text = page.read_text(encoding="utf-8")
         if MARK.search(text):
             yield page, MARK.sub(partial(_filled, page, spec, kept), text)
 
 
-def _section(name: str, spec: dict[str, Any], result: dict[str, Any]) -> str:
-    about = ast.get_docstring(ast.parse((HERE / f"{name}.py").read_text(encoding="utf-8"))) or ""
+def _section(spec: dict[str, Any], result: dict[str, Any]) -> str:
     load = " to ".join(f"{each:g}" for each in result["load"]) if result["load"] else "not known"
     facts = f"{result['date']}, commit `{result['commit']}`, load {load}; {result['machine']}"
-    parts = [f"## {spec['title']}\n", f"{about.splitlines()[0]}\n", f"`{result['command']}`; {facts}.\n"]
+    parts = [f"## {spec['title']}\n", f"`{result['command']}`; {facts}.\n"]
     parts += [_table(spec, result["figures"]) + "\n", spec["note"] + "\n" if "note" in spec else ""]
     return "\n".join(filter(None, parts))
 
@@ -196,7 +193,8 @@ def _missed(spec: dict[str, Any], figures: Any) -> Iterator[str]:
         values = [(key.strip(), place(entry, where)) for key, entry in _entries(spec, figures).items()]
         wrong = [f"{key} {written(v, unit)}".strip() for key, v in values if not reached(v, unit, goal)]
         if wrong:
-            yield f"- [{spec['title']}](#{anchor}): {what}: {', '.join(wrong)}; goal {_told(goal, unit)}"
+            told = f"{', '.join(wrong)}; goal {_told(goal, unit)}"
+            yield f"- [{spec['title']}](#{anchor}). {what[0].upper()}{what[1:]}: {told}"
 
 
 def _filled(page: Path, spec: dict[str, Any], kept: dict[str, Any], mark: re.Match[str]) -> str:

@@ -1,6 +1,7 @@
 """The command's manners: one line for a user's error, exit codes, a quick start."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -79,8 +80,8 @@ def test_an_option_out_of_range() -> None:
     ("typed", "place", "part"),
     [
         ("build map.yaml", "build", "'--out'"),
-        ("evaluate --map map.yaml", "evaluate", "'--log'"),
-        ("replay a.mcap --robt r1", "replay", "--robot"),
+        ("replay a.mcap --compare", "replay", "'--service'"),
+        ("play a.mcap --robt r1", "play", "did you mean --robot?"),
         ("models", "models", "rollback"),
         ("fleet status --wat", "fleet status", "--wat"),
     ],
@@ -88,6 +89,29 @@ def test_an_option_out_of_range() -> None:
 def test_what_is_typed_wrongly_takes_one_line(typed: str, place: str, part: str) -> None:
     result = eigenscan(*typed.split())
     _expect_one_line(result, place, part, f"see eigenscan {place} --help")
+
+
+def test_a_missing_argument_is_named() -> None:
+    _expect_one_line(eigenscan("evaluate", "--map", "map.yaml"), "evaluate", "LOG is missing", "--help")
+    _expect_one_line(eigenscan("evaluate", "a", "b", "--log", "c"), "evaluate", "LOG is given twice")
+    _expect_one_line(eigenscan("run"), "run", "MAP", "missing")
+
+
+def test_replay_without_a_service_still_plays() -> None:
+    _expect_one_line(eigenscan("replay", "absent.mcap", "--speed", 2), "play", "absent.mcap")
+
+
+def test_short_help_has_twelve_options_at_most_and_help_all_has_the_rest() -> None:
+    from eigenscan.cli import fleet
+    from eigenscan.cli.main import COMMANDS
+
+    for name in [*COMMANDS, *(f"fleet {each}" for each in fleet.COMMANDS)]:
+        if name not in ("fleet", "models"):
+            shown = eigenscan(*name.split(), "--help").stdout
+            options = re.findall(r"^  (?:-\w, )?--(?!help )[a-z0-9-]+", shown, re.MULTILINE)
+            assert 1 <= len(options) <= 12, (name, options)
+    assert "--noise" not in eigenscan("simulate", "--help").stdout
+    assert "--noise" in eigenscan("simulate", "--help-all").stdout
 
 
 @pytest.mark.parametrize("command", ["doctor", "fleet status", "fleet relocate r1 --anew"])
@@ -181,7 +205,7 @@ def test_a_command_mistyped_is_told_the_one_that_was_meant() -> None:
     assert "did you mean build?" in result.stderr
 
 
-@pytest.mark.parametrize("command", [("replay",), ("view", "--no-open", "--rrd", "x.rrd")])
+@pytest.mark.parametrize("command", [("play",), ("view", "--no-open", "--rrd", "x.rrd")])
 def test_a_bag_in_a_recordings_place_is_told_how_to_become_one(
     tmp_path: Path, command: tuple[str, ...]
 ) -> None:

@@ -159,7 +159,7 @@ class House:
     def replay(self, recording: Path, *flags: object) -> None:
         """Plays a recording into the site, from its start to its end."""
         done = subprocess.run(
-            self._command("eigenscan", "replay", recording, flags=flags),
+            self._command("eigenscan", "play", recording, flags=flags),
             capture_output=True,
             text=True,
             check=False,

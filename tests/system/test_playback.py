@@ -82,7 +82,7 @@ class Desk:
 @pytest.fixture
 def desk(recording: Path, house: House) -> Iterator[Desk]:
     terminal, theirs = pty.openpty()
-    command = [PROGRAMS / "eigenscan", "replay", recording, "--site", house.site, "--zenoh", house.config]
+    command = [PROGRAMS / "eigenscan", "play", recording, "--site", house.site, "--zenoh", house.config]
     process = subprocess.Popen(
         ["setsid", "--ctty", *map(str, command), "--only", "odometry"],
         stdin=theirs, stdout=subprocess.DEVNULL, stderr=theirs, env=os.environ | {"TERM": "xterm-256color"},
@@ -122,7 +122,7 @@ def test_keys_of_a_terminal_pause_step_and_seek(desk: Desk, house: House) -> Non
 def replay(
     recording: Path, house: House, *flags: object, lines: str = ""
 ) -> subprocess.CompletedProcess[str]:
-    command = [PROGRAMS / "eigenscan", "replay", recording, "--site", house.site, "--zenoh", house.config]
+    command = [PROGRAMS / "eigenscan", "play", recording, "--site", house.site, "--zenoh", house.config]
     return subprocess.run(
         [*map(str, command), *map(str, flags)], input=lines, capture_output=True, text=True, check=False
     )
@@ -208,10 +208,10 @@ def test_one_of_several_robots_is_chosen(two: Path, house: House, flags: tuple[s
     ("flags", "named"),
     [
         (("--robot", "c"), "--robot c: the recording holds a, b: choose one of them"),
-        (("--robots", "4"), "--robots 4: needs one robot, there is a, b: choose one with --robot"),
+        (("--robots", "4"), "--robots 4: needs one robot, there is a, b: select one with --robot"),
         (("--only", "home//odom"), "--only home//odom: is no key expression"),
         (("--only", "home/robot/z/**"), "nothing to play"),
-        (("--service", "tracker", "--compare", "--robots", "2"), "--robots: not with --service"),
+        (("--service", "tracker", "--compare", "--robots", "2"), "no such option: --robots"),
     ],
 )
 def test_what_cannot_be_played_is_said(two: Path, flags: tuple[str, ...], named: str) -> None:

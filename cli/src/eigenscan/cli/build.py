@@ -45,22 +45,42 @@ def build(
             help="add positions where interpolation is off by more than this, m; 0 disables",
         ),
     ] = 0.0,
-    step: Annotated[float, typer.Option(min=0.1, max=10.0, help="degrees between beams")] = 0.5,
-    clearance: Annotated[float, typer.Option(min=0.0, max=5.0, help="m from a position to a wall")] = 0.15,
-    margin: Annotated[float, typer.Option(min=0.0, max=10.0, help="m that regions overlap")] = 1.0,
-    range_max: Annotated[float, typer.Option(min=1.0, max=130.0, help="m that a beam reaches")] = 80.0,
+    step: Annotated[
+        float, typer.Option(min=0.1, max=10.0, help="degrees between beams", rich_help_panel="Model")
+    ] = 0.5,
+    clearance: Annotated[
+        float, typer.Option(min=0.0, max=5.0, help="m from a position to a wall", rich_help_panel="Model")
+    ] = 0.15,
+    margin: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="m that regions overlap", rich_help_panel="Model")
+    ] = 1.0,
+    range_max: Annotated[
+        float, typer.Option(min=1.0, max=130.0, help="m that a beam reaches", rich_help_panel="Model")
+    ] = 80.0,
     fov: Annotated[
-        float, typer.Option(min=1.0, max=360.0, help="degrees that the site's usual lidar sees")
+        float,
+        typer.Option(
+            min=1.0, max=360.0, help="degrees that the site's usual lidar sees", rich_help_panel="Model"
+        ),
     ] = 180.0,
     embedding: Annotated[
         Literal["ring", "range"],
-        typer.Option(help="what of a range is analysed; range: itself, as in the paper"),
+        typer.Option(
+            help="what is analysed: points on a ring, or ranges as in the paper", rich_help_panel="Model"
+        ),
     ] = "ring",
     range_cap: Annotated[
         float | None,
-        typer.Option(min=1.0, max=130.0, help="m; longer ranges count as this; by default as suits"),
+        typer.Option(
+            min=1.0,
+            max=130.0,
+            help="m; longer ranges count as this; default by embedding",
+            rich_help_panel="Model",
+        ),
     ] = None,
-    components: Annotated[int, typer.Option(min=1, max=64, help="principal components of a region")] = 16,
+    components: Annotated[
+        int, typer.Option(min=1, max=64, help="principal components of a region", rich_help_panel="Model")
+    ] = 16,
     regions: Annotated[
         Path | None, typer.Option(help="GeoJSON of the regions, such as an edited MODEL/regions.geojson")
     ] = None,
@@ -71,7 +91,7 @@ def build(
         list[str] | None,
         typer.Option(help="layer (DXF) or group (SVG) of walls; repeat for more; default: all"),
     ] = None,
-    frame_id: Annotated[str, typer.Option(help="name of the map frame")] = "map",
+    frame_id: Annotated[str, typer.Option(help="name of the map frame", rich_help_panel="Model")] = "map",
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=0, help="threads; 0: one a core")] = 0,
     workers: Annotated[
         int, typer.Option(min=0, help="processes of this machine that build instead, by dask")
@@ -98,7 +118,7 @@ def build(
       eigenscan build plan.svg -o MODEL --metres-per-unit 0.01
       eigenscan build ground.yaml first.yaml -o MODEL
       eigenscan build CAMPUS.yaml -o MODEL --scheduler tcp://10.0.0.5:8786
-      eigenscan run --map MODEL
+      eigenscan run MODEL
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not frame_id:
         raise UsageError("--frame-id: give the map frame a name, such as map")

@@ -31,9 +31,9 @@ def conform(
 ) -> None:
     """Start any program in a service's place, play it the contract's vectors over Zenoh, and judge it.
 
-    The program is told where it is by {zenoh}, {endpoint}, {site}, {robot}, {instance} (a mapbuilder also by
-    {map}, a recorder by {recording}, a folder) in its arguments, and by the same names as EIGENSCAN_ZENOH and
-    so on in its environment.
+    In the program's arguments, {zenoh}, {endpoint}, {site}, {robot} and {instance} are replaced; for a
+    mapbuilder also {map}, for a recorder {recording}, a folder. The environment has the same values:
+    EIGENSCAN_ZENOH and so on.
     Exit code 0: it conforms, 1: it does not, 2: it cannot be started. Checks rest on docs/contract.md.
 
     \b

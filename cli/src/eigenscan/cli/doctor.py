@@ -24,14 +24,14 @@ def doctor(
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     robot: Annotated[
-        list[str] | None, typer.Option(help="a robot that must be there; may be given often")
+        list[str] | None, typer.Option(help="a robot that must be there; repeat for more")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="listen so long")] = 5.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="listening time, s")] = 5.0,
     json_file: JsonFile = None,
 ) -> None:
-    """Find what is wrong with a deployment: a line for each fault, and one that says how to mend it.
+    """Find what is wrong with a deployment: one line for each fault, and one with its fix.
 
-    It listens only, and so may be run on a site at work. Exit code 0: all is well, 1: it found faults.
+    It only listens, so it is safe on a running site. Exit code 0: all is well, 1: it found faults.
 
     \b
     Examples:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.cli.former import positional
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
@@ -15,13 +16,15 @@ PARTS = ("windows", "single-scans", "exhaustive", "memory")
 
 
 def evaluate(
-    log: Annotated[Path, typer.Option(help="log: CARMEN, ROS 1 or ROS 2 bag, MCAP, CSV")],
-    map_file: Annotated[Path, typer.Option("--map", help="map_server yaml, or a model folder for its map")],
+    log: Annotated[Path | None, typer.Argument(help="CARMEN log, ROS 1 or ROS 2 bag, MCAP, CSV")] = None,
+    map_file: Annotated[
+        Path | None, typer.Argument(metavar="MAP", help="map_server yaml, or a model folder")
+    ] = None,
     ground_truth: Annotated[
         Path | None,
         typer.Option(
-            help="reference, TUM: t x y z qx qy qz qw, base in the map; without it a recording's own truth, "
-            "or the drive as a whole"
+            help="reference, TUM: t x y z qx qy qz qw, base in the map; default: the recording's truth, "
+            "or agreement"
         ),
     ] = None,
     windows: Annotated[
@@ -31,7 +34,10 @@ def evaluate(
         ),
     ] = None,
     single_scans: Annotated[
-        Path | None, typer.Option(help="CSV time in seconds; without it up to 100 scans, evenly spread")
+        Path | None,
+        typer.Option(
+            help="CSV time in seconds; without it up to 100 scans, evenly spread", rich_help_panel="Details"
+        ),
     ] = None,
     kidnap: Annotated[
         bool, typer.Option("--kidnap", help="also jump to another window in the middle of each")
@@ -40,7 +46,9 @@ def evaluate(
     poses: Annotated[
         Path | None, typer.Option(help="write every pose of every window here, CSV; exact to the last bit")
     ] = None,
-    spacing: Annotated[float, typer.Option(min=0.05, max=2.0, help="grid of positions, m")] = 0.25,
+    spacing: Annotated[
+        float, typer.Option(min=0.05, max=2.0, help="grid of positions, m", rich_help_panel="Details")
+    ] = 0.25,
     skip: Annotated[list[str] | None, typer.Option(help=f"leave out one of: {', '.join(PARTS)}")] = None,
     limit: Annotated[
         int | None, typer.Option(min=1, help="at most so many windows and single scans, evenly chosen")
@@ -53,24 +61,32 @@ def evaluate(
         typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
     ] = None,
     odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
-    robot: Annotated[str, typer.Option(help="robot to judge, in a recording of several")] = DEFAULT_ROBOT,
+    robot: Annotated[
+        str, typer.Option(help="robot to judge, in a recording of several", rich_help_panel="Details")
+    ] = DEFAULT_ROBOT,
     reference_offset: Annotated[
-        float, typer.Option(help="s, added to the stamps of reference, windows and single scans")
+        float,
+        typer.Option(
+            help="s, added to the stamps of reference, windows and single scans", rich_help_panel="Details"
+        ),
     ] = 0.0,
+    log_option: Annotated[Path | None, typer.Option("--log", hidden=True)] = None,
+    map_option: Annotated[Path | None, typer.Option("--map", hidden=True)] = None,
 ) -> None:
     """Judge global localization on a log: success, false claims, time to localize, errors, CPU.
 
-    The pipeline never sees the reference. Without one, cold starts are compared with the drive taken as a
-    whole: that shows how soon and how often it claims, and whether it agrees with itself, not how accurate it
-    is. The exit code is 0 when it ran, whatever the figures.
-    Mounts that a log does not tell: eigenscan import --mount, then evaluate the MCAP.
+    The pipeline never sees the reference. Without one, the report shows agreement: cold starts are compared
+    with the log played as a whole. That shows how soon and how often a pose is claimed, not how accurate it
+    is. The exit code does not depend on the figures.
+    If a log lacks mounts: eigenscan import --mount, then evaluate the MCAP.
 
     \b
     Examples:
-      eigenscan evaluate --log LOG.bag --map MAP.yaml
-      eigenscan evaluate --log LOG.bag --map MAP.yaml --ground-truth REF.tum
-      eigenscan evaluate --log LOG.clf.gz --map MAP.yaml --ground-truth REF.tum --kidnap --json OUT.json
+      eigenscan evaluate LOG.bag MAP.yaml
+      eigenscan evaluate LOG.bag MAP.yaml --ground-truth REF.tum
+      eigenscan evaluate LOG.clf.gz MAP.yaml --ground-truth REF.tum --kidnap --json OUT.json
     """  # noqa: D301 - \b keeps the lines apart in --help
+    log, map_file = positional("LOG", log, log_option), positional("MAP", map_file, map_option)
     unknown = sorted(set(skip or ()) - set(PARTS))
     if unknown:
         raise UsageError(f"--skip {unknown[0]}: there are {', '.join(PARTS)}")

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from eigenscan.cli.former import current
 from eigenscan.runtime.errors import FailedError, by_users, one_line
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 EXIT_FAILED = 1
 """It ran, and failed."""
@@ -28,8 +29,12 @@ def _typed_wrongly(error: Exception) -> str:
     """What was wrong with the command line, in one line; empty where nothing was."""
     if not isinstance(error, _MISTYPED) or type(error).__name__ == "NoArgsIsHelpError":
         return ""
-    said = " ".join(str(error.format_message()).split()).rstrip(".")
-    return said[:1].lower() + said[1:]
+    text = " ".join(str(error.format_message()).split()).rstrip(".")
+    if near := getattr(error, "possibilities", None):
+        typed = getattr(error, "option_name", "")
+        nearest = max(near, key=lambda name: difflib.SequenceMatcher(None, typed, name).ratio())
+        text = f"no such option: {typed}; did you mean {nearest}?"
+    return text[:1].lower() + text[1:]
 
 
 def _told(error: Exception, command: str, is_known: bool) -> tuple[str, int] | None:
@@ -48,8 +53,41 @@ def _told(error: Exception, command: str, is_known: bool) -> tuple[str, int] | N
 
 WIDEST = 120
 """Columns that help takes of a wider terminal."""
+
 _VALUES = {float: "NUMBER", int: "N", Path: "PATH", str: "TEXT"}
 """What help calls the value of an option that has no name for it."""
+
+
+class ShortHelp(TyperCommand):
+    """A command whose --help lists the options that most people need, and --help-all the rest by group."""
+
+    shows_all = False
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As usual, with --help-all."""
+        own = args[: args.index("--")] if "--" in args else args
+        if "--help-all" in own:
+            self.shows_all, args = True, ["--help"]
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Arguments, options, and with --help-all the groups of the other options."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            if record := parameter.get_help_record(ctx):
+                is_argument = parameter.param_type_name == "argument"
+                panel = getattr(parameter, "rich_help_panel", None) or "Options"
+                groups.setdefault("Arguments" if is_argument else panel, []).append(record)
+        for heading, records in groups.items():
+            if records and (self.shows_all or heading in ("Arguments", "Options")):
+                with formatter.section(heading):
+                    formatter.write_dl(records)
+        hidden = sum(len(records) for heading, records in groups.items()) - sum(
+            len(groups[heading]) for heading in ("Arguments", "Options")
+        )
+        if hidden and not self.shows_all:
+            formatter.write_paragraph()
+            formatter.write_text(f"{hidden} more options: {ctx.command_path} --help-all")
 
 
 def _load(name: str, place: str) -> Any:
@@ -69,7 +107,7 @@ def _load(name: str, place: str) -> Any:
         group.callback()(lambda: None)
         return typer.main.get_command(group)
     single = typer.Typer(rich_markup_mode=None, add_completion=False)
-    single.command(name, context_settings={"max_content_width": WIDEST})(target)
+    single.command(name, cls=ShortHelp, context_settings={"max_content_width": WIDEST})(target)
     command = typer.main.get_command(single)
     for parameter in command.params:
         _name_value(parameter)
@@ -119,6 +157,8 @@ def lazy_group(
                         formatter.write_dl([(name, commands[name][1]) for name in names])
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            if (meant_now := current(args[0], args[1:])) in commands:
+                args = [meant_now, *args[1:]]
             if args[0] not in commands:
                 near = difflib.get_close_matches(args[0], commands, n=1)
                 meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"

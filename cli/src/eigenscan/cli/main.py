@@ -17,8 +17,12 @@ COMMANDS = {
         "eigenscan.cli.import_log:import_log",
         "turn a CARMEN log, a ROS bag or a CSV into a recording",
     ),
-    "evaluate": ("eigenscan.cli.evaluate:evaluate", "judge the pipeline on a log with a reference"),
-    "replay": ("eigenscan.cli.replay:replay", "play a recording onto Zenoh, or into one service to compare"),
+    "evaluate": (
+        "eigenscan.cli.evaluate:evaluate",
+        "judge the pipeline on a log, with a reference or without",
+    ),
+    "play": ("eigenscan.cli.play:play", "publish a recording on Zenoh"),
+    "replay": ("eigenscan.cli.replay:replay", "feed a recording to a service's core and compare its answers"),
     "replay-test": (
         "eigenscan.cli.replay_test:replay_test",
         "check a folder of recordings against the services",
@@ -35,16 +39,16 @@ COMMANDS = {
 HEADINGS = {
     "Start here": ("demo", "run"),
     "Maps": ("map", "build", "models"),
-    "Logs and recordings": ("import", "simulate", "evaluate", "replay", "view", "repair"),
+    "Logs and recordings": ("import", "simulate", "evaluate", "play", "view", "repair"),
     "A site": ("fleet", "doctor"),
-    "Changes to the services": ("replay-test", "conform"),
+    "Changes to the services": ("replay", "replay-test", "conform"),
 }
 """What is listed together in the help; what is not named here comes last."""
 
 app = typer.Typer(
     name="eigenscan",
     cls=lazy_group(COMMANDS, HEADINGS),
-    help="Tells a robot with a 2D lidar where it is, from nothing.",
+    help="Finds a robot with a 2D lidar on a map, without an initial pose.",
     epilog="Exit codes: 0 done, 1 ran and failed, 2 wrong usage or bad input, 130 ended by Ctrl-C. "
     "Start with: eigenscan demo. More on one command: eigenscan demo --help",
     no_args_is_help=True,

@@ -22,16 +22,14 @@ def map_log(
         Path | None, typer.Option("--out", "-o", help="MAP.yaml to write; without it LOG's name, here")
     ] = None,
     resolution: Annotated[float, typer.Option(min=0.01, max=0.5, help="m per cell")] = 0.05,
-    no_odometry: Annotated[
-        bool, typer.Option("--no-odometry", help="by the scans alone, whatever the log has")
-    ] = False,
+    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="from the scans alone")] = False,
     of: Annotated[
         int | None,
         typer.Option(
             "--composite",
             min=2,
             metavar="N",
-            help="of N scans alone, evenly spread, as if nothing were known of their order",
+            help="of N evenly spread scans, without their order or poses",
         ),
     ] = None,
     lidar: Annotated[
@@ -44,8 +42,8 @@ def map_log(
 ) -> None:
     """Make a map of a log's scans, with its odometry or without any.
 
-    Writes MAP.yaml and MAP.pgm (as map_server reads them), MAP.tum (the base's way in the map:
-    t x y z qx qy qz qw, the log's own stamps) and MAP.png, a picture of both.
+    Writes MAP.yaml and MAP.pgm for map_server, and MAP.png as a picture. MAP.tum is the path of the
+    robot's base: t x y z qx qy qz qw, with the log's stamps.
     Needs gtsam: pip install 'eigenscan[mapping]'.
 
     \b

@@ -15,10 +15,10 @@ def replay_test(
     folder: Annotated[Path, typer.Argument(help="folder; each .mcap in it is a test")],
     service: Annotated[
         list[str] | None,
-        typer.Option(help="scan-ingest, projector, tracker or pipeline; repeat for more; default: all heard"),
+        typer.Option(help="scan-ingest, projector, tracker or pipeline; repeat for more; default: all"),
     ] = None,
     update: Annotated[
-        bool, typer.Option("--update", help="accept what the services say now as the reference")
+        bool, typer.Option("--update", help="accept the answers of today as the reference")
     ] = False,
     junit_file: Annotated[Path | None, typer.Option("--junit", help="write results here, JUnit XML")] = None,
     tolerant: Annotated[
@@ -30,7 +30,7 @@ def replay_test(
     ] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Replay every recording of a folder into the services of today; they must say what they said then.
+    """Replay every recording of a folder into the services of today, and compare their answers.
 
     A recording is its own reference, unless NAME.reference.mcap lies beside NAME.mcap; --update writes that.
     Exit code 0: all the same, 1: a difference, 2: a recording that cannot be replayed.

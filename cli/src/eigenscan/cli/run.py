@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 from eigenscan.cli.figures import JsonFile, events, prepare, wants_words
+from eigenscan.cli.former import positional
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 
@@ -18,10 +19,9 @@ MAP_S = 30.0
 def run(
     map_or_model: Annotated[
         Path | None,
-        typer.Option(
-            "--map",
-            help="map_server yaml, or a model folder from `eigenscan build`; with --ros2 the robot's own "
-            "/map without it",
+        typer.Argument(
+            metavar="[MAP]",
+            help="map_server yaml, or a model folder of eigenscan build; with --ros2: else the robot's /map",
         ),
     ] = None,
     robot: Annotated[str, typer.Option(help="name of the robot, a chunk of its keys")] = DEFAULT_ROBOT,
@@ -39,7 +39,7 @@ def run(
     insecure: Annotated[
         bool,
         typer.Option(
-            "--insecure", help="with --listen: whoever reaches the endpoint may read and forge every message"
+            "--insecure", help="with --listen: any program that reaches it may read and forge every message"
         ),
     ] = False,
     ros2: Annotated[
@@ -55,28 +55,27 @@ def run(
         typer.Option("--out", "-o", help="folder for recording and logs; out/run-<time> without it"),
     ] = None,
     json_file: JsonFile = None,
+    map_option: Annotated[Path | None, typer.Option("--map", hidden=True)] = None,
 ) -> None:
     """Start all services for your own map and robot; Ctrl-C ends them all.
 
-    The robot's driver connects to tcp/127.0.0.1:7448 and publishes raw scans on
-    SITE/robot/ROBOT/scan/raw/LIDAR and odometry on SITE/robot/ROBOT/odom; the pose comes on
+    The robot's driver connects to tcp/127.0.0.1:7448. It publishes raw scans on
+    SITE/robot/ROBOT/scan/raw/LIDAR and odometry on SITE/robot/ROBOT/odom. The pose comes on
     SITE/robot/ROBOT/pose. With --ros2 they are the robot's /scan, /odom and /amcl_pose. --json writes a
-    line for each event: ready, state (a change of it), pose (one a second), ended.
+    line for each event: ready, state (after a change), pose (one a second), ended.
 
     \b
     Examples:
-      eigenscan run --map MAP.yaml --robot r17
-      eigenscan run --map MAP.yaml --robot r17 --ros2 rmw_zenoh
+      eigenscan run MAP.yaml --robot r17
+      eigenscan run MAP.yaml --robot r17 --ros2 rmw_zenoh
       eigenscan run --ros2 rmw_zenoh
-      eigenscan run --map MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
+      eigenscan run MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
     """  # noqa: D301 - \b keeps the lines apart in --help
     for name, value in (("--robot", robot), ("--site", site)):
         if not is_chunk(value):
             raise UsageError(f"{name} {value!r}: is part of every key: no blanks, none of / * $ # ? @")
-    if map_or_model is None and ros2 is None:
-        raise UsageError(
-            "--map: give a map_server yaml or a model folder; only with --ros2 the robot has one"
-        )
+    if map_option is not None or (map_or_model is None and ros2 is None):
+        map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
     _check_listen(listen or [], insecure, zenoh)
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
@@ -104,7 +103,7 @@ def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None
         )
     if listen and not insecure:
         raise UsageError(
-            f"--listen {listen[0]}: whoever reaches it may read and forge every message: use certificates "
+            f"--listen {listen[0]}: any program may then read and forge every message: use certificates "
             "(eigenscan fleet certify, then --zenoh), or add --insecure"
         )
 
@@ -115,7 +114,7 @@ def _model_flags(map_or_model: Path) -> list[str]:
     from eigenscan.geometry.gridmap import read_map
 
     if not map_or_model.exists():
-        raise UsageError(f"--map {map_or_model}: is not there: give a map_server yaml or a model folder")
+        raise UsageError(f"{map_or_model}: is not there: give a map_server yaml or a model folder")
     if map_or_model.is_dir():
         read_models(map_or_model)
         return ["--model", str(map_or_model)]

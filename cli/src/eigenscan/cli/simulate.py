@@ -36,29 +36,65 @@ def simulate(
     people: Annotated[int, typer.Option(min=0, help="people who walk about")] = 3,
     boxes: Annotated[int, typer.Option(min=0, help="boxes that stand about and are not in the map")] = 0,
     robots: Annotated[int, typer.Option(min=1, help="robots; several are named ROBOT1, ROBOT2, ...")] = 1,
-    drift: Annotated[float, typer.Option(min=0.0, help="times the usual noise of odometry")] = 1.0,
+    drift: Annotated[
+        float,
+        typer.Option(min=0.0, help="times the usual noise of odometry", rich_help_panel="Lidar and odometry"),
+    ] = 1.0,
     lidar: Annotated[
         str, typer.Option(metavar="MODEL", help="such as rplidar-a2; a wrong one names all")
     ] = "generic",
-    beams: Annotated[int | None, typer.Option(min=2, help="beams, instead of the model's")] = None,
+    beams: Annotated[
+        int | None,
+        typer.Option(min=2, help="beams, instead of the model's", rich_help_panel="Lidar and odometry"),
+    ] = None,
     fov: Annotated[
-        float | None, typer.Option(min=1.0, max=360.0, help="degrees, instead of the model's")
+        float | None,
+        typer.Option(
+            min=1.0, max=360.0, help="degrees, instead of the model's", rich_help_panel="Lidar and odometry"
+        ),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.1, max=50.0, help="scans a second, instead of its")
+        float | None,
+        typer.Option(
+            min=0.1, max=50.0, help="scans a second, instead of its", rich_help_panel="Lidar and odometry"
+        ),
     ] = None,
-    range_max: Annotated[float | None, typer.Option(min=0.5, help="m of reach, instead of its")] = None,
+    range_max: Annotated[
+        float | None,
+        typer.Option(min=0.5, help="m of reach, instead of its", rich_help_panel="Lidar and odometry"),
+    ] = None,
     noise: Annotated[
-        float | None, typer.Option(min=0.0, help="m, deviation of a range, instead of its")
+        float | None,
+        typer.Option(
+            min=0.0, help="m, deviation of a range, instead of its", rich_help_panel="Lidar and odometry"
+        ),
     ] = None,
     missing: Annotated[
-        float | None, typer.Option(min=0.0, max=1.0, help="share of beams that are lost, instead of its")
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="share of beams that are lost, instead of its",
+            rich_help_panel="Lidar and odometry",
+        ),
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="publish on Zenoh in real time")] = False,
-    speed: Annotated[float, typer.Option(min=0.01, help="with --live: times faster than real time")] = 1.0,
-    zenoh: Annotated[Path | None, typer.Option(help="with --live: Zenoh configuration, JSON5")] = None,
-    site: Annotated[str, typer.Option(help="first chunk of every key")] = DEFAULT_SITE,
-    robot: Annotated[str, typer.Option(help="name of the robot")] = DEFAULT_ROBOT,
+    live: Annotated[
+        bool, typer.Option("--live", help="publish on Zenoh in real time", rich_help_panel="Publishing")
+    ] = False,
+    speed: Annotated[
+        float,
+        typer.Option(min=0.01, help="with --live: times faster than real time", rich_help_panel="Publishing"),
+    ] = 1.0,
+    zenoh: Annotated[
+        Path | None,
+        typer.Option(help="with --live: Zenoh configuration, JSON5", rich_help_panel="Publishing"),
+    ] = None,
+    site: Annotated[
+        str, typer.Option(help="first chunk of every key", rich_help_panel="Publishing")
+    ] = DEFAULT_SITE,
+    robot: Annotated[
+        str, typer.Option(help="name of the robot", rich_help_panel="Publishing")
+    ] = DEFAULT_ROBOT,
     json_file: JsonFile = None,
 ) -> None:
     """Drive simulated robots through a map: raw scans, odometry that drifts, people, boxes, a kidnap.

@@ -30,13 +30,13 @@ def view(
         typer.Option(
             parser=moment,
             metavar=METAVAR,
-            help="where the picture begins and opens: s from the recording's start, or its time of day, UTC",
+            help="start: s from the recording's start, or its time of day, UTC",
         ),
     ] = START,
     end: Annotated[
-        Moment | None, typer.Option("--to", parser=moment, metavar=METAVAR, help="where it ends")
+        Moment | None, typer.Option("--to", parser=moment, metavar=METAVAR, help="end, the same")
     ] = None,
-    layout: Annotated[Layout, typer.Option(help="what the picture shows first")] = "operator",
+    layout: Annotated[Layout, typer.Option(help="panels in front")] = "operator",
     picture_hz: Annotated[
         float, typer.Option(min=0.01, help="pictures a second of the recording's time")
     ] = 10.0,
@@ -48,7 +48,7 @@ def view(
 ) -> None:
     """Draw a recording as the recorder draws live traffic, and look at it.
 
-    A long recording is open sooner where --at and --to say which part.
+    For a long recording, select a part with --at and --to.
 
     \b
     Examples:

@@ -27,8 +27,7 @@ class RouterSettings(ServiceSettings):
 
     end_on_change: bool = Field(
         False,
-        description="end when the Zenoh configuration changes, or where the link to the site stands but "
-        "passes nothing: what keeps it up starts it anew",
+        description="end when the Zenoh configuration changes or the link passes nothing, to be restarted",
     )
 
 

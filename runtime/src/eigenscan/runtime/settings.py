@@ -37,7 +37,7 @@ class SettingsError(ValueError):
 
 
 class ServiceSettings(BaseModel):
-    """What every service can be told.
+    """Settings of every service.
 
     A service's options derive from its core's settings, which hold what changes an answer, and from this,
     which holds how the process is run.
@@ -48,28 +48,25 @@ class ServiceSettings(BaseModel):
     site: str = Field(DEFAULT_SITE, description="name of the site; the first part of every key")
     robot: str = Field(
         DEFAULT_ROBOT,
-        description="robots to serve: a name, or names and patterns separated by commas, such as a-*,b-7; "
-        "* serves every robot",
+        description="robots to serve: names and patterns with commas, such as a-*,b-7; * is all",
     )
     instance: str = Field(
         default_factory=lambda given: instance_name(given.get("robot", EVERY)),
-        description="name that tells this process from others of the same service; by default the robot's "
-        "name",
+        description="name of this process among those of the same service; default: the robot's name",
     )
     zenoh: Path | None = Field(
         None,
-        description="Zenoh configuration file, JSON5; without it only programs on this machine can connect",
+        description="Zenoh configuration file, JSON5; default: this machine only",
     )
     keep: Path | None = Field(
         None,
-        description="folder that keeps the newest maps and models, so that the service can start without "
-        "the site",
+        description="folder that caches maps and models, for a start without the site",
     )
     metrics_port: int | None = Field(
         None,
         ge=0,
         le=65535,
-        description="port for /metrics and /healthz; 0 takes a free one; without it there are none",
+        description="port for /metrics and /healthz; 0 takes a free one; default: none",
     )
     metrics_host: str = Field("127.0.0.1", description="address for /metrics and /healthz")
     behind_after: float = Field(

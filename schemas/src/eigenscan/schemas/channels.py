@@ -229,14 +229,14 @@ TRUTH = Channel(
     "{site}/robot/{robot}/truth",
     PoseInFrame,
     Qos(Priority.DATA_LOW, rate_hz=40.0),
-    "the true pose where it is known (simulation); no service hears it but the recorder",
+    "the true pose if it is known (simulation); only the recorder receives it",
 )
 RELOCATION = Channel(
     "relocation",
     "{site}/robot/{robot}/relocation",
     Relocation,
     Qos(Priority.INTERACTIVE_HIGH, block=True, express=True),
-    "where the robot is, or that it may be anywhere, from somebody who knows, for the tracker",
+    "where the robot is, or that it may be anywhere, from an operator, for the tracker",
     (Role.ROBOT, Role.OPERATOR),
 )
 MAP = Channel(

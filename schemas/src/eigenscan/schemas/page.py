@@ -32,13 +32,14 @@ def tables() -> dict[str, str]:
                 "when congested",
                 "express",
                 "latched",
-                "waits at a hearer",
+                "queue of a subscriber",
                 "usual rate",
             ),
             [_qos(channel) for channel in CHANNELS],
         ),
         "air": _table(
-            ("channel", "said by", "heard by", "over the air"), [_air(channel) for channel in CHANNELS]
+            ("channel", "published by", "received by", "over the air"),
+            [_air(channel) for channel in CHANNELS],
         ),
         "tokens": _table(
             ("key", "held by"),

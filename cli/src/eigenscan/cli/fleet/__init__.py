@@ -1,4 +1,4 @@
-"""Many robots on one site: certificates, configuration, and how they all are.
+"""Many robots on one site: certificates, configuration, state.
 
 \b
 Examples:
@@ -11,21 +11,21 @@ COMMANDS = {
     "status": ("eigenscan.cli.fleet.status:status", "a live table of all robots of a site"),
     "relocate": (
         "eigenscan.cli.fleet.relocate:relocate",
-        "tell a robot where it is, or to search anew",
+        "set a robot's pose, or restart its search",
     ),
     "fetch": (
         "eigenscan.cli.fleet.fetch:fetch",
-        "bring a robot's recordings of some time here",
+        "fetch a robot's recordings of a period",
     ),
-    "metrics": ("eigenscan.cli.fleet.metrics:metrics", "all of that for Prometheus, from one place"),
+    "metrics": ("eigenscan.cli.fleet.metrics:metrics", "the same for Prometheus, from one place"),
     "certify": (
         "eigenscan.cli.fleet.certify:certify",
         "make a site's certificates and configuration, or add robots",
     ),
     "configure": (
         "eigenscan.cli.fleet.configure:configure",
-        "write the configuration anew after a change of fleet.toml",
+        "write the configuration again after a change of fleet.toml",
     ),
-    "revoke": ("eigenscan.cli.fleet.revoke:revoke", "shut out a robot whose certificate is in wrong hands"),
+    "revoke": ("eigenscan.cli.fleet.revoke:revoke", "revoke the certificate of a stolen robot"),
 }
 """As in `eigenscan.cli.main`."""

@@ -11,7 +11,7 @@ import typer
 def configure(
     folder: Annotated[Path, typer.Option("-o", "--fleet", help="the fleet's folder")] = Path("fleet"),
 ) -> None:
-    """Write the configuration of every router and service anew, after a change of fleet.toml.
+    """Write the configuration of every router and service again, after a change of fleet.toml.
 
     Copy to each machine what has changed. Routers read it when they start.
 

@@ -29,14 +29,14 @@ def fetch(
     ] = None,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="wait so long for each answer")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,
 ) -> None:
-    """Bring a robot's recordings of some time here.
+    """Fetch a robot's recordings of a period.
 
-    Whole files come, by the robot's clock; one that is still written comes as far as it is. The same command
-    goes on where it was cut off, and asks only for what is not here. Poses go first: it takes what they leave
-    of the link. Exit code 0: all is here, 1: it is not.
+    Whole files arrive, by the robot's clock; an open one as far as it is written. The same command resumes
+    after a break and fetches only what is missing. Poses have priority on the link. Exit code 0: complete,
+    1: incomplete.
 
     \b
     Examples:
@@ -45,7 +45,7 @@ def fetch(
       eigenscan view out/fetched/r17
     """  # noqa: D301 - \b keeps the lines apart in --help
     if not is_chunk(robot) or "," in robot:
-        raise UsageError(f"{robot!r}: is no robot's name; each is asked by itself")
+        raise UsageError(f"{robot!r}: is no robot's name; give one robot")
     now = time.time_ns()
     begin_ns, end_ns = instant(begin, now), instant(end, now)
     if begin_ns >= end_ns:

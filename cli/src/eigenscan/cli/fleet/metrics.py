@@ -19,8 +19,8 @@ def metrics(
 ) -> None:
     """Serve the state of all robots and services of a site to Prometheus. Ctrl-C ends it.
 
-    The robots need no open port, and nothing more crosses the air: it listens to poses and healths, which
-    leave the robots anyway. deploy/prometheus and deploy/grafana have the alerts and a dashboard for it.
+    Robots need no open port, and nothing more crosses the air: poses and health leave the robots anyway.
+    deploy/prometheus and deploy/grafana have alerts and a dashboard.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""`eigenscan fleet relocate`: tell a robot where it is, or to search anew, and see what comes of it."""
+"""`eigenscan fleet relocate`: sets a robot's pose, or restarts its search."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def relocate(
         tuple[float, float, float] | None,
         typer.Option(metavar="X Y DEG", help="where its base is: m, m and degrees in the map"),
     ] = None,
-    anew: Annotated[bool, typer.Option("--anew", help="forget where it was, search the whole site")] = False,
+    anew: Annotated[bool, typer.Option("--anew", help="search the whole site again")] = False,
     sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="wait so long for each answer")] = 10.0,
     json_file: JsonFile = None,
 ) -> None:
-    """Tell a robot where it is, or to search anew, and wait until it has taken that up.
+    """Set a robot's pose, or restart its search, and wait for its answer.
 
-    It is word, not truth: the next scans may contradict it. Exit code 0: the robot took it up, 1: it did not.
+    The next scans may contradict the pose. Exit code 0: the robot accepted it, 1: it did not.
 
     \b
     Examples:
@@ -50,7 +50,7 @@ def relocate(
     if pose is not None and not all(map(math.isfinite, pose)):
         raise UsageError(f"--pose {pose}: is no place: finite numbers")
     if not is_chunk(robot):
-        raise UsageError(f"{robot!r}: is no robot's name; each is told by itself")
+        raise UsageError(f"{robot!r}: is no robot's name; give one robot")
     with FleetView(connect(zenoh), site) as view:
         _wait_for_tracker(view, robot, seconds)
         before = _taken_up(view, robot)

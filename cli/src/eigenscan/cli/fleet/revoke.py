@@ -14,9 +14,9 @@ def revoke(
 ) -> None:
     """Shut out a robot whose certificate is in wrong hands: stolen, lost, sold.
 
-    The site's router no longer lets it say or hear anything, nor those that are connected already. All other
-    robots go on alone meanwhile and are back within seconds. A new certificate for the same name
-    (eigenscan fleet certify --robot NAME) does not let the old one in again.
+    The site's router then passes nothing to it or from it. All other robots localize alone meanwhile and
+    reconnect within seconds. A new certificate for the same name (eigenscan fleet certify --robot NAME) does
+    not admit the old one.
 
     \b
     Example:

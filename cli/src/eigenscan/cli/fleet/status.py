@@ -23,13 +23,13 @@ REFRESH_S = 0.5
 def status(
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
-    once: Annotated[bool, typer.Option("--once", help="listen for a while, print the table, end")] = False,
-    seconds: Annotated[float, typer.Option(min=0.1, help="with --once or --json: listen so long")] = 3.0,
+    once: Annotated[bool, typer.Option("--once", help="print the table once and end")] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="with --once or --json: listening time, s")] = 3.0,
     json_file: JsonFile = None,
 ) -> None:
-    """Show each robot of a site: state, confidence, place, map, and how old that is. Ctrl-C ends it.
+    """Show each robot of a site: state, confidence, pose, map, and its age. Ctrl-C ends it.
 
-    Ages count from when the word arrived here, so they hold whatever the robots' clocks say.
+    Ages count from the arrival here, so they do not depend on the robots' clocks.
 
     \b
     Examples:
@@ -112,7 +112,7 @@ def table(view: FleetView) -> Table:
     for row in found:
         shown.add_row(*_cells(row, view.model_version))
     if not found:
-        shown.caption = "no robot is there: eigenscan doctor says why"
+        shown.caption = "no robot is there: eigenscan doctor shows why"
     return shown
 
 

@@ -16,15 +16,12 @@ if TYPE_CHECKING:
 
 
 class _Process(ServiceSettings):
-    robot: str = Field(
-        "*", description="robot whose scans keep the map true; * hears every robot of the site"
-    )
+    robot: str = Field("*", description="robot whose scans keep the map true; * is every robot")
     behind_after: float = Field(math.inf, ge=0, description="s; no robot waits for its answer")
     map: Path | None = Field(None, description="map_server yaml to build models from")
     model: Path | None = Field(
         None,
-        description="folder of models from eigenscan build, in place of map; with map: the folder that "
-        "models of it are built into, at the first start and when the map changes, and kept true in",
+        description="folder of models; with map: built from it at the first start and kept true",
     )
     threads: int = Field(1, ge=1, le=256, description="threads for building; the result is the same")
 

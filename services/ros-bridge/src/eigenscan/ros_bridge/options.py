@@ -1,4 +1,4 @@
-"""What ros-bridge can be told."""
+"""Settings of the ros-bridge process."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ ROUTER = "tcp/localhost:7447"
 class _Process(ServiceSettings):
     dialect: Literal["rmw_zenoh", "rmw_zenoh_humble", "ros2dds"] = Field(
         "rmw_zenoh",
-        description="rmw_zenoh: the robot runs RMW_IMPLEMENTATION=rmw_zenoh_cpp, rmw_zenoh_humble: that of "
-        "ROS 2 Humble; ros2dds: it runs a DDS, with a zenoh-bridge-ros2dds beside it",
+        description="rmw_zenoh (Jazzy or later), rmw_zenoh_humble, or ros2dds (zenoh-bridge-ros2dds)",
     )
     ros_zenoh: Path | None = Field(
         None,
-        description="Zenoh configuration, JSON5, of the side towards ROS; without it a peer at ros_router",
+        description="Zenoh configuration towards ROS, JSON5; default: a peer at ros_router",
     )
     ros_router: str = Field(
         ROUTER, pattern="^[a-z0-9]+/.+$", description="where the robot's rmw_zenohd or DDS bridge listens"
@@ -33,7 +32,7 @@ class _Process(ServiceSettings):
         validate_default=True,
         ge=0,
         le=232,
-        description="ROS domain; ROS_DOMAIN_ID without it",
+        description="ROS domain; default: ROS_DOMAIN_ID",
     )
 
 

@@ -1,4 +1,4 @@
-"""What ros-bridge's answers depend on, besides what it hears."""
+"""What ros-bridge's answers depend on, besides its inputs."""
 
 from __future__ import annotations
 
@@ -14,58 +14,43 @@ class RosBridgeSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    namespace: str = Field(
-        "", description="ROS namespace of the robot: of all topics without a leading slash"
-    )
+    namespace: str = Field("", description="ROS namespace of all topics without a leading slash")
     scan: list[str] = Field(
         default_factory=lambda: ["scan"],
         min_length=1,
         description='topics of LaserScan, as JSON: ["front/scan", "rear/scan"] are the lidars front and rear',
     )
-    odom: str = Field(
-        "odom", description="topic of Odometry, taken for as long as tf tells no odometry; empty: tf's only"
-    )
+    odom: str = Field("odom", description="topic of Odometry, while tf has none; empty: tf only")
     odom_frame: str = Field(
         "odom",
-        description="frame in tf whose child is the robot's base: AMCL's odometry; empty: the topic's only",
+        description="odometry frame in tf; empty: the topic only",
     )
-    base_frame: str | None = Field(
-        None, description="the robot's base in tf; without it the odometry's child"
-    )
-    mounts_from_tf: bool = Field(
-        True, description="a lidar's place on the robot is tf's; false: scan-ingest is told its mounts"
-    )
-    tf: str = Field(
-        "tf", description="topic of tf, heard for odometry and mounts, said map to odom; empty: neither"
-    )
-    tf_broadcast: bool = Field(True, description="map to odom is said on tf")
+    base_frame: str | None = Field(None, description="base frame in tf; default: the odometry's child")
+    mounts_from_tf: bool = Field(True, description="take mounts from tf; false: from scan-ingest's settings")
+    tf: str = Field("tf", description="topic of tf, for odometry, mounts and map to odom; empty: none")
+    tf_broadcast: bool = Field(True, description="publish map to odom on tf")
     tf_static: str = Field("tf_static", description="topic of tf's static part")
-    initial_pose: str = Field(
-        "initialpose", description="topic of a pose that an operator clicks; empty: none"
-    )
-    set_initial_pose: str = Field(
-        "set_initial_pose", description="service that takes a pose as initial_pose does; empty: none"
-    )
+    initial_pose: str = Field("initialpose", description="topic of an operator's pose; empty: none")
+    set_initial_pose: str = Field("set_initial_pose", description="service that accepts a pose; empty: none")
     global_localization: str = Field(
-        "reinitialize_global_localization", description="service that makes it search anew; empty: none"
+        "reinitialize_global_localization", description="service that restarts the search; empty: none"
     )
     nomotion_update: str = Field(
         "request_nomotion_update",
-        description="service that is answered; every scan counts anyhow; empty: none",
+        description="service that is answered only; empty: none",
     )
     lifecycle: str = Field(
         "amcl",
-        description="lifecycle node that it stands for: a lifecycle manager brings it up and keeps a bond "
-        "with it; empty: none",
+        description="name of its lifecycle node; empty: none",
     )
-    pose: str = Field("amcl_pose", description="topic of the pose; empty: not said")
-    particles: str = Field("particle_cloud", description="topic of the hypotheses; empty: not said")
-    map: str = Field("map", description="topic of the map; empty: not said, a map_server does")
+    pose: str = Field("amcl_pose", description="topic of the pose; empty: none")
+    particles: str = Field("particle_cloud", description="topic of the tracks; empty: none")
+    map: str = Field("map", description="topic of the map; empty: none, as with a map_server")
     transform_tolerance: float = Field(
         0.1,
         ge=0.0,
         le=10.0,
-        description="s that map to odom is dated ahead, as AMCL's, so that it covers now",
+        description="s by which map to odom is dated ahead",
     )
 
     @field_validator(

@@ -38,7 +38,7 @@ class ScanIngestSettings(BaseModel):
     )
     mounts: dict[str, Mount] = Field(
         default_factory=dict,
-        description="where each lidar (or *) sits on the robot, in place of what the driver says; JSON, m "
+        description="where each lidar (or *) sits on the robot, in place of the driver's mount; JSON, m "
         'and degrees: {"front": {"x": 0.2, "yaw": 180, "upside_down": true}}',
     )
     max_beams: int = Field(16_384, ge=2, le=1_000_000, description="scans with more beams are rejected")

@@ -46,7 +46,7 @@ class TrackerSettings(BaseModel):
     )
     memory: float = Field(0.5, gt=0, description="s over which evidence from one place is averaged")
     kidnap_rate: float = Field(
-        0.001, ge=0, description="1/s, how often a robot is carried off or its track is wrong"
+        0.001, ge=0, description="1/s, how often a robot is kidnapped or its track is wrong"
     )
     trust: float = Field(
         1.0,
