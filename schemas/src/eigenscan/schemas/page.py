@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 from eigenscan.schemas.channels import (
@@ -18,6 +19,7 @@ from eigenscan.schemas.channels import (
     LATCHED_TEMPLATE,
     Channel,
 )
+from eigenscan.schemas.foreign import DISTRIBUTION
 from eigenscan.schemas.wire import encoding
 
 
@@ -46,6 +48,18 @@ def tables() -> dict[str, str]:
             [
                 (f"`{ALIVE_TEMPLATE}`", f"every service instance; `{{contract}}` is {CONTRACT_VERSION}"),
                 (f"`{LATCHED_TEMPLATE}`", "every session that answers queries for that latched channel"),
+            ],
+        ),
+        "versions": _table(
+            ("what", "version", "where it is had"),
+            [
+                (
+                    "Zenoh",
+                    version("eclipse-zenoh"),
+                    "Python `eclipse-zenoh`, Rust `zenoh`, C `zenoh-c`, C++ `zenoh-cpp`",
+                ),
+                ("foxglove's schemas", version(DISTRIBUTION), "`schemas/proto/foxglove`, MIT licence"),
+                ("ours", f"contract {CONTRACT_VERSION}", "`schemas/proto/eigenscan/schemas`, Apache-2.0"),
             ],
         ),
         "encodings": _table(
