@@ -156,7 +156,8 @@ def pages() -> Iterator[tuple[Path, str]]:
 
 def _section(spec: dict[str, Any], result: dict[str, Any]) -> str:
     load = " to ".join(f"{each:g}" for each in result["load"]) if result["load"] else "not known"
-    facts = f"{result['date']}, commit `{result['commit']}`, load {load}; {result['machine']}"
+    processor, cores = result["machine"].split(", ")[:2]
+    facts = f"{result['date']}, commit `{result['commit']}`, load {load}; {processor}, {cores}"
     parts = [f"## {spec['title']}\n", f"`{result['command']}`; {facts}.\n"]
     parts += [_table(spec, result["figures"]) + "\n", spec["note"] + "\n" if "note" in spec else ""]
     return "\n".join(filter(None, parts))

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 from eigenscan.schemas.channels import CHANNELS, Channel
 from eigenscan.schemas.page import fill, main
+from eigenscan.schemas.wire import encoding
 
 from tests.environment import ROOT
 
@@ -18,7 +19,8 @@ def test_the_page_is_current() -> None:
 def test_every_channel_is_told_whole(channel: Channel) -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert f"`{channel.template}`" in text
-    assert f"`application/protobuf;{channel.schema_name}/1`" in text
+    assert f"| `{channel.template}` | `{channel.schema_name}` |" in text
+    assert encoding(channel) == f"application/protobuf;{channel.schema_name}/1"  # as the page says in words
     (row,) = [
         line
         for line in text.splitlines()

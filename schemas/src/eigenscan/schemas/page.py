@@ -20,7 +20,6 @@ from eigenscan.schemas.channels import (
     Channel,
 )
 from eigenscan.schemas.foreign import DISTRIBUTION
-from eigenscan.schemas.wire import encoding
 
 
 def tables() -> dict[str, str]:
@@ -61,9 +60,6 @@ def tables() -> dict[str, str]:
                 ("foxglove's schemas", version(DISTRIBUTION), "`schemas/proto/foxglove`, MIT licence"),
                 ("ours", f"contract {CONTRACT_VERSION}", "`schemas/proto/eigenscan/schemas`, Apache-2.0"),
             ],
-        ),
-        "encodings": _table(
-            ("channel", "encoding"), [(f"`{one.name}`", f"`{encoding(one)}`") for one in CHANNELS]
         ),
     }
 
