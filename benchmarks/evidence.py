@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import between, compose
+from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
@@ -83,7 +84,7 @@ def answers(datasets: Path, case: str) -> Iterator[list[Answer]]:
     reference = read_trajectory(place / truth_name).restamped(log.logged)
     listed = place / "windows.csv"
     windows = read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference)
-    pipeline = Pipeline(build(place / "map.yaml", 0.5, lambda _: None).models)
+    pipeline = Pipeline(build(place / "map.yaml", MapbuilderSettings(), lambda _: None).models)
     for window in windows:
         raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
         stamps = [envelope.stamp for envelope in raw]

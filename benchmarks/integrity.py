@@ -26,6 +26,7 @@ import numpy as np
 from eigenscan.geometry.pose import from_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
@@ -102,7 +103,7 @@ class Site:
         self.windows: Sequence[Window] = (
             read_windows(listed, 0.0) if listed.exists() else plan_windows(self.log.scans, self.truth)
         )
-        self.models = build(folder / "map.yaml", 0.5, lambda _: None).models
+        self.models = build(folder / "map.yaml", MapbuilderSettings(), lambda _: None).models
         projector = ProjectorCore(ProjectorSettings())
         for model in self.models:
             if model.channel in projector.hears:

@@ -24,6 +24,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import numpy as np
 from eigenscan.geometry.gridmap import GridMap, read_map, write_map
+from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.metrics import Judged, errors, judge, right
 from eigenscan.workbench.evaluation.models import build
@@ -129,7 +130,7 @@ def _judge(case: Case, way: str, options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "map.yaml"
         write_map(worse.grid, path)
-        built = build(path, SPACING, lambda _: None)
+        built = build(path, MapbuilderSettings(spacing=SPACING), lambda _: None)
     with Workers(options.jobs, built.models, case.log.beginning) as workers:
         chosen = thin(windows, options.windows)
         runs = list(workers.runs(case.log.between(window) for window in chosen))

@@ -114,6 +114,23 @@ def test_short_help_has_twelve_options_at_most_and_help_all_has_the_rest() -> No
     assert "--noise" in eigenscan("simulate", "--help-all").stdout
 
 
+@pytest.mark.parametrize("command", ["evaluate --log drive.bag", "run"])
+@pytest.mark.parametrize(
+    ("typed", "part"),
+    [
+        ("--method papre", "there are default, paper"),
+        ("--set tracker.trust", "give SERVICE.SETTING=VALUE"),
+        ("--set trakcer.trust=1", "did you mean tracker?"),
+        ("--set tracker.trst=1", "did you mean trust?"),
+        ("--set tracker.trust=9", "--set tracker.trust = '9'"),
+        ("--settings none.toml", "none.toml: cannot be read"),
+    ],
+)
+def test_a_setting_that_is_none_takes_one_line(command: str, typed: str, part: str) -> None:
+    result = eigenscan(*command.split(), "--map", "map.yaml", *typed.split())
+    _expect_one_line(result, command.split(maxsplit=1)[0], part)
+
+
 @pytest.mark.parametrize("command", ["doctor", "fleet status", "fleet relocate r1 --anew"])
 def test_a_site_that_no_key_can_have_ends_the_command(command: str) -> None:
     place = command.partition(" r1")[0]

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from eigenscan.projector.candidates import Candidates, Projected
 from eigenscan.projector.options import ProjectorOptions
-from eigenscan.projector.projection import Candidates, Projected
 from eigenscan.projector.publishing import told_regions
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share

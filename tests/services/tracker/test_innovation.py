@@ -64,9 +64,8 @@ def drive(
     return heard
 
 
-@pytest.mark.parametrize("method", ["mixture", "paper"])
-def test_it_is_filterpys(make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf, method: str) -> None:
-    heard = drive(make_core(method=method), speaker, tracks_of, 12, 1)
+def test_it_is_filterpys(make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf) -> None:
+    heard = drive(make_core(), speaker, tracks_of, 12, 1)
     assert not heard[0][0].tracks[0].HasField("nis")
     for (earlier, _), (later, seen) in pairwise(heard):
         before = next(track for track in earlier.tracks if track.id == later.tracks[0].id)

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.runtime.choices import Choices
 from eigenscan.runtime.recording import RecordingWriter, read
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.evaluation.chosen import SERVICES, PipelineSettings, chosen
 from eigenscan.workbench.evaluation.course import Task, evaluate
 from eigenscan.workbench.evaluation.report import remarks
 from eigenscan.workbench.logs import LogOptions
@@ -71,12 +74,12 @@ class Drive:
             single_scans=None,
             kidnap=False,
             skip=frozenset({"single-scans", "memory"}),
-            spacing=0.5,
             offset_s=0.0,
             limit=None,
             jobs=1,
             poses=None,
             options=LogOptions(),
+            settings=PipelineSettings(mapbuilder=MapbuilderSettings(spacing=0.5)),
         )
 
 
@@ -124,6 +127,33 @@ def check(figures: Any, schema: Any, name: str) -> None:
         assert figures is None or (isinstance(figures, float | int) and not isinstance(figures, bool)), name
     else:
         assert isinstance(figures, schema), name
+
+
+def test_settings_change_what_is_judged(drive: Drive) -> None:
+    """The whole way through the commands' own choices, to each of the cores."""
+    task = replace(drive.task, skip=frozenset({"exhaustive", "memory"}), limit=4)
+    told = {}
+    for name, changes in (
+        ("default", []),
+        ("unsure", ["tracker.localized_above=1.0"]),
+        ("one", ["projector.published=1"]),
+        ("coarse", ["mapbuilder.spacing=1.0"]),
+        ("blind", ["scan-ingest.range_max=0.5"]),
+    ):
+        settings = chosen(Choices.of("default", None, changes, SERVICES), spacing=None)
+        told[name] = run(replace(task, settings=settings))
+    assert told["default"]["success_rate"] == 1.0
+    assert told["unsure"]["success_rate"] == 0.0
+    assert told["one"]["single_scan"]["list_length"] == 1.0
+    assert told["coarse"]["model"]["positions"] < told["default"]["model"]["positions"] / 8
+    assert told["blind"]["success_rate"] == 0.0
+
+
+def test_the_papers_method_runs_on_a_log(drive: Drive) -> None:
+    settings = chosen(Choices.of("paper", None, [], SERVICES))
+    figures = run(replace(drive.task, settings=settings))
+    assert figures["windows"] == 2
+    assert figures["model"]["spacing_m"] == 0.5
 
 
 def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:

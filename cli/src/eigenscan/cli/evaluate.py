@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.former import positional
+from eigenscan.cli.settings import Changes, Method, SettingsFile
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
@@ -47,8 +48,17 @@ def evaluate(
         Path | None, typer.Option(help="write every pose of every window here, CSV; exact to the last bit")
     ] = None,
     spacing: Annotated[
-        float, typer.Option(min=0.05, max=2.0, help="grid of positions, m", rich_help_panel="Details")
-    ] = 0.25,
+        float | None,
+        typer.Option(
+            min=0.05,
+            max=2.0,
+            help="grid of positions, m; 0.25, or the method's",
+            rich_help_panel="Details",
+        ),
+    ] = None,
+    method: Method = "default",
+    settings_file: SettingsFile = None,
+    changes: Changes = None,
     skip: Annotated[list[str] | None, typer.Option(help=f"leave out one of: {', '.join(PARTS)}")] = None,
     limit: Annotated[
         int | None, typer.Option(min=1, help="at most so many windows and single scans, evenly chosen")
@@ -78,6 +88,8 @@ def evaluate(
     The pipeline never sees the reference. Without one, the report shows agreement: cold starts are compared
     with the log played as a whole. That shows how soon and how often a pose is claimed, not how accurate it
     is. The exit code does not depend on the figures.
+    --set, --settings and --method change the settings of scan-ingest, projector, tracker and mapbuilder
+    (docs/settings.md); the first wins. --method paper runs the paper's own pipeline.
     If a log lacks mounts: eigenscan import --mount, then evaluate the MCAP.
 
     \b
@@ -85,6 +97,7 @@ def evaluate(
       eigenscan evaluate LOG.bag MAP.yaml
       eigenscan evaluate LOG.bag MAP.yaml --ground-truth REF.tum
       eigenscan evaluate LOG.clf.gz MAP.yaml --ground-truth REF.tum --kidnap --json OUT.json
+      eigenscan evaluate LOG.bag MAP.yaml --method paper --set tracker.localized_above=0.95
     """  # noqa: D301 - \b keeps the lines apart in --help
     log, map_file = positional("LOG", log, log_option), positional("MAP", map_file, map_option)
     unknown = sorted(set(skip or ()) - set(PARTS))
@@ -94,6 +107,8 @@ def evaluate(
     from eigenscan.workbench.one_thread import one_thread
 
     one_thread()
+    from eigenscan.runtime.choices import Choices
+    from eigenscan.workbench.evaluation.chosen import SERVICES, chosen
     from eigenscan.workbench.evaluation.course import Task
     from eigenscan.workbench.evaluation.course import evaluate as run
     from eigenscan.workbench.evaluation.report import show
@@ -109,12 +124,12 @@ def evaluate(
         single_scans=single_scans,
         kidnap=kidnap,
         skip=frozenset(skip or ()),
-        spacing=spacing,
         offset_s=reference_offset,
         limit=limit,
         jobs=jobs,
         poses=poses,
         options=LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry),
+        settings=chosen(Choices.of(method, settings_file, changes or (), SERVICES), spacing),
     )
     for file in (json_file, poses):
         prepare(file)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 from eigenscan.cli.figures import JsonFile, events, prepare, wants_words
 from eigenscan.cli.former import positional
+from eigenscan.cli.settings import Changes, Method, SettingsFile
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 
@@ -54,6 +55,9 @@ def run(
         Path | None,
         typer.Option("--out", "-o", help="folder for recording and logs; out/run-<time> without it"),
     ] = None,
+    method: Method = "default",
+    settings_file: SettingsFile = None,
+    changes: Changes = None,
     json_file: JsonFile = None,
     map_option: Annotated[Path | None, typer.Option("--map", hidden=True)] = None,
 ) -> None:
@@ -63,6 +67,8 @@ def run(
     SITE/robot/ROBOT/scan/raw/LIDAR and odometry on SITE/robot/ROBOT/odom. The pose comes on
     SITE/robot/ROBOT/pose. With --ros2 they are the robot's /scan, /odom and /amcl_pose. --json writes a
     line for each event: ready, state (after a change), pose (one a second), ended.
+    --set, --settings and --method change the services' settings (docs/settings.md); the first wins.
+    --method paper runs the paper's own pipeline, for comparison.
 
     \b
     Examples:
@@ -77,6 +83,7 @@ def run(
     if map_option is not None or (map_or_model is None and ros2 is None):
         map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
     _check_listen(listen or [], insecure, zenoh)
+    told = _told(method, settings_file, changes or [])
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
 
@@ -88,11 +95,22 @@ def run(
     assert map_or_model is not None
     flags, mcap = _model_flags(map_or_model), folder / "mcap"
     pipeline = Pipeline(
-        site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or ()
-    )
+        site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or (),
+        told=told,
+    )  # fmt: skip
     prepare(json_file)
-    with events(json_file) as told:
-        attend(pipeline, folder, told, to_stderr=not wants_words(json_file))
+    with events(json_file) as said:
+        attend(pipeline, folder, said, to_stderr=not wants_words(json_file))
+
+
+def _told(method: str, file: Path | None, changes: list[str]) -> dict[str, list[str]]:
+    """What each service is told of the chosen settings. Raises SettingsError."""
+    from eigenscan.cli.launch.supervision import SERVICES
+    from eigenscan.runtime.choices import Choices
+    from eigenscan.workbench.settings_page import settings_of
+
+    choices = Choices.of(method, file, changes, [*SERVICES, "ros-bridge"])
+    return {name: choices.flags(settings_of(name), name) for name in [*SERVICES, "ros-bridge"]}
 
 
 def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None:

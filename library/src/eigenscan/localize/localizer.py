@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,13 +17,15 @@ from eigenscan.geometry.pose import to_pose3
 from eigenscan.localize.answers import Estimate, Hypotheses
 from eigenscan.localize.scan import Scan, ScanError
 from eigenscan.mapbuilder.core import announce_models
-from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.schemas import hypotheses_pb2
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, ODOMETRY, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.extra import needs
+from eigenscan.schemas.methods import of_service
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import ArrayLike, NDArray
@@ -40,15 +43,21 @@ class Localizer:
     Not for several threads at once. One object serves lidars of any kind, but tracks one robot.
     """
 
-    def __init__(self, site: SiteModel) -> None:
-        """Of models that were built or read; of a map see `from_map` and `from_grid`."""
+    def __init__(self, site: SiteModel, method: str = "default") -> None:
+        """Of models that were built or read; of a map see `from_map` and `from_grid`.
+
+        `method`: settings that belong together; "paper" is the paper's own pipeline, for comparing, and
+        needs eigenscan-localize[paper] to track. Raises ValueError for one that there is not.
+        """
         if not isinstance(site, SiteModel):
             fix = (
                 "Localizer.from_grid(grid)" if isinstance(site, GridMap) else 'Localizer.from_map("map.yaml")'
             )
             raise TypeError(f"{site!r:.80} is no SiteModel: of a map write {fix}")
         self.site = site
-        self._projector = ProjectorCore(ProjectorSettings())
+        self._method = method
+        settings = ProjectorSettings.model_validate(of_service(method, "projector"))
+        self._projector = ProjectorCore(settings)
         self._projector_hears(site)
         self._tracker: TrackerCore | None = None
         self._newest: int | None = None
@@ -67,6 +76,7 @@ class Localizer:
         path: str | os.PathLike[str],
         metres_per_unit: float | None = None,
         layers: Collection[str] = (),
+        method: str = "default",
     ) -> Localizer:
         """Of a map, whose models are built now, or of a folder that `eigenscan build` wrote.
 
@@ -76,13 +86,14 @@ class Localizer:
         """
         place = Path(path)
         if place.is_dir():
-            return cls(read_models(place))
-        return cls.from_grid(read_plan(place, PlanOptions(metres_per_unit, layers)))
+            return cls(read_models(place), method)
+        return cls.from_grid(read_plan(place, PlanOptions(metres_per_unit, layers)), method)
 
     @classmethod
-    def from_grid(cls, grid: GridMap) -> Localizer:
+    def from_grid(cls, grid: GridMap, method: str = "default") -> Localizer:
         """Of cells in memory. Raises ModelError where no place in them is free."""
-        return cls(build_site(grid, Plan(threads=os.cpu_count() or 1)))
+        plan = MapbuilderSettings.model_validate(of_service(method, "mapbuilder")).plan
+        return cls(build_site(grid, replace(plan, threads=os.cpu_count() or 1)), method)
 
     def localize(self, scan: Scan) -> Hypotheses:
         """Where `scan` may have been taken, by itself. Raises ScanError where it cannot be used."""
@@ -101,7 +112,7 @@ class Localizer:
             raise ScanError(f"time = {scan.time}: must be after that of the scan before")
         found = self._answer(scan)
         self._newest = scan.stamp
-        tracker = self._tracker = self._tracker or _new_tracker()
+        tracker = self._tracker = self._tracker or _new_tracker(self._method)
         if pose is not None:
             message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(pose))
             list(tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
@@ -142,12 +153,12 @@ class Localizer:
         return found[0]
 
 
-def _new_tracker() -> TrackerCore:
+def _new_tracker(method: str) -> TrackerCore:
     """It is compiled as it is imported, and who asks for single scans needs none."""
     from eigenscan.tracker.core import TrackerCore
     from eigenscan.tracker.settings import TrackerSettings
 
-    return TrackerCore(TrackerSettings())
+    return TrackerCore(TrackerSettings.model_validate(of_service(method, "tracker")))
 
 
 def _be_a_scan(scan: Scan) -> None:

@@ -17,6 +17,7 @@ import sys
 import tomllib
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
+M = TypeVar("M", bound=BaseModel)
 
 _SERVED = frozenset(("site", "robot", "instance"))
 """Whom a service serves and under which name: the keys that its core hears and speaks on."""
@@ -122,7 +124,7 @@ class ServiceSettings(BaseModel):
 
 
 @dataclass(frozen=True)
-class _Given:
+class Given:
     """A value and the place that gave it, as its user wrote it."""
 
     value: Any
@@ -137,8 +139,12 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
     flags = _flags(kind, service, sys.argv[1:] if arguments is None else arguments)
     config = flags.pop("config", None)
     path = config.value if config else os.environ.get("EIGENSCAN_CONFIG")
-    given = _file(kind, service, Path(path)) if path else {}
-    given |= _environment(kind, service) | flags
+    given = read_table(kind, service, Path(path)) if path else {}
+    return validated(kind, given | _environment(kind, service) | flags)
+
+
+def validated(kind: type[M], given: Mapping[str, Given]) -> M:
+    """Settings of what was given. Raises SettingsError naming the place, the field and what is accepted."""
     try:
         return kind.model_validate({name: entry.value for name, entry in given.items()})
     except ValidationError as error:
@@ -147,7 +153,7 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
         raise SettingsError("; ".join(_explain(fault, given) for fault in faults)) from error
 
 
-def _explain(problem: ErrorDetails, given: dict[str, _Given]) -> str:
+def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
     field, *inner = [str(part) for part in problem["loc"]] or ["settings"]
     place = ".".join([given[field].place if field in given else field, *inner])
     if problem["type"] == "missing":
@@ -158,7 +164,7 @@ def _explain(problem: ErrorDetails, given: dict[str, _Given]) -> str:
     return f"{place} = {problem['input']!r}: {message}"
 
 
-def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, _Given]:
+def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, Given]:
     parser = argparse.ArgumentParser(
         prog=f"eigenscan-{service}",
         description=(kind.__doc__ or "").strip(),
@@ -177,10 +183,10 @@ def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> d
             const="true" if field.annotation is bool else None,
         )
     for given in arguments:
-        if gone := _gone(kind, given.partition("=")[0].removeprefix("--").replace("-", "_")):
-            raise SettingsError(f"{given.partition('=')[0]}: {gone}")
+        if hint := gone(kind, given.partition("=")[0].removeprefix("--").replace("-", "_")):
+            raise SettingsError(f"{given.partition('=')[0]}: {hint}")
     return {
-        name: _Given(_typed(kind, name, value), _flag(name))
+        name: Given(typed(kind, name, value), _flag(name))
         for name, value in vars(parser.parse_args(arguments)).items()
         if value is not None
     }
@@ -190,23 +196,23 @@ def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _environment(kind: type[ServiceSettings], service: str) -> dict[str, _Given]:
+def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Given]:
     own = f"EIGENSCAN_{service.replace('-', '_').upper()}_"
     names = {name.upper(): name for name in kind.model_fields}
     found = {}
     for prefix in ("EIGENSCAN_", own):
         for capitals, name in names.items():
             if text := os.environ.get(prefix + capitals):
-                found[name] = _Given(_typed(kind, name, text), f"environment: {prefix}{capitals}")
+                found[name] = Given(typed(kind, name, text), f"environment: {prefix}{capitals}")
     for variable in os.environ:
         rest = variable.removeprefix(own)
         if variable.startswith(own) and rest not in names:
-            hint = _gone(kind, rest.lower()) or f"unknown{_nearest(rest, names, own)}"
+            hint = gone(kind, rest.lower()) or f"unknown{nearest(rest, names, own)}"
             raise SettingsError(f"environment: {variable}: {hint}")
     return found
 
 
-def _typed(kind: type[ServiceSettings], name: str, text: str) -> Any:
+def typed(kind: type[ServiceSettings], name: str, text: str) -> Any:
     """Text as pydantic is to see it: parsed as JSON where the field is no plain value."""
     annotation = kind.model_fields.get(name)
     if annotation is None or _is_plain(annotation.annotation):
@@ -225,11 +231,14 @@ def _is_plain(annotation: Any) -> bool:
     )
 
 
-def _file(kind: type[ServiceSettings], service: str, path: Path) -> dict[str, _Given]:
+def read_table(
+    kind: type[ServiceSettings], service: str, path: Path, asked: str = "--config"
+) -> dict[str, Given]:
+    """What a TOML file, `asked` for by that option, says of a service. Raises SettingsError."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror}): check --config") from error
+        raise SettingsError(f"{path}: cannot be read ({error.strerror}): check {asked}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
     tables = {name: value for name, value in content.items() if isinstance(value, dict)}
@@ -246,19 +255,20 @@ def _file(kind: type[ServiceSettings], service: str, path: Path) -> dict[str, _G
     ):
         for name in values:
             if name not in known:
-                hint = f", is it for [{service}]?" if name in kind.model_fields else _nearest(name, known)
-                raise SettingsError(f"{path}: {place}{name}: {_gone(kind, name) or f'unknown{hint}'}")
-    return {name: _Given(value, f"{path}: {name}") for name, value in shared.items()} | {
-        name: _Given(value, f"{path}: [{service}] {name}") for name, value in own.items()
+                hint = f", is it for [{service}]?" if name in kind.model_fields else nearest(name, known)
+                raise SettingsError(f"{path}: {place}{name}: {gone(kind, name) or f'unknown{hint}'}")
+    return {name: Given(value, f"{path}: {name}") for name, value in shared.items()} | {
+        name: Given(value, f"{path}: [{service}] {name}") for name, value in own.items()
     }
 
 
-def _gone(kind: type[BaseModel], name: str) -> str:
+def gone(kind: type[BaseModel], name: str) -> str:
     """What took the place of a setting that there once was, in words; empty for any other name."""
     replaced: typing.Mapping[str, str] = getattr(kind, "gone", {})
     return f"is a setting no more: {replaced[name]}" if name in replaced else ""
 
 
-def _nearest(name: str, known: typing.Iterable[str], prefix: str = "") -> str:
+def nearest(name: str, known: typing.Iterable[str], prefix: str = "") -> str:
+    """What to say of an unknown name: the known one that was meant, most likely; or nothing."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean {prefix}{near[0]}?" if near else ""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.cli.launch.screen import StatusLine
@@ -34,6 +34,7 @@ class Pipeline:
     viewer: bool
     ros2_flags: Sequence[str] | None = None  # the ROS bridge's; None: without one
     listen: Sequence[str] = ()  # endpoints for other machines
+    told: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it hears everything."""
@@ -47,9 +48,11 @@ class Pipeline:
             recorder += ["--viewer-port", "0", "--data-port", "0"]
         flags = {"recorder": recorder, "mapbuilder": list(self.model_flags)}
         for name in sorted(SERVICES, key=lambda name: name != "recorder"):
-            supervisor.start(name, SERVICES[name], [*shared, *flags.get(name, [])])
+            told = self.told.get(name, ())
+            supervisor.start(name, SERVICES[name], [*shared, *flags.get(name, []), *told])
         if self.ros2_flags is not None:
-            supervisor.start("ros-bridge", ROS_BRIDGE, [*shared, *self.ros2_flags])
+            told = self.told.get("ros-bridge", ())
+            supervisor.start("ros-bridge", ROS_BRIDGE, [*shared, *self.ros2_flags, *told])
 
 
 def lacking(view: FleetView, services: Iterable[str]) -> list[str]:

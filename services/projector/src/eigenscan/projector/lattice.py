@@ -32,6 +32,11 @@ class Lattice:
     searched: tuple[NDArray[np.int64], ...]
     cells: tuple[NDArray[np.int64], ...]
 
+    @property
+    def searched_spacing(self) -> float:
+        """Between neighbouring searched positions, m."""
+        return max(1, round(SEARCH_SPACING / self.spacing)) * self.spacing
+
     @cached_property
     def tree(self) -> cKDTree:
         """Tree of the positions."""

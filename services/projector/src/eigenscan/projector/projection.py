@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.geometry.circle import TURN
 from eigenscan.projector.association.manifold import Matches
+from eigenscan.projector.candidates import Candidates, Projected
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
+from eigenscan.projector.from_eigenspace import answer
 from eigenscan.projector.intervals import clearance
 from eigenscan.projector.likelihood import beyond_walls, log_likelihood, ordinary_support, support
 from eigenscan.projector.observation import Observation
@@ -47,36 +48,6 @@ SLIDE_POINTS, WEIGHED_BEAMS = 32, 120
 """Beams that are enough for the coarse refinement, and for the likelihood."""
 
 
-@dataclass(frozen=True)
-class Projected:
-    """A scan in each region's space: coefficients (R, M) and its error, root mean square (R,), m.
-
-    `searched` (R,): the region's space explains the scan well enough.
-    """
-
-    coefficients: Array
-    error_energy: Array
-    searched: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """n poses of the sensor, most likely first. `region` (n,) proposed each.
-
-    `ordinary` is the support of a place that merely looks similar.
-    """
-
-    poses: Array
-    covariances: Array
-    supports: Array
-    log_likelihoods: Array
-    explained: Array
-    region: Index
-    projected: Projected
-    unlisted_log_likelihood: float
-    ordinary: float
-
-
 def find_candidates(
     site: Site,
     view: SensorView,
@@ -86,6 +57,10 @@ def find_candidates(
     scope: Scope = WHOLE,
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
+    if settings.verification == "eigenspace":
+        projected = project(view, seen, np.isfinite(seen.coarse), scope)
+        matches = _nearest(view, projected, len(seen.coarse), settings.candidates)
+        return answer(site, view, seen, projected, matches, settings.published)
     projected, matches = _associate(view, seen, settings.candidates, scope)
     refined = settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA))
     seeds, home, region = _verified(site, view, seen, matches, round(refined), witness)
@@ -133,7 +108,8 @@ def explaining(square: Array, usual: Array) -> NDArray[np.bool_]:
 def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> Matches:
     square = projected.error_energy**2 * (view.embedding.channels * beams)
     square[~projected.searched] = np.inf
-    return view.association.nearest(projected.coefficients, square, count)
+    found = view.association.nearest(projected.coefficients, square, count)
+    return found if view.ratios is None else view.ratios.interpolate(found, projected.coefficients)
 
 
 def _verified(

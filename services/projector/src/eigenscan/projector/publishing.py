@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse, to_message
+from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.coordinates import coordinates
 from eigenscan.projector.focus import Scope
 from eigenscan.projector.observation import Observation
-from eigenscan.projector.obstacles import find_obstacles
-from eigenscan.projector.projection import Candidates
+from eigenscan.projector.obstacles import ObstacleMask, find_obstacles
+from eigenscan.projector.reconstruction import occluded
 from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, Projection
 from eigenscan.schemas.scan_pb2 import Scan
@@ -98,12 +99,7 @@ def obstacles_message(
     scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
 ) -> Obstacles:
     """What the most likely pose does not explain; `mount` (3,): the lidar in the base frame."""
-    pose = found.poses[0]
-    sensor = seen.sensor
-    bearings: Array = sensor.angle_min + np.arange(sensor.beams, dtype=np.float64) * sensor.angle_increment
-    limit = sensor.range_max if sensor.range_max > 0 else 100.0
-    predicted = site.caster.cast(pose, bearings, limit)[0]
-    mask = find_obstacles(pose, bearings, seen.ranges, predicted, site.drawn, site.caster.grid)
+    pose, mask = found.poses[0], _mask(site, seen, found)
     return Obstacles(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
@@ -118,6 +114,17 @@ def obstacles_message(
         map_y=mask.in_map[:, 1].tolist(),
         model_version=site.version,
     )
+
+
+def _mask(site: Site, seen: Observation, found: Candidates) -> ObstacleMask:
+    pose, sensor = found.poses[0], seen.sensor
+    bearings: Array = sensor.angle_min + np.arange(sensor.beams, dtype=np.float64) * sensor.angle_increment
+    view = site.view(sensor)
+    if view.foreseen_by == "reconstruction":
+        return occluded(view, seen, found, pose, bearings)
+    limit = sensor.range_max if sensor.range_max > 0 else 100.0
+    predicted = site.caster.cast(pose, bearings, limit)[0]
+    return find_obstacles(pose, bearings, seen.ranges, predicted, site.drawn, site.caster.grid)
 
 
 def to_base(poses: Array, covariances: Array, mount: Array) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, get_args
+from typing import ClassVar, Literal, get_args
 
 from eigenscan.projector.association import kinds
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -31,13 +31,30 @@ class ProjectorSettings(BaseModel):
         le=1,
         description="how far outside a triangle or tetrahedron a scan may lie, as a share of its size",
     )
+    interpolation: Literal["enclosing", "ratios"] = Field(
+        "enclosing",
+        description="where between the grid's poses a scan lies: enclosing (default), by the corners of its "
+        "triangle or tetrahedron; ratios, along the grid's axes, section 5.2 of the paper",
+    )
+    verification: Literal["walls", "eigenspace"] = Field(
+        "walls",
+        description="walls (default): candidates are compared with predicted scans, refined and weighed on "
+        "the map's walls; eigenspace: they are published as the eigenspace says them, as in the paper",
+    )
+    obstacles: Literal["walls", "reconstruction"] = Field(
+        "walls",
+        description="what a beam must end before to be on an obstacle: walls (default), the wall that the "
+        "best pose foresees; reconstruction, the scan as its coefficients give it, section 6 of the paper",
+    )
     candidates: int = Field(3000, ge=1, description="nearest poses in the eigenspace that are verified")
     refined: int = Field(
         200,
         ge=2,
         description="candidates refined below the grid on 1,000 m2; grows with the square root of the area",
     )
-    published: int = Field(30, ge=1, le=30, description="most hypotheses published for a scan")
+    published: int = Field(
+        30, ge=1, le=300, description="most hypotheses published for a scan; those of the walls are few"
+    )
     part: str = Field(
         "1/1",
         pattern=f"^{PART}$",

@@ -21,6 +21,7 @@ from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces, faces_of
 from eigenscan.projector.association.kinds import association
 from eigenscan.projector.association.manifold import Association, Index, Sheets
+from eigenscan.projector.association.ratios import Ratios
 from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.settings import ProjectorSettings
@@ -58,6 +59,10 @@ class SensorView:
     usual_error: NDArray[np.float64]
     windows: NDArray[np.float32]
     leaves: NDArray[np.float32]
+    ratios: Ratios | None
+    """Interpolates what was associated, where settings ask for it."""
+    foreseen_by: str
+    """What the obstacle mask compares a scan with: the setting `obstacles`."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +165,8 @@ class Site:
             np.array([own.usual_error for own in spaces]),
             predicted(self._enters, coarse.beams, coarse.range_max),
             predicted(self._leaves, coarse.beams, coarse.range_max),
+            Ratios.of(regions) if settings.interpolation == "ratios" else None,
+            settings.obstacles,
         )
 
     def _space(self, number: int, analysis: Analysis) -> tuple[RegionSpace, NDArray[np.float32]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
+from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.doubt import Walls
 from eigenscan.workbench.evaluation.figures import Figures, finite, windows_figures
 from eigenscan.workbench.evaluation.log import Log, read_log
@@ -47,12 +48,12 @@ class Task:
     single_scans: Path | None
     kidnap: bool
     skip: frozenset[str]
-    spacing: float
     offset_s: float
     limit: int | None
     jobs: int
     poses: Path | None
     options: LogOptions
+    settings: PipelineSettings
 
 
 def evaluate(task: Task, bars: Bars) -> Figures:
@@ -68,8 +69,8 @@ def evaluate(task: Task, bars: Bars) -> Figures:
     if reference is not None:
         reference = reference.restamped(log.logged)
         _check_overlap(task, log, reference)
-    built = build(task.map, task.spacing, bars.start_share("model"))
-    with Workers(task.jobs, built.models, log.beginning) as workers:
+    built = build(task.map, task.settings.mapbuilder, bars.start_share("model"))
+    with Workers(task.jobs, built.models, log.beginning, task.settings) as workers:
         source, fault = str(task.reference) if task.reference else RECORDED, ""
         if reference is None:
             source = WHOLE_DRIVE
@@ -104,7 +105,7 @@ def _figures(
     if "single-scans" not in task.skip:
         shown = None if "exhaustive" in task.skip else gallery_of(built)
         single = single_scans(bench, thin(times, task.limit), shown)
-    weight = None if "memory" in task.skip else model_mb(built.models, bench.log.beginning)
+    weight = None if "memory" in task.skip else model_mb(built.models, bench.log.beginning, task.settings)
     return figures | {
         "windows_left_out": len(asked) - len(windows),
         "kidnap": kidnap,

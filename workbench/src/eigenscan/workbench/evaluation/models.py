@@ -35,12 +35,11 @@ class Built:
         return self.site.grid.free_area
 
 
-def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
+def build(path: Path, settings: MapbuilderSettings, moved: Callable[[float], None]) -> Built:
     """Builds the models of a map_server yaml, or anew those of a model folder.
 
     `moved` hears how far it is. Raises MapError or ModelError.
     """
-    settings = MapbuilderSettings(spacing=spacing)
     plan = replace(settings.plan, threads=os.cpu_count() or 1)
     grid = read_map(path / MAP if path.is_dir() else path)
     before = time.perf_counter()
@@ -53,7 +52,7 @@ def build(path: Path, spacing: float, moved: Callable[[float], None]) -> Built:
         "wire_mb": sum(envelope.message.ByteSize() for envelope in models if envelope.channel == MODEL) / 1e6,
         "regions": len(site.regions),
         "positions": sum(len(model.index) for model in site.regions),
-        "spacing_m": spacing,
+        "spacing_m": settings.spacing,
         "version": site.to_message().version,
     }
     return Built(site, models, figures)

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.geometry.pose import covariance_from_message, from_message
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN_RAW, TRACKS, find
 from eigenscan.schemas.envelope import Core, Envelope, nanoseconds
@@ -20,7 +18,7 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode, encode
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.metrics import Stream
 from eigenscan.workbench.evaluation.remembering import Remembering
 from numpy.typing import NDArray
@@ -69,9 +67,10 @@ class Pipeline:
     others start anew each time.
     """
 
-    def __init__(self, models: Sequence[Envelope]) -> None:
+    def __init__(self, models: Sequence[Envelope], settings: PipelineSettings | None = None) -> None:
         self._models = list(models)
-        self._projector = ProjectorCore(ProjectorSettings())
+        self._settings = settings or PipelineSettings()
+        self._projector = ProjectorCore(self._settings.projector)
         self._teach(self._projector)
         self._remembering = Remembering(self._projector)
 
@@ -82,7 +81,7 @@ class Pipeline:
 
     def _cold(self) -> tuple[Loopback, TrackerCore]:
         """The whole pipeline, knowing the map and nothing of the pose; and its tracker."""
-        ingest, tracker = ScanIngestCore(ScanIngestSettings()), TrackerCore(TrackerSettings())
+        ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._settings.tracker)
         self._teach(tracker)
         return Loopback([ingest, self._remembering, tracker]), tracker
 
@@ -114,7 +113,7 @@ class Pipeline:
 
     def answer(self, scan: Envelope) -> Answer:
         """Hears one raw scan: no odometry, no tracking, no prior."""
-        loop = Loopback([ScanIngestCore(ScanIngestSettings()), self._projector])
+        loop = Loopback([ScanIngestCore(self._settings.ingest), self._projector])
         before = time.process_time_ns()
         said = [*loop.hear(scan), *loop.finish()]
         cpu_ms = (time.process_time_ns() - before) / 1e6

@@ -16,6 +16,7 @@ from typing import TypeVar
 import numba
 import psutil
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.pipeline import Answer, Packed, Pipeline, Run, pack, unpack
 
 R = TypeVar("R")
@@ -24,10 +25,10 @@ R = TypeVar("R")
 class Worker:
     """One warm pipeline."""
 
-    def __init__(self, models: Packed, warm_up: Packed) -> None:
+    def __init__(self, models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
         """Hears `warm_up` once: what is compiled late is compiled before the clock counts."""
         numba.set_num_threads(1)
-        self._pipeline = Pipeline(list(unpack(models)))
+        self._pipeline = Pipeline(list(unpack(models)), settings)
         self._pipeline.warm_up(unpack(warm_up))
 
     def run(self, heard: Packed) -> Run:
@@ -43,8 +44,8 @@ _here: list[Worker] = []
 """The worker of a process that has one."""
 
 
-def _begin(models: Packed, warm_up: Packed) -> None:
-    _here.append(Worker(models, warm_up))
+def _begin(models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
+    _here.append(Worker(models, warm_up, settings))
 
 
 def _call(work: Callable[[Worker, Packed], R], packed: Packed) -> R:
@@ -56,26 +57,32 @@ def _peak_mb(_: Worker, __: Packed) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
-def _weigh(models: Packed, warm_up: Packed) -> float:
-    first = Worker(models, warm_up)  # brings the code, which is no part of the model
+def _weigh(models: Packed, warm_up: Packed, settings: PipelineSettings) -> float:
+    first = Worker(models, warm_up, settings)  # brings the code, which is no part of the model
     before = psutil.Process().memory_info().rss
-    second = Worker(models, warm_up)
+    second = Worker(models, warm_up, settings)
     added = psutil.Process().memory_info().rss - before
     del first, second
     return added / 1e6
 
 
-def model_mb(models: Sequence[Envelope], warm_up: Sequence[Envelope]) -> float:
+def model_mb(models: Sequence[Envelope], warm_up: Sequence[Envelope], settings: PipelineSettings) -> float:
     """What models add to the resident set of a process that uses them, MB; found in a process of its own."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        return pool.submit(_weigh, pack(models), pack(warm_up)).result()
+        return pool.submit(_weigh, pack(models), pack(warm_up), settings).result()
 
 
 class Workers:
     """A worker in this process (`jobs` = 1), or one in each of `jobs` processes. Use it with `with`."""
 
-    def __init__(self, jobs: int, models: Sequence[Envelope], warm_up: Sequence[Envelope]) -> None:
-        beginning = (pack(models), pack(warm_up))
+    def __init__(
+        self,
+        jobs: int,
+        models: Sequence[Envelope],
+        warm_up: Sequence[Envelope],
+        settings: PipelineSettings | None = None,
+    ) -> None:
+        beginning = (pack(models), pack(warm_up), settings or PipelineSettings())
         self._pool: ProcessPoolExecutor | None = None
         self._asked = 1 if jobs == 1 else 8 * jobs  # so many that each process is asked, most likely
         if jobs > 1:

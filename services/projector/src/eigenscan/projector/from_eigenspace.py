@@ -1,0 +1,52 @@
+"""Candidates as the paper has them: what the eigenspace says of a scan, without a look at the map's walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN
+from eigenscan.geometry.circle import TURN
+from eigenscan.projector.association.manifold import Matches
+from eigenscan.projector.candidates import Candidates, Projected
+from eigenscan.projector.connectivity import lattice_poses
+from eigenscan.projector.observation import Observation
+from eigenscan.projector.site import SensorView, Site
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def grid_covariance(spacing: float, heading: float) -> Array:
+    """Cp (3, 3): the grid's sample sizes, m and rad, are the standard deviations of a pose (section 7)."""
+    return np.diag(np.array([spacing, spacing, heading]) ** 2)
+
+
+def answer(
+    site: Site, view: SensorView, seen: Observation, projected: Projected, found: Matches, most: int
+) -> Candidates:
+    """The poses of the matches, nearest in eigenspace first, at most `most`.
+
+    ln p(scan | pose) / p(scan | a pose that nobody knows): a pose among k of N near the scan is N / k times
+    as likely as any; and -1/2 of ||alpha - alpha'||^2 + ||E||^2 by what nearly no scan of its region exceeds.
+    """
+    found = found.best(most)
+    home = view.row_position[found.rows].astype(np.int64)
+    window = view.row_window[found.rows].astype(np.int64)
+    poses = lattice_poses(site.lattice.positions, home, window, ANALYSIS_TURN, seen.sensor.angle_min)
+    poses += found.offsets
+    region = np.searchsorted(view.bounds, found.rows, side="right") - 1
+    beams = len(seen.coarse) * view.embedding.channels
+    usual = np.maximum(view.usual_error[region] * beams, 1e-9)
+    chance = np.log(len(view.row_position) / max(len(found.rows), 1))
+    heading = float(view.row_window[1] - view.row_window[0]) * TURN / ANALYSIS_TURN
+    Cp = grid_covariance(site.lattice.searched_spacing, heading)
+    return Candidates(
+        poses,
+        np.tile(Cp, (len(poses), 1, 1)),
+        np.zeros(len(poses)),
+        chance - 0.5 * found.squares / usual,
+        np.zeros(len(poses)),
+        region,
+        projected,
+        0.0,
+        0.0,
+    )

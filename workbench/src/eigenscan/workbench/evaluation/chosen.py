@@ -1,0 +1,46 @@
+"""The settings of the services that an evaluation runs, as their users choose them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from eigenscan.ingest.options import ScanIngestOptions
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.options import MapbuilderOptions
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.projector.options import ProjectorOptions
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.runtime.choices import Choices
+from eigenscan.tracker.options import TrackerOptions
+from eigenscan.tracker.settings import TrackerSettings
+
+SERVICES = ("scan-ingest", "projector", "tracker", "mapbuilder")
+"""Whose settings an evaluation takes."""
+SPACING = 0.25
+"""m between positions where nobody says another."""
+
+
+@dataclass(frozen=True)
+class PipelineSettings:
+    """Settings of the cores; the services' own defaults where nothing is chosen."""
+
+    ingest: ScanIngestSettings = field(default_factory=ScanIngestSettings)
+    projector: ProjectorSettings = field(default_factory=ProjectorSettings)
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    mapbuilder: MapbuilderSettings = field(default_factory=lambda: MapbuilderSettings(spacing=SPACING))
+
+
+def chosen(choices: Choices, spacing: float | None = None) -> PipelineSettings:
+    """Settings of what was chosen; `spacing`, m, wins over all of it.
+
+    Raises SettingsError naming the option or file, the field and the fix.
+    """
+    mapbuilder = choices.core(MapbuilderOptions, MapbuilderSettings, "mapbuilder")
+    if spacing is not None or "spacing" not in mapbuilder.model_fields_set:
+        mapbuilder = mapbuilder.model_copy(update={"spacing": spacing or SPACING})
+    return PipelineSettings(
+        choices.core(ScanIngestOptions, ScanIngestSettings, "scan-ingest"),
+        choices.core(ProjectorOptions, ProjectorSettings, "projector"),
+        choices.core(TrackerOptions, TrackerSettings, "tracker"),
+        mapbuilder,
+    )
