@@ -11,7 +11,11 @@ from eigenscan.schemas.methods import METHODS
 Method = Annotated[str, typer.Option("--method", help=f"settings that belong together: {', '.join(METHODS)}")]
 SettingsFile = Annotated[
     Path | None,
-    typer.Option("--settings", help="TOML file with the services' settings, as their own --config takes"),
+    typer.Option(
+        "--settings",
+        help="TOML file with the services' settings, as their own --config takes",
+        rich_help_panel="Details",
+    ),
 ]
 Changes = Annotated[
     list[str] | None,

@@ -33,18 +33,18 @@ class ProjectorSettings(BaseModel):
     )
     interpolation: Literal["enclosing", "ratios"] = Field(
         "enclosing",
-        description="where between the grid's poses a scan lies: enclosing (default), by the corners of its "
-        "triangle or tetrahedron; ratios, along the grid's axes, section 5.2 of the paper",
+        description="where between grid poses a scan lies: enclosing (default), by the corners of its "
+        "triangle or tetrahedron; ratios, along the grid's axes (paper, section 5.2)",
     )
     verification: Literal["walls", "eigenspace"] = Field(
         "walls",
-        description="walls (default): candidates are compared with predicted scans, refined and weighed on "
-        "the map's walls; eigenspace: they are published as the eigenspace says them, as in the paper",
+        description="walls (default) compares candidates with predicted scans and refines them on the walls; "
+        "eigenspace publishes them as they are associated, as in the paper",
     )
     obstacles: Literal["walls", "reconstruction"] = Field(
         "walls",
-        description="what a beam must end before to be on an obstacle: walls (default), the wall that the "
-        "best pose foresees; reconstruction, the scan as its coefficients give it, section 6 of the paper",
+        description="a beam shows an obstacle if it ends before the predicted wall (walls, default) or "
+        "before the scan's reconstruction (paper, section 6)",
     )
     candidates: int = Field(3000, ge=1, description="nearest poses in the eigenspace that are verified")
     refined: int = Field(
@@ -52,9 +52,7 @@ class ProjectorSettings(BaseModel):
         ge=2,
         description="candidates refined below the grid on 1,000 m2; grows with the square root of the area",
     )
-    published: int = Field(
-        30, ge=1, le=300, description="most hypotheses published for a scan; those of the walls are few"
-    )
+    published: int = Field(30, ge=1, le=300, description="most hypotheses published for a scan")
     part: str = Field(
         "1/1",
         pattern=f"^{PART}$",
