@@ -45,10 +45,10 @@ def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> Non
 def test_what_cannot_be_played_is_one_line_and_exit_code_2(
     drive: Drive, flags: list[str], named: str
 ) -> None:
-    command = [str(PROGRAMS / "eigenscan"), "replay", str(drive.recording), *flags]
+    command = [str(PROGRAMS / "eigenscan"), "play", str(drive.recording), *flags]
     out = subprocess.run(command, capture_output=True, text=True, check=False)
     assert out.returncode == 2
-    assert out.stderr.startswith("eigenscan replay: ")
+    assert out.stderr.startswith("eigenscan play: ")
     assert named in out.stderr
     assert len(out.stderr.splitlines()) == 1
 

@@ -1,5 +1,6 @@
 """Whole evaluations of a simulated drive: what comes out, and that it does not depend on what it must not."""
 
+import io
 import json
 import math
 import subprocess
@@ -16,9 +17,10 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.evaluation.chosen import SERVICES, PipelineSettings, chosen
 from eigenscan.workbench.evaluation.course import Task, evaluate
-from eigenscan.workbench.evaluation.report import remarks
+from eigenscan.workbench.evaluation.report import remarks, show
 from eigenscan.workbench.logs import LogOptions
 from eigenscan.workbench.progress import Bars
+from rich.console import Console
 
 from tests.environment import EIGENSCAN
 
@@ -156,11 +158,18 @@ def test_the_papers_method_runs_on_a_log(drive: Drive) -> None:
     assert figures["model"]["spacing_m"] == 0.5
 
 
+def _shown(figures: Any) -> str:
+    """What a reader sees, without blank lines."""
+    console = Console(width=400, record=True, file=io.StringIO())
+    show(figures, "a log", console)
+    return "\n".join(line for line in console.export_text().splitlines() if line.strip())
+
+
 def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
     # relative paths, from another folder
     out = subprocess.run(
         [
-            *(EIGENSCAN, "evaluate", "--log", "d.mcap", "--map", "map.yaml", "--ground-truth", "d.tum"),
+            *(EIGENSCAN, "evaluate", "d.mcap", "map.yaml", "--ground-truth", "d.tum"),
             *(
                 "--windows",
                 "w.csv",
@@ -241,7 +250,7 @@ def test_a_log_without_odometry_and_one_with_two_lidars(drive: Drive, tmp_path: 
     alone = run(replace(drive.task, log=rewritten(drive, tmp_path / "a.mcap", without_odometry)))
     both = run(replace(drive.task, log=rewritten(drive, tmp_path / "b.mcap", two_lidars)))
     assert alone["log"]["odometry"] == 0
-    assert remarks(alone) == ["no odometry in the log: by the scans alone"]
+    assert remarks(alone) == ["the log has no odometry: the scans alone were used"]
     assert remarks(both) == []
     assert alone["per_window"][0]["judged"] > 0
     assert len(both["log"]["lidars"]) == 2
@@ -260,8 +269,12 @@ def test_a_lidar_that_is_mounted_otherwise_than_told_is_noticed(drive: Drive, tm
         return [replace(envelope, message=message)]
 
     log = rewritten(drive, tmp_path / "turned.mcap", turned)
-    (remark,) = remarks(run(replace(drive.task, log=log, reference=None, windows=None)))
+    figures = run(replace(drive.task, log=log, reference=None, windows=None))
+    (remark,) = remarks(figures)
     assert "--mount" in remark
+    faulty = _shown(figures).splitlines()
+    assert faulty[0].startswith("warning: odometry and scans disagree")
+    assert faulty[0] in faulty[-2]
 
 
 def test_a_reference_with_other_stamps_fits_with_its_offset(drive: Drive, tmp_path: Path) -> None:
@@ -335,6 +348,9 @@ def test_without_any_truth_cold_starts_are_compared_with_the_whole_drive(
     judged = evaluate(replace(drive.task, log=blind), Bars())
     assert own["reference"] == "the drive as a whole"
     assert own["success_rate"] == judged["success_rate"] == 1.0
+    assert "success" not in _shown(own)
+    assert "agreement, not accuracy" in _shown(own).splitlines()[-1]
+    assert _shown(judged).splitlines()[-1].endswith("have a false claim.")
     # it agrees with itself better than with the truth
     assert own["error"]["position_m"]["median"] < judged["error"]["position_m"]["median"]
 

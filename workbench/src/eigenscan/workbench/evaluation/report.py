@@ -12,69 +12,100 @@ from rich.table import Table
 
 
 def show(figures: Figures, title: str, console: Console) -> None:
-    """Prints the headline figures, then the windows that went wrong."""
+    """Prints the headline figures, the windows that went wrong, the warnings, and the verdict last."""
+    warnings = [f"warning: {remark}" for remark in remarks(figures)]
+    for warning in warnings:
+        console.print(warning, highlight=False)
     table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
     for name, value in _lines(figures):
         table.add_row(name, value)
     console.print(table)
-    for remark in remarks(figures):
-        console.print(remark, highlight=False)
     bad = [row for row in figures["per_window"] or [] if not row["success"] or row["false_claims"]]
     if bad:
-        console.print(_windows(bad))
+        console.print(_windows(bad, _words(figures)))
+    for line in (*warnings, verdict(figures)):
+        console.print(line, highlight=False)
+
+
+def verdict(f: Figures) -> str:
+    """One sentence that sums up the figures."""
+    if not f["windows"] or f["success_rate"] is None:
+        return "Verdict: no window could be judged."
+    good = round(f["success_rate"] * f["windows"])
+    wrong = round((f["false_claim_rate"] or 0.0) * f["windows"])
+    scans = _number(f["to_localize"]["scans"]["median"])
+    if f["reference"] == WHOLE_DRIVE:
+        return (
+            f"Verdict: {good} of {f['windows']} starts agree with the log played as a whole, typically after "
+            f"{scans} scans; {wrong} disagree at some claim. This shows agreement, not accuracy."
+        )
+    return (
+        f"Verdict: {good} of {f['windows']} starts succeed, typically after {scans} scans; "
+        f"{wrong} have a false claim."
+    )
 
 
 def remarks(f: Figures) -> list[str]:
-    """What a reader of the figures should look after before believing them."""
-    said = []
+    """What to check before the figures are believed."""
+    found = []
     if f["log"]["odometry"] == 0:
-        said.append("no odometry in the log: by the scans alone")
-    said += [
+        found.append("the log has no odometry: the scans alone were used")
+    found += [
         f"odometry and scans disagree: {words} (eigenscan import --mount, --odometry-topic)"
         for words in f.get("faults") or ()
     ]
     apart = f["normalised_innovation_squared"]["consistency"]
     if apart["mean"] is not None and apart["high"] is not None and apart["mean"] > apart["high"]:
-        said.append(
-            "odometry and scans disagree by more than their error allows: is the lidar's place on the "
-            "robot right (eigenscan import --mount), and the odometry (--odometry-topic)?"
+        found.append(
+            "odometry and scans disagree by more than their error allows: check the lidar's mount (eigenscan "
+            "import --mount) and the odometry (--odometry-topic)"
         )
-    return said
+    return found
+
+
+def _words(f: Figures) -> dict[str, str]:
+    """What success and false claims are called: agreement and disagreement without a reference."""
+    if f["reference"] == WHOLE_DRIVE:
+        return {"success": "agreement", "right": "agreeing", "false": "disagreeing", "off": "difference"}
+    return {"success": "success", "right": "right", "false": "false", "off": "error"}
 
 
 def _lines(f: Figures) -> list[tuple[str, str]]:
+    words = _words(f)
     reach, first, error = f["to_localize"], f["first_right_claim"], f["error"]
     own = f["reference"] == WHOLE_DRIVE
-    off = "off that reference" if own else "error"
     lines = [
-        ("reference", f["reference"] + (": agreement with that, not accuracy" if own else "")),
+        ("reference", f["reference"] + (": agreement, not accuracy" if own else "")),
         (
             "windows",
             f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference, or --limit)",
         ),
         (
-            "success",
-            f"{_percent(f['success_rate'])}: claimed and right at each scan of the last third or more",
+            words["success"],
+            f"{_percent(f['success_rate'])}: claimed and {words['right']} for the last third or more",
         ),
-        ("a right claim at all", _percent(f["right_claim_rate"])),
-        ("windows with a false claim", _percent(f["false_claim_rate"])),
-        ("share of claims that are false", _percent(f["false_share_of_claims"], 2)),
+        (f"windows with a {words['right']} claim", _percent(f["right_claim_rate"])),
+        (f"windows with a {words['false']} claim", _percent(f["false_claim_rate"])),
+        (f"share of {words['false']} claims", _percent(f["false_share_of_claims"], 2)),
         *_doubt(f.get("reference_in_doubt")),
-        *((f"{name} to success", _pair(reach[name], "p95")) for name in reach),
+        *((f"{name} to {words['success']}", _pair(reach[name], "p95")) for name in reach),
         *(
-            (f"{name} to the first right claim", _pair(first[name], "p95"))
+            (f"{name} to the first {words['right']} claim", _pair(first[name], "p95"))
             for name in first
             if name != "cpu_s"
         ),
-        (f"position {off}, m", _pair(error["position_m"], "p95")),
-        (f"heading {off}, deg", _pair(error["heading_deg"], "p95")),
+        (f"position {words['off']}, m", _pair(error["position_m"], "p95")),
+        (f"heading {words['off']}, deg", _pair(error["heading_deg"], "p95")),
         ("calibration error", _percent(f["calibration_error"])),
     ]
     if not own:  # an estimate is not normally distributed about itself
         consistency = f["normalised_error_squared"]["consistency"]
-        lines.append(("normalised error squared", _consistency(consistency)))
+        lines.append(("normalised error squared (NEES)", _consistency(consistency)))
     lines += [
-        ("normalised innovation squared", _consistency(f["normalised_innovation_squared"]["consistency"])),
+        (
+            "normalised innovation squared (NIS)",
+            _consistency(f["normalised_innovation_squared"]["consistency"]),
+        ),
     ]
     if f["kidnap"]:
         kidnap = f["kidnap"]
@@ -120,13 +151,18 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
 def _consistency(found: Figures) -> str:
     return (
         f"mean {_number(found['mean'])} of {found['n']} scans {found['apart_m']:g} m apart; "
-        f"consistent within {_number(found['low'])} to {_number(found['high'])}"
+        f"{_number(found['low'])} to {_number(found['high'])} if the stated errors are right"
     )
 
 
-def _windows(rows: list[Figures]) -> Table:
+def _windows(rows: list[Figures], words: dict[str, str]) -> Table:
+    title = f"the windows without {words['success']}, or with a {words['false']} claim"
     table = Table(
-        "window", "scans", "m", "success", "false claims", "right", "localized", "last error", box=None
+        *("window", "scans", "m", words["success"], f"{words['false']} claims", words["right"], "localized"),
+        f"last {words['off']}",
+        box=None,
+        title=title,
+        title_justify="left",
     )
     for row in rows:
         last = row["last"]
