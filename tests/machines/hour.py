@@ -178,7 +178,7 @@ class Hour:
         }
 
     def settle_links(self) -> None:
-        """Old links go when new ones are there; a router that is mute after that ends and is started."""
+        """Old links go when new ones are there; a router whose link stays dead ends and restarts."""
         with self.event("links settle", touches=self.fleet.robots, loses=self.fleet.robots):
             time.sleep(OLD_LINKS_S)
 

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 
 import pytest
 from eigenscan.runtime import work
+from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.health import Monitor
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.logs import logger
-from eigenscan.runtime.tally import Tally
-from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.runtime.work import Work
 from eigenscan.schemas.channels import CHANNELS, SCAN, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
@@ -52,11 +52,11 @@ class Clockwork:
 @pytest.mark.parametrize("prompt", [False, True])
 def test_a_core_that_hears_ticks_is_told_the_time(monkeypatch: pytest.MonkeyPatch, prompt: bool) -> None:
     monkeypatch.setattr(work, "TICK_S", 0.01)
-    enough, wake, inbox, tally = threading.Event(), Wake(), Inbox(), Tally(logger())
+    enough, stop, inbox, counters = threading.Event(), StopEvent(), Inbox(), Counters(logger())
     clockwork, idle = Clockwork((TICK,), enough), Clockwork((SCAN,), threading.Event())
     threads = [
         threading.Thread(
-            target=Work(core, inbox, print, print, Monitor("m", "0", "1"), tally, wake, prompt=prompt).run
+            target=Work(core, inbox, print, print, Monitor("m", "0", "1"), counters, stop, prompt=prompt).run
         )
         for core in (clockwork, idle)
     ]
@@ -64,15 +64,15 @@ def test_a_core_that_hears_ticks_is_told_the_time(monkeypatch: pytest.MonkeyPatc
     for thread in threads:
         thread.start()
     assert enough.wait(PATIENCE_S)
-    wake.stop()
+    stop.stop()
     for thread in threads:
         thread.join(PATIENCE_S)
-    wake.close()
+    stop.close()
     times = [nanoseconds(heard.open(Timestamp)) for heard in clockwork.heard]
     assert before <= times[0] <= times[-1] <= time.time_ns()
     assert times == sorted(times)
-    assert tally.counts["core_failed"] == 1
-    assert tally.counts["heard_tick"] == len(times)
+    assert counters.counts["core_failed"] == 1
+    assert counters.counts["heard_tick"] == len(times)
     assert idle.heard == []
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
-from eigenscan.runtime.keepsake import digest
+from eigenscan.runtime.latched_cache import digest
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,

@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.keepsake import DIGEST_BYTES, digest
+from eigenscan.runtime.latched_cache import DIGEST_BYTES, digest
 from eigenscan.schemas.channels import Channel, find
 
 

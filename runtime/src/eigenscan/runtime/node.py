@@ -18,15 +18,15 @@ from typing import Any, TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.health import TWIN_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.keepsake import Keepsake
+from eigenscan.runtime.latched_cache import LatchedCache
 from eigenscan.runtime.logs import configure
 from eigenscan.runtime.port import NoPort, Port
 from eigenscan.runtime.session import open_meanwhile
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
-from eigenscan.runtime.tally import Tally
-from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.runtime.work import Work
 from eigenscan.schemas.channels import HEALTH, Channel, ContractError
 from eigenscan.schemas.envelope import Core, Envelope
@@ -64,8 +64,8 @@ def main(
     each message in the thread that brings it; for one that has done with it in well under a millisecond.
     `attend` is given the session once it is open.
     """
-    wake = Wake()
-    with wake.on_signals():
+    stop = StopEvent()
+    with stop.on_signals():
         settings = None
         try:
             settings = load(kind, service)
@@ -75,7 +75,7 @@ def main(
                 settings,
                 lambda: make_core(settings),
                 mode,
-                wake,
+                stop,
                 whole_site=whole_site,
                 port=port,
                 prompt=prompt,
@@ -105,7 +105,7 @@ class Node:
         settings: ServiceSettings,
         make_core: Callable[[], Core],
         mode: str = "peer",
-        wake: Wake | None = None,
+        stop: StopEvent | None = None,
         *,
         whole_site: bool = False,
         port: Port | None = None,
@@ -116,25 +116,25 @@ class Node:
         self.service, self.settings = service, settings
         self._whole_site, self._prompt = whole_site, prompt
         self._make_core, self._mode = make_core, mode
-        self._wake = wake or Wake()
+        self._stop = stop or StopEvent()
         self._told = (Health.STATUS_UNSPECIFIED, "")
         self._twins = 0
         self._log = configure(
             settings.log_level, settings.log_format, service=service, instance=settings.instance
         )
-        self._tally = Tally(self._log)
+        self._counters = Counters(self._log)
         self._monitor = Monitor(
             service, settings.instance, _package_version(service), settings=settings.told()
         )
         self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1, settings.behind_after)
         self._bus: Bus | None = None
-        self._keepsake: Keepsake | None = None
+        self._keepsake: LatchedCache | None = None
         self._port = port or NoPort()
         self._fault: BaseException | None = None
 
     def stop(self) -> None:
         """Asks the node to end, from any thread."""
-        self._wake.stop()
+        self._stop.stop()
 
     def run(self) -> int:
         """Runs until stopped; gives the exit code. Raises what ended the core before that."""
@@ -160,14 +160,14 @@ class Node:
             faulthandler.cancel_dump_traceback_later()
         if self._fault:
             raise self._fault
-        counts: dict[str, Any] = dict(self._tally.counts)
+        counts: dict[str, Any] = dict(self._counters.counts)
         self._log.info("stopped", unfinished=unfinished, **counts)
-        return EXIT_CORE if self._tally.counts["finish_failed"] else 0
+        return EXIT_CORE if self._counters.counts["finish_failed"] else 0
 
     def _tend(self, core: threading.Thread) -> None:
         """Tells the service's health once a second and at every change, until the end is asked for."""
-        while not self._wake.stopping and core.is_alive():
-            self._wake.wait(HEALTH_PERIOD_S)
+        while not self._stop.stopping and core.is_alive():
+            self._stop.wait(HEALTH_PERIOD_S)
             if self._bus:
                 self._tell(self._bus)
 
@@ -185,7 +185,7 @@ class Node:
         if bus.twins > self._twins:
             self._twins = bus.twins
             self._monitor.hear_twin()
-            self._tally.warn("duplicate_instance", hint=TWIN_HINT)
+            self._counters.warn("duplicate_instance", hint=TWIN_HINT)
 
     def _run_core(self) -> None:
         try:
@@ -206,8 +206,8 @@ class Node:
                 say,
                 self._keep,
                 self._monitor,
-                self._tally,
-                self._wake,
+                self._counters,
+                self._stop,
                 prompt=self._prompt,
             )
             work.begin()
@@ -215,7 +215,7 @@ class Node:
             work.run()
         except BaseException as error:
             self._fault = error
-        self._wake.set()
+        self._stop.set()
 
     def _made_core(self) -> Core:
         """The core. What it imports stays: the garbage collector neither looks at it meanwhile nor later."""
@@ -247,7 +247,7 @@ class Node:
         """Lets the core hear again what was kept on disk; gives it."""
         if self.settings.keep is None:
             return []
-        self._keepsake = Keepsake(self.settings.keep)
+        self._keepsake = LatchedCache(self.settings.keep)
         known = [sample for sample in self._keepsake.read(self.settings.site) if sample.channel in hears]
         for sample in known:
             self._inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
@@ -259,7 +259,7 @@ class Node:
         try:
             self._keepsake.put(sample)
         except OSError as error:
-            self._tally.set_aside("not_kept", sample.key, error)
+            self._counters.set_aside("not_kept", sample.key, error)
 
     def _close(self, bus: Bus) -> None:
         self._port.close()

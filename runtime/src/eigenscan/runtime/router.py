@@ -12,8 +12,8 @@ from pathlib import Path
 
 import zenoh
 from eigenscan.runtime import node
+from eigenscan.runtime.link_watchdog import await_dead_link
 from eigenscan.runtime.logs import logger
-from eigenscan.runtime.mute import await_mute
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Envelope
@@ -75,9 +75,9 @@ def _end_on_change(path: Path) -> None:
                 return
 
 
-def _end_when_mute(path: Path, session: zenoh.Session) -> None:
+def _end_when_dead(path: Path, session: zenoh.Session) -> None:
     """Ends this process, in good order, once its link to another router is up but passes nothing."""
-    if await_mute(path, session):
+    if await_dead_link(path, session):
         logger().error("link_mute", path=str(path))
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -85,7 +85,7 @@ def _end_when_mute(path: Path, session: zenoh.Session) -> None:
 def _attend(settings: RouterSettings, session: zenoh.Session) -> None:
     if settings.end_on_change and settings.zenoh:
         watch = (settings.zenoh, session)
-        threading.Thread(target=_end_when_mute, args=watch, name="mute", daemon=True).start()
+        threading.Thread(target=_end_when_dead, args=watch, name="link watchdog", daemon=True).start()
 
 
 def _core(settings: RouterSettings) -> RouterCore:

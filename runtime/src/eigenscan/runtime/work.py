@@ -7,10 +7,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
+from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.health import WAITING, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.tally import Tally
-from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.channels import ContractError
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -31,17 +31,17 @@ class Work:
         say: Callable[[Envelope], None],
         keep: Callable[[Arrival], None],
         monitor: Monitor,
-        tally: Tally,
-        wake: Wake,
+        counters: Counters,
+        stop: StopEvent,
         *,
         prompt: bool = False,
     ) -> None:
-        """`keep` is given what is latched, `wake` says when to stop.
+        """`keep` is given what is latched, `stop` says when to stop.
 
         `prompt`: takes each message in the thread that brings it.
         """
         self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
-        self._monitor, self._tally, self._wake, self._prompt = monitor, tally, wake, prompt
+        self._monitor, self._counters, self._stop, self._prompt = monitor, counters, stop, prompt
         self._too_late = 0
         self._turn = threading.Lock()
         """Held by the thread that the core works in."""
@@ -55,7 +55,7 @@ class Work:
         if self._prompt:
             self._inbox.on_put = self._work_off
         due, tick_due = 0.0, (0.0 if TICK in self._core.hears else math.inf)
-        while not self._wake.stopping:
+        while not self._stop.stopping:
             if time.monotonic() >= tick_due:
                 with self._turn:
                     self._give(tick(time.time_ns()), TICK.name)
@@ -64,7 +64,7 @@ class Work:
                 with self._turn:
                     changed = self._monitor.turn(self._condition())
                 if changed:
-                    self._wake.set()
+                    self._stop.set()
                 due = time.monotonic() + CONDITION_PERIOD_S
             if self._prompt:
                 self._work_off()  # what came while the condition was asked for
@@ -75,7 +75,7 @@ class Work:
             with self._turn:
                 self._say(self._core.finish())
         except Exception as error:
-            self._tally.set_aside("finish_failed", "", error, trace=True)
+            self._counters.set_aside("finish_failed", "", error, trace=True)
 
     def _work_off(self) -> None:
         """Handles what waits, in this thread; unless another is at it, which then takes this as well."""
@@ -90,12 +90,12 @@ class Work:
         channel = arrival.channel
         address = channel.parse(arrival.key)
         if address is None:
-            self._tally.set_aside("foreign_key", arrival.key)
+            self._counters.set_aside("foreign_key", arrival.key)
             return
         try:
             heard = Envelope(channel, address, decode(channel, arrival.payload, arrival.encoding))
         except ContractError as error:
-            self._tally.set_aside("undecodable", arrival.key, error)
+            self._counters.set_aside("undecodable", arrival.key, error)
             return
         self._give(heard, arrival.key)
         if channel.qos.latched:
@@ -106,35 +106,35 @@ class Work:
     def _give(self, heard: Envelope, key: str) -> None:
         """Lets the core handle a message, and says what it answers."""
         name = heard.channel.name
-        self._tally.counts[f"heard_{name}"] += 1
+        self._counters.counts[f"heard_{name}"] += 1
         began = time.perf_counter()
         try:
             self._say(self._core.handle(heard))
         except Exception as error:
             # the shell outlives a fault of the core: the next scan may be fine
-            if not self._wake.stopping:
-                self._tally.set_aside("core_failed", key, error, trace=True)
+            if not self._stop.stopping:
+                self._counters.set_aside("core_failed", key, error, trace=True)
         self._monitor.handled(name, time.perf_counter() - began)
 
     def _say(self, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
             self._say_one(envelope)
-            self._tally.counts[f"said_{envelope.channel.name}"] += 1
+            self._counters.counts[f"said_{envelope.channel.name}"] += 1
 
     def _condition(self) -> Condition:
-        counters = dict(self._tally.counts)
+        counters = dict(self._counters.counts)
         dropped = self._inbox.dropped
         if dropped.get("foreign_key", 0) > counters.get("foreign_key", 0):
-            self._tally.counts["foreign_key"] = counters["foreign_key"] = dropped["foreign_key"]
-            self._tally.warn("foreign_key", count=dropped["foreign_key"])
+            self._counters.counts["foreign_key"] = counters["foreign_key"] = dropped["foreign_key"]
+            self._counters.warn("foreign_key", count=dropped["foreign_key"])
         if self._inbox.too_late > self._too_late:
             self._too_late = self._inbox.too_late
-            self._tally.warn("too_slow", dropped=self._too_late, hint=TOO_SLOW_HINT)
+            self._counters.warn("too_slow", dropped=self._too_late, hint=TOO_SLOW_HINT)
         counters |= {f"dropped_{name}": count for name, count in dropped.items()}
         counters[WAITING] = len(self._inbox)
         try:
             own = self._core.condition()
         except Exception as error:
-            self._tally.set_aside("core_failed", "", error, trace=True)
+            self._counters.set_aside("core_failed", "", error, trace=True)
             return Condition(Health.STATUS_DEGRADED, f"the core cannot tell its condition: {error}", counters)
         return Condition(own.status, own.detail, dict(own.counters) | counters)

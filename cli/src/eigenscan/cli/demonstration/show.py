@@ -16,7 +16,7 @@ from eigenscan.cli.launch.supervision import Supervisor
 from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.pose import from_message
-from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.workbench.simulation.live import publish
@@ -44,7 +44,7 @@ class Demonstration:
     ) -> None:
         self._stage = Stage(grid, scenario)
         self._folder, self._speed, self._viewer = folder, speed, viewer
-        self._wake = Wake()
+        self._stop = StopEvent()
         self._line = StatusLine(to_stderr)
         self.figures: dict[str, object] = {}
         self._told: int | None = None
@@ -57,7 +57,7 @@ class Demonstration:
         """
         scenario, folder = self._stage.scenario, self._folder
         with ExitStack() as stack:
-            stack.enter_context(self._wake.on_signals())
+            stack.enter_context(self._stop.on_signals())
             stack.enter_context(self._line)
             session, zenoh = open_hub(folder)
             view = stack.enter_context(FleetView(session, scenario.site))
@@ -77,12 +77,12 @@ class Demonstration:
                 viewer=self._viewer,
             )
             pipeline.start(supervisor)
-            if not wait_until_ready(supervisor, view, self._line, self._wake):
+            if not wait_until_ready(supervisor, view, self._line, self._stop):
                 return self._ended_early()
             if link := viewer_link(supervisor):
                 self._line.say(f"watch it here: {link}")
             sightings = self._play(view, supervisor)
-            if self._wake.stopping:
+            if self._stop.stopping:
                 return self._ended_early()
             supervisor.stop(keep=["recorder"] if self._viewer else [])
             found = self._conclude(sightings)
@@ -105,7 +105,7 @@ class Demonstration:
             robot = pool.submit(publish, stage.messages(), view.say, self._speed, stop)
             patience = time.monotonic() + stage.scenario.seconds / self._speed + LAST_WORDS_S
             try:
-                while not self._wake.stopping:
+                while not self._stop.stopping:
                     supervisor.check()
                     for estimate in view.update():
                         sightings.append(self._sighting(estimate))
@@ -117,7 +117,7 @@ class Demonstration:
                             break
                     else:
                         patience = time.monotonic() + LAST_WORDS_S
-                    self._wake.wait(0.1)
+                    self._stop.wait(0.1)
             finally:
                 stop.set()
         return sightings
@@ -168,10 +168,10 @@ class Demonstration:
 
     def _stay(self, supervisor: Supervisor) -> None:
         self._line.say("the viewer stays until Ctrl-C")
-        while not self._wake.stopping:
+        while not self._stop.stopping:
             supervisor.check()
             self._line.show("viewer up; Ctrl-C ends it")
-            self._wake.wait(1.0)
+            self._stop.wait(1.0)
 
 
 def summarize(before: Stretch, after: Stretch, kidnap: float, files: Sequence[Path]) -> str:

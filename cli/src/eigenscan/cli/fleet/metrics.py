@@ -30,11 +30,11 @@ def metrics(
     from eigenscan.fleet.collector import SiteCollector
     from eigenscan.fleet.view import FleetView, connect
     from eigenscan.runtime.errors import UsageError
-    from eigenscan.runtime.wake import Wake
+    from eigenscan.runtime.stop_event import StopEvent
     from prometheus_client import CollectorRegistry, start_http_server
 
-    wake = Wake()
-    with wake.on_signals(), FleetView(connect(zenoh), site) as view:
+    stop = StopEvent()
+    with stop.on_signals(), FleetView(connect(zenoh), site) as view:
         registry = CollectorRegistry()
         collector = SiteCollector(view)
         registry.register(collector)
@@ -43,7 +43,7 @@ def metrics(
         except OSError as error:
             raise UsageError(f"--port {port}: cannot listen on {host}: {error.strerror}") from error
         typer.echo(f"http://{host}:{server.server_port}/metrics")
-        while not wake.stopping:
-            wake.wait(UPDATE_S)
+        while not stop.stopping:
+            stop.wait(UPDATE_S)
             collector.update()
         server.shutdown()

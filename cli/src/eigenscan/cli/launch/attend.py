@@ -16,7 +16,7 @@ from eigenscan.cli.launch.supervision import SERVICES, Supervisor
 from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.session import MEETING, open_session
-from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.channels import ALIVE_TEMPLATE
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.group import instance_name
@@ -38,16 +38,16 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
 
     Raises ChildDiedError where one of them ends by itself.
     """
-    wake = Wake()
+    stop = StopEvent()
     with ExitStack() as stack:
-        stack.enter_context(wake.on_signals())
+        stack.enter_context(stop.on_signals())
         line = stack.enter_context(StatusLine(to_stderr))
         session = _open(pipeline)
         view = stack.enter_context(FleetView(session, pipeline.site))
         _refuse_second(session, pipeline)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
         pipeline.start(supervisor)
-        if not wait_until_ready(supervisor, view, line, wake):
+        if not wait_until_ready(supervisor, view, line, stop):
             return
         line.say(
             f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r} at {_where(pipeline)}; "
@@ -60,13 +60,13 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
         teller = _Teller(told)
         newest: PoseEstimate | None = None
         heard_at = 0.0
-        while not wake.stopping:
+        while not stop.stopping:
             supervisor.check()
             for pose in view.update():
                 newest, heard_at = pose, time.monotonic()
                 teller.hear(pose)
             line.show(pose_text(newest, time.monotonic() - heard_at, _lacking(view)))
-            wake.wait(0.2)
+            stop.wait(0.2)
         told.tell("ended", folder=str(folder))
         line.say(f"ended; recording and logs are in {folder}")
 

@@ -11,7 +11,7 @@ from eigenscan.cli.launch.screen import StatusLine
 from eigenscan.cli.launch.supervision import ROS_BRIDGE, SERVICES, Supervisor
 from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.errors import FailedError
-from eigenscan.runtime.wake import Wake
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.health_pb2 import Health
 
 READY_S = 180.0
@@ -67,13 +67,13 @@ def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
     return found
 
 
-def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, wake: Wake) -> bool:
+def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, stop: StopEvent) -> bool:
     """Waits until every service is there and has its model; False where the end was asked for.
 
     Raises ChildDiedError, or FailedError where it takes longer than READY_S.
     """
     deadline = time.monotonic() + READY_S
-    while not wake.stopping:
+    while not stop.stopping:
         supervisor.check()
         view.update()
         missing = lacking(view, supervisor.children)
@@ -82,7 +82,7 @@ def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, 
         if time.monotonic() > deadline:
             raise FailedError(f"not ready after {READY_S:.0f} s: still waiting for {', '.join(missing)}")
         line.show(f"starting, on the first run for a minute: waiting for {', '.join(missing)}")
-        wake.wait(0.1)
+        stop.wait(0.1)
     return False
 
 

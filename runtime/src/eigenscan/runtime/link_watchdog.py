@@ -1,8 +1,8 @@
-"""Notices a link to another router that stands but passes nothing of ours any more.
+"""Notices a link to another router that stands but passes nothing.
 
-Where a router was out of reach for longer than its lease, Zenoh 1.10 closes the old link once more some
-seconds after the new one is there, and forgets the new one: its connection stays, kept alive from both
-sides, while nothing that is said here leaves by it.
+If a router was out of reach for longer than its lease, Zenoh 1.10 closes the old link a second time, some
+seconds after the new link is up, and forgets the new one. Its connection stays, kept alive from both sides,
+but nothing published here leaves by it.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from typing import Any
 
 import zenoh
 
-MUTE_S = 20.0
+DEAD_S = 20.0
 """Twice what Zenoh gives a connection until it is a link."""
 LOOK_EVERY_S = 1.0
 _ESTABLISHED = "01"
 _TABLES = ("/proc/self/net/tcp", "/proc/self/net/tcp6")
 
 
-def await_mute(config: Path, session: zenoh.Session) -> bool:
-    """True once for MUTE_S there was a connection to where `config` connects, and no link by it.
+def await_dead_link(config: Path, session: zenoh.Session) -> bool:
+    """True once for DEAD_S there was a connection to where `config` connects, and no link by it.
 
     False where the session ends before that.
     """
     ports = set(ports_of(json.loads(zenoh.Config.from_file(str(config)).get_json("connect/endpoints"))))
     since = time.monotonic()
-    while time.monotonic() - since < MUTE_S:
+    while time.monotonic() - since < DEAD_S:
         time.sleep(LOOK_EVERY_S)
         try:
             if session.is_closed():

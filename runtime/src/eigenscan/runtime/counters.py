@@ -1,4 +1,4 @@
-"""What a service counts, and what it sets aside with a warning."""
+"""Counters of a service, and warnings about what it rejects."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 from eigenscan.runtime.logs import Logger
 
 WARNING_PERIOD_S = 1.0
-"""Of one reason: a sensor gone mad must not fill the log."""
+"""For one reason: a faulty sensor must not fill the log."""
 
 
-class Tally:
+class Counters:
     """Counters by name, and warnings about what is counted."""
 
     def __init__(self, log: Logger) -> None:
@@ -24,7 +24,7 @@ class Tally:
     def set_aside(
         self, reason: str, key: str, error: BaseException | None = None, *, trace: bool = False
     ) -> None:
-        """Counts what could not be dealt with, and warns of it; `trace`: with the error's own."""
+        """Counts a rejected message and warns; `trace`: with the error's trace."""
         self.counts[reason] += 1
         self.warn(
             reason,

@@ -1,7 +1,8 @@
-"""Maps and models that were heard, kept on disk: whoever starts without the site hears them from there.
+"""Received maps and models, cached on disk for a start without the site.
 
-What was heard is read again in the order of hearing, so that a core comes to the state it had. Of each key
-the newest two are kept: a set that was on its way when the machine went down must not cost the one in use.
+Samples are read in the order in which they were received, so that a core returns to its former state. The
+newest two of each key are kept: a set that was incomplete when the machine went down must not cost the one
+in use.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from eigenscan.schemas.channels import find
 
 GENERATIONS = 2
 DIGEST_BYTES = 8
-"""Of a sample's SHA-256, by which a hearer tells what it has: two of a site's thousands agree never."""
+"""Of a sample's SHA-256, by which a subscriber lists what it holds."""
 
 
 def digest(payload: bytes) -> bytes:
-    """What a sample is known by, DIGEST_BYTES long."""
+    """Identifies a sample; DIGEST_BYTES long."""
     return hashlib.sha256(payload).digest()[:DIGEST_BYTES]
 
 
@@ -46,7 +47,7 @@ class _Kept:
         return cls(path, int(number), hexadecimal, unquote(key))
 
 
-class Keepsake:
+class LatchedCache:
     """A folder of samples. Raises OSError where it cannot be made."""
 
     def __init__(self, folder: Path) -> None:
@@ -60,7 +61,7 @@ class Keepsake:
         self._next = found[-1].number + 1 if found else 0
 
     def read(self, site: str) -> Iterator[Arrival]:
-        """All samples of a site, oldest first; a file that is damaged or of no channel is passed over."""
+        """All samples of a site, oldest first; a file that is damaged or of no channel is skipped."""
         everything = [kept for history in self._kept.values() for kept in history]
         for kept in sorted(everything, key=lambda kept: kept.number):
             found = find(kept.key)

@@ -1,6 +1,6 @@
-"""Wakes the main thread from signal handlers and other threads without taking a lock.
+"""Stops the main thread's sleep from signal handlers and other threads, without a lock.
 
-`threading.Event.set` in a signal handler deadlocks where the signal comes while the main thread holds
+`threading.Event.set` in a signal handler deadlocks if the signal comes while the main thread holds
 the event's own lock.
 """
 
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from types import FrameType
 
 
-class Wake:
+class StopEvent:
     """A flag for "stop", and a sleep that `set` and the first of SIGTERM and SIGINT end."""
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from eigenscan.runtime import mute
+from eigenscan.runtime import link_watchdog
 
 from tests.network import free_port
 from tests.runtime.conftest import PATIENCE_S
@@ -33,24 +33,24 @@ def server() -> Iterator[socket.socket]:
     ],
 )
 def test_ports_of_endpoints(endpoints: object, ports: list[int]) -> None:
-    assert list(mute.ports_of(endpoints)) == ports
+    assert list(link_watchdog.ports_of(endpoints)) == ports
 
 
 def test_ones_own_connections_count_while_they_stand(server: socket.socket) -> None:
     port = server.getsockname()[1]
-    assert not mute.is_connected({port})
+    assert not link_watchdog.is_connected({port})
     with socket.create_connection(("127.0.0.1", port)):
-        assert mute.is_connected({port})
-        assert not mute.is_connected({port + 1})
-    assert not mute.is_connected({port})
+        assert link_watchdog.is_connected({port})
+        assert not link_watchdog.is_connected({port + 1})
+    assert not link_watchdog.is_connected({port})
 
 
 def waits(config: Path, session: zenoh.Session) -> threading.Event:
-    """Set once the link is found mute."""
+    """Set once the link is found link_watchdog."""
     found = threading.Event()
 
     def run() -> None:
-        if mute.await_mute(config, session):
+        if link_watchdog.await_dead_link(config, session):
             found.set()
 
     threading.Thread(target=run, daemon=True).start()
@@ -61,8 +61,8 @@ def test_mute_is_a_connection_without_a_link(
     server: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The connection is a plain one of this process, as one that Zenoh has forgotten."""
-    monkeypatch.setattr(mute, "MUTE_S", 1.0)
-    monkeypatch.setattr(mute, "LOOK_EVERY_S", 0.05)
+    monkeypatch.setattr(link_watchdog, "DEAD_S", 1.0)
+    monkeypatch.setattr(link_watchdog, "LOOK_EVERY_S", 0.05)
     router, config = f"tcp/127.0.0.1:{free_port()}", tmp_path / "robot.json5"
     port = server.getsockname()[1]
     listening = zenoh.Config.from_json5(
@@ -74,7 +74,7 @@ def test_mute_is_a_connection_without_a_link(
     with zenoh.open(listening), zenoh.open(linked) as heard, zenoh.open(alone) as unheard:
         assert heard.info.routers_zid()
         early, well = waits(config, unheard), waits(config, heard)
-        assert not early.wait(3.0)  # cut off is not mute
+        assert not early.wait(3.0)  # cut off is not dead
         with socket.create_connection(("127.0.0.1", port)):
             assert early.wait(PATIENCE_S)
             assert not well.wait(3.0)

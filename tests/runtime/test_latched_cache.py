@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 from eigenscan.runtime.inbox import Arrival
-from eigenscan.runtime.keepsake import Keepsake
+from eigenscan.runtime.latched_cache import LatchedCache
 from eigenscan.schemas.channels import MODEL, MODEL_SET
 from eigenscan.schemas.wire import encoding
 
@@ -13,17 +13,17 @@ def model(region: str, payload: bytes) -> Arrival:
 
 def test_another_process_reads_what_was_heard_in_that_order(tmp_path: Path) -> None:
     heard = [model("hall", b"1"), model("room", b"1\n2"), Arrival(MODEL_SET, "site/models", b"", "x")]
-    first = Keepsake(tmp_path / "new/folder")
+    first = LatchedCache(tmp_path / "new/folder")
     for sample in [*heard, heard[1]]:  # the newest again is no news
         first.put(sample)
-    assert list(Keepsake(tmp_path / "new/folder").read("site")) == heard
+    assert list(LatchedCache(tmp_path / "new/folder").read("site")) == heard
 
 
 def test_of_each_key_the_newest_two_stay(tmp_path: Path) -> None:
     for payload in (b"1", b"2", b"3", b"1"):  # a process each
-        Keepsake(tmp_path).put(model("hall", payload))
-    Keepsake(tmp_path).put(model("room", b"1"))
-    assert [(one.key, one.payload) for one in Keepsake(tmp_path).read("site")] == [
+        LatchedCache(tmp_path).put(model("hall", payload))
+    LatchedCache(tmp_path).put(model("room", b"1"))
+    assert [(one.key, one.payload) for one in LatchedCache(tmp_path).read("site")] == [
         ("site/model/hall", b"3"),
         ("site/model/hall", b"1"),
         ("site/model/room", b"1"),
@@ -32,23 +32,23 @@ def test_of_each_key_the_newest_two_stay(tmp_path: Path) -> None:
 
 
 def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
-    Keepsake(tmp_path).put(model("hall", b"1" * 100))
-    Keepsake(tmp_path).put(model("room", b"2"))
+    LatchedCache(tmp_path).put(model("hall", b"1" * 100))
+    LatchedCache(tmp_path).put(model("room", b"2"))
     (first, _) = sorted(tmp_path.iterdir())
     first.write_bytes(first.read_bytes()[:-1])
     (tmp_path / "partial").write_bytes(b"half")
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / first.name.replace("site", "elsewhere%2Fsite")).write_bytes(b"x\n")
-    assert [one.payload for one in Keepsake(tmp_path).read("site")] == [b"2"]
+    assert [one.payload for one in LatchedCache(tmp_path).read("site")] == [b"2"]
     assert (tmp_path / "notes.txt").exists()
 
 
 def test_a_robot_that_came_from_another_site_does_not_take_its_models_for_this_ones(tmp_path: Path) -> None:
-    Keepsake(tmp_path).put(model("hall", b"1"))
-    assert not list(Keepsake(tmp_path).read("other"))
+    LatchedCache(tmp_path).put(model("hall", b"1"))
+    assert not list(LatchedCache(tmp_path).read("other"))
 
 
 def test_a_folder_that_cannot_be_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(FileExistsError):
-        Keepsake(tmp_path / "file")
+        LatchedCache(tmp_path / "file")
