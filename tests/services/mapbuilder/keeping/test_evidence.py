@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, GridMap
 from eigenscan.mapbuilder.keeping.evidence import DAY_NS, Evidence
-from eigenscan.mapbuilder.keeping.look import Look, Marks, mark
 from eigenscan.mapbuilder.keeping.store import Store
+from eigenscan.mapbuilder.keeping.view import Marks, View, mark
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 # written out, not taken from what is tested: a change there must show here
-LOOKS = 3
+VIEWS = 3
 
 LENGTH_S = 1800.0
 HOUR = 3600
@@ -22,16 +22,16 @@ seconds = st.integers(0, 10 * HOUR)
 
 
 def marks(occupied: bool) -> Marks:
-    """A look that struck one cell, or looked through it."""
+    """A view that struck one cell, or looked through it."""
     one = np.zeros((4, 4), dtype=bool)
     one[CELL] = True
     none = np.zeros((4, 4), dtype=bool)
     return Marks(WHOLE, one, none) if occupied else Marks(WHOLE, none, one)
 
 
-def tell(evidence: Evidence, looks: Iterable[tuple[int, bool]]) -> Evidence:
-    """Looks (seconds, occupied) in their order."""
-    for second, occupied in looks:
+def tell(evidence: Evidence, views: Iterable[tuple[int, bool]]) -> Evidence:
+    """Views (seconds, occupied) in their order."""
+    for second, occupied in views:
         evidence.turn_to(second * 10**9)
         evidence.add(marks(occupied))
     return evidence
@@ -44,56 +44,56 @@ def ended(evidence: Evidence, second: int) -> int:
 
 @given(st.integers(0, 20 * HOUR), st.lists(st.integers(0, HOUR), min_size=1, max_size=200))
 def test_what_stands_for_an_hour_is_never_seen_by_four_visits(begin: int, stood: list[int]) -> None:
-    looks = [(begin + second, True) for second in sorted(stood)]
-    assert ended(tell(Evidence.of(GRID, LENGTH_S), looks), begin + 2 * HOUR) <= 3
+    views = [(begin + second, True) for second in sorted(stood)]
+    assert ended(tell(Evidence.of(GRID, LENGTH_S), views), begin + 2 * HOUR) <= 3
 
 
 @given(st.lists(st.tuples(seconds, st.booleans()), max_size=120))
-def test_no_cell_has_more_visits_than_there_were(looks: list[tuple[int, bool]]) -> None:
-    looks = sorted(looks)
-    evidence = tell(Evidence.of(GRID, LENGTH_S), looks)
-    assert abs(ended(evidence, 12 * HOUR)) <= len({second // 1800 for second, _ in looks})
+def test_no_cell_has_more_visits_than_there_were(views: list[tuple[int, bool]]) -> None:
+    views = sorted(views)
+    evidence = tell(Evidence.of(GRID, LENGTH_S), views)
+    assert abs(ended(evidence, 12 * HOUR)) <= len({second // 1800 for second, _ in views})
 
 
 @given(st.lists(seconds, min_size=1, max_size=60), st.data())
 def test_robots_whose_clocks_differ_make_no_visits(times: list[int], data: st.DataObject) -> None:
     """One robot's clock is days ahead: whichever speaks when, visits are not more than by one clock."""
     ahead = 3 * DAY_NS // 10**9
-    looks = [(t + ahead * data.draw(st.integers(0, 1)), True) for t in sorted(times)]
-    evidence = tell(Evidence.of(GRID, LENGTH_S), looks)
+    views = [(t + ahead * data.draw(st.integers(0, 1)), True) for t in sorted(times)]
+    evidence = tell(Evidence.of(GRID, LENGTH_S), views)
     assert ended(evidence, ahead + 12 * HOUR) <= len({second // 1800 for second in times})
 
 
 def test_a_visit_that_says_otherwise_begins_anew() -> None:
     evidence = Evidence.of(GRID, LENGTH_S)
     for visit in range(3):
-        tell(evidence, [(visit * 1800, True)] * LOOKS)
+        tell(evidence, [(visit * 1800, True)] * VIEWS)
     assert ended(evidence, 3 * 1800) == 3
-    tell(evidence, [(3 * 1800, False)] * LOOKS)
+    tell(evidence, [(3 * 1800, False)] * VIEWS)
     assert ended(evidence, 4 * 1800) == -1
 
 
-@pytest.mark.parametrize("looks", [[True] * (LOOKS - 1), [True] * LOOKS + [False] * LOOKS])
-def test_a_glimpse_or_a_mixed_visit_says_nothing(looks: list[bool]) -> None:
-    assert ended(tell(Evidence.of(GRID, LENGTH_S), [(5, occupied) for occupied in looks]), 1800) == 0
+@pytest.mark.parametrize("views", [[True] * (VIEWS - 1), [True] * VIEWS + [False] * VIEWS])
+def test_a_glimpse_or_a_mixed_visit_says_nothing(views: list[bool]) -> None:
+    assert ended(tell(Evidence.of(GRID, LENGTH_S), [(5, occupied) for occupied in views]), 1800) == 0
 
 
 @given(st.lists(st.tuples(seconds, st.booleans()), max_size=60), st.integers(0, 60))
 def test_evidence_goes_on_after_a_restart(
-    tmp_path_factory: pytest.TempPathFactory, looks: list[tuple[int, bool]], cut: int
+    tmp_path_factory: pytest.TempPathFactory, views: list[tuple[int, bool]], cut: int
 ) -> None:
-    looks, store = sorted(looks), Store(tmp_path_factory.mktemp("site") / "model")
-    store.save(tell(Evidence.of(GRID, LENGTH_S), looks[:cut]), GRID)
-    resumed = tell(store.load(GRID, LENGTH_S), looks[cut:])
-    whole = tell(Evidence.of(GRID, LENGTH_S), looks)
+    views, store = sorted(views), Store(tmp_path_factory.mktemp("site") / "model")
+    store.save(tell(Evidence.of(GRID, LENGTH_S), views[:cut]), GRID)
+    resumed = tell(store.load(GRID, LENGTH_S), views[cut:])
+    whole = tell(Evidence.of(GRID, LENGTH_S), views)
     assert ended(resumed, 12 * HOUR) == ended(whole, 12 * HOUR)
 
 
 def test_evidence_of_other_cells_or_a_damaged_file_is_none(tmp_path: Path) -> None:
     store = Store(tmp_path / "model")
-    evidence = tell(Evidence.of(GRID, LENGTH_S), [(0, True)] * LOOKS)
+    evidence = tell(Evidence.of(GRID, LENGTH_S), [(0, True)] * VIEWS)
     store.save(evidence, GRID)
-    assert store.load(GRID, LENGTH_S).struck[CELL] == LOOKS
+    assert store.load(GRID, LENGTH_S).struck[CELL] == VIEWS
     moved = GridMap(GRID.cells, GRID.resolution, np.array([1.0, 0.0, 0.0]))
     assert not store.load(moved, LENGTH_S).struck.any()
     assert not store.load(GRID, 60.0).struck.any()
@@ -116,21 +116,21 @@ def test_a_look_marks_the_cells_on_its_beams_and_no_others(
     """On a map at any place and turn, also where beams leave it."""
     grid = GridMap(np.zeros((90, 110), np.uint8), 0.05, np.array([0.3, -0.2, turn]))
     rng = np.random.default_rng(seed)
-    look = Look(0, np.array([x, y, theta]), rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.05, 6.0, 40))
-    found = mark(look, grid, rng.random(40) < 0.5)
+    view = View(0, np.array([x, y, theta]), rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.05, 6.0, 40))
+    found = mark(view, grid, rng.random(40) < 0.5)
     struck, crossed = np.zeros(grid.cells.shape, bool), np.zeros(grid.cells.shape, bool)
     struck[found.part], crossed[found.part] = found.struck, found.crossed
     assert not (struck & crossed).any()
-    column, row = np.floor(grid.to_grid(look.points())).astype(int).T
+    column, row = np.floor(grid.to_grid(view.points())).astype(int).T
     inside = (row >= 0) & (row < 90) & (column >= 0) & (column < 110)
     expected = np.zeros_like(struck)
     expected[row[inside], column[inside]] = True
     np.testing.assert_array_equal(struck, expected)
     rows, columns = np.nonzero(crossed)
     middles = grid.to_map(np.column_stack([columns + 0.5, rows + 0.5]))
-    aims = look.points() - look.pose[:2]
+    aims = view.points() - view.pose[:2]
     aims /= np.linalg.norm(aims, axis=1, keepdims=True)
-    to = middles - look.pose[:2]
-    along = np.clip(to @ aims.T, 0.0, look.ranges)
+    to = middles - view.pose[:2]
+    along = np.clip(to @ aims.T, 0.0, view.ranges)
     nearest = np.linalg.norm(to[:, None] - along[..., None] * aims, axis=2).min(axis=1, initial=np.inf)
     assert (nearest <= 0.05 * np.sqrt(0.5) + 1e-6).all()

@@ -17,7 +17,7 @@ def make_core(options: MapbuilderOptions) -> Core:
     from eigenscan.mapbuilder.core import MapbuilderCore
 
     if options.model is not None:
-        from eigenscan.mapbuilder.keeping.custodian import Custodian
+        from eigenscan.mapbuilder.keeping.change_manager import ChangeManager
         from eigenscan.mapbuilder.keeping.source import Source
         from eigenscan.mapbuilder.keeping.store import Store
 
@@ -29,7 +29,7 @@ def make_core(options: MapbuilderOptions) -> Core:
             raise SettingsError(
                 f"{options.model}: nothing can be written beside it: set changes to off, or free the place"
             )
-        return Custodian(store, options, options.site, source)
+        return ChangeManager(store, options, options.site, source)
     assert options.map is not None  # the options hold one of the two
     return MapbuilderCore(options, read_map(options.map), options.site)
 

@@ -1,4 +1,4 @@
-"""How well a look agrees with the map: who disagrees much is not where it says it is."""
+"""How well a view agrees with the map: a robot that disagrees much is not where it claims to be."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import numpy as np
 from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.keeping.change import TOLERANCE
-from eigenscan.mapbuilder.keeping.look import MARGIN, Look
+from eigenscan.mapbuilder.keeping.view import MARGIN, View
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 ASIDE = np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.1], [0.0, -0.1]])
-"""m that a pose may be off: what a look from there would explain contradicts nothing."""
+"""m that a pose may be off; a view that this explains contradicts nothing."""
 LONGEST_ERROR = 0.5
-"""m between a beam and what the map foretells, beyond which it ends at another wall than the one foretold."""
+"""m between a beam and its prediction, beyond which it ends at another wall."""
 
 
 class Agreement:
-    """Compares looks with one map."""
+    """Compares views with one map."""
 
     def __init__(self, grid: GridMap) -> None:
         self._grid, self._caster = grid, RayCaster.of(grid)
@@ -26,20 +26,20 @@ class Agreement:
         row, column = np.ogrid[-reach : reach + 1, -reach : reach + 1]
         self._near = binary_dilation(grid.cells == OCCUPIED, row**2 + column**2 <= reach**2)
 
-    def contradicts(self, look: Look) -> NDArray[np.bool_]:
+    def contradicts(self, view: View) -> NDArray[np.bool_]:
         """Which beams (B,) went through a wall, even if the pose is a little off: no beam that grazes one."""
-        poses = np.repeat(look.pose[None], len(ASIDE), axis=0)
+        poses = np.repeat(view.pose[None], len(ASIDE), axis=0)
         poses[:, :2] += ASIDE
-        foretold = self._caster.cast(poses, look.bearings, look.ranges)
-        return np.asarray((foretold < look.ranges - 2 * MARGIN).all(axis=0))
+        predicted = self._caster.cast(poses, view.bearings, view.ranges)
+        return np.asarray((predicted < view.ranges - 2 * MARGIN).all(axis=0))
 
-    def share(self, look: Look) -> float:
+    def share(self, view: View) -> float:
         """Share of the beams that end at the wall that the map foretells; 0 where there is no beam."""
-        if not len(look.ranges):
+        if not len(view.ranges):
             return 0.0
-        foretold = self._caster.cast(look.pose, look.bearings, look.ranges + 2 * LONGEST_ERROR)[0]
-        column, row = np.floor(self._grid.to_grid(look.points())).astype(np.int64).T
+        predicted = self._caster.cast(view.pose, view.bearings, view.ranges + 2 * LONGEST_ERROR)[0]
+        column, row = np.floor(self._grid.to_grid(view.points())).astype(np.int64).T
         height, width = self._near.shape
         on_map = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         on_map[on_map] = self._near[row[on_map], column[on_map]]
-        return float(np.mean(on_map & (np.abs(foretold - look.ranges) < LONGEST_ERROR)))
+        return float(np.mean(on_map & (np.abs(predicted - view.ranges) < LONGEST_ERROR)))

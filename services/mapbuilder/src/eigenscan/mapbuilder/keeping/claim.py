@@ -15,7 +15,7 @@ CONFIDENCE = 0.9
 SIGMA_M, SIGMA_RAD = 0.1, float(np.deg2rad(3.0))
 """Largest standard deviations of a pose that is sure."""
 MOVED_M, MOVED_RAD = 0.2, float(np.deg2rad(10.0))
-"""A robot that has not moved so far sees nothing new: who stands for hours sees one look."""
+"""A robot that has not moved so far sees nothing new: in hours of standing it gets one view."""
 JUMP_M, JUMP_SHARE = 0.3, 0.1
 """m, and share of the way: a pose farther than this from where odometry leads is another place."""
 SPEED = 3.0

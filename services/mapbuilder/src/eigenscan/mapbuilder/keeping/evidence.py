@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.gridmap import GridMap
-from eigenscan.mapbuilder.keeping.look import Marks
+from eigenscan.mapbuilder.keeping.view import Marks
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-LOOKS = 3
-"""Looks, from places that differ, that a visit must have of a cell to say anything of it."""
+VIEWS = 3
+"""Views, from places that differ, that a visit must have of a cell to say anything of it."""
 BESIDE = 0.1
 """m that a beam's end may be off."""
 MOST = 255
@@ -28,7 +28,7 @@ class Evidence:
     counts once. So what stands for less than n - 2 such lengths can never be seen by n visits.
 
     `run` int8: consecutive visits that say the same, above 0 occupied, below 0 seen through. `struck` and
-    `crossed` uint8: looks of the running visit. `visit`: its number, from the epoch; -1: none yet.
+    `crossed` uint8: views of the running visit. `visit`: its number, from the epoch; -1: none yet.
     """
 
     run: NDArray[np.int8]
@@ -69,7 +69,7 @@ class Evidence:
         return ended
 
     def add(self, marks: Marks) -> None:
-        """Counts one look for the running visit."""
+        """Counts one view for the running visit."""
         struck, crossed = self.struck[marks.part], self.crossed[marks.part]
         struck += marks.struck & (struck < MOST)
         crossed += marks.crossed & (crossed < MOST)
@@ -79,9 +79,9 @@ class Evidence:
         struck, crossed, run = self.struck.astype(np.int16), self.crossed.astype(np.int16), self.run
         # poses err: a wall that was struck beside this cell was not looked through
         beside = maximum_filter(struck, 1 + 2 * max(1, round(BESIDE / self.resolution)))
-        occupied = (struck >= LOOKS) & (struck > crossed)
-        through = (crossed >= LOOKS) & (4 * beside <= crossed)
-        mixed = (np.maximum(struck, crossed) >= LOOKS) & ~occupied & ~through
+        occupied = (struck >= VIEWS) & (struck > crossed)
+        through = (crossed >= VIEWS) & (4 * beside <= crossed)
+        mixed = (np.maximum(struck, crossed) >= VIEWS) & ~occupied & ~through
         run[occupied] = np.minimum(np.maximum(run[occupied], 0) + 1, LONGEST)
         run[through] = np.maximum(np.minimum(run[through], 0) - 1, -LONGEST)
         run[mixed] = 0

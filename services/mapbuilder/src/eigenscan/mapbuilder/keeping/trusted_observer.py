@@ -1,4 +1,4 @@
-"""A robot as a witness: which of its scans count, and only once what came after bears them out."""
+"""A robot as an observer: which of its scans count, once later ones confirm them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from eigenscan.geometry.pose import compose, from_message
 from eigenscan.mapbuilder.keeping.claim import Claim, bridge
-from eigenscan.mapbuilder.keeping.look import Look
+from eigenscan.mapbuilder.keeping.view import View
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -21,18 +21,18 @@ FARTHEST = 8.0
 """m, of a beam that counts: beyond, a small error of the heading is a large one of the place."""
 LEAST_BEAMS = 20
 AGREES, MOSTLY_AGREES = 0.3, 0.7
-"""Least share of agreeing beams: of a look, for a room may have changed much, and on average of RECORD."""
+"""Least share of agreeing beams: of a view, for a room may have changed much, and on average of RECORD."""
 RECORD, LEAST_RECORD = 50, 25
-"""Looks on which a robot is judged, at most and at least: what changed is a part of 10 m of way."""
+"""Views on which a robot is judged, at most and at least: what changed is a part of 10 m of way."""
 PROBATION = 10
-"""Looks that must follow before one counts: at least 2 m of way, or turns of 100 degrees."""
+"""Views that must follow before one counts: at least 2 m of way, or turns of 100 degrees."""
 WAITING = 64
 """Scans, and poses, that wait for each other."""
 
-Judge = Callable[[Look], float]
+Judge = Callable[[View], float]
 
 
-class Witness:
+class TrustedObserver:
     """One lidar of one robot. Scans and poses are matched by their stamps, in whatever order they come.
 
     Sure poses that go on from each other by odometry count. What was seen between two of them, where the
@@ -46,11 +46,11 @@ class Witness:
         self._anchor: Claim | None = None
         self._seen: Claim | None = None
         self._between: list[tuple[Claim, Scan]] = []
-        self._held: deque[Look] = deque()
+        self._held: deque[View] = deque()
         self._shares: deque[float] = deque(maxlen=RECORD)
 
-    def hear_scan(self, scan: Scan, judge: Judge) -> list[Look]:
-        """Looks that now count, because of this scan."""
+    def add_scan(self, scan: Scan, judge: Judge) -> list[View]:
+        """Views that now count, because of this scan."""
         stamp = nanoseconds(scan.timestamp)
         claim = self._claims.pop(stamp, None)
         if claim is None:
@@ -58,8 +58,8 @@ class Witness:
             return []
         return self._take(claim, scan, judge)
 
-    def hear_pose(self, pose: PoseEstimate, judge: Judge) -> list[Look]:
-        """Looks that now count, because of this pose."""
+    def add_pose(self, pose: PoseEstimate, judge: Judge) -> list[View]:
+        """Views that now count, because of this pose."""
         claim = Claim.of(pose)
         if claim is None:
             self._counts["poses_malformed"] += 1
@@ -70,7 +70,7 @@ class Witness:
             return []
         return self._take(claim, scan, judge)
 
-    def _take(self, claim: Claim, scan: Scan, judge: Judge) -> list[Look]:
+    def _take(self, claim: Claim, scan: Scan, judge: Judge) -> list[View]:
         if self._anchor is None or self._anchor.is_left_behind(claim):
             self._start_anew(claim)
         anchor, new = self._anchor, self._seen is None or self._seen.has_moved(claim)
@@ -95,43 +95,43 @@ class Witness:
         self._seen = None
         self._anchor = claim if claim.is_sure else None
 
-    def _go_on(self, anchor: Claim, claim: Claim, scan: Scan | None, judge: Judge) -> list[Look]:
+    def _go_on(self, anchor: Claim, claim: Claim, scan: Scan | None, judge: Judge) -> list[View]:
         bases = bridge(anchor, claim, [between for between, _ in self._between])
         self._counts["looks_bridged"] += len(bases)
         self._counts["looks_unsure"] += len(self._between) - len(bases)
         for base, (_, between) in zip(bases, self._between, strict=False):
-            look = self._look(base, between)
-            if look is not None:
-                self._held.append(look)
+            view = self._view(base, between)
+            if view is not None:
+                self._held.append(view)
         self._between.clear()
         self._anchor = claim
-        look = self._look(claim.base, scan) if scan is not None else None
-        if look is not None:
-            self._judge(look, judge(look))
+        view = self._view(claim.base, scan) if scan is not None else None
+        if view is not None:
+            self._judge(view, judge(view))
         return self._borne_out()
 
-    def _judge(self, look: Look, share: float) -> None:
-        """Holds a look that agrees; forgets all that are held where the robot's record is not good enough.
+    def _judge(self, view: View, share: float) -> None:
+        """Holds a view that agrees; forgets all that are held where the robot's record is not good enough.
 
         What was bridged over is not judged for itself: in a corner where much has changed nothing may agree.
         """
         self._shares.append(share)
         if share >= AGREES:
-            self._held.append(look)
+            self._held.append(view)
         else:
             self._counts["looks_disagreeing"] += 1
         if np.mean(self._shares) < MOSTLY_AGREES:
             self._counts["looks_withdrawn"] += len(self._held)
             self._held.clear()
 
-    def _borne_out(self) -> list[Look]:
+    def _borne_out(self) -> list[View]:
         if len(self._shares) < LEAST_RECORD:
             return []
         count = max(0, len(self._held) - PROBATION)
         self._counts["looks_counted"] += count
         return [self._held.popleft() for _ in range(count)]
 
-    def _look(self, base: NDArray[np.float64], scan: Scan) -> Look | None:
+    def _view(self, base: NDArray[np.float64], scan: Scan) -> View | None:
         """The beams that can tell which cell they end in; None where they are too few."""
         ranges = np.array(scan.ranges, dtype=np.float64)
         bearings = scan.angle_min + np.arange(len(ranges), dtype=np.float64) * scan.angle_increment
@@ -141,7 +141,7 @@ class Witness:
         if not np.isfinite(sensor).all() or not np.isfinite(bearings).all() or near.sum() < LEAST_BEAMS:
             self._counts["looks_unusable"] += 1
             return None
-        return Look(nanoseconds(scan.timestamp), sensor, bearings[near], ranges[near])
+        return View(nanoseconds(scan.timestamp), sensor, bearings[near], ranges[near])
 
 
 def _keep(waiting: OrderedDict[int, T], stamp: int, one: T) -> None:

@@ -1,4 +1,4 @@
-"""One look: a scan from a known place, and what it says of the map's cells."""
+"""One view: a scan from a known pose, and what it shows of the map's cells."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MARGIN = 0.1
 
 
 @dataclass(frozen=True)
-class Look:
+class View:
     """Beams from a sensor at `pose` (3,), map frame, at `stamp`, ns: `bearings` (B,), rad, `ranges` (B,), m.
 
     Only beams that ended on something near enough to tell which cell.
@@ -34,21 +34,21 @@ class Look:
 
 @dataclass(frozen=True)
 class Marks:
-    """Cells that one look struck, and those that it looked through: masks (h, w) of a part of the map."""
+    """Cells that one view struck, and those that it looked through: masks (h, w) of a part of the map."""
 
     part: tuple[slice, slice]
     struck: NDArray[np.bool_]
     crossed: NDArray[np.bool_]
 
 
-def mark(look: Look, grid: GridMap, through: NDArray[np.bool_]) -> Marks:
-    """What the look says of the grid's cells. A cell that any beam struck was not looked through.
+def mark(view: View, grid: GridMap, through: NDArray[np.bool_]) -> Marks:
+    """What the view shows of the grid's cells. A cell that any beam struck was not looked through.
 
     `through` (B,): beams that may tell of mapped walls that they went through them.
     """
-    place = grid.to_grid(look.pose[:2])
-    ends = grid.to_grid(look.points())
-    before = grid.to_grid(look.points(np.maximum(look.ranges - MARGIN, 0.0)))
+    place = grid.to_grid(view.pose[:2])
+    ends = grid.to_grid(view.points())
+    before = grid.to_grid(view.points(np.maximum(view.ranges - MARGIN, 0.0)))
     carving = Carving.around(np.concatenate([ends, place[None]]), 1.0)
     carving.add(place, before[through])
     pierced = (carving.passes + carving.hits) > 0

@@ -9,7 +9,7 @@ from eigenscan.eigenspace.versions import accept, choose, choose_proposal, repla
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.core import MapbuilderCore
-from eigenscan.mapbuilder.keeping.custodian import Custodian
+from eigenscan.mapbuilder.keeping.change_manager import ChangeManager
 from eigenscan.mapbuilder.keeping.source import Source
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.options import MapbuilderOptions
@@ -28,13 +28,13 @@ PULSE = tick(0)
 COARSE = MapbuilderSettings(step=3.0)
 
 
-def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> Custodian:
-    core = Custodian(Store(folder), MapbuilderSettings(changes=changes))
+def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> ChangeManager:
+    core = ChangeManager(Store(folder), MapbuilderSettings(changes=changes))
     assert list(core.start())[-1].channel is MODEL_SET
     return core
 
 
-def come_by(core: Custodian, numbers: Iterable[int]) -> list[Envelope]:
+def come_by(core: ChangeManager, numbers: Iterable[int]) -> list[Envelope]:
     """Robots on visits of these numbers, and a pulse at the end; what was said."""
     said: list[Envelope] = []
     for number in numbers:
@@ -108,9 +108,9 @@ def test_a_map_alone_cannot_be_kept() -> None:
     assert MapbuilderCore(MapbuilderSettings(), KNOWN).hears == ()
 
 
-def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE) -> tuple[Custodian, str]:
+def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE) -> tuple[ChangeManager, str]:
     """A mapbuilder with map and model folder, started; the version that it said."""
-    core = Custodian(Store(folder), settings, source=Source(grid, settings))
+    core = ChangeManager(Store(folder), settings, source=Source(grid, settings))
     assert core.condition().status == Health.STATUS_WAITING
     *_, whole = core.start()
     assert core.condition().status == Health.STATUS_OK

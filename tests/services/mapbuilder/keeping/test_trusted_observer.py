@@ -7,10 +7,10 @@ import pytest
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_message
 from eigenscan.mapbuilder.keeping.change import Change
+from eigenscan.mapbuilder.keeping.change_detector import ChangeDetector
 from eigenscan.mapbuilder.keeping.evidence import Evidence
-from eigenscan.mapbuilder.keeping.keeper import Keeper
-from eigenscan.mapbuilder.keeping.look import Look
-from eigenscan.mapbuilder.keeping.witness import Witness
+from eigenscan.mapbuilder.keeping.trusted_observer import TrustedObserver
+from eigenscan.mapbuilder.keeping.view import View
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.scan_pb2 import Scan
@@ -60,41 +60,41 @@ def straight(count: int, step: float = 0.25) -> np.ndarray:
 
 
 def hear(
-    witness: Witness, poses: np.ndarray, judge: float = AGREED, first: int = 0, **claimed: Any
-) -> list[Look]:
+    observer: TrustedObserver, poses: np.ndarray, judge: float = AGREED, first: int = 0, **claimed: Any
+) -> list[View]:
     """What counts of a drive over `poses`, twice a second."""
-    looks = []
+    views = []
     for k, pose in enumerate(poses, first):
-        looks += witness.hear_scan(scan(k * SECOND // 2), lambda _: judge)
-        looks += witness.hear_pose(claim(k * SECOND // 2, pose, **claimed), lambda _: judge)
-    return looks
+        views += observer.add_scan(scan(k * SECOND // 2), lambda _: judge)
+        views += observer.add_pose(claim(k * SECOND // 2, pose, **claimed), lambda _: judge)
+    return views
 
 
 def test_a_look_counts_once_ten_others_bear_it_out() -> None:
-    looks = hear(Witness(Counter()), straight(LEAST_RECORD + 5))
-    assert [look.stamp for look in looks] == [k * SECOND // 2 for k in range(LEAST_RECORD + 5 - PROBATION)]
+    views = hear(TrustedObserver(Counter()), straight(LEAST_RECORD + 5))
+    assert [view.stamp for view in views] == [k * SECOND // 2 for k in range(LEAST_RECORD + 5 - PROBATION)]
 
 
 def test_a_robot_that_stands_sees_one_look() -> None:
     counts = Counter[str]()
-    witness = Witness(counts)
-    looks = hear(witness, np.zeros((1200, 3)))
-    looks += hear(witness, straight(40)[1:], first=1200)
-    assert sum(look.pose[0] == 0.0 for look in looks) == 1
+    observer = TrustedObserver(counts)
+    views = hear(observer, np.zeros((1200, 3)))
+    views += hear(observer, straight(40)[1:], first=1200)
+    assert sum(view.pose[0] == 0.0 for view in views) == 1
 
 
 def test_scans_and_poses_meet_in_whatever_order_they_come() -> None:
     poses, one, other = straight(30), [], []
-    witness = Witness(Counter())
+    observer = TrustedObserver(Counter())
     for k, pose in enumerate(poses):
-        one += witness.hear_scan(scan(k * SECOND), lambda _: AGREED)
-        one += witness.hear_pose(claim(k * SECOND, pose), lambda _: AGREED)
-    witness = Witness(Counter())
+        one += observer.add_scan(scan(k * SECOND), lambda _: AGREED)
+        one += observer.add_pose(claim(k * SECOND, pose), lambda _: AGREED)
+    observer = TrustedObserver(Counter())
     for k, pose in enumerate(poses):
-        other += witness.hear_pose(claim(k * SECOND, pose), lambda _: AGREED)
-        other += witness.hear_scan(scan(k * SECOND), lambda _: AGREED)
+        other += observer.add_pose(claim(k * SECOND, pose), lambda _: AGREED)
+        other += observer.add_scan(scan(k * SECOND), lambda _: AGREED)
     assert len(one) == 20
-    assert [look.stamp for look in one] == [look.stamp for look in other]
+    assert [view.stamp for view in one] == [view.stamp for view in other]
 
 
 @pytest.mark.parametrize(
@@ -110,18 +110,18 @@ def test_scans_and_poses_meet_in_whatever_order_they_come() -> None:
     ],
 )
 def test_a_robot_that_is_not_sure_is_no_witness(unsure: dict[str, Any]) -> None:
-    assert hear(Witness(Counter()), straight(60), **unsure) == []
+    assert hear(TrustedObserver(Counter()), straight(60), **unsure) == []
 
 
 def test_numbers_that_make_no_sense_are_set_aside() -> None:
     counts = Counter[str]()
-    witness = Witness(counts)
+    observer = TrustedObserver(counts)
     poses = straight(60)
     poses[5:10, 0] = np.nan
     for k, pose in enumerate(poses):
         ranges = RANGES * (np.nan if k % 4 == 0 else 1.0)
-        witness.hear_scan(scan(k * SECOND // 2, ranges), lambda _: AGREED)
-        witness.hear_pose(claim(k * SECOND // 2, pose), lambda _: AGREED)
+        observer.add_scan(scan(k * SECOND // 2, ranges), lambda _: AGREED)
+        observer.add_pose(claim(k * SECOND // 2, pose), lambda _: AGREED)
     assert counts["poses_malformed"] == 5
     assert counts["looks_unusable"] >= 8
     assert counts["looks_counted"] >= 10
@@ -129,59 +129,59 @@ def test_numbers_that_make_no_sense_are_set_aside() -> None:
 
 def test_a_robot_that_disagrees_with_the_map_is_no_witness() -> None:
     counts = Counter[str]()
-    assert hear(Witness(counts), straight(80), judge=0.5) == []
+    assert hear(TrustedObserver(counts), straight(80), judge=0.5) == []
     assert counts["looks_withdrawn"] == 80
 
 
 def test_who_turns_out_to_have_been_elsewhere_takes_his_last_looks_back() -> None:
     counts = Counter[str]()
-    witness = Witness(counts)
-    before = hear(witness, straight(30))
+    observer = TrustedObserver(counts)
+    before = hear(observer, straight(30))
     far = straight(60) + np.array([40.0, 9.0, 0.0])
-    after = hear(witness, far, first=30)
+    after = hear(observer, far, first=30)
     assert len(before) == 20
     assert counts["looks_withdrawn"] == 10
-    assert all(look.pose[1] == 9.0 for look in after)
+    assert all(view.pose[1] == 9.0 for view in after)
 
 
 def test_a_short_error_is_bridged_by_odometry() -> None:
     """Ten seconds of sure claims in the room next door, and the robot was never there."""
     counts = Counter[str]()
-    witness, truth = Witness(counts), straight(60, 0.22)
+    observer, truth = TrustedObserver(counts), straight(60, 0.22)
     odometry = compose(np.array([3.0, -2.0, 1.1]), truth)
-    looks = []
+    views = []
     for k, base in enumerate(truth):
         said = base + np.array([5.0, 3.0, 0.0]) if 20 <= k < 40 else base
-        looks += witness.hear_scan(scan(k * SECOND // 2), lambda _: AGREED)
-        looks += witness.hear_pose(claim(k * SECOND // 2, said, odometry[k]), lambda _: AGREED)
+        views += observer.add_scan(scan(k * SECOND // 2), lambda _: AGREED)
+        views += observer.add_pose(claim(k * SECOND // 2, said, odometry[k]), lambda _: AGREED)
     assert counts["looks_bridged"] == 20
-    assert len(looks) == 50
-    assert max(apart(look.pose, truth[2 * look.stamp // SECOND]) for look in looks) < 1e-6
+    assert len(views) == 50
+    assert max(apart(view.pose, truth[2 * view.stamp // SECOND]) for view in views) < 1e-6
 
 
 def test_what_was_seen_on_too_long_a_way_is_not_bridged() -> None:
     counts = Counter[str]()
-    witness, truth = Witness(counts), straight(60, 0.25)
+    observer, truth = TrustedObserver(counts), straight(60, 0.25)
     for k, base in enumerate(truth):
         state = STATE_LOST if 10 <= k < 40 else STATE_LOCALIZED
-        witness.hear_scan(scan(k * SECOND // 2), lambda _: AGREED)
-        witness.hear_pose(claim(k * SECOND // 2, base, base, state=state), lambda _: AGREED)
+        observer.add_scan(scan(k * SECOND // 2), lambda _: AGREED)
+        observer.add_pose(claim(k * SECOND // 2, base, base, state=state), lambda _: AGREED)
     assert counts["looks_bridged"] == 0
     assert counts["looks_unsure"] >= 20
 
 
 def change_after(
-    patrols: Iterable[Patrol], grid: GridMap, every_s: float = VISIT_S, keeper: Keeper | None = None
-) -> tuple[Change | None, Keeper]:
-    """What a keeper of the known map finds, and the keeper."""
-    keeper = keeper or Keeper(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
+    patrols: Iterable[Patrol], grid: GridMap, every_s: float = VISIT_S, detector: ChangeDetector | None = None
+) -> tuple[Change | None, ChangeDetector]:
+    """What a detector of the known map finds, and the detector."""
+    detector = detector or ChangeDetector(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     change = None
     for k, patrol in enumerate(patrols):
         for heard in patrol.messages(grid, k * every_s):
             if heard.channel in (SCAN, POSE):
-                found = keeper.hear(heard)
+                found = detector.hear(heard)
                 change = change if found is None else found
-    return change, keeper
+    return change, detector
 
 
 def test_a_moved_cupboard_is_found_in_the_fifth_pass() -> None:
@@ -200,41 +200,41 @@ def test_a_moved_cupboard_is_found_in_the_fifth_pass() -> None:
 def test_a_person_who_stands_for_an_hour_is_no_change() -> None:
     """Robots come by every quarter of an hour, and the last comes late to end the last visit."""
     standing = ((7.2, 10.4), (3.0, 6.0))
-    keeper = Keeper(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
+    detector = ChangeDetector(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     for k in range(7):
         patrol = Patrol(k, standing=standing if 1 <= k <= 5 else ())
         for heard in patrol.messages(KNOWN, k * 900.0 + (3600.0 if k == 6 else 0.0)):
-            assert not keeper.hear(heard)
+            assert not detector.hear(heard)
         if k == 5:
-            assert keeper.counts["looks_counted"] > 500
+            assert detector.counts["looks_counted"] > 500
 
 
 def test_crowds_that_walk_are_no_change() -> None:
     patrols = [Patrol(k, people=12, goals=()) for k in range(6)]
-    change, keeper = change_after(patrols, KNOWN)
+    change, detector = change_after(patrols, KNOWN)
     assert change is not None
     assert not change
-    assert np.count_nonzero(np.abs(keeper.evidence.run) >= 4) > 1000
+    assert np.count_nonzero(np.abs(detector.evidence.run) >= 4) > 1000
 
 
 @pytest.mark.parametrize("off", [(0.4, -0.3, 0.35), (-0.6, 0.0, 0.0), (7.0, 2.0, np.pi)])
 def test_robots_that_claim_wrong_poses_corrupt_nothing(off: tuple[float, float, float]) -> None:
-    change, keeper = change_after([Patrol(k, off=off) for k in range(5)], KNOWN)
+    change, detector = change_after([Patrol(k, off=off) for k in range(5)], KNOWN)
     assert not change
-    set_aside = keeper.counts["looks_disagreeing"] + keeper.counts["looks_withdrawn"]
+    set_aside = detector.counts["looks_disagreeing"] + detector.counts["looks_withdrawn"]
     assert set_aside > 200
-    assert keeper.counts["looks_counted"] <= 0.02 * set_aside
+    assert detector.counts["looks_counted"] <= 0.02 * set_aside
 
 
 def test_a_wrong_robot_among_right_ones_neither_hides_nor_makes_a_change() -> None:
-    keeper = Keeper(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
+    detector = ChangeDetector(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     found = None
     for k in range(5):
         liar, honest = Patrol(50 + k, seconds=30.0, off=(0.0, -5.0, 0.0)), Patrol(k)
         for heard in liar.messages(MOVED, k * VISIT_S + 200.0, robot="liar"):
-            found = keeper.hear(heard) or found
+            found = detector.hear(heard) or found
         for heard in honest.messages(MOVED, k * VISIT_S + 400.0):
-            found = keeper.hear(heard) or found
+            found = detector.hear(heard) or found
     assert found
     gone = (KNOWN.cells == OCCUPIED) & (MOVED.cells == FREE)
     assert not (found.gone & ~binary_dilation(gone, iterations=3)).any()

@@ -9,8 +9,8 @@ from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.keeping.agreement import Agreement
 from eigenscan.mapbuilder.keeping.change import Change, find_change
 from eigenscan.mapbuilder.keeping.evidence import Evidence
-from eigenscan.mapbuilder.keeping.look import Look, mark
-from eigenscan.mapbuilder.keeping.witness import Witness
+from eigenscan.mapbuilder.keeping.trusted_observer import TrustedObserver
+from eigenscan.mapbuilder.keeping.view import View, mark
 from eigenscan.schemas.channels import POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.recently_used import RecentlyUsed
@@ -18,14 +18,14 @@ from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
 
-class Keeper:
+class ChangeDetector:
     """Hears scans and poses of all robots of a site; says what has changed at the end of a visit."""
 
     def __init__(self, grid: GridMap, evidence: Evidence, visits: int, frame_id: str = "map") -> None:
         self.evidence = evidence
         self.counts: Counter[str] = Counter()
         self._visits, self._frame_id = visits, frame_id
-        self._witnesses: RecentlyUsed[str, dict[str, Witness]] = RecentlyUsed()
+        self._observers: RecentlyUsed[str, dict[str, TrustedObserver]] = RecentlyUsed()
         """By robot, then lidar."""
         self.trust(grid)
 
@@ -42,24 +42,24 @@ class Keeper:
     def hear(self, heard: Envelope) -> Change | None:
         """The change that is known now, at the end of each visit; else None."""
         robot, judge = heard.address["robot"], self._agreement.share
-        looks: list[Look] = []
+        views: list[View] = []
         if heard.channel is SCAN:
             scan = heard.open(Scan)
-            witnesses, lidar = self._witnesses.use(robot, dict), heard.address["lidar"]
-            if lidar not in witnesses:
-                witnesses[lidar] = Witness(self.counts)
-            looks = witnesses[lidar].hear_scan(scan, judge)
+            observers, lidar = self._observers.use(robot, dict), heard.address["lidar"]
+            if lidar not in observers:
+                observers[lidar] = TrustedObserver(self.counts)
+            views = observers[lidar].add_scan(scan, judge)
         elif heard.channel is POSE:
             pose = heard.open(PoseEstimate)
             if pose.frame_id != self._frame_id:
                 self.counts["poses_of_another_frame"] += 1
                 return None
-            for witness in self._witnesses.use(robot, dict).values():
-                looks += witness.hear_pose(pose, judge)
-        ended = [self._count(look) for look in looks]
+            for observer in self._observers.use(robot, dict).values():
+                views += observer.add_pose(pose, judge)
+        ended = [self._count(view) for view in views]
         return find_change(self._grid, self.evidence.run, self._visits) if any(ended) else None
 
-    def _count(self, look: Look) -> bool:
-        ended = self.evidence.turn_to(look.stamp)
-        self.evidence.add(mark(look, self._grid, self._agreement.contradicts(look)))
+    def _count(self, view: View) -> bool:
+        ended = self.evidence.turn_to(view.stamp)
+        self.evidence.add(mark(view, self._grid, self._agreement.contradicts(view)))
         return ended

@@ -24,13 +24,13 @@ from eigenscan.schemas.tick import TICK
 
 if TYPE_CHECKING:
     from eigenscan.mapbuilder.keeping.change import Change
-    from eigenscan.mapbuilder.keeping.keeper import Keeper
+    from eigenscan.mapbuilder.keeping.change_detector import ChangeDetector
 
 SAVE_EVERY = 200
-"""Looks between two savings of a running visit: what a killed process loses."""
+"""Views between two savings of a running visit: what a killed process loses."""
 
 
-class Custodian:
+class ChangeManager:
     """Says the models of a folder and keeps them true; what cannot be written beside is only said.
 
     With a `source` the folder is made of that map first, where that is due. Once another version is put in
@@ -62,26 +62,26 @@ class Custodian:
         self._saved = 0
         self._problem = self._unreadable = ""
         self._note = ""
-        self._keeper: Keeper | None = None
+        self._detector: ChangeDetector | None = None
 
     def start(self) -> Iterator[Envelope]:
         """The map and the models in use. Raises ModelError where they cannot be read or made."""
         core = self._core or self._make(self._source)
         yield from core.start()
         if self._keeps:
-            self._keeper = self._adopt(self._site)
+            self._detector = self._adopt(self._site)
 
     def handle(self, heard: Envelope) -> Iterator[Envelope]:
         """Says what has come into use since; of a scan or a pose, what the robots' visits made of it."""
         if heard.channel is TICK:
             yield from self._follow()
-        elif self._keeper is not None:
-            self._hear(self._keeper, heard)
+        elif self._detector is not None:
+            self._hear(self._detector, heard)
 
     def finish(self) -> tuple[Envelope, ...]:
         """Nothing is held back; what was seen is put on disk."""
-        if self._keeper is not None:
-            self._save(self._keeper)
+        if self._detector is not None:
+            self._save(self._detector)
         return ()
 
     def condition(self) -> Condition:
@@ -91,7 +91,7 @@ class Custodian:
         own = self._core.condition()
         if own.status == Health.STATUS_WAITING:
             return own
-        seen: Counter[str] = self._keeper.counts if self._keeper else Counter()
+        seen: Counter[str] = self._detector.counts if self._detector else Counter()
         told = replace(own, counters={**(self._counts + seen), **own.counters})
         problem = self._unreadable or self._problem
         if problem:
@@ -128,43 +128,45 @@ class Custodian:
             self._unreadable = ""
             assert self._core is not None  # it has started
             yield from self._core.renew(site)
-            if self._keeper is not None:
-                self._take_over(self._keeper, site)
+            if self._detector is not None:
+                self._take_over(self._detector, site)
 
-    def _take_over(self, keeper: Keeper, site: SiteModel) -> None:
+    def _take_over(self, detector: ChangeDetector, site: SiteModel) -> None:
         """Another version is in use."""
         if site.to_message().version != self._accepted:
             self._publish = False
         self._proposed = self._note = ""
         self._try(self._store.withdraw)
-        if keeper.fits(site.grid) and site.frame_id == self._site.frame_id:
+        if detector.fits(site.grid) and site.frame_id == self._site.frame_id:
             self._site = site
-            keeper.trust(site.grid)
+            detector.trust(site.grid)
         else:
-            self._counts += keeper.counts
-            self._keeper = self._adopt(site)
+            self._counts += detector.counts
+            self._detector = self._adopt(site)
 
-    def _hear(self, keeper: Keeper, heard: Envelope) -> None:
+    def _hear(self, detector: ChangeDetector, heard: Envelope) -> None:
         """Takes a scan or a pose; at the end of a visit a change may follow."""
-        change = keeper.hear(heard)
+        change = detector.hear(heard)
         if change is not None:
             self._counts["visits"] += 1
             self._problem = ""
             self._try(lambda: self._decide(change))
-        if change is not None or keeper.counts["looks_counted"] - self._saved >= SAVE_EVERY:
-            self._save(keeper)
+        if change is not None or detector.counts["looks_counted"] - self._saved >= SAVE_EVERY:
+            self._save(detector)
 
-    def _save(self, keeper: Keeper) -> None:
+    def _save(self, detector: ChangeDetector) -> None:
         """Puts the evidence on disk."""
-        self._saved = keeper.counts["looks_counted"]
-        self._try(lambda: self._store.save(keeper.evidence, self._site.grid))
+        self._saved = detector.counts["looks_counted"]
+        self._try(lambda: self._store.save(detector.evidence, self._site.grid))
 
-    def _adopt(self, site: SiteModel) -> Keeper:
-        from eigenscan.mapbuilder.keeping.keeper import Keeper  # half of its start is for who keeps a map
+    def _adopt(self, site: SiteModel) -> ChangeDetector:
+        from eigenscan.mapbuilder.keeping.change_detector import (
+            ChangeDetector,  # half of its start is for who keeps a map
+        )
 
         self._site, self._saved = site, 0
         evidence = self._store.load(site.grid, self._settings.visit * 60.0)
-        return Keeper(site.grid, evidence, self._settings.visits, site.frame_id)
+        return ChangeDetector(site.grid, evidence, self._settings.visits, site.frame_id)
 
     def _decide(self, change: Change) -> None:
         if not change:
