@@ -119,9 +119,9 @@ def test_a_wrong_component_is_caught_where_it_begins(
     assert first.stamp == expected.stamp
     assert first.fields[0].path == path
     assert path in report(outcome)
-    tally = outcome.comparison.tallies[channel]
-    assert tally.same == SPOILT
-    assert tally.different + tally.missing == len(of_channel) - SPOILT
+    count = outcome.comparison.counts[channel]
+    assert count.same == SPOILT
+    assert count.different + count.missing == len(of_channel) - SPOILT
 
 
 def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> N
         raise ArithmeticError("spoilt")
 
     outcome = replayed(recording, TRACKER, POSE, failing)
-    said = outcome.comparison.tallies[POSE]
+    said = outcome.comparison.counts[POSE]
     assert (said.same, said.missing) == (SPOILT, said.recorded - SPOILT)
     (note,) = outcome.notes
     assert f"failed on {said.missing} messages; first, ArithmeticError on site/robot/robot/" in note

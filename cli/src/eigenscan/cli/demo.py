@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.command_group import EXIT_FAILED
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.frame import EXIT_FAILED
 from eigenscan.runtime.errors import UsageError
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from eigenscan.cli.command_group import EXIT_FAILED
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
-from eigenscan.cli.frame import EXIT_FAILED
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from eigenscan.cli.frame import lazy_group
+from eigenscan.cli.command_group import lazy_group
 
 COMMANDS = {
     "demo": ("eigenscan.cli.demo:demo", "watch a simulated robot find itself, twice"),

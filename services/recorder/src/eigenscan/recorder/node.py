@@ -9,7 +9,7 @@ from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-recorder[node]", SystemExit):
     import zenoh
-    from eigenscan.recorder.aside import Aside
+    from eigenscan.recorder.background_sink import BackgroundSink
     from eigenscan.recorder.files import Files
     from eigenscan.recorder.mcap_sink import McapSink
     from eigenscan.recorder.options import RecorderOptions
@@ -37,7 +37,7 @@ def make_core(settings: RecorderOptions) -> RecorderCore:
         picture = RerunSink(settings)
         if picture.url:
             print(f"viewer: {picture.url}", flush=True)
-        sinks.append(Aside(picture))
+        sinks.append(BackgroundSink(picture))
     if not sinks:
         raise SettingsError("nothing to record to: give mcap, rrd or viewer_port")
     return RecorderCore(sinks)

@@ -29,7 +29,7 @@ class Terms:
 
 
 @dataclass
-class Tally:
+class Counts:
     """Messages of one channel."""
 
     recorded: int = 0
@@ -74,7 +74,7 @@ class Comparison:
     ) -> None:
         """`spans` are the least and greatest recorded stamp, ns, of each key."""
         self.terms = terms
-        self.tallies = {channel: Tally() for channel in channels}
+        self.counts = {channel: Counts() for channel in channels}
         self._channels, self._spans = list(channels), spans
         self._waiting: dict[tuple[str, int], deque[Event]] = {}
         self._orders: dict[str, dict[Side, list[int]]] = defaultdict(lambda: {side: [] for side in Side})
@@ -84,9 +84,9 @@ class Comparison:
         """Takes what was or is said; what was heard is left alone."""
         if event.side is Side.HEARD:
             return
-        envelope, tally = event.envelope, self.tallies[event.envelope.channel]
-        tally.recorded += event.side is Side.RECORDED
-        tally.replayed += event.side is Side.REPLAYED
+        envelope, count = event.envelope, self.counts[event.envelope.channel]
+        count.recorded += event.side is Side.RECORDED
+        count.replayed += event.side is Side.REPLAYED
         key, stamp = envelope.key, envelope.stamp
         waiting = self._waiting.setdefault((key, stamp), deque())
         if waiting and waiting[0].side is not event.side:
@@ -114,30 +114,30 @@ class Comparison:
         return self._first
 
     @property
-    def judged(self) -> dict[Channel, Tally]:
-        """The tallies that decide."""
+    def judged(self) -> dict[Channel, Counts]:
+        """The counts that decide."""
         return {
-            channel: tally for channel, tally in self.tallies.items() if channel not in self.terms.unjudged
+            channel: count for channel, count in self.counts.items() if channel not in self.terms.unjudged
         }
 
     @property
     def problems(self) -> list[str]:
         """Why this says nothing, or not that all is well; empty where it is equal."""
         judged = self.judged
-        compared = sum(tally.compared for tally in judged.values())
-        lone = sum(tally.missing + tally.extra for tally in judged.values())
+        compared = sum(count.compared for count in judged.values())
+        lone = sum(count.missing + count.extra for count in judged.values())
         found = []
         if compared + lone < self.terms.least:
             found.append(
                 f"only {compared} messages to compare, fewer than {self.terms.least}: proves nothing"
             )
-        for channel, tally in judged.items():
-            if not tally.is_equal:
-                counts = f"{tally.different} different, {tally.missing} missing, {tally.extra} too many"
+        for channel, count in judged.items():
+            if not count.is_equal:
+                counts = f"{count.different} different, {count.missing} missing, {count.extra} too many"
                 found.append(f"{channel.name}: {counts}")
-            elif tally.outside > tally.compared:
-                said = tally.compared + tally.outside
-                found.append(f"{channel.name}: only {tally.compared} of {said} messages are in the recording")
+            elif count.outside > count.compared:
+                said = count.compared + count.outside
+                found.append(f"{channel.name}: only {count.compared} of {said} messages are in the recording")
         return found
 
     def _is_outside(self, key: str, stamp: int) -> bool:
@@ -146,32 +146,32 @@ class Comparison:
 
     def _judge(self, key: str, stamp: int, recorded: Envelope, replayed: Envelope) -> None:
         channel = recorded.channel
-        tally = self.tallies[channel]
+        count = self.counts[channel]
         before, now = encode(recorded.message), encode(replayed.message)
         if before == now:
-            tally.same += 1
+            count.same += 1
             return
         found = list(differences(recorded.message, replayed.message, tolerant=self.terms.tolerant))
         if not found and not self.terms.tolerant:
             found = [Difference("(bytes)", before.hex(), now.hex())]
         found = [one for one in found if not self._is_ignored(channel, one)]
         if not found:
-            tally.within += 1
+            count.within += 1
             return
-        tally.different += 1
+        count.different += 1
         self._note(Finding(stamp, channel, key, tuple(found)))
 
     def _judge_alone(self, key: str, stamp: int, event: Event) -> None:
         channel = event.envelope.channel
-        tally = self.tallies[channel]
+        count = self.counts[channel]
         if event.side is Side.RECORDED:
-            tally.missing += 1
+            count.missing += 1
             found = Difference("(message)", "said", "not said")
         elif self._is_outside(key, stamp):
-            tally.outside += 1
+            count.outside += 1
             return
         else:
-            tally.extra += 1
+            count.extra += 1
             found = Difference("(message)", "not said", "said")
         self._note(Finding(stamp, channel, key, (found,)))
 
@@ -181,7 +181,7 @@ class Comparison:
             return
         place = next(n for n, (a, b) in enumerate(zip(recorded, replayed, strict=True)) if a != b)
         channel = next(channel for channel in self._channels if channel.parse(key))
-        self.tallies[channel].different += 1
+        self.counts[channel].different += 1
         found = Difference(f"(order)[{place}]", recorded[place], replayed[place])
         self._note(Finding(recorded[place], channel, key, (found,)))
 

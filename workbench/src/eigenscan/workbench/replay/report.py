@@ -26,8 +26,8 @@ def summary(outcome: Outcome) -> str:
     problems = outcome.comparison.problems
     if problems:
         return "; ".join(problems)
-    tallies = outcome.comparison.judged.values()
-    same, within = sum(tally.same for tally in tallies), sum(tally.within for tally in tallies)
+    counts = outcome.comparison.judged.values()
+    same, within = sum(count.same for count in counts), sum(count.within for count in counts)
     rest = f", {within} within tolerance or but for ignored fields" if within else ""
     return f"{same} messages the same to the last bit{rest}, {pace(outcome)}"
 
@@ -42,8 +42,8 @@ def figures(outcome: Outcome) -> dict[str, Any]:
         "took_s": outcome.took_s,
         "heard": {channel.name: count for channel, count in outcome.heard.items() if count},
         "channels": {
-            channel.name: vars(tally) | {"judged": channel in outcome.comparison.judged}
-            for channel, tally in outcome.comparison.tallies.items()
+            channel.name: vars(count) | {"judged": channel in outcome.comparison.judged}
+            for channel, count in outcome.comparison.counts.items()
         },
         "first_difference": {
             "channel": first.channel.name,
@@ -86,14 +86,14 @@ def _lines(outcome: Outcome) -> Iterator[str]:
 def _table(comparison: Comparison) -> Iterator[str]:
     names = ("recorded", "replayed", "same", "within", "different", "missing", "extra", "outside")
     yield f"{'channel':12}" + "".join(f"{name:>10}" for name in names)
-    for channel, tally in comparison.tallies.items():
-        yield f"{channel.name:12}" + "".join(f"{getattr(tally, name):>10}" for name in names)
+    for channel, count in comparison.counts.items():
+        yield f"{channel.name:12}" + "".join(f"{getattr(count, name):>10}" for name in names)
     for channel, reason in comparison.terms.unjudged.items():
-        if channel in comparison.tallies:
+        if channel in comparison.counts:
             yield f"not judged: {channel.name}: {reason}"
     for name in sorted(comparison.terms.ignored):
         yield f"not judged: {name}: --ignore"
-    if any(tally.outside for tally in comparison.tallies.values()):
+    if any(count.outside for count in comparison.counts.values()):
         yield "outside: before the first or after the last recorded stamp of its key, not judged"
 
 

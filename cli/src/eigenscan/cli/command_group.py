@@ -1,4 +1,4 @@
-"""The frame of the command: subcommands that load when they are called, and errors in one line."""
+"""The command group: subcommands that load when they are called, and errors in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sink on a thread of its own, so that it holds up nobody."""
+"""A sink on its own thread, so that nothing waits for it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from eigenscan.runtime.logs import logger
 from eigenscan.schemas.envelope import Envelope
 
 WAITING = 4096
-"""So many messages wait for it; then the oldest goes, but never one that is latched."""
+"""Most messages that wait; then the oldest is dropped, but never a latched one."""
 DRAIN_S = 0.3
-"""What it gets at the end for what still waits."""
+"""s at the end for messages that still wait."""
 
 
-class Aside:
-    """Passes messages on to `sink` when that has time. Where it fails on one, that is counted and logged."""
+class BackgroundSink:
+    """Passes messages to `sink` in the background; its failures are counted and logged."""
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
@@ -28,7 +28,7 @@ class Aside:
         self._end_at: float | None = None
         self._counts: Counter[str] = Counter(undrawn=0, undrawable=0)
         self._known: set[type[Exception]] = set()
-        self._thread = threading.Thread(target=self._run, name="aside", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="background sink", daemon=True)
         self._thread.start()
 
     @property

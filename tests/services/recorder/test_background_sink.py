@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 
 import pytest
-from eigenscan.recorder.aside import WAITING, Aside
+from eigenscan.recorder.background_sink import WAITING, BackgroundSink
 from eigenscan.schemas.channels import MAP, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -42,7 +42,7 @@ class Slow:
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What waits may take its time at the end."""
-    monkeypatch.setattr("eigenscan.recorder.aside.DRAIN_S", 60.0)
+    monkeypatch.setattr("eigenscan.recorder.background_sink.DRAIN_S", 60.0)
 
 
 def pose(number: int) -> Envelope:
@@ -63,52 +63,52 @@ def numbers(sink: Slow) -> list[int]:
 def test_in_order_and_whole_where_there_is_time(patient: None) -> None:
     sink = Slow()
     sink.may_write.set()
-    aside = Aside(sink)
+    background = BackgroundSink(sink)
     for number in range(200):
-        aside.write(pose(number))
+        background.write(pose(number))
     await_that(lambda: len(sink.written) == 200)
-    aside.close()
+    background.close()
     assert sink.closed
     assert numbers(sink) == list(range(200))
-    assert aside.counters == {"drawn": 7, "undrawn": 0, "undrawable": 0}
+    assert background.counters == {"drawn": 7, "undrawn": 0, "undrawable": 0}
 
 
 def test_a_slow_sink_loses_the_oldest_but_never_the_map(patient: None) -> None:
     sink = Slow()
-    aside = Aside(sink)
-    aside.write(pose(0))
+    background = BackgroundSink(sink)
+    background.write(pose(0))
     assert sink.writes.wait(120)
-    aside.write(Envelope(MAP, ADDRESS, Grid()))
+    background.write(Envelope(MAP, ADDRESS, Grid()))
     for number in range(1, WAITING + 101):
-        aside.write(pose(number))
-    assert aside.counters["undrawn"] == 100
+        background.write(pose(number))
+    assert background.counters["undrawn"] == 100
     sink.may_write.set()
     await_that(lambda: len(sink.written) == WAITING + 2)
-    aside.close()
+    background.close()
     assert [heard.channel for heard in sink.written[:2]] == [POSE, MAP]
     assert numbers(sink) == [0, *range(101, WAITING + 101)]
 
 
 def test_a_sink_that_hangs_does_not_keep_the_recorder_from_ending() -> None:
     sink = Slow()
-    aside = Aside(sink)
+    background = BackgroundSink(sink)
     for number in range(10):
-        aside.write(pose(number))
+        background.write(pose(number))
     assert sink.writes.wait(120)
-    aside.close()
+    background.close()
     assert not sink.closed
-    assert aside.counters["undrawn"] == 9
+    assert background.counters["undrawn"] == 9
     sink.may_write.set()
 
 
 def test_what_fails_is_counted_and_logged_once(caplog: pytest.LogCaptureFixture, patient: None) -> None:
     sink = Slow(fails_on=lambda heard: heard.message.timestamp.nanos % 2 == 1)  # type: ignore[attr-defined]
     sink.may_write.set()
-    aside = Aside(sink)
+    background = BackgroundSink(sink)
     for number in range(10):
-        aside.write(pose(number))
-    await_that(lambda: aside.counters["undrawable"] == 5 and len(sink.written) == 5)
-    aside.close()
+        background.write(pose(number))
+    await_that(lambda: background.counters["undrawable"] == 5 and len(sink.written) == 5)
+    background.close()
     assert numbers(sink) == [0, 2, 4, 6, 8]
-    assert aside.counters["undrawable"] == 5
+    assert background.counters["undrawable"] == 5
     assert caplog.text.count("ValueError: undrawable") == 1
