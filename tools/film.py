@@ -21,6 +21,7 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import compose, from_message, transform
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.recorder.picture.palette import HYPOTHESIS, SCAN, STATE_COLOURS, Colour, state_name
@@ -81,7 +82,7 @@ def moments(folder: Path, before: Window, after: Window) -> tuple[GridMap, list[
     """The pipeline's answers over both stretches, and the map."""
     log = read_log(folder / "log.clf.gz", LogOptions(), lambda _: None)
     reference = read_trajectory(folder / "log.tum", 0.0)
-    built = build(folder / "map.yaml", 0.5, lambda _: None)
+    built = build(folder / "map.yaml", MapbuilderSettings(), lambda _: None)
     projector, tracker = ProjectorCore(ProjectorSettings()), TrackerCore(TrackerSettings())
     for core in (projector, tracker):
         for model in built.models:

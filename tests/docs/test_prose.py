@@ -23,13 +23,13 @@ def _texts(page: str) -> list[Any]:
 
 
 @pytest.mark.parametrize(
-    "page", ["A LatchedCache stays.", "- it hears\n", "| a | b |\n|---|---|\n| x | was heard |\n"]
+    "page", ["A Keepsake stays.", "- it hears\n", "| a | b |\n|---|---|\n| x | was heard |\n"]
 )
 def test_a_banned_word_is_found(page: str) -> None:
     assert [fault for text in _texts(page) for fault in prose.foreign_words(text, BANNED)]
 
 
-@pytest.mark.parametrize("page", ["`cache` is code.", "```\nkeepsake\n```\n", "<!-- heard -->", "The heart."])
+@pytest.mark.parametrize("page", ["`keepsake` is code.", "```\nkeepsake\n```\n", "<!-- heard -->", "The heart."])
 def test_code_and_other_words_are_left_alone(page: str) -> None:
     assert not [fault for text in _texts(page) for fault in prose.foreign_words(text, BANNED)]
 
