@@ -29,7 +29,9 @@ def test_a_banned_word_is_found(page: str) -> None:
     assert [fault for text in _texts(page) for fault in prose.foreign_words(text, BANNED)]
 
 
-@pytest.mark.parametrize("page", ["`keepsake` is code.", "```\nkeepsake\n```\n", "<!-- heard -->", "The heart."])
+@pytest.mark.parametrize(
+    "page", ["`keepsake` is code.", "```\nkeepsake\n```\n", "<!-- heard -->", "The heart."]
+)
 def test_code_and_other_words_are_left_alone(page: str) -> None:
     assert not [fault for text in _texts(page) for fault in prose.foreign_words(text, BANNED)]
 
