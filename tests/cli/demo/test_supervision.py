@@ -11,6 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 from eigenscan.cli.launch.supervision import STOP_SETTING, ChildDiedError, Supervisor
+from eigenscan.runtime.receive_watchdog import EXIT_DEAF
 
 PATIENCE_S = 240.0
 Make = Callable[[str, str], str]
@@ -153,3 +154,27 @@ def test_children_do_not_outlive_a_killed_parent(tmp_path: Path, make: Make) -> 
         assert _eventually(lambda: "up" in log.read_text())
         parent.kill()
     assert _eventually(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
+
+
+def test_a_child_that_went_deaf_is_started_again(tmp_path: Path, make: Make) -> None:
+    begun = tmp_path / "begun"
+    module = make(
+        "deafens",
+        f"""
+        with pathlib.Path({str(begun)!r}).open("a") as file:
+            file.write("begun\\n")
+        if pathlib.Path({str(begun)!r}).read_text().count("begun") == 1:
+            sys.exit({EXIT_DEAF})
+        time.sleep(600)
+        """,
+    )
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("tracker", module, [])
+        first = supervisor.children["tracker"].process
+        assert first.wait(PATIENCE_S) == EXIT_DEAF
+        supervisor.check()
+        second = supervisor.children["tracker"].process
+        assert second is not first
+        assert _eventually(lambda: begun.read_text().count("begun") == 2)
+        supervisor.check()
+        assert second.poll() is None

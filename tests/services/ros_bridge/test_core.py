@@ -315,6 +315,22 @@ def test_only_a_claimed_pose_is_said() -> None:
     assert (body.pose.pose.position.x, body.header.frame_id) == (1.0, "map")
 
 
+def test_the_floor_is_said_when_it_changes() -> None:
+    bridge, said = core(), list[str]()
+    for state, floor in (
+        (STATE_LOST, ""),
+        (STATE_LOCALIZED, "ground"),
+        (STATE_LOCALIZED, "ground"),
+        (STATE_AMBIGUOUS, "first"),
+        (STATE_LOCALIZED, "first"),
+    ):
+        message = PoseEstimate(timestamp=stamp(TIME), frame_id="map", state=state, floor=floor)
+        for one in bridge.handle(Envelope(POSE, SITE, message)):
+            if one.address["endpoint"] == "%floor":
+                said.append(cdr.decode(cdr.STRING, one.open(BytesValue).value).data)
+    assert said == ["ground", "", "first"]
+
+
 def test_map_to_odom_is_dated_ahead() -> None:
     message = FrameTransform(timestamp=stamp(TIME), parent_frame_id="map", child_frame_id="odom")
     message.rotation.w = 1.0

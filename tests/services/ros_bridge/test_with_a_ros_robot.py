@@ -248,7 +248,17 @@ def test_an_operator_and_a_behaviour_tree_can_relocate(bridge: Bridge, robot: Ro
 
 def test_ros_2_topic_tools_see_it(bridge: Bridge, robot: Robot, network: Network) -> None:
     asked = {"domain_id": robot.domain, "router_port": network.port}
-    ours = {"/scan", "/odom", "/tf", "/tf_static", "/initialpose", "/bond", "/amcl_pose", "/particle_cloud"}
+    ours = {
+        "/scan",
+        "/odom",
+        "/tf",
+        "/tf_static",
+        "/initialpose",
+        "/bond",
+        "/amcl_pose",
+        "/floor",
+        "/particle_cloud",
+    }
     ours.add("/map")
 
     def listed() -> dict[str, list[str]]:

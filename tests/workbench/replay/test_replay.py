@@ -307,7 +307,8 @@ def test_what_is_said_now_can_be_kept(run: Run, recording: Path, eigenscan: Comm
     kept = [encode(record.envelope.message) for record in read(out) if record.envelope.channel is POSE]
     assert kept == [encode(timed.envelope.message) for timed in only(other, POSE)]
     said = {timed.envelope.channel for timed in only(other, *TRACKER_SAYS)}
-    assert {record.envelope.channel for record in read(out)} == {ODOMETRY, SCAN_MOTION, HYPOTHESES} | said
+    taken = {ODOMETRY, SCAN_MOTION, HYPOTHESES, MODEL_SET}
+    assert {record.envelope.channel for record in read(out)} == taken | said
 
 
 def test_a_file_that_was_cut_is_replayed_as_far_as_it_goes(

@@ -40,6 +40,9 @@ ROBOT_SERVICES = """
 [projector]
 keep = "/var/cache/eigenscan/models"  # to start with where the site is cut off
 
+[tracker]
+keep = "/var/cache/eigenscan/floors"
+
 [recorder]
 mcap = "/var/lib/eigenscan/recordings"
 rotate_minutes = 10.0  # eigenscan fleet fetch brings whole files

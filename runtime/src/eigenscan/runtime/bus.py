@@ -18,6 +18,7 @@ import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
 from eigenscan.runtime.latched_cache import digest
+from eigenscan.runtime.receive_watchdog import ReceiveWatchdog
 from eigenscan.schemas.channels import (
     ALIVE_TEMPLATE,
     CONTRACT_VERSION,
@@ -53,6 +54,7 @@ class Bus:
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
         self._lock = threading.Lock()
         self._declared: list[Any] = []
+        self._watchdog: ReceiveWatchdog | None = None
         self.twins = 0
         """Health messages heard from another process under this one's own name."""
 
@@ -75,6 +77,16 @@ class Bus:
                 HEALTH.key(address), on_health, allowed_origin=zenoh.Locality.REMOTE
             )
         )
+
+    def watch_others(self, watchdog: ReceiveWatchdog, site: str, service: str, instance: str) -> None:
+        """Lets `watchdog` follow whether other services of this instance name are still heard."""
+        self._watchdog = watchdog
+        self._declared += watchdog.attach(self._session, site, service, instance)
+
+    @property
+    def is_deaf(self) -> bool:
+        """Asked once a second: whether nothing of what others say arrives any more."""
+        return self._watchdog is not None and self._watchdog.is_lost(self._session)
 
     def offer(self, channels: Sequence[Channel], address: Mapping[str, str]) -> None:
         """Answers queries for the newest samples of the latched ones among `channels`."""

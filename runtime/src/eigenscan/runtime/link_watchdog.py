@@ -42,6 +42,11 @@ def await_dead_link(config: Path, session: zenoh.Session) -> bool:
     return True
 
 
+def is_linked(session: zenoh.Session) -> bool:
+    """Whether the session has a link to anybody. Raises RuntimeError where another thread closes it."""
+    return bool(session.info.routers_zid() or session.info.peers_zid())
+
+
 def ports_of(endpoints: Any) -> Iterator[int]:
     """Ports of Zenoh's endpoints: one, a list, or lists by mode."""
     if isinstance(endpoints, str):

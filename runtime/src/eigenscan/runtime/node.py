@@ -11,6 +11,7 @@ import gc
 import os
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -24,6 +25,7 @@ from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.latched_cache import LatchedCache
 from eigenscan.runtime.logs import configure
 from eigenscan.runtime.port import NoPort, Port
+from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
 from eigenscan.runtime.session import open_meanwhile
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
 from eigenscan.runtime.stop_event import StopEvent
@@ -131,6 +133,7 @@ class Node:
         self._keepsake: LatchedCache | None = None
         self._port = port or NoPort()
         self._fault: BaseException | None = None
+        self._deaf = False
 
     def stop(self) -> None:
         """Asks the node to end, from any thread."""
@@ -162,14 +165,23 @@ class Node:
             raise self._fault
         counts: dict[str, Any] = dict(self._counters.counts)
         self._log.info("stopped", unfinished=unfinished, **counts)
+        if self._deaf:
+            return EXIT_DEAF
         return EXIT_CORE if self._counters.counts["finish_failed"] else 0
 
     def _tend(self, core: threading.Thread) -> None:
         """Tells the service's health once a second and at every change, until the end is asked for."""
+        looked = time.monotonic()
         while not self._stop.stopping and core.is_alive():
             self._stop.wait(HEALTH_PERIOD_S)
             if self._bus:
                 self._tell(self._bus)
+                if time.monotonic() - looked >= HEALTH_PERIOD_S:
+                    looked = time.monotonic()
+                    self._deaf = self._bus.is_deaf
+            if self._deaf:
+                self._log.error("deaf", hint="nothing of the other services arrives: ending to be restarted")
+                return
 
     def _tell(self, bus: Bus) -> None:
         health = self._monitor.message()
@@ -240,6 +252,9 @@ class Node:
         else:
             bus.listen(hears, address, self._inbox, self._remember(hears))
         bus.announce(settings.site, self.service, settings.instance)
+        if settings.deaf_after:
+            watchdog = ReceiveWatchdog(round(settings.deaf_after / HEALTH_PERIOD_S))
+            bus.watch_others(watchdog, settings.site, self.service, settings.instance)
         self._port.open(self._inbox)
         return bus
 

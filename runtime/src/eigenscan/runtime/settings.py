@@ -91,6 +91,13 @@ class ServiceSettings(BaseModel):
         description="seconds that the service may take to stop; give more on a very busy machine or disk",
     )
 
+    deaf_after: int = Field(
+        20,
+        ge=0,
+        description="seconds without any message of the other services of this instance name, although they "
+        "are alive, after which the process ends with exit code 75, to be restarted; 0 disables",
+    )
+
     @classmethod
     def answering(cls) -> frozenset[str]:
         """The fields that answers may depend on: whom it serves, and the settings of its core."""

@@ -75,6 +75,9 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
         "confidence": None,
         "x": None,
         "y": None,
+        "floor": "",
+        "floor_x": None,
+        "floor_y": None,
         "model": "",
         "pose_age_s": None,
         "services": {service.name: service.status for service in serving},
@@ -91,6 +94,12 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
             "model": pose.model_version,
             "pose_age_s": round(now - robot.heard_at, 2),
         }
+        if pose.floor:
+            row |= {
+                "floor": pose.floor,
+                "floor_x": round(pose.floor_pose.x, 3),
+                "floor_y": round(pose.floor_pose.y, 3),
+            }
     return row
 
 
@@ -117,11 +126,15 @@ def table(view: FleetView) -> Table:
 
 
 def _cells(row: dict[str, Any], newest: str) -> list[str]:
+    from rich.markup import escape
+
     age, offset = row["pose_age_s"], row["clock_offset_s"]
     old = age is not None and age > OLD_S
     colour = "red" if old or row["state"] in ("lost", "unknown") else _COLOURS.get(row["state"], "yellow")
     state = f"[{colour}]{'was ' if old else ''}{row['state']}[/]"
     place = "" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}"
+    if row["floor"]:  # in the floor's own map, as people know it
+        place = f"{row['floor_x']:.1f}, {row['floor_y']:.1f} on {escape(printable(row['floor']))}"
     model = printable(row["model"][:8])
     if newest and model and row["model"] != newest:
         model = f"[yellow]{model} old[/]"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eigenscan.runtime.errors import FailedError
+from eigenscan.runtime.receive_watchdog import EXIT_DEAF
 
 SERVICES = {
     "scan-ingest": "eigenscan.ingest.node",
@@ -41,6 +42,8 @@ class Child:
     name: str
     process: subprocess.Popen[bytes]
     log: Path
+    module: str
+    flags: Sequence[str]
 
     def last_lines(self) -> str:
         """The end of its log, indented."""
@@ -65,7 +68,7 @@ class Supervisor:
     def start(self, name: str, module: str, flags: Sequence[str]) -> None:
         """Starts the service `name` from its node `module`."""
         log = self._logs / f"{name}.log"
-        with log.open("wb") as file:
+        with log.open("ab" if name in self.children else "wb") as file:
             process = subprocess.Popen(
                 [sys.executable, "-m", "eigenscan.cli.launch.child", module, *flags],
                 stdin=subprocess.DEVNULL,
@@ -75,13 +78,15 @@ class Supervisor:
                 start_new_session=True,
                 env=_environment(),
             )
-        self.children[name] = Child(name, process, log)
+        self.children[name] = Child(name, process, log, module, flags)
 
     def check(self) -> None:
-        """Raises ChildDiedError where a child has ended by itself."""
-        for child in self.children.values():
+        """Raises ChildDiedError where a child has ended by itself; one that went deaf is started anew."""
+        for child in [*self.children.values()]:
             code = child.process.poll()
-            if code is not None:
+            if code == EXIT_DEAF:
+                self.start(child.name, child.module, child.flags)
+            elif code is not None:
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
                 raise ChildDiedError(f"{child.name} {how}; its last log lines:\n{child.last_lines()}")
 

@@ -17,6 +17,7 @@ OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 PARTICLE = "nav2_msgs/msg/Particle"
 PARTICLE_CLOUD = "nav2_msgs/msg/ParticleCloud"
 BOND = "bond/msg/Status"
+STRING = "std_msgs/msg/String"
 
 EMPTY_RESPONSE = bytes([0, 1, 0, 0, 0])
 """Little-endian CDR of a message without fields: one byte stands in for them."""

@@ -22,7 +22,13 @@ from eigenscan.ros_bridge.inbound import (
 )
 from eigenscan.ros_bridge.lifecycle import Lifecycle
 from eigenscan.ros_bridge.mounts import MountError, Mounts
-from eigenscan.ros_bridge.outbound import occupancy_grid, particle_cloud, pose_with_covariance, transforms
+from eigenscan.ros_bridge.outbound import (
+    floor_name,
+    occupancy_grid,
+    particle_cloud,
+    pose_with_covariance,
+    transforms,
+)
 from eigenscan.ros_bridge.parameters import Parameters
 from eigenscan.ros_bridge.service_types import SET_INITIAL_POSE
 from eigenscan.ros_bridge.settings import RosBridgeSettings
@@ -75,6 +81,7 @@ class RosBridgeCore:
         }
         self._map_frames: set[str] = set()
         self._not_taken = ""
+        self._floor = floor_name(PoseEstimate())
         self._counts: Counter[str] = Counter()
         self._lacks = "no scan yet on " + ", ".join(scan.name for scan in self._ends.scans)
         self._hearers = dict(self._make_hearers())
@@ -235,10 +242,14 @@ class RosBridgeCore:
                 yield _said(ends.map, occupancy_grid(grid))
         elif not self._lifecycle.active:
             return
-        elif heard.channel is POSE and ends.pose:
+        elif heard.channel is POSE:
             estimate = heard.open(PoseEstimate)
-            if estimate.state == STATE_LOCALIZED:
+            if ends.pose and estimate.state == STATE_LOCALIZED:
                 yield _said(ends.pose, pose_with_covariance(estimate))
+            floor = floor_name(estimate)
+            if ends.floor and floor != self._floor:
+                self._floor = floor
+                yield _said(ends.floor, floor)
         elif heard.channel is TRANSFORM and ends.map_to_odom:
             yield _said(ends.map_to_odom, transforms(heard.open(FrameTransform), self._ahead))
         elif heard.channel is TRACKS and ends.particles:

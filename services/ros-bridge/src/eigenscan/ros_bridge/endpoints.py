@@ -14,6 +14,7 @@ from eigenscan.ros_bridge.cdr import (
     ODOMETRY,
     PARTICLE_CLOUD,
     POSE_WITH_COVARIANCE,
+    STRING,
     TRANSFORMS,
 )
 from eigenscan.ros_bridge.service_types import (
@@ -109,6 +110,7 @@ class Endpoints:
     pose: Endpoint | None
     map_to_odom: Endpoint | None
     particles: Endpoint | None
+    floor: Endpoint | None
     map: Endpoint | None
 
     def __iter__(self) -> Iterator[Endpoint]:
@@ -167,6 +169,7 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         pose=said(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),
         map_to_odom=said(settings.tf if settings.tf_broadcast else "", TRANSFORMS, _TF),
         particles=said(settings.particles, PARTICLE_CLOUD, _SENSOR),
+        floor=said(settings.floor, STRING, _LATCHED),
         map=said(settings.map, OCCUPANCY_GRID, _LATCHED),
     )
 

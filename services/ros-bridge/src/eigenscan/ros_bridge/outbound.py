@@ -12,13 +12,14 @@ from eigenscan.ros_bridge.cdr import (
     PARTICLE,
     PARTICLE_CLOUD,
     POSE_WITH_COVARIANCE,
+    STRING,
     TRANSFORMS,
     encode,
     make,
 )
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.geometry_pb2 import Pose2
-from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
@@ -31,6 +32,11 @@ def pose_with_covariance(estimate: PoseEstimate) -> bytes:
     header = _header(nanoseconds(estimate.timestamp), estimate.frame_id)
     stated = make("geometry_msgs/msg/PoseWithCovariance", _pose(estimate.pose), covariance.ravel())
     return encode(make(POSE_WITH_COVARIANCE, header, stated))
+
+
+def floor_name(estimate: PoseEstimate) -> bytes:
+    """String: the floor of a pose that is claimed; empty while none is, or it is on no floor."""
+    return encode(make(STRING, estimate.floor if estimate.state == STATE_LOCALIZED else ""))
 
 
 def transforms(transform: FrameTransform, ahead: int) -> bytes:

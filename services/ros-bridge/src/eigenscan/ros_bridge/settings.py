@@ -45,6 +45,9 @@ class RosBridgeSettings(BaseModel):
     )
     pose: str = Field("amcl_pose", description="topic of the pose; empty: none")
     particles: str = Field("particle_cloud", description="topic of the tracks; empty: none")
+    floor: str = Field(
+        "floor", description="topic of the name of the floor that a claimed pose is on; empty: none"
+    )
     map: str = Field("map", description="topic of the map; empty: none, as with a map_server")
     transform_tolerance: float = Field(
         0.1,
@@ -65,6 +68,7 @@ class RosBridgeSettings(BaseModel):
         "global_localization",
         "pose",
         "particles",
+        "floor",
         "map",
     )
     @classmethod

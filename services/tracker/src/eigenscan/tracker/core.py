@@ -16,6 +16,7 @@ from eigenscan.geometry.pose import (
 )
 from eigenscan.schemas.channels import (
     HYPOTHESES,
+    MODEL_SET,
     ODOMETRY,
     POSE,
     RELOCATION,
@@ -27,10 +28,12 @@ from eigenscan.schemas.channels import (
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.agreement import ScanInterval
+from eigenscan.tracker.floors import Building
 from eigenscan.tracker.observation import FARTHEST, observe
 from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
@@ -41,6 +44,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 DEFAULT_BODY_FRAME = "base_link"
 DEFAULT_ODOM_FRAME = "odom"
+NO_BUILDING = Building()
 
 
 @dataclass
@@ -56,13 +60,14 @@ class _Tracked:
 class TrackerCore:
     """Hypotheses become one honest pose (paper, section 7); one state per robot."""
 
-    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, SCAN_MOTION, RELOCATION)
+    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, SCAN_MOTION, RELOCATION, MODEL_SET)
     says: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
         self._counts: Counter[str] = Counter()
         self._robots: RecentlyUsed[tuple[str, str], _Tracked] = RecentlyUsed()
+        self._buildings: dict[str, Building] = {}
 
     def start(self) -> Iterable[Envelope]:
         """Nothing: a tracker that heard nothing knows nothing."""
@@ -70,6 +75,10 @@ class TrackerCore:
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
         """Poses and tracks for each hypotheses message whose time has come; a transform for odometry."""
+        if heard.channel is MODEL_SET:
+            building = Building.of(heard.open(ModelSet), self._counts)
+            self._buildings[heard.address["site"]] = building
+            return ()
         address = {"site": heard.address["site"], "robot": heard.address["robot"]}
         robot = self._robot(address)
         if heard.channel is ODOMETRY:
@@ -164,6 +173,7 @@ class TrackerCore:
         for estimate in estimates:
             robot.map_frame = estimate.frame
             message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
+            self._buildings.get(address["site"], NO_BUILDING).locate(message)
             yield Envelope(POSE, address, message)
             yield Envelope(TRACKS, address, _tracks_message(estimate))
 

@@ -14,6 +14,7 @@ from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.cause import likely_cause
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
+from eigenscan.tracker.floors import Rivals
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
@@ -88,6 +89,7 @@ class RobotTracker:
         self._histories: dict[int, deque[Pose2]] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
+        self._rivals = Rivals()
         self._hint: Hint | None = None
 
     def relocate(self, hint: Hint | None) -> None:
@@ -134,7 +136,7 @@ class RobotTracker:
             return likely_cause(agreement.compared, self._trail)
         if agreement.without_sign:
             return "odometry counts driving backwards as forwards (encoders without a sign); made up for"
-        return self._silence.reason
+        return self._silence.reason or self._rivals.reason(self.belief.stamp)
 
     def map_to_odom(self) -> Pose | None:
         """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""
@@ -171,6 +173,7 @@ class RobotTracker:
         elif seen.usable:
             self._heed_hint(seen)
             belief.observe(seen, self._share(seen))
+            self._rivals.hear(belief, belief.frames.index(seen.frame), seen.stamp)
             prune(belief)
             unify(belief)
             belief.name_new()
@@ -262,7 +265,7 @@ class RobotTracker:
 
     def _conclude(self, seen: Observation) -> Estimate:
         belief = self.belief
-        verdict = judge(belief.tracks)
+        verdict = self._judge()
         verdict = replace(verdict, confidence=verdict.confidence * self._agreement.trust)
         self.state = next_state(self.state, belief, verdict.confidence, self._settings)
         odometry = self._trail.at(seen.stamp) if self._near_odometry(seen.stamp) else None
@@ -280,8 +283,19 @@ class RobotTracker:
             self._protection(verdict),
         )
 
+    def _judge(self) -> Verdict:
+        """The most believed track, as far as its map frame is believed after every frame's lists."""
+        tracks = self.belief.tracks
+        verdict = judge(tracks)
+        if verdict.track < 0:
+            return verdict
+        frame = int(tracks.frame[verdict.track])
+        return replace(verdict, confidence=min(verdict.confidence, self._rivals.share(frame)))
+
     def _protection(self, verdict: Verdict) -> Protection | None:
         if self.state != STATE_LOCALIZED or self._agreement.trust < self._settings.localized_above:
+            return None
+        if self._rivals.since is not None:  # mass that another frame may still get is risk
             return None
         return protect(self.belief.tracks, verdict.track, self._settings.protection_risk)
 

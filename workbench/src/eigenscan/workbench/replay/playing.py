@@ -9,7 +9,7 @@ from enum import Enum
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import ODOMETRY, RELOCATION, SCAN_MOTION
+from eigenscan.schemas.channels import MODEL, ODOMETRY, RELOCATION, SCAN_MOTION
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.workbench.replay.casting import Instance
@@ -96,7 +96,7 @@ def _check(survey: Survey, services: tuple[Service, ...]) -> None:
 
 def _check_ready(survey: Survey, instances: Sequence[Instance]) -> None:
     for instance in instances:
-        if not any(channel.qos.latched for channel in instance.hears):
+        if MODEL not in instance.hears:
             continue
         condition = instance.condition()
         if condition.status == Health.STATUS_WAITING:

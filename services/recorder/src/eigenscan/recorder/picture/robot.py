@@ -80,7 +80,8 @@ class RobotPicture:
     def _draw_robot(self, robot: str, stamp: int, pose: Array, message: PoseEstimate) -> None:
         colour = STATE_COLOURS.get(message.state, TRUTH)
         path = f"world/robots/{robot}/pose"
-        label = robot if self._brief else f"{robot}: {state_name(message.state)} {message.confidence:.0%}"
+        words = [f"{robot}:", state_name(message.state), f"{message.confidence:.0%}", message.floor]
+        label = robot if self._brief else " ".join(words).rstrip()
         self._canvas.style(path, _arrow_style)
         strips, disc = _arrow(pose, 0.12)
         self._canvas.draw(

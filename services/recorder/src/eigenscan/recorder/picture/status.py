@@ -105,6 +105,8 @@ def _line(robot: str, message: PoseEstimate) -> Line:
     sureness = ""
     if message.track_id and not math.isnan(message.confidence):
         sureness = f"{5 * round(20 * min(max(message.confidence, 0.0), 1.0))} % sure"
+        if message.floor:
+            sureness += f", {message.floor}"
     return _say(robot, name, STATE_COLOURS.get(message.state, SILENT), sureness)
 
 

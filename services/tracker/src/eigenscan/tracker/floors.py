@@ -1,0 +1,120 @@
+"""Which floor a pose is on, and what several map frames say of one scan."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from eigenscan.eigenspace.floors import Floor, floor_of
+from eigenscan.geometry.pose import to_message
+from eigenscan.schemas.model_pb2 import ModelSet
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.tracker.belief import Belief
+from eigenscan.tracker.observation import FARTHEST
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MISSED = 20
+"""A map frame counts until so many lists of others came since its last one: 2 s of a lidar of 10 Hz."""
+RIVAL = 0.2
+"""Share of the belief from which a second map frame is a reason for having no claim."""
+RIVALS_NS = 2_000_000_000
+"""It is told after so long, as is a pose that does not come."""
+
+
+@dataclass(frozen=True)
+class Building:
+    """The floors of the model set in use, in its map frame."""
+
+    frame: str = ""
+    floors: tuple[Floor, ...] = ()
+
+    @classmethod
+    def of(cls, message: ModelSet, counts: Counter[str]) -> Building:
+        """The floors of a set; what is no floor is left out and counted."""
+        floors = []
+        for said in message.floors:
+            numbers = [*said.outline_x, *said.outline_y, said.origin.x, said.origin.y, said.origin.theta]
+            whole = len(said.outline_x) == len(said.outline_y) == 4 and said.name
+            if whole and all(abs(number) < FARTHEST for number in numbers) and _has_area(said):
+                floors.append(Floor.from_message(said))
+            else:
+                counts["floor_not_usable"] += 1
+        return cls(message.frame_id, tuple(floors))
+
+    def locate(self, message: PoseEstimate) -> None:
+        """Adds the floor to a pose in the set's map frame, and the pose in that floor's own frame."""
+        if not self.floors or not message.track_id or message.frame_id != self.frame:
+            return
+        pose = np.array([message.pose.x, message.pose.y, message.pose.theta])
+        floor = floor_of(self.floors, pose)
+        if floor is not None:
+            message.floor = floor.name
+            message.floor_pose.CopyFrom(to_message(floor.own(pose)))
+
+
+def _has_area(said: ModelSet.Floor) -> bool:
+    corner, along, _, across = np.column_stack([said.outline_x, said.outline_y])
+    return float(np.hypot(*(along - corner))) > 0.0 and float(np.hypot(*(across - corner))) > 0.0
+
+
+@dataclass
+class Rivals:
+    """Map frames whose lists speak of the same robot, such as two projectors with a floor each.
+
+    A list weighs the places of its own frame only, so whichever frame spoke last would be believed. A claim
+    needs more: that its frame holds the belief after the last list of every other frame, too.
+    """
+
+    shares: dict[int, dict[int, float]] = field(default_factory=dict)
+    """After the last list of each frame: what share of the frames' mass each of them had."""
+    since: int | None = None
+    """From when on no frame holds the belief after every list, ns."""
+    _missed: Counter[int] = field(default_factory=Counter)
+    _pair: tuple[str, str] = ("", "")
+
+    def hear(self, belief: Belief, frame: int, stamp: int) -> None:
+        """Takes the belief after a list of `frame`."""
+        masses = _frame_masses(belief)
+        self.shares[frame] = dict(enumerate((masses / max(masses.sum(), 1e-300)).tolist()))
+        self._missed.update(self.shares.keys())
+        self._missed[frame] = 0
+        for gone in [one for one, missed in self._missed.items() if missed >= MISSED]:
+            del self.shares[gone], self._missed[gone]
+        self._watch(belief, int(np.argmax(masses)), stamp)
+
+    def share(self, frame: int) -> float:
+        """Share of the belief that `frame` holds after every frame's last list, 0..1."""
+        return min((shares.get(frame, 0.0) for shares in self.shares.values()), default=1.0)
+
+    def reason(self, stamp: int | None) -> str:
+        """Why two map frames keep a pose from being claimed; empty while they do not."""
+        if self.since is None or stamp is None or stamp - self.since < RIVALS_NS:
+            return ""
+        one, other = self._pair
+        return (
+            f"map frames {one!r} and {other!r} both fit the scans: two projectors publish one place in two "
+            "frames, or two floors look alike"
+        )
+
+    def _watch(self, belief: Belief, best: int, stamp: int) -> None:
+        if self.share(best) >= 1.0 - RIVAL:
+            self.since = None
+            return
+        if self.since is None or stamp < self.since:
+            self.since = stamp
+        most = Counter[int]()
+        for shares in self.shares.values():
+            most |= Counter({frame: round(1e6 * share) for frame, share in shares.items() if frame})
+        names = [belief.frames[frame] for frame, _ in most.most_common(2)]
+        if len(names) == 2:
+            self._pair = min(names), max(names)
+
+
+def _frame_masses(belief: Belief) -> Array:
+    """Mass of each map frame, tracks and what no track holds, (frames,); off every map is no frame's."""
+    masses = np.array([np.exp(part.log_weight) if n else 0.0 for n, part in enumerate(belief.elsewhere)])
+    np.add.at(masses, belief.tracks.frame, np.exp(belief.tracks.log_weight))
+    return masses

@@ -1,0 +1,171 @@
+"""A session that stops to deliver: noticed by what others no longer say, and the process ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
+
+ADDRESS = ("site", "tracker", "r17")
+PATIENCE = 20
+
+
+@dataclass
+class FakeSession:
+    """A link over which others are heard for as long as `delivers`; what is published arrives at once."""
+
+    delivers: bool = True
+    linked: bool = True
+    subscribers: list[tuple[str, Callable[[Any], None]]] = field(default_factory=list)
+
+    def declare_subscriber(self, key: str, callback: Callable[[Any], None], **_: object) -> None:
+        self.subscribers.append((key, callback))
+
+    def liveliness(self) -> FakeSession:
+        return self
+
+    @property
+    def info(self) -> SimpleNamespace:
+        return SimpleNamespace(routers_zid=lambda: ["router"] * self.linked, peers_zid=lambda: [])
+
+    def _deliver(self, key: str, kind: object) -> None:
+        for selector, callback in self.subscribers:
+            if self.delivers and zenoh.KeyExpr(selector).intersects(key):
+                callback(SimpleNamespace(key_expr=key, kind=kind))
+
+    def health(self, service: str, instance: str = "r17") -> None:
+        self._deliver(f"site/health/{service}/{instance}", zenoh.SampleKind.PUT)
+
+    def token(self, service: str, *, there: bool, instance: str = "r17") -> None:
+        kind = zenoh.SampleKind.PUT if there else zenoh.SampleKind.DELETE
+        self._deliver(f"site/alive/{service}/{instance}/1", kind)
+
+
+@pytest.fixture
+def session() -> FakeSession:
+    return FakeSession()
+
+
+@pytest.fixture
+def hearing(session: FakeSession) -> ReceiveWatchdog:
+    """Of a tracker among a router and a projector that have been heard."""
+    hearing = ReceiveWatchdog(PATIENCE)
+    hearing.attach(session, *ADDRESS)  # type: ignore[arg-type]
+    for service in ("router", "projector"):
+        session.token(service, there=True)
+        session.health(service)
+    assert not ticks(hearing, session, 1)
+    return hearing
+
+
+def ticks(hearing: ReceiveWatchdog, session: FakeSession, count: int, *speaking: str) -> bool:
+    """Whether the last of so many seconds finds it deaf; `speaking` say their health in each."""
+    lost = False
+    for _ in range(count):
+        for service in speaking:
+            session.health(service)
+        lost = hearing.is_lost(session)  # type: ignore[arg-type]
+    return lost
+
+
+def test_who_is_given_nothing_any_more_is_deaf_after_its_patience(
+    session: FakeSession, hearing: ReceiveWatchdog
+) -> None:
+    assert not ticks(hearing, session, 100, "router", "projector")
+    session.delivers = False
+    assert not ticks(hearing, session, PATIENCE - 1, "router", "projector")
+    assert ticks(hearing, session, 1, "router", "projector")
+
+
+def test_one_that_is_heard_is_enough(session: FakeSession, hearing: ReceiveWatchdog) -> None:
+    assert not ticks(hearing, session, 10 * PATIENCE, "router")
+
+
+def test_its_own_voice_is_none(session: FakeSession, hearing: ReceiveWatchdog) -> None:
+    assert ticks(hearing, session, PATIENCE, "tracker")
+
+
+def test_others_that_ended_are_not_missed(session: FakeSession, hearing: ReceiveWatchdog) -> None:
+    for service in ("router", "projector"):
+        session.token(service, there=False)
+    assert not ticks(hearing, session, 10 * PATIENCE)
+
+
+def test_others_that_never_spoke_are_not_waited_for(session: FakeSession) -> None:
+    hearing = ReceiveWatchdog(PATIENCE)
+    hearing.attach(session, *ADDRESS)  # type: ignore[arg-type]
+    session.token("projector", there=True)
+    session.token("projector", there=True, instance="r18")
+    session.health("projector", instance="r18")
+    assert not ticks(hearing, session, 10 * PATIENCE)
+
+
+def test_without_a_link_nothing_is_expected(session: FakeSession, hearing: ReceiveWatchdog) -> None:
+    session.linked = False
+    assert not ticks(hearing, session, 10 * PATIENCE)
+    session.linked = True
+    assert not ticks(hearing, session, PATIENCE - 1)
+    assert ticks(hearing, session, 1)
+
+
+def test_a_word_that_comes_late_starts_the_patience_again(
+    session: FakeSession, hearing: ReceiveWatchdog
+) -> None:
+    assert not ticks(hearing, session, PATIENCE - 1)
+    assert not ticks(hearing, session, 1, "projector")
+    assert not ticks(hearing, session, PATIENCE - 1)
+
+
+def test_two_sessions_of_real_zenoh_hear_each_other(buses: Callable[[], Bus], net: Any) -> None:
+    """What the fake stands for: tokens and health of another process, not of its own."""
+    from eigenscan.schemas.channels import HEALTH
+    from eigenscan.schemas.envelope import Envelope
+    from eigenscan.schemas.health_pb2 import Health
+
+    own, other, hearing = buses(), buses(), ReceiveWatchdog(2)
+    own.announce(net.site, "tracker", "r17")
+    own.watch_others(hearing, net.site, "tracker", "r17")
+    other.announce(net.site, "projector", "r17")
+    spoken = threading.Event()
+    address = {"site": net.site, "instance": "r17"}
+    for _ in range(600):
+        other.say(Envelope(HEALTH, address | {"service": "projector"}, Health()))
+        own.say(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
+        if hearing._alive & hearing._speaking:
+            break
+        spoken.wait(0.05)
+    assert hearing._alive & hearing._speaking == {"projector"}
+    assert not own.is_deaf
+    own.say(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
+    assert [own.is_deaf for _ in range(3)][-1]  # the other one's token stands, and it says nothing
+
+
+DEAF = """
+import sys
+from eigenscan.runtime import node
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.router import RouterCore, RouterSettings
+
+asked = []
+Bus.is_deaf = property(lambda _: asked.append(1) or len(asked) > 1)
+sys.argv[1:] = ["--site", "s", "--robot", "r"]
+node.main("tracker", RouterSettings, lambda _: RouterCore())
+"""
+
+
+def test_a_deaf_process_ends_in_good_order_with_a_code_of_its_own() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", DEAF], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == EXIT_DEAF == 75, done.stderr
+    assert "deaf" in done.stdout + done.stderr
+    assert "stopped" in done.stdout + done.stderr
