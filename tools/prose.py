@@ -1,4 +1,4 @@
-"""Counts the words of all pages, and checks them, help texts and settings' descriptions for plain English.
+"""Counts the words of all pages, and checks them, help texts, settings and messages for plain English.
 
     .venv/bin/python tools/prose.py            # words and lines of each page, and of all
     .venv/bin/python tools/prose.py --check    # exit code 1: a sentence is too long, or a word not ours
@@ -115,6 +115,22 @@ def names_in_code() -> Iterator[Text]:
                     yield Text(f"{where}:{node.lineno}", _apart(node.arg))
 
 
+def strings_in_code() -> Iterator[Text]:
+    """Each text of a module that a user may read: errors, logs, health. No docstrings."""
+    for file in sorted(file for room in CODE for file in (ROOT / room).glob("**/src/**/*.py")):
+        if not file.stem.endswith("_pb2"):
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            documents = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+            for node in ast.walk(tree):
+                if (
+                    isinstance(node, ast.Constant)
+                    and isinstance(node.value, str)
+                    and " " in node.value.strip()
+                ) and id(node) not in documents:
+                    text = re.sub(r"--[a-z-]+", "CODE", node.value)
+                    yield Text(f"{file.relative_to(ROOT)}:{node.lineno}", text)
+
+
 def _apart(name: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("_", " ")
 
@@ -141,6 +157,8 @@ def faults() -> Iterator[str]:
     texts = [text for name, page in read.items() for text in of_page(name, page)]
     for text in [*texts, *of_commands(), *of_settings()]:
         yield from long_sentences(text)
+        yield from foreign_words(text, banned["text"])
+    for text in strings_in_code():
         yield from foreign_words(text, banned["text"])
     for text in names_in_code():
         yield from foreign_words(text, banned["code"])

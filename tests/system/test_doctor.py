@@ -189,7 +189,7 @@ def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(hou
 
             stack.enter_context(speaking(house, service, instance, CONTRACT_VERSION, words))
         wanted = [
-            ("robot a-1", "has tracker a-+ and a-1: each spoils what the other says"),
+            ("robot a-1", "has tracker a-+ and a-1: each disturbs the other"),
             ("robot a-1", "no projector searches part 2/3 of the site"),
             ("robot b-2", "no tracker"),
         ]

@@ -103,7 +103,7 @@ impl Ingest {
             service: "scan-ingest".into(),
             instance: instance.clone(),
             status: if has_scans { Status::Ok } else { Status::Waiting }.into(),
-            detail: if has_scans { "" } else { "no scan heard yet" }.into(),
+            detail: if has_scans { "" } else { "no scan received yet" }.into(),
             counters: self.counters.clone().into_iter().collect(),
             package_version: env!("CARGO_PKG_VERSION").into(),
             settings: format!(r#"{{"site": {site:?}, "robot": {robot:?}, "base_frame": {base_frame:?}}}"#),

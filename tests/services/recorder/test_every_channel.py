@@ -181,7 +181,7 @@ def test_a_robot_that_is_told_where_it_is_is_shown_with_it_until_it_is_to_search
     assert arrow[0, :2] == pytest.approx([4.0, 1.0])
     assert np.ptp(outline[:, 0]) == pytest.approx(2 * 0.5 * math.sqrt(5.991), rel=1e-2)
     texts = [text for _, (text,) in rows(tmp_path / "a.rrd", "/events/r1", "TextLog:text")]
-    assert texts == ["r1: told to be at 4.00, 1.00, 0 deg", "r1: told to search anew"]
+    assert texts == ["r1: relocated to 4.00, 1.00, 0 deg", "r1: relocated: search the whole site"]
 
 
 def test_the_models_in_use_are_a_page_with_their_floors_on_the_map(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ FAULTS = {
 }
 # of the odd recorder: the check that must fail, and words that it must say
 RECORDING_FAULTS = {
-    "no-past": ("kept", "that was said before its start, 1 are lost"),
+    "no-past": ("kept", "that was published before its start, 1 are lost"),
     "loses-some": ("kept", "are lost, changed or out of order"),
     "changes-poses": ("kept", "/pose: of "),
     "arrival-as-stamp": ("times", "the stamp is "),

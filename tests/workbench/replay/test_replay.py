@@ -235,7 +235,7 @@ def test_recorded_settings_are_used_and_defaults_are_said(
     assert eigenscan("replay", in_file, *command).code == 0
     ended = eigenscan("replay", run.write(tmp_path / "untold.mcap", other), *command)
     assert ended.code == 1
-    assert "default settings, for the recording does not tell them" in ended.out
+    assert "default settings, for the recording does not have them" in ended.out
 
 
 def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_pat
         told = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=heard))
         file = run.write(tmp_path / f"{heard}.mcap", [*run.messages, told])
         ended = eigenscan("replay", file, *command)
-        noted = f"note: tracker t had heard {heard} odometry, the recording holds {count}" in ended.out
+        noted = f"note: tracker t had received {heard} odometry, the recording holds {count}" in ended.out
         assert noted is is_noted, ended.out
 
 
@@ -366,16 +366,16 @@ def test_what_a_service_needs_is_named(run: Run, eigenscan: Command, tmp_path: P
     ):
         ended = eigenscan("replay", path, "--service", service, "--compare")
         assert ended.code == 2
-        assert f"holds no {channel}, which " in ended.err
+        assert f"holds no {channel}, an input of " in ended.err
 
 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
         (("--service", "nobody", "--compare"), "--service nobody: there are scan-ingest"),
-        (("--compare",), "give --service"),
+        (("--compare",), "missing option '--service'"),
         (("--service", "tracker"), "give --compare, --out FILE, or both"),
-        (("--service", "tracker", "--compare", "--from", 2), "--from: not with --service"),
+        (("--service", "tracker", "--compare", "--from", 2), "no such option: --from"),
         (("--service", "tracker", "--compare", "--set", "trust"), "--set trust: give SETTING=VALUE"),
         (("--service", "tracker", "--compare", "--set", "trust=high"), "tracker: trust = 'high'"),
         (("--service", "tracker", "--compare", "--set", "trrust=1"), "tracker: trrust = '1': there are"),

@@ -89,7 +89,7 @@ def test_an_update_accepts_and_then_holds(run: Run, folder: Path, eigenscan: Com
     raw = without_answers(run, folder / "raw.mcap")
     ended = eigenscan("replay-test", folder)
     assert ended.code == 2
-    assert "--update keeps what they say now" in ended.out
+    assert "--update keeps those of today" in ended.out
     assert eigenscan("replay-test", folder, "--update").code == 0
     reference = folder / "raw.reference.mcap"
     inputs = {record.envelope.channel for record in read(raw)}

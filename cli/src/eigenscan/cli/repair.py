@@ -43,7 +43,7 @@ def repair(
         return
     lost = [
         f"{found.lost_chunks} damaged chunks are lost" if found.lost_chunks else "",
-        f"{found.lost_messages} messages of channels that they told of" if found.lost_messages else "",
+        f"{found.lost_messages} messages of channels that they name" if found.lost_messages else "",
         "it breaks off" if found.cut else "",
     ]
     words = ", ".join(part for part in lost if part) or "its index was missing"

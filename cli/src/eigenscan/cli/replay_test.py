@@ -50,7 +50,7 @@ def replay_test(
         if name not in CHOICES:
             raise UsageError(f"--service {name}: there are {', '.join(CHOICES)}")
     if update and PIPELINE in (service or ()) and len(service or ()) > 1:
-        raise UsageError(f"--update --service {PIPELINE}: alone, for it says what the others say")
+        raise UsageError(f"--update --service {PIPELINE}: alone, for it gives the answers of the others")
     for file in (json_file, junit_file):
         prepare(file)
     files = suite.recordings(folder)

@@ -30,7 +30,7 @@ log_format = "json"
 {names}
 [router]
 zenoh = "{installed}/router.json5"
-end_on_change = true  # whatever keeps it up starts it with the new one
+end_on_change = true  # systemd or Docker restarts it
 {services}"""
 ROBOT_NAMES = """\
 robot = {robot}
@@ -55,7 +55,7 @@ SITE_SERVICES = """
 [mapbuilder]
 zenoh = "{installed}/mapbuilder.json5"
 map = "{installed}/maps/map.yaml"
-model = "/var/lib/eigenscan/site/model"  # built of the map; what robots see for long is proposed for it
+model = "/var/lib/eigenscan/site/model"  # built of the map; lasting changes are proposed for it
 
 [recorder]
 zenoh = "{installed}/recorder.json5"

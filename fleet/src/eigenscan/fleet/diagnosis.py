@@ -82,14 +82,14 @@ def _of_a_service(service: Service) -> Iterator[Finding]:
         yield Finding(
             where,
             f"could not decode {lost} messages",
-            "somebody speaks another version: see its log for keys",
+            "another program has another version: see its log for keys",
         )
     for channel, dropped in service.drops.items():
         if service.grew(f"dropped_{channel}"):
             yield Finding(
                 where,
                 f"is too slow: drops {channel}, {dropped} so far",
-                "give it more processor time, or fewer robots (--robot) or regions (--part)",
+                "give it more CPU time, or fewer robots (--robot) or regions (--part)",
             )
 
 
@@ -139,7 +139,7 @@ def _of_sharing(where: str, there: dict[str, list[Service]]) -> Iterator[Finding
     for name in ("scan-ingest", "tracker"):
         if len(there[name]) > 1:
             both = " and ".join(sorted(service.instance for service in there[name]))
-            yield Finding(where, f"has {name} {both}: each spoils what the other says", "end all but one")
+            yield Finding(where, f"has {name} {both}: each disturbs the other", "end all but one")
     shares: dict[int, set[int]] = {}
     for service in there["projector"]:
         k, n = map(int, service.setting("part", "1/1").split("/"))

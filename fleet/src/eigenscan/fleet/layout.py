@@ -37,16 +37,16 @@ TEMPLATE = """\
 # A fleet of robots on one site. After a change: eigenscan fleet configure -o THIS FOLDER
 site = {site}
 addresses = {addresses}  # of the site's router; robots connect to the first
-# The site's router takes messages of a robot at ten times its rate at most. Where the air is bad they come in
-# bursts, of which that leaves one: false lets all pass, and a robot that floods the site as well.
+# The site's router accepts a robot's messages at ten times its rate at most. On a bad link they come in
+# bursts, of which only the first passes. false: all pass, also those of a robot that floods the site.
 hold_back_floods = true
 
-# Robots whose scans a projector elsewhere answers, by its name: certify makes its certificate. Their scans
-# cross the air then.
+# Robots whose scans a projector elsewhere answers, by its name; certify makes its certificate. Their scans
+# cross the air.
 [groups]
 # lab = "a-*,b-7"
 
-# Samples a second that a robot may send to the site where it is not what the contract says; 0: none.
+# Samples a second that a robot may send to the site, in place of the contract's; 0: none.
 # Of all keys of the channel together, so of all lidars.
 [air]
 scan = 2.0  # by which the mapbuilder keeps the map true

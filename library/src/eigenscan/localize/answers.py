@@ -20,7 +20,7 @@ _STATES: dict[int, State] = {
 
 @dataclass(frozen=True, repr=False)
 class Hypotheses:
-    """Where one scan may have been taken, most likely first; none where it says nothing.
+    """Where one scan may have been taken, most likely first; none where it publishes nothing.
 
     `poses` (n, 3): the robot's base in the map frame, m, m, rad; `covariances` (n, 3, 3) of each, given that
     it is the right one; `log_likelihoods` (n,): ln p(scan | pose) / p(scan | a place that the map lacks), so
@@ -34,7 +34,7 @@ class Hypotheses:
 
     def __repr__(self) -> str:
         if not len(self.poses):
-            return "<Hypotheses: none, the scan says nothing>"
+            return "<Hypotheses: none, the scan shows nothing>"
         best = f"best at {place(self.poses[0])}, log likelihood {self.log_likelihoods[0]:.1f}"
         second = f", the next {self.log_likelihoods[1]:.1f}" if len(self.poses) > 1 else ""
         return f"<Hypotheses: {len(self.poses)}, {best}{second}>"

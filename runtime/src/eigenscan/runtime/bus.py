@@ -56,7 +56,7 @@ class Bus:
         self._declared: list[Any] = []
         self._watchdog: ReceiveWatchdog | None = None
         self.twins = 0
-        """Health messages heard from another process under this one's own name."""
+        """Health messages received from another process under this one's name."""
 
     def __enter__(self) -> Bus:
         return self
@@ -142,7 +142,7 @@ class Bus:
     def listen_all(self, channels: Sequence[Channel], selector: str, inbox: Inbox) -> None:
         """Fills `inbox` from every key that `selector` matches; each sample goes to its own channel.
 
-        Latched channels are heard from the past as well.
+        Of latched channels, earlier samples are received too.
         """
         intake = Intake(channels, inbox)
         self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
@@ -155,9 +155,9 @@ class Bus:
     def _follow(
         self, channel: Channel, site: str, selector: str, intake: Intake, patience_s: float = 0.0
     ) -> None:
-        """Asks for the newest samples of `channel` whenever somebody appears who holds some.
+        """Queries the newest samples of `channel` at each new token of a publisher.
 
-        Who holds some of them itself says which, and first waits for `patience_s`.
+        If some are held already, the query lists them, after a wait of up to `patience_s`.
         """
 
         def on_token(token: Any) -> None:
@@ -202,7 +202,7 @@ class Bus:
             one.undeclare()
 
     def wait_for_listener(self, key: str, timeout: float) -> bool:
-        """Waits until somebody subscribes to `key`, at most `timeout` seconds; False where nobody did."""
+        """Waits for a subscriber to `key`, at most `timeout` seconds; False without one."""
         publisher: Any = self._session.declare_publisher(key)  # the stub of matching_status is wrong
         try:
             deadline = time.monotonic() + timeout
@@ -225,7 +225,7 @@ class Bus:
         )
 
     def close(self) -> None:
-        """Undeclares everything, then closes the session. What another thread says after that fails."""
+        """Undeclares everything, then closes the session. Later publications fail."""
         with self._lock:
             declared = [*self._declared, *(publisher for _, publisher in self._publishers.items())]
             self._declared.clear()

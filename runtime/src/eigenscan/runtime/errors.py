@@ -1,4 +1,4 @@
-"""Errors that say what to mend, in one line."""
+"""Errors that name the fix, in one line."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ class UsageError(ValueError):
 
 
 class FailedError(RuntimeError):
-    """What was asked for was tried and failed; the message says why."""
+    """A valid request failed; the message gives the reason."""
 
 
 def by_users(error: Exception) -> bool:
-    """Whether `error` says what is wrong with the input, and so needs no trace.
+    """Whether `error` is about the input, and so needs no trace.
 
     These are the errors that this project raises itself (SettingsError, MapError, ...) and files that
     cannot be read or written.

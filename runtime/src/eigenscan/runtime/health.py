@@ -1,4 +1,4 @@
-"""What a running service tells of itself: Health messages, Prometheus metrics, /healthz."""
+"""State of a running service: Health messages, Prometheus metrics, /healthz."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _Counters(Collector):
         condition = self._read()
         counts = CounterMetricFamily(
             "eigenscan_messages",
-            "messages heard, said, dropped and set aside since the start",
+            "messages received, published, dropped and rejected since the start",
             labels=["what"],
         )
         for name, value in sorted(condition.counters.items()):
@@ -133,7 +133,7 @@ class Monitor:
         return condition
 
     def message(self) -> Health:
-        """The condition as the contract says it."""
+        """The condition as a message of the contract."""
         condition = self.condition()
         return Health(
             timestamp=stamp(time.time_ns()),

@@ -48,7 +48,7 @@ class Inbox:
         self._closed = False
         self._ready = threading.Condition()
         self.on_put: Callable[[], None] | None = None
-        """Called behind each sample, in its thread; then nobody is woken who takes."""
+        """Called after each sample, in its thread; then no other thread is woken."""
         self._dropped: Counter[str] = Counter()
         self.too_late = 0
         """Samples that gave way to newer ones of their key."""
@@ -72,7 +72,7 @@ class Inbox:
     def take(self, timeout: float) -> Arrival | None:
         """Oldest sample, or None after `timeout` seconds without one, or when closed.
 
-        Who is behind gets in its place the newest of its key where the channel says so; those between go.
+        If the service is behind and the channel allows, the newest of its key; those between are dropped.
         As the oldest decides whose turn it is, no key waits longer for that.
         """
         with self._ready:
@@ -106,7 +106,7 @@ class Inbox:
             self._dropped[reason] += 1
 
     def close(self) -> None:
-        """Wakes whoever takes; nothing is given out any more."""
+        """Wakes the waiting thread; nothing is given out any more."""
         with self._ready:
             self._closed = True
             self._ready.notify_all()

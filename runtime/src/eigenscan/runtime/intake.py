@@ -20,11 +20,11 @@ class Intake:
         self._channels = channels
         self._held = {sample.key: digest(sample.payload) for sample in known if sample.channel in channels}
         self._inbox = inbox
-        self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub does not say that it can be compared
+        self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub lacks the comparison
         self._lock = threading.Lock()
 
     def digests(self) -> list[bytes]:
-        """Of the newest samples of latched keys: what a query says that its asker has."""
+        """Digests of the newest samples of latched keys: what a query lists as held."""
         with self._lock:
             return list(self._held.values())
 
@@ -66,7 +66,7 @@ class Intake:
 
 
 def digests_in(payload: Any) -> frozenset[bytes]:
-    """What a query's payload says that its asker has."""
+    """What a query's payload lists as held."""
     listed = payload.to_bytes() if payload is not None else b""
     return frozenset(listed[i : i + DIGEST_BYTES] for i in range(0, len(listed), DIGEST_BYTES))
 

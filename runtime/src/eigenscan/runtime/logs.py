@@ -18,10 +18,10 @@ _PLAIN = "\x1b[0m"
 
 
 class Logger(logging.LoggerAdapter[logging.Logger]):
-    """Python's logger whose calls take what they tell by name: `log.info("ready", site="office")`."""
+    """Python's logger, whose calls take context by name: `log.info("ready", site="office")`."""
 
     def process(self, msg: str, kwargs: MutableMapping[str, Any]) -> tuple[str, MutableMapping[str, Any]]:
-        """Puts what is told on the record. `exc_info`: an exception."""
+        """Adds the context to the record. `exc_info`: an exception."""
         error = kwargs.pop("exc_info", None)
         return msg, {"extra": {"told": kwargs}, "exc_info": error}
 

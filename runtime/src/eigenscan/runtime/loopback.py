@@ -15,22 +15,22 @@ from eigenscan.schemas.wire import decode, encode
 
 
 class Loopback:
-    """Delivers each message to every core that hears its channel."""
+    """Delivers each message to every core that subscribes to its channel."""
 
     def __init__(self, cores: Sequence[Core]) -> None:
         self._cores = list(cores)
         self._hearers: dict[str, list[Core]] = {}
 
     def start(self) -> list[Envelope]:
-        """Starts the cores; gives all that was said."""
+        """Starts the cores; gives all published messages."""
         return [said for core in self._cores for said in self._spread(core.start())]
 
     def hear(self, envelope: Envelope) -> list[Envelope]:
-        """Gives `envelope` to the cores; gives all that was said because of it, in order."""
+        """Gives `envelope` to the cores; gives all messages published because of it, in order."""
         return list(self._spread([envelope]))[1:]
 
     def finish(self) -> list[Envelope]:
-        """Lets each core say what it held back, first the ones nearest to the sensor."""
+        """Lets each core publish what it held back, first those nearest to the sensor."""
         return [said for core in self._cores for said in self._spread(core.finish())]
 
     def _spread(self, envelopes: Iterable[Envelope]) -> Iterator[Envelope]:

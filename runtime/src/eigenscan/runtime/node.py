@@ -39,10 +39,10 @@ S = TypeVar("S", bound=ServiceSettings)
 
 HEALTH_PERIOD_S = 1.0
 STOP_CORE, CLOSE, STOP_ALL = 0.5, 0.35, 0.95
-"""Shares of `stop_s`: what the core gets to end its present message and say what it holds back; what the
+"""Shares of `stop_s`: what the core gets to end its present message and publish what it holds back; what the
 session gets to close, where a neighbour may be slow to take a large answer; when it is ended by force."""
 WHOLE_SITE_SLACK = 16
-"""Who hears a whole site may fall behind so many times farther, while a disk is busy, before it drops."""
+"""A service for a whole site may fall behind so many times farther, while a disk is busy, before it drops."""
 EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
@@ -259,7 +259,7 @@ class Node:
         return bus
 
     def _remember(self, hears: Sequence[Channel]) -> list[Arrival]:
-        """Lets the core hear again what was kept on disk; gives it."""
+        """Gives the core the samples that were cached on disk; returns the cache."""
         if self.settings.keep is None:
             return []
         self._keepsake = LatchedCache(self.settings.keep)

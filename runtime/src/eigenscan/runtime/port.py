@@ -10,12 +10,12 @@ from eigenscan.schemas.envelope import Envelope
 
 
 class Port(Protocol):
-    """Carries `channels` of a core, which sees no difference; they are never said on the site's keys."""
+    """Carries `channels` of a core, which sees no difference; they are never published on the site's keys."""
 
     channels: tuple[Channel, ...]
 
     def open(self, inbox: Inbox) -> None:
-        """Connects; from now on puts what it hears into `inbox`, as samples of `channels`."""
+        """Connects; from now on puts received messages into `inbox`, as samples of `channels`."""
         ...
 
     def say(self, envelope: Envelope) -> None:

@@ -23,7 +23,7 @@ class Salvage:
     lost_chunks: int = 0
     """That do not inflate, or whose sum is wrong."""
     lost_messages: int = 0
-    """Of channels that only a lost chunk told of."""
+    """Of channels that only a lost chunk named."""
     cut: bool = False
     """The file ends before its end mark, or cannot be read on from some place."""
     schemas: dict[int, Schema] = field(default_factory=dict)

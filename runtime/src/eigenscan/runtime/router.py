@@ -32,7 +32,7 @@ class RouterSettings(ServiceSettings):
 
 
 class RouterCore:
-    """Hears and says nothing: what a router does it does by being there."""
+    """Neither receives nor publishes: a router works by its presence."""
 
     hears: tuple[Channel, ...] = ()
     says: tuple[Channel, ...] = ()

@@ -31,7 +31,7 @@ S = TypeVar("S", bound="ServiceSettings")
 M = TypeVar("M", bound=BaseModel)
 
 _SERVED = frozenset(("site", "robot", "instance"))
-"""Whom a service serves and under which name: the keys that its core hears and speaks on."""
+"""Which robots a service serves, and under which name: the keys of its core."""
 
 
 class SettingsError(ValueError):
@@ -119,7 +119,7 @@ class ServiceSettings(BaseModel):
     @field_validator("robot")
     @classmethod
     def _each_robot_once(cls, value: str) -> str:
-        """Two of its patterns that fit the same robot would hear each of its messages twice."""
+        """Two patterns that fit the same robot would receive each message twice."""
         pairs = list(itertools.combinations(patterns(value), 2))
         if pairs:
             from zenoh import KeyExpr
@@ -241,7 +241,7 @@ def _is_plain(annotation: Any) -> bool:
 def read_table(
     kind: type[ServiceSettings], service: str, path: Path, asked: str = "--config"
 ) -> dict[str, Given]:
-    """What a TOML file, `asked` for by that option, says of a service. Raises SettingsError."""
+    """A service's settings in a TOML file that `asked` names. Raises SettingsError."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -276,6 +276,6 @@ def gone(kind: type[BaseModel], name: str) -> str:
 
 
 def nearest(name: str, known: typing.Iterable[str], prefix: str = "") -> str:
-    """What to say of an unknown name: the known one that was meant, most likely; or nothing."""
+    """A hint for an unknown name: the most similar known one, or nothing."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean {prefix}{near[0]}?" if near else ""

@@ -1,4 +1,4 @@
-"""A core at work: what waits is decoded and handed to it, what it answers is said, its condition is told."""
+"""A core at work: waiting samples are decoded and handled, answers published, its condition reported."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from eigenscan.schemas.tick import TICK, TICK_S, tick
 from eigenscan.schemas.wire import decode
 
 CONDITION_PERIOD_S = 0.25
-TOO_SLOW_HINT = "give it more processor time, or fewer robots (--robot) or regions (--part)"
+TOO_SLOW_HINT = "give it more CPU time, or fewer robots (--robot) or regions (--part)"
 
 
 class Work:
@@ -36,7 +36,7 @@ class Work:
         *,
         prompt: bool = False,
     ) -> None:
-        """`keep` is given what is latched, `stop` says when to stop.
+        """`keep` receives latched samples; `stop` ends the work.
 
         `prompt`: takes each message in the thread that brings it.
         """
@@ -47,11 +47,11 @@ class Work:
         """Held by the thread that the core works in."""
 
     def begin(self) -> None:
-        """Says what the core has to say at first."""
+        """Publishes the first messages of the core."""
         self._say(self._core.start())
 
     def run(self) -> None:
-        """Works until it is to stop, then says what the core holds back."""
+        """Works until stopped, then publishes what the core holds back."""
         if self._prompt:
             self._inbox.on_put = self._work_off
         due, tick_due = 0.0, (0.0 if TICK in self._core.hears else math.inf)
@@ -104,7 +104,7 @@ class Work:
             self._monitor.dealt_with(channel.name, heard.stamp)
 
     def _give(self, heard: Envelope, key: str) -> None:
-        """Lets the core handle a message, and says what it answers."""
+        """Lets the core handle a message, and publishes its answers."""
         name = heard.channel.name
         self._counters.counts[f"heard_{name}"] += 1
         began = time.perf_counter()
@@ -136,5 +136,7 @@ class Work:
             own = self._core.condition()
         except Exception as error:
             self._counters.set_aside("core_failed", "", error, trace=True)
-            return Condition(Health.STATUS_DEGRADED, f"the core cannot tell its condition: {error}", counters)
+            return Condition(
+                Health.STATUS_DEGRADED, f"the core cannot report its condition: {error}", counters
+            )
         return Condition(own.status, own.detail, dict(own.counters) | counters)

@@ -1,4 +1,4 @@
-"""The one table of all that is said: key, message, and how it travels.
+"""The one table of all channels: key, message, and how it travels.
 
 A channel's key is a template such as `{site}/robot/{robot}/scan/{lidar}`; its fields are single
 key chunks. Keys are built and parsed here and nowhere else.
@@ -56,7 +56,7 @@ class Priority(Enum):
 
 
 class Role(Enum):
-    """Who speaks at a site's router, as its certificate says."""
+    """Who publishes at a site's router, by its certificate."""
 
     ROBOT = "robot"
     MAPBUILDER = "mapbuilder"
@@ -71,7 +71,7 @@ class Qos:
     `block`: the publisher waits rather than drops. `express`: never batched, for low latency.
     `latched`: a late joiner gets the newest sample of each key by a query on that key.
     `depth`: samples that wait at a subscriber before the oldest is dropped (0: never dropped). `newest`: one
-    sample tells all that the older ones of its key would, so a subscriber that falls behind skips those.
+    sample replaces the older ones of its key, so a subscriber that falls behind skips those.
     `rate_hz`: what is usual, for health and for planning. `air_hz`: samples a second that may cross the air
     between robot and site; 0: it stays on the robot, infinite: all of them.
     """
@@ -88,7 +88,7 @@ class Qos:
 
 @dataclass(frozen=True)
 class Channel:
-    """One kind of message and where it is said."""
+    """One kind of message and where it is published."""
 
     name: str
     template: str
@@ -99,14 +99,14 @@ class Channel:
 
     @property
     def to_one_robot(self) -> bool:
-        """Whether the site says it to a robot, on the robot's own key."""
+        """Whether the site publishes it to a robot, on the robot's own key."""
         return "robot" in self.fields and any(role is not Role.ROBOT for role in self.said_by)
 
     @property
     def heard_by(self) -> tuple[Role, ...]:
-        """Who may hear it through the site's router.
+        """Who may receive it through the site's router.
 
-        The site hears all; a robot what no robot says, and what the site says to it alone.
+        The site receives all; a robot what no robot publishes, and what the site publishes to it alone.
         """
         robots = Role.ROBOT not in self.said_by or self.to_one_robot
         return tuple(role for role in Role if role is not Role.ROBOT or robots)

@@ -1,4 +1,4 @@
-"""A message with its channel and address: what cores hear and say."""
+"""A message with its channel and address: input and output of cores."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Core(Protocol):
     says: tuple[Channel, ...]
 
     def start(self) -> Iterable[Envelope]:
-        """What is said before anything was heard."""
+        """Messages to publish before any is received."""
         ...
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
@@ -69,7 +69,7 @@ class Core(Protocol):
         ...
 
     def finish(self) -> Iterable[Envelope]:
-        """What was held back, when no more will be heard."""
+        """What was held back, when no more messages come."""
         ...
 
     def condition(self) -> Condition:

@@ -99,7 +99,7 @@ def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 
 def fill(page: str) -> str:
-    """`page` with every generated part made anew. Raises ValueError where a part's marks are missing."""
+    """`page` with every generated part written again. Raises ValueError where a part's marks are missing."""
     for name, text in tables().items():
         part = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
         page, found = part.subn(lambda match, text=text: f"{match[1]}{text}\n{match[2]}", page)  # type: ignore[misc]

@@ -146,9 +146,7 @@ class Demonstration:
     def _tell(self, state: int, seen: Sighting) -> None:
         if seen.time >= self._kidnap and not self._carried:
             self._carried = True
-            self._line.say(
-                f"{self._kidnap:5.1f} s  somebody carries the robot elsewhere; its wheels do not turn"
-            )
+            self._line.say(f"{self._kidnap:5.1f} s  the robot is carried elsewhere; its wheels do not turn")
         error = f"  error {error_text(seen.error_m, seen.error_rad)}" if seen.claimed else ""
         text = f"{seen.time:5.1f} s  {state_name(state):<9}  confidence {seen.confidence:.2f}{error}"
         if state != self._told:

@@ -90,7 +90,7 @@ def _serving(view: FleetView, robot: str) -> list[Service]:
 def _wait_for_tracker(view: FleetView, robot: str, seconds: float) -> None:
     if not view.until(lambda: bool(_serving(view, robot)), seconds):
         known = ", ".join(view.robot_names()) or "none"
-        raise FailedError(f"{robot}: nobody tracks it on site {view.site}; robots that are heard of: {known}")
+        raise FailedError(f"{robot}: nobody tracks it on site {view.site}; known robots: {known}")
 
 
 def _taken_up(view: FleetView, robot: str) -> int:

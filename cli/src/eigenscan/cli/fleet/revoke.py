@@ -26,9 +26,9 @@ def revoke(
 
     kept = layout.revoke(folder, name)
     router = folder / "site" / "router.json5"
-    typer.echo(f"{kept.name}: is in {router} no more")
+    typer.echo(f"{kept.name}: is no longer in {router}")
     typer.echo(
-        "it holds as soon as the site's router has that file: one that ends on change starts anew by itself "
-        "(our fleet deployment does), any other must be restarted",
+        "copy the file to the site's router; with end_on_change (our fleet deployment) it restarts, "
+        "any other must be restarted",
         err=True,
     )

@@ -29,13 +29,13 @@ def read_plan(path: Path, options: PlanOptions) -> GridMap:
     kind, scale = path.suffix.lower(), options.metres_per_unit
     if kind not in IMAGES | DRAWINGS:
         if scale is not None:
-            raise MapError(f"{path}: says its resolution itself: leave --metres-per-unit out")
+            raise MapError(f"{path}: has its own resolution: leave --metres-per-unit out")
         return read_map(path)
     if not path.is_file():
         raise MapError(f"{path}: is not there: check the path")
     if kind in IMAGES:
         if scale is None:
-            raise MapError(f"{path}: an image does not say its scale: give --metres-per-unit, m a pixel")
+            raise MapError(f"{path}: an image has no scale: give --metres-per-unit, m a pixel")
         return read_image(path, scale)
     from eigenscan.geometry.plans.raster import rasterize
 

@@ -38,9 +38,7 @@ def read_dxf(path: Path, metres_per_unit: float | None, layers: Collection[str])
     scale = metres_per_unit
     if scale is None:
         if not drawing.units:
-            raise MapError(
-                f"{path}: does not say its unit: give --metres-per-unit, such as 0.001 for millimetres"
-            )
+            raise MapError(f"{path}: has no unit: give --metres-per-unit, such as 0.001 for millimetres")
         scale = float(conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters))
     walls = list(_walls(drawing.modelspace()))
     if missing := sorted(set(layers) - {layer for layer, _ in walls}):

@@ -35,9 +35,7 @@ def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str])
     except ImportError as error:
         raise MapError(f"{path}: reading SVG needs svgelements: pip install 'eigenscan[plans]'") from error
     if metres_per_unit is None:
-        raise MapError(
-            f"{path}: an SVG does not say its scale: give --metres-per-unit, 0.01 where 1 m is 100 units"
-        )
+        raise MapError(f"{path}: an SVG has no scale: give --metres-per-unit, 0.01 where 1 m is 100 units")
     try:
         _check_size(path)
         drawing = SVG.parse(str(path))

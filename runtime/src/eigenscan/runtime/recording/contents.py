@@ -1,4 +1,4 @@
-"""What a recording holds, told without reading all of it where there is an index."""
+"""What a recording holds; with an index, without reading all of it."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ class MapbuilderSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     gone: ClassVar[Mapping[str, str]] = {
-        "share": "components says how many are kept, and their share of the variance follows"
+        "share": "components is how many are kept; their share of the variance follows"
     }
 
     frame_id: str = Field("map", min_length=1, description="name of the map frame in published messages")

@@ -114,7 +114,7 @@ class RosBridgeCore:
         """Waiting until scans come through, with what they lack, and while a lifecycle manager says so."""
         lacks = self._lacks
         if not self._lifecycle.active:
-            lacks = f"says no pose: a lifecycle manager has it {self._lifecycle.state}"
+            lacks = f"publishes no pose: a lifecycle manager has it {self._lifecycle.state}"
         status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
         return Condition(status, lacks or self._not_taken, dict(self._counts))
 
@@ -198,9 +198,7 @@ class RosBridgeCore:
         if frame and self._map_frames and frame not in self._map_frames:  # as AMCL does
             self._counts["set_aside_initial_pose_in_another_frame"] += 1
             ours = ", ".join(sorted(self._map_frames))
-            self._not_taken = (
-                f"a pose said in frame {frame} is not taken: say it in {ours} (RViz: Fixed Frame)"
-            )
+            self._not_taken = f"a pose in frame {frame} is refused: publish it in {ours} (RViz: Fixed Frame)"
             return []
         self._not_taken = ""
         return [Envelope(RELOCATION, self._address, message)]

@@ -45,7 +45,7 @@ class _Lidar:
             return f"frozen: {repeats + 1} identical scans (or a simulated robot without noise stands)"
         covered = recent.count("one_value")
         if covered >= NAMED and recent[-1] == "one_value":
-            return f"covered: all beams say one value, in {covered} of the last {len(recent)} scans"
+            return f"covered: all beams have one value, in {covered} of the last {len(recent)} scans"
         if self.watch.two_lidars:
             return "has two mounts by turns: do two lidars use this name?"
         turns = sum((a == "out_of_order") != (b == "out_of_order") for a, b in pairwise(recent))
@@ -100,7 +100,7 @@ class ScanIngestCore:
         """DEGRADED where a lidar is frozen, covered or not one alone, or most scans were set aside."""
         counters = dict(self._counts)
         if not self._recent:
-            return Condition(Health.STATUS_WAITING, "no scan heard yet", counters)
+            return Condition(Health.STATUS_WAITING, "no scan received yet", counters)
         faults = [
             f"lidar {robot}/{name} {lidar.fault}"
             for (robot, name), lidar in self._lidars.items()

@@ -22,7 +22,7 @@ TURNED = 20.0
 """deg, a mount turned by less is not told from slip."""
 
 UNKNOWN = (
-    "odometry and scans tell of different motions: do wheels slip, are stamps of two clocks, "
+    "odometry and scans show different motions: do wheels slip, are stamps of two clocks, "
     "or are the scans of another robot?"
 )
 

@@ -19,10 +19,10 @@ RESTARTS_WITHIN = 40
 class Ending(Enum):
     """How a list of hypotheses ended without a pose."""
 
-    DUPLICATE = "each has a stamp that was heard before: the lidar's driver must set a new one for each scan"
-    TOO_LATE = "their stamps are {behind:.1f} s behind the newest that was heard: check the lidars' clocks"
+    DUPLICATE = "each repeats an earlier stamp: the lidar's driver must set a new one for each scan"
+    TOO_LATE = "their stamps are {behind:.1f} s behind the newest one: check the lidars' clocks"
     FUTURE = (
-        "each stamp is more than 1 s ahead of all that was heard, and none within 60 s confirms it: check "
+        "each stamp is more than 1 s ahead of all others, and none within 60 s confirms it: check "
         "the lidar's clock"
     )
     UNUSABLE = "scans have too few beams with a return: is the lidar covered?"
@@ -102,8 +102,8 @@ class Silence:
         """Why poses are missing; empty: they are not."""
         if self._two_clocks_s:
             return (
-                f"stamps of scans jump back by {self._two_clocks_s:.1f} s again and again, and tracking "
-                "begins anew each time: the clocks of two lidars, or of two robots under one name, differ"
+                f"stamps of scans jump back by {self._two_clocks_s:.1f} s repeatedly, and tracking restarts "
+                "each time: the clocks of two lidars, or of two robots under one name, differ"
             )
         for source, run in sorted(self._runs.items()):
             apart = run.last - run.first

@@ -23,7 +23,7 @@ class Heard(Enum):
 
     TAKEN = "taken"
     RESTARTED = "taken, and the clock was set back"
-    DUPLICATE = "its stamp was heard before"
+    DUPLICATE = "its stamp is not new"
     TOO_LATE = "its stamp is older than what is still waited for"
     FUTURE = "its stamp is not believed yet"
 

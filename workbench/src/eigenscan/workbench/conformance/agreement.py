@@ -151,7 +151,7 @@ def model_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
         faults.append("the map is not the one that was given")
     if announced.map_version != grid.version:
         faults.append(
-            f"the set is of map {announced.map_version[:12]!r}, the map said is {grid.version[:12]!r}"
+            f"the set is of map {announced.map_version[:12]!r}, the published map is {grid.version[:12]!r}"
         )
     if announced.version != set_version(announced.map_version, [e.version for e in announced.entries]):
         faults.append("the set's version is not the SHA-256 of its parts")
@@ -161,7 +161,7 @@ def model_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
         )
     missing = [entry.region for entry in announced.entries if entry.version not in models]
     if missing:
-        faults.append(f"the set names region {missing[0]!r} in a version that was not said")
+        faults.append(f"the set names region {missing[0]!r} in a version that was not published")
     caster, positions = RayCaster.of(grid), 0
     for message in models.values():
         try:

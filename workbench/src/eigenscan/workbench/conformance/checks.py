@@ -37,7 +37,8 @@ def judge(seen: Observed, latency_s: float, patience: float = 1.0) -> list[Check
     if seen.heard:
         return checks
     return [
-        skipped(one.name, one.clause, "it says nothing") if one.result == PASSED else one for one in checks
+        skipped(one.name, one.clause, "it publishes nothing") if one.result == PASSED else one
+        for one in checks
     ]
 
 
@@ -54,7 +55,7 @@ def _presence(seen: Observed, patience: float) -> Iterator[Check]:
         yield Check("presence", clause, FAILED, f"no liveliness token on {key}{held}{lives}")
     told = [one for one in seen.heard if one.channel is HEALTH]
     if not told:
-        yield Check("health", "Health", FAILED, "it never says eigenscan.Health")
+        yield Check("health", "Health", FAILED, "it never publishes eigenscan.Health")
         return
     end = seen.stopped_at - (seen.stopped[1] if seen.stopped else 0.0) if seen.stopped else told[-1].at
     gaps = np.diff([one.at for one in told if one.at <= end] + [end])
@@ -127,7 +128,7 @@ def _models(seen: Observed) -> Iterator[Check]:
         yield _late_joiner(seen, name, clause)
         return
     if not seen.profile.latched:
-        yield skipped(name, clause, f"a {seen.profile.name} hears no latched channel")
+        yield skipped(name, clause, f"a {seen.profile.name} receives no latched channel")
         return
     versions = [
         one.message.model_version
@@ -136,8 +137,10 @@ def _models(seen: Observed) -> Iterator[Check]:
     ]
     problems = []
     if not versions:
-        problems.append("no answer: the models that were said before its start did not come, or it has none")
-    yield check(name, clause, problems, "has the models that were said before its start")
+        problems.append(
+            "no answer: the models that were published before its start did not come, or it has none"
+        )
+    yield check(name, clause, problems, "has the models that were published before its start")
     changed = [] if versions and versions[-1] == seen.other_set else ["it does not go on with the newer set"]
     yield check(
         "other models", "Models", changed if seen.other_set else [], "takes a newer set while it runs"
@@ -160,14 +163,14 @@ def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
             problems.append(f"who comes late gets no {channel.name}: is it answered by a queryable?")
     for key, payload in said.items():
         if key in seen.joined and seen.joined[key][1] != payload:
-            problems.append(f"{key}: who comes late gets another message than was said")
+            problems.append(f"{key}: a late subscriber receives another message")
     return check(name, clause, problems, f"who comes late gets the same {len(seen.joined)} messages")
 
 
 def _bad_input(seen: Observed) -> Iterator[Check]:
     clause = "Samples"
     if seen.profile.asks is None:
-        yield skipped("bad input", clause, f"a {seen.profile.name} hears nothing")
+        yield skipped("bad input", clause, f"a {seen.profile.name} has no input")
         return
     yield from _survives(seen)
     if seen.ended_early:
@@ -205,7 +208,7 @@ def _numbers(seen: Observed) -> Iterator[Check]:
         return
     problems, words = seen.profile.numbers(seen.heard, seen.vectors)
     if not problems and words.startswith("0 "):
-        problems = ["nothing that it says can be compared with the reference"]
+        problems = ["none of its answers can be compared with the reference"]
     yield check("numbers", "Time, frames, numbers", problems, words)
 
 

@@ -44,7 +44,12 @@ def judge_whole(folder: Path, said: Sequence[Said]) -> list[Check]:
     open_ended = [f"{path.name} was not closed: it has no index" for path in files if not is_complete(path)]
     return [
         check("recording", CLAUSE, open_ended, f"{len(whole)} messages in {len(files)} closed files"),
-        check("kept", CLAUSE, list(_lost(whole, said)), f"all {len(said)} messages that were said, in order"),
+        check(
+            "kept",
+            CLAUSE,
+            list(_lost(whole, said)),
+            f"all {len(said)} messages that were published, in order",
+        ),
         check("form", CLAUSE, list(_malformed(whole, said)), "key, schema, descriptors and contract version"),
         check("times", CLAUSE, list(_untimely(whole, said)), "stamps as publish times, arrival as log times"),
         _rotation(files, latched),
@@ -58,7 +63,7 @@ def judge_killed(folder: Path, said: Sequence[Said], killed: int, patience: floa
         whole = [raw for raws in _read(folder).values() for raw in raws]
     except RecordingError as error:
         return Check("crash", CLAUSE, FAILED, f"after a kill: {error}")
-    words = f"all {len(due)} messages that were said {LOST_S * patience:g} s before a kill"
+    words = f"all {len(due)} messages that were published {LOST_S * patience:g} s before a kill"
     return check("crash", CLAUSE, [f"after a kill: {fault}" for fault in _lost(whole, due)], words)
 
 
@@ -82,7 +87,7 @@ def _lost(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
         payloads = iter([_payload(envelopes[0].channel, raw[2].data) for raw in kept[key]])
         missing = sum(encode(envelope.message) not in payloads for envelope in envelopes)
         if missing:
-            early = " that was said before its start" if envelopes[0].channel.qos.latched else ""
+            early = " that was published before its start" if envelopes[0].channel.qos.latched else ""
             yield f"{key}: of {len(envelopes)} messages{early}, {missing} are lost, changed or out of order"
 
 

@@ -22,7 +22,7 @@ def travelling(seen: Observed) -> Iterator[Check]:
         if one.channel is None:
             keys.append(f"{one.key} is no key of the contract")
         elif one.channel not in says:
-            keys.append(f"{one.key}: {one.channel.name} is not for a {seen.profile.name} to say")
+            keys.append(f"{one.key}: {one.channel.name} is not an output of a {seen.profile.name}")
         elif any(seen.address[name] != value for name, value in address.items()):
             keys.append(f"{one.key}: is not of the robot or site that it serves")
         else:

@@ -19,7 +19,7 @@ HINTS = {
     "truncated_file": "what could be read was taken",
     "lidars_at_another_height": "a map shows one plane; take them with --lidar-topic",
     "topics_of_the_same_lidar": "take them with --lidar-topic",
-    "lidars_without_mount": "not in tf: taken to be at the base's origin; tell it with --mount",
+    "lidars_without_mount": "not in tf: taken to be at the base's origin; give it with --mount",
     "topics_stamped_by_recording": "their clock is not that of the others",
 }
 

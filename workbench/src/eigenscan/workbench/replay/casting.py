@@ -104,7 +104,7 @@ def _instance(survey: Survey, service: Service, name: str | None, changes: Mappi
 def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, object], str]:
     """Settings that a recording tells, without those that this version does not know; and words on them."""
     if not text:
-        return {"robot": EVERY}, "default settings, for the recording does not tell them"
+        return {"robot": EVERY}, "default settings, for the recording does not have them"
     try:
         values = json.loads(text)
     except json.JSONDecodeError as error:

@@ -166,13 +166,13 @@ class Comparison:
         count = self.counts[channel]
         if event.side is Side.RECORDED:
             count.missing += 1
-            found = Difference("(message)", "said", "not said")
+            found = Difference("(message)", "published", "missing")
         elif self._is_outside(key, stamp):
             count.outside += 1
             return
         else:
             count.extra += 1
-            found = Difference("(message)", "not said", "said")
+            found = Difference("(message)", "missing", "published")
         self._note(Finding(stamp, channel, key, (found,)))
 
     def _judge_order(self, key: str, recorded: list[int], replayed: list[int]) -> None:

@@ -53,7 +53,7 @@ def open_beside(recording: Path) -> Reference | None:
         return None
     entry = read_metadata(path).get(_RECORD, {})
     if entry.get("recording_sha256") != _digest(recording):
-        raise UsageError(f"{path}: is of another recording than {recording.name}: --update makes it anew")
+        raise UsageError(f"{path}: is of another recording than {recording.name}: --update makes it again")
     choices = tuple(name for name in entry.get("choices", "").split() if name in CHOICES)
     spans: dict[str, tuple[int, int]] = {}
     for record in read(path):

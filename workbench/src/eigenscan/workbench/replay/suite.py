@@ -113,9 +113,7 @@ def _choices(found: Survey, reference: Reference | None, plan: Plan) -> tuple[st
     kept = reference.choices if reference else ()
     choices = plan.choices or tuple(dict.fromkeys([*kept, *_spoken(found)]))
     if not choices:
-        raise UsageError(
-            f"{found.path}: holds nothing that a service said: --update keeps what they say now as reference"
-        )
+        raise UsageError(f"{found.path}: holds no answers: --update keeps those of today as reference")
     return choices
 
 

@@ -136,7 +136,7 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
         if told and told.settings_changed:
             yield f"{name} was given other settings while it was recorded: here the first hold to the end"
         for channel, count in told.lost.items() if told else ():
-            yield f"{name} lost {count} {channel}: its inbox was full; here it hears all that is recorded"
+            yield f"{name} lost {count} {channel}: its inbox was full; here it receives all that is recorded"
         late = told.counters.get("odometry_came_late", 0) if told else 0
         if late:
             yield (
@@ -147,7 +147,7 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
             heard, held = told.counters.get(f"heard_{each.name}", 0) if told else 0, survey.counts[each]
             if not each.qos.latched and heard > held:
                 yield (
-                    f"{name} had heard {heard} {each.name}, the recording holds {held}: "
+                    f"{name} had received {heard} {each.name}, the recording holds {held}: "
                     "what the recorder missed cannot be replayed, and answers may differ for it"
                 )
         if instance.faults:

@@ -39,7 +39,7 @@ from eigenscan.schemas.channels import (
 from eigenscan.schemas.envelope import Envelope
 
 LEGEND = """
-The **bar on top** says it in one word:
+The **bar on top** shows the state:
 **LOCALIZED** (green): one pose holds the belief, act on it;
 **AMBIGUOUS** (amber): several places fit all that was seen;
 **LOST** (red): no pose deserves belief, so none is drawn;
@@ -49,10 +49,10 @@ The **bar on top** says it in one word:
 - **arrow with a disc**, in the state's colour: the estimated pose
 - **blue points**: the scan, drawn at that pose; it lies on the walls when the pose is right
 - **red points**: unexpected; the map does not explain them
-- **black arrow**: the true pose, where a simulator tells it
+- **black arrow**: the true pose, from a simulator
 - **orange arrows**: hypotheses of the last scan; grey: improbable
 - **purple lines**: tracks and their past, from 1 % on; grey: improbable
-- **blue arrow with an ellipse**: where somebody last told the robot that it is
+- **blue arrow with an ellipse**: the last relocation
 
 **Panels**:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.

@@ -92,7 +92,7 @@ class RelocationPicture:
         if not stamp:
             return
         path, pose = f"world/robots/{robot}/relocation", from_message(message.pose)
-        words = f"{robot}: told to search anew"
+        words = f"{robot}: relocated: search the whole site"
         self._canvas.clear(stamp, path)
         if message.HasField("pose") and is_place(pose):
             covariance = covariance_from_message(message.covariance)
@@ -100,7 +100,7 @@ class RelocationPicture:
             self._canvas.style(path, _style)
             self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, TOLD_M, 0.09), *outline]))
             place = f"{pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg"
-            words = f"{robot}: told to be at {place}"
+            words = f"{robot}: relocated to {place}"
         self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(words, level=rr.TextLogLevel.INFO))
 
 
