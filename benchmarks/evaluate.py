@@ -1,7 +1,7 @@
 """Global localization on every log with a map: one table, one JSON.
 
     .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--simulated] [--kidnap]
-        [--json OUT]
+        [--method paper] [--paper] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --buildings FOLDER [--only aces] [--kidnap] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --from OUT --picture docs/images/reliability.png
 
@@ -134,6 +134,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", action="append", help="folder of one dataset; may be given again")
     parser.add_argument("--simulated", action="store_true", help="also made-up buildings")
     parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
+    parser.add_argument("--method", default="default", help="settings that belong together, such as paper")
+    parser.add_argument("--paper", action="store_true", help="also the paper's own method, beside each log")
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
     parser.add_argument("--limit", type=int, help="at most so many windows and single scans")
     parser.add_argument("--skip", action="append", default=[], help="part to leave out; may be given again")
@@ -144,11 +146,16 @@ def _options() -> argparse.Namespace:
 
 
 def _evaluate(case: Case, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    figures = _by_method(case, folder, options, options.method)
+    return figures | ({"paper": _by_method(case, folder, options, "paper")} if options.paper else {})
+
+
+def _by_method(case: Case, folder: Path, options: argparse.Namespace, method: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "figures.json"
         command: list[str | Path] = [EIGENSCAN, "evaluate", "--log", folder / case.log]
         command += ["--map", folder / "map.yaml", "--ground-truth", folder / case.reference]
-        command += ["--json", out, "--jobs", str(options.jobs)]
+        command += ["--json", out, "--jobs", str(options.jobs), "--method", method]
         for option, beside in (("--windows", "windows.csv"), ("--single-scans", "single_scans.csv")):
             command += [option, folder / beside] if (folder / beside).exists() else []
         command += ["--kidnap"] if options.kidnap else []

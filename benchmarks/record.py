@@ -180,6 +180,8 @@ def _table(spec: dict[str, Any], figures: Any, part: dict[str, Any] | None = Non
     lines = [head]
     for what, where, unit, goal in columns:
         values = [place(entry, where) for entry in entries.values()]
+        if all(value is None for value in values):
+            continue  # what was not measured
         cells = [written(v, unit) if reached(v, unit, goal) else f"**{written(v, unit)}**" for v in values]
         lines.append([what, *cells, *([_told(goal, unit)] if goals else [])])
     if len(entries) > len(columns):

@@ -111,7 +111,7 @@ def drive(
     niche: bool,
     method: str = "paper",
     seed: int = 9,
-    observations: int = OBSERVATIONS,
+    start: tuple[float, float, float] = START,
     changes: Mapping[str, Mapping[str, object]] = MappingProxyType({}),
 ) -> Iterator[Moment]:
     """One observation a second, by the settings of a method; odometry is exact, ranges have noise.
@@ -134,8 +134,8 @@ def drive(
     loop.start()
     caster = RayCaster.of(grid)
     bearings = np.deg2rad(STEP_DEG) * (np.arange(BEAMS) - BEAMS // 2)
-    truth, driven = np.array(START), np.zeros(3)
-    for number in range(1, observations + 1):
+    truth, driven = np.array(start), np.zeros(3)
+    for number in range(1, OBSERVATIONS + 1):
         at = stamp(number * 1_000_000_000)
         ranges = caster.cast(truth, bearings, RANGE_MAX_M)[0] + rng.normal(0.0, NOISE_M, BEAMS)
         scan = RawScan(
@@ -155,5 +155,5 @@ def drive(
         (listed,) = (each.open(Hypotheses) for each in said if each.channel is HYPOTHESES)
         (tracks,) = (each.open(Tracks) for each in said if each.channel is TRACKS)
         yield Moment(number, truth, listed, tracks)
-        step = np.array([STEP_M, 0.0, TURN_RAD * np.cos(2.0 * np.pi * number / observations)])
+        step = np.array([STEP_M, 0.0, TURN_RAD * np.cos(2.0 * np.pi * number / OBSERVATIONS)])
         truth, driven = compose(truth, step), compose(driven, step)
