@@ -144,7 +144,7 @@ def pages() -> Iterator[tuple[Path, str]]:
     """Each page that holds figures of benchmarks, and what its text must be."""
     spec = _spec()
     kept = {file.stem: json.loads(file.read_text()) for file in (HERE / "results").glob("*.json")}
-    shown = [name for name in spec if name in kept and "columns" in spec[name]]
+    shown = [name for name in spec if name in kept and "columns" in spec[name] and "page" not in spec[name]]
     missed = [line for name in shown for line in _missed(spec[name], kept[name]["figures"])]
     parts = [HEAD, "## Goals that are not reached\n", "\n".join(missed or ["None."]) + "\n"]
     yield PAGE, "\n".join([*parts, *(_section(spec[name], kept[name]) for name in shown)])

@@ -215,3 +215,18 @@ def test_zenoh_is_not_imported(drive: Path) -> None:
     state, heavy = json.loads(ran.stdout)
     assert state in ("lost", "ambiguous", "localized")
     assert heavy == []
+
+
+def test_the_papers_method(drive: Path) -> None:
+    localizer = Localizer.from_map(drive / "map.yaml", method="paper")
+    scan, odometry = read_log(drive / "drive.mcap")[0]
+    found = localizer.localize(scan)
+    assert len(found.poses)
+    # section 7: the grid's spacing is the standard deviation of a pose
+    assert found.covariances[0][0, 0] == pytest.approx(0.25, rel=0.01)
+    assert localizer.track(scan, odometry).pose.shape == (3,)
+    with pytest.raises(ValueError, match="method 'papre': there are default, paper"):
+        Localizer(localizer.site, method="papre")
+    usual = Localizer.from_map(drive / "map.yaml").site
+    with pytest.raises(ValueError, match="hold 16 components of ring: give the map, or build them with"):
+        Localizer(usual, method="paper")

@@ -93,7 +93,7 @@ def run(
         map_or_model = _take_map(ros2_flags, folder / "map.yaml")
         ros2_flags += ["--map", ""]  # the robot says its map itself
     assert map_or_model is not None
-    flags, mcap = _model_flags(map_or_model), folder / "mcap"
+    flags, mcap = _model_flags(map_or_model, method), folder / "mcap"
     pipeline = Pipeline(
         site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or (),
         told=told,
@@ -126,7 +126,7 @@ def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None
         )
 
 
-def _model_flags(map_or_model: Path) -> list[str]:
+def _model_flags(map_or_model: Path, method: str) -> list[str]:
     """The mapbuilder's. What is given is read here as well: that tells at once what is wrong with it."""
     from eigenscan.eigenspace.folder import read_models
     from eigenscan.geometry.gridmap import read_map
@@ -134,7 +134,7 @@ def _model_flags(map_or_model: Path) -> list[str]:
     if not map_or_model.exists():
         raise UsageError(f"{map_or_model}: is not there: give a map_server yaml or a model folder")
     if map_or_model.is_dir():
-        read_models(map_or_model)
+        read_models(map_or_model).check_method(method)
         return ["--model", str(map_or_model)]
     read_map(map_or_model)
     return ["--map", str(map_or_model)]

@@ -26,6 +26,7 @@ from eigenscan.eigenspace.region_file import pack_region, read_region
 from eigenscan.eigenspace.versions import MANIFEST, replace
 from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
 from eigenscan.schemas import model_pb2
+from eigenscan.schemas.methods import of_service
 
 MAP, REGIONS, PICTURE = "map.yaml", "regions", "regions.png"
 OUTLINES = "regions.geojson"
@@ -50,6 +51,17 @@ class SiteModel:
             self.grid.free_area,
             [floor.to_message() for floor in self.floors],
         )
+
+    def check_method(self, method: str) -> None:
+        """Raises ModelError where a method searches other eigenspaces than these models hold."""
+        wanted, made = of_service(method, "mapbuilder"), self.regions[0].space.analysis
+        held = {"embedding": made.embedding.kind, "components": made.components}
+        if any(wanted.get(name, value) != value for name, value in held.items()):
+            options = " ".join(f"--{name} {wanted[name]}" for name in held)
+            raise ModelError(
+                f"method {method}: the models hold {made.components} components of {made.embedding.kind}: "
+                f"give the map, or build them with {options}"
+            )
 
 
 def write_models(

@@ -47,13 +47,15 @@ class Localizer:
         """Of models that were built or read; of a map see `from_map` and `from_grid`.
 
         `method`: settings that belong together; "paper" is the paper's own pipeline, for comparing, and
-        needs eigenscan-localize[paper] to track. Raises ValueError for one that there is not.
+        needs eigenscan-localize[paper] to track. Raises ValueError for one that there is not, and
+        ModelError where it needs other models.
         """
         if not isinstance(site, SiteModel):
             fix = (
                 "Localizer.from_grid(grid)" if isinstance(site, GridMap) else 'Localizer.from_map("map.yaml")'
             )
             raise TypeError(f"{site!r:.80} is no SiteModel: of a map write {fix}")
+        site.check_method(method)
         self.site = site
         self._method = method
         settings = ProjectorSettings.model_validate(of_service(method, "projector"))

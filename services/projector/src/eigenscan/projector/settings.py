@@ -32,19 +32,13 @@ class ProjectorSettings(BaseModel):
         description="how far outside a triangle or tetrahedron a scan may lie, as a share of its size",
     )
     interpolation: Literal["enclosing", "ratios"] = Field(
-        "enclosing",
-        description="where between grid poses a scan lies: enclosing (default), by the corners of its "
-        "triangle or tetrahedron; ratios, along the grid's axes (paper, section 5.2)",
+        "enclosing", description="between grid poses: by the enclosing volume, or ratios (paper, 5.2)"
     )
     verification: Literal["walls", "eigenspace"] = Field(
-        "walls",
-        description="walls (default) compares candidates with predicted scans and refines them on the walls; "
-        "eigenspace publishes them as they are associated, as in the paper",
+        "walls", description="walls verifies and refines candidates; eigenspace, as in the paper, does not"
     )
     obstacles: Literal["walls", "reconstruction"] = Field(
-        "walls",
-        description="a beam shows an obstacle if it ends before the predicted wall (walls, default) or "
-        "before the scan's reconstruction (paper, section 6)",
+        "walls", description="what beams are compared with: walls, or the scan's reconstruction (paper, 6)"
     )
     candidates: int = Field(3000, ge=1, description="nearest poses in the eigenspace that are verified")
     refined: int = Field(
