@@ -35,7 +35,7 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.scan_pb2 import RawScan, ScanMotion
-from eigenscan.schemas.tracking_pb2 import Relocation
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 
@@ -194,3 +194,12 @@ def test_the_models_in_use_are_a_page_with_their_floors_on_the_map(tmp_path: Pat
         assert words in page
     ((_, (strip,)),) = rows(tmp_path / "a.rrd", "/world/floors/first\\ floor", "LineStrips3D:strips")
     assert np.array(strip)[2, :2] == pytest.approx([9.0, 5.0])
+
+
+def test_a_pose_is_labelled_with_its_floor(tmp_path: Path) -> None:
+    pose = PoseEstimate(
+        timestamp=stamp(S), state=STATE_LOCALIZED, confidence=0.97, track_id=1, floor="first floor"
+    )
+    draw(tmp_path / "a.rrd", [Envelope(POSE, ADDRESS, pose)])
+    labels = [row for _, row in rows(tmp_path / "a.rrd", "/world/robots/r1/pose", "Points3D:labels") if row]
+    assert labels[-1] == ["r1: LOCALIZED 97% first floor"]
