@@ -183,7 +183,7 @@ def test_a_driver_in_rust_finds_the_robot(site: Site, tmp_path: Path) -> None:
     target = ROOT / "out/rust"
     subprocess.run(["cargo", "build", "--release", "--target-dir", target], cwd=RUST, check=True)
     site.write_drive(tmp_path / "drive.jsonl")
-    told, *measured = [json.loads(line) for line in (tmp_path / "drive.jsonl").open()]
+    told, *measured = [json.loads(line) for line in (tmp_path / "drive.jsonl").read_text().splitlines()]
     names = ("angle_min", "angle_increment", "range_min", "range_max")
     lidar = [*(told[name] for name in names), *told["mount"].values()]
     with subprocess.Popen(
