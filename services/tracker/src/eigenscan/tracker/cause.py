@@ -37,16 +37,16 @@ def likely_cause(compared: list[Compared], trail: OdometryTrail) -> str:
         )
     left = _left(fitting, lambda each: each.odometry)
     best, words = FITS * left, UNKNOWN
-    for foretold, said in _faults(fitting, trail):
-        rest = _left(fitting, foretold)
+    for predicted, said in _faults(fitting, trail):
+        rest = _left(fitting, predicted)
         if rest < best:
             best, words = rest, said
     return words
 
 
-def _left(compared: list[Compared], foretold: Callable[[Compared], Pose]) -> float:
+def _left(compared: list[Compared], predicted: Callable[[Compared], Pose]) -> float:
     return sum(
-        min(sum(distances2(each.scans, foretold(each), each.spread)), FAR)
+        min(sum(distances2(each.scans, predicted(each), each.spread)), FAR)
         for each in compared
         if each.scans is not None
     )
