@@ -10,16 +10,17 @@ from typing import Annotated
 import typer
 from eigenscan.cli.command_group import EXIT_FAILED
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.cli.former import optional
 from eigenscan.runtime.errors import UsageError
 
 
 def demo(
+    map_file: Annotated[
+        Path | None, typer.Argument(metavar="MAP", help="map_server yaml; default: the demo's own building")
+    ] = None,
     headless: Annotated[
         bool, typer.Option("--headless", help="no viewer; ends by itself, exit code 1 if not found again")
     ] = False,
-    map_file: Annotated[
-        Path | None, typer.Option("--map", help="map_server yaml; without it the demo's own building")
-    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="folder for all files; out/demo-<time> without it")
     ] = None,
@@ -28,22 +29,24 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="of route, noise and people")] = 1,
     people: Annotated[int, typer.Option(min=0, help="people who walk about")] = 3,
     json_file: JsonFile = None,
+    map_option: Annotated[Path | None, typer.Option("--map", hidden=True)] = None,
 ) -> None:
-    """Watch a robot that knows nothing find itself, be carried away, and find itself again.
+    """Watch a simulated robot find itself, get kidnapped, and find itself again.
 
-    Starts every service as a process of its own on this machine; nothing has to be configured.
+    Starts every service as a process on this machine; nothing has to be configured.
 
     \b
     Examples:
       eigenscan demo
       eigenscan demo --headless
-      eigenscan demo --map MAP.yaml --seed 7 --seconds 120
+      eigenscan demo MAP.yaml --seed 7 --seconds 120
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.cli.demonstration.show import Demonstration
     from eigenscan.geometry.gridmap import read_map
     from eigenscan.workbench.simulation.stage import Scenario
     from eigenscan.workbench.simulation.world import SQUARE_ROOM, office
 
+    map_file = optional("MAP", map_file, map_option)
     folder = out or Path("out") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
     if (folder / "demo.mcap").exists():
         raise UsageError(f"--out {folder}: holds a demo already; give a new folder")

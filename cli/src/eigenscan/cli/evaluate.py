@@ -17,7 +17,9 @@ PARTS = ("windows", "single-scans", "exhaustive", "memory")
 
 
 def evaluate(
-    log: Annotated[Path | None, typer.Argument(help="CARMEN log, ROS 1 or ROS 2 bag, MCAP, CSV")] = None,
+    log: Annotated[
+        Path | None, typer.Argument(metavar="LOG", help="CARMEN log, ROS 1 or ROS 2 bag, MCAP, CSV")
+    ] = None,
     map_file: Annotated[
         Path | None, typer.Argument(metavar="MAP", help="map_server yaml, or a model folder")
     ] = None,

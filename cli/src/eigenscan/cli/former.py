@@ -19,6 +19,11 @@ def positional(name: str, given: Path | None, former: Path | None) -> Path:
     return found
 
 
+def optional(name: str, given: Path | None, former: Path | None) -> Path | None:
+    """The argument `name`, its former option, or neither. Raises UsageError if both are given."""
+    return None if given is None and former is None else positional(name, given, former)
+
+
 def current(name: str, arguments: Sequence[str]) -> str:
     """The command that `name` means with these arguments: `replay` without a service was today's `play`."""
     own = {each.partition("=")[0] for each in arguments}

@@ -21,7 +21,7 @@ def run(
     map_or_model: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[MAP]",
+            metavar="MAP",
             help="map_server yaml, or a model folder of eigenscan build; with --ros2: else the robot's /map",
         ),
     ] = None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
+from eigenscan.cli.former import optional
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
@@ -25,7 +26,7 @@ CARRIED_M = 0.5
 
 def simulate(
     map_file: Annotated[
-        Path | None, typer.Option("--map", help="map_server yaml; without it the demo's own building")
+        Path | None, typer.Argument(metavar="MAP", help="map_server yaml; default: the demo's own building")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="MCAP to write")] = None,
     truth: Annotated[Path | None, typer.Option(help="true path to write, TUM: t x y z qx qy qz qw")] = None,
@@ -96,6 +97,7 @@ def simulate(
         str, typer.Option(help="name of the robot", rich_help_panel="Publishing")
     ] = DEFAULT_ROBOT,
     json_file: JsonFile = None,
+    map_option: Annotated[Path | None, typer.Option("--map", hidden=True)] = None,
 ) -> None:
     """Drive simulated robots through a map: raw scans, odometry that drifts, people, boxes, a kidnap.
 
@@ -104,10 +106,11 @@ def simulate(
     \b
     Examples:
       eigenscan simulate -o drive.mcap --truth drive.tum --save-map map.yaml --kidnap 30
-      eigenscan simulate --map MAP.yaml -o drive.mcap --seconds 120 --seed 7 --lidar rplidar-a2 --boxes 8
-      eigenscan simulate --map MAP.yaml -o fleet.mcap --truth fleet.tum --robots 5 --robot r
-      eigenscan simulate --map MAP.yaml --live --speed 2
+      eigenscan simulate MAP.yaml -o drive.mcap --seconds 120 --seed 7 --lidar rplidar-a2 --boxes 8
+      eigenscan simulate MAP.yaml -o fleet.mcap --truth fleet.tum --robots 5 --robot r
+      eigenscan simulate MAP.yaml --live --speed 2
     """  # noqa: D301 - \b keeps the lines apart in --help
+    map_file = optional("MAP", map_file, map_option)
     if not (out or truth or save_map or live):
         raise UsageError("nothing to do: give -o FILE.mcap, --truth FILE.tum, --save-map FILE.yaml or --live")
     if kidnap is not None and not 0 < kidnap < seconds:
