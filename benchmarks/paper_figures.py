@@ -235,12 +235,12 @@ def _lists(model: SiteModel, scans: list[Observation], changes: dict[str, Any]) 
     site = Site(whole, ProjectorSettings.model_validate(changes))
     lists = []
     for seen in scans:
-        view = site.view(seen.sensor)
+        view = site.view(seen.sensor).complete()
         projected = project(view, seen, seen.used)
         squares = projected.error_energy**2 * len(seen.coarse)
         squares[~projected.searched] = np.inf
         found = view.association.nearest(projected.coefficients, squares, 100_000)
-        position, window = (of[found.rows].astype(np.int64) for of in (view.row_position, view.row_window))
+        position, window = view.places(found.rows)
         poses = lattice_poses(site.lattice.positions, position, window, ANALYSIS_TURN, seen.sensor.angle_min)
         poses = poses + found.offsets
         lists.append(poses[best_of_neighbourhoods(poses, np.arange(len(poses)), 0.5, np.deg2rad(10), 20_000)])

@@ -124,7 +124,7 @@ def floors_of_stages(core: ProjectorCore, scan: Scan, rates: dict[str, float]) -
     site = core._site
     assert site is not None
     seen = observe(scan)
-    view = site.view(seen.sensor)
+    view = site.view(seen.sensor).complete()
     settings = ProjectorSettings()
     beams, turned = len(seen.coarse), 3
     rows, components = int(view.bounds[-1]), view.spaces.prior.shape[1]
@@ -153,7 +153,7 @@ def memory(core: ProjectorCore, built: Any) -> dict[str, float]:
         + site.caster.leap.nbytes + site.caster.grid.cells.nbytes,
         "panoramas": site.lattice.panoramas.nbytes + site.lattice.positions.nbytes
         + site.lattice.neighbours.nbytes,
-        "index, a lidar": view.association.nbytes + view.row_position.nbytes + view.row_window.nbytes,
+        "index, a lidar": view.association.nbytes,
         "predicted scans, a lidar": view.windows.nbytes + view.leaves.nbytes,
         "eigenvectors, a lidar": view.spaces.vectors.nbytes,
     }  # fmt: skip

@@ -45,6 +45,7 @@ def key_of(channel: Channel, owner: str) -> str:
         "lidar": "front",
         "projector": "p",
         "region": "hall",
+        "kind": "ring8-180",
     }
     return channel.key(fields | {"service": "tracker" if owner in ROBOTS else owner})
 

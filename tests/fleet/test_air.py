@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 ROBOT = "r17"
 RATE_HZ, ROUNDS = 50.0, 150
 ADDRESS = {"site": SITE, "robot": ROBOT, "instance": ROBOT, "service": "tracker"} | dict.fromkeys(
-    ("lidar", "projector", "region"), "one"
+    ("lidar", "projector", "region", "kind"), "one"
 )
 OWN = [channel for channel in CHANNELS if Role.ROBOT in channel.said_by]
 FLOOD = 300

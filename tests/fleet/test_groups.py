@@ -45,7 +45,7 @@ ROUNDS, PAUSE_S = 5, 0.1
 
 def key_of(channel: Channel, owner: str) -> str:
     """The channel's key of a robot, as `owner` would say it: a projector's is its own in the last chunk."""
-    fields = {"site": SITE, "robot": owner, "lidar": "front", "projector": LAB, "region": "hall"}
+    fields = {"site": SITE, "robot": owner, "lidar": "front", "projector": LAB, "region": "hall", "kind": "k"}
     service = "projector" if owner == LAB else owner if owner in ("mapbuilder", "recorder") else "tracker"
     return channel.key(fields | {"instance": owner, "service": service})
 

@@ -16,7 +16,7 @@ def test_they_are_those_of_the_nearest_pose_of_the_model() -> None:
     whole = WholeSet("", model.frame_id, model.grid, tuple(model.regions), model.grid.free_area)
     built = Site(whole, ProjectorSettings())
     seen = observe(scan_at(free_poses(1, 2)[0]))
-    view, lattice = built.view(seen.sensor), built.lattice
+    view, lattice = built.view(seen.sensor).complete(), built.lattice
     poses = free_poses(20, 3)
     region = np.arange(20) % len(built.regions)
     found = coordinates(view, lattice, poses, region, seen.sensor.angle_min)

@@ -72,16 +72,14 @@ def test_every_pose_lies_where_its_own_scan_is_projected(
     built = _site(embedding, 7)
     step = np.deg2rad(step_deg)
     sensor = Sensor(0.3, step, min(round(view_deg / step_deg) + 1, round(360 / step_deg)), range_max)
-    view, beams = built.view(sensor), coarse_sensor(sensor).beams
+    view, beams = built.view(sensor).complete(), coarse_sensor(sensor).beams
     assert isinstance(view.association, Trees)
     rng = np.random.default_rng(2)
     for r, tree in enumerate(view.association.trees):
         for row in rng.integers(0, tree.n, 20):
             at = view.bounds[r] + row
-            first = view.row_window[at]
-            window = built.lattice.panoramas[
-                view.row_position[at], (first + np.arange(beams)) % ANALYSIS_TURN
-            ]
+            position, first = view.places(np.array([at]))
+            window = built.lattice.panoramas[position[0], (first + np.arange(beams)) % ANALYSIS_TURN]
             away = view.embedding(window) - view.spaces.mean[r][:, None]
             direct = [np.sum(v.astype(np.float64) * away) for v in view.spaces.vectors[r]]
             assert np.allclose(tree.data[row], direct, atol=2e-3)

@@ -22,13 +22,13 @@ def _listed(kind: Kind, scans: list[Observation]) -> list[Array]:
     model = site(embedding="range", components=3)
     whole = WholeSet("", model.frame_id, model.grid, tuple(model.regions), model.grid.free_area)
     built = Site(whole, ProjectorSettings(association=kind, margin=0.25))
-    view = built.view(scans[0].sensor)
+    view = built.view(scans[0].sensor).complete()
     lists = []
     for seen in scans:
         projected = project(view, seen, seen.used)
         squares = projected.error_energy**2 * len(seen.coarse)
         found = view.association.nearest(projected.coefficients, squares, ALL)
-        position, window = (of[found.rows].astype(np.int64) for of in (view.row_position, view.row_window))
+        position, window = view.places(found.rows)
         grid = lattice_poses(built.lattice.positions, position, window, ANALYSIS_TURN, seen.sensor.angle_min)
         lists.append(grid + found.offsets)
     return lists

@@ -62,7 +62,7 @@ def test_opening_the_nearest_blocks_loses_few_of_the_nearest_poses() -> None:
     core = ready()
     built = core._site
     assert built is not None
-    view = built.view(observe(scan_at(free_poses(1, 0)[0])).sensor)
+    view = built.view(observe(scan_at(free_poses(1, 0)[0])).sensor).complete()
     table = view.association
     assert isinstance(table, SweepTable)
     everything = replace(table, opened=1e6)

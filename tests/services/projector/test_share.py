@@ -82,7 +82,9 @@ def test_the_lists_of_all_parts_are_as_good_as_one_list() -> None:
 def test_a_message_does_not_grow_with_the_site() -> None:
     rng = np.random.default_rng(0)
     count, region = 3000, rng.integers(0, 3000, 30)
-    projected = Projected(rng.normal(size=(count, 4)), rng.uniform(0, 1, count), np.ones(count, bool))
+    projected = Projected(
+        rng.normal(size=(count, 4)), rng.uniform(0, 1, count), np.ones(count, bool), np.ones(count, bool)
+    )
     none = np.empty(30)
     told = told_regions(
         Candidates(np.empty((30, 3)), np.empty((30, 3, 3)), none, none, none, region, projected, 0.0, 0.0)

@@ -16,6 +16,7 @@ from eigenscan.schemas.channels import (
     CHANNELS,
     HEALTH,
     HYPOTHESES,
+    LIDAR_KIND,
     MAP,
     MODEL,
     MODEL_SET,
@@ -26,6 +27,7 @@ from eigenscan.schemas.channels import (
     SCAN,
     SCAN_MOTION,
     SCAN_RAW,
+    SPACE,
     TRACKS,
     TRANSFORM,
     TRUTH,
@@ -58,6 +60,8 @@ SEEN_AS: dict[Channel, str] = {
     MAP: "/world/map",
     MODEL: "/world/regions/hallway",
     MODEL_SET: "/models",
+    LIDAR_KIND: "/events/lidar_kinds",
+    SPACE: "/events/spaces",
     HEALTH: "/events/tracker",
 }
 """An entity that is there because of this channel and no other."""

@@ -14,6 +14,7 @@ from eigenscan.geometry.raycast import RayCaster
 from eigenscan.schemas.channels import (
     HEALTH,
     HYPOTHESES,
+    LIDAR_KIND,
     MAP,
     MODEL,
     MODEL_SET,
@@ -23,6 +24,7 @@ from eigenscan.schemas.channels import (
     SCAN,
     SCAN_MOTION,
     SCAN_RAW,
+    SPACE,
     TRACKS,
     TRANSFORM,
     Channel,
@@ -30,7 +32,7 @@ from eigenscan.schemas.channels import (
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
-from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
+from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel, RegionSpace
 from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 from eigenscan.schemas.tracking_pb2 import (
     STATE_AMBIGUOUS,
@@ -61,6 +63,7 @@ class Site:
             "lidar": "front",
             "projector": "0",
             "region": "hallway",
+            "kind": "ring8-180",
             "service": "tracker",
             "instance": "0",
         }
@@ -143,6 +146,8 @@ class Site:
         if self._count % 10 == 0:
             yield self._say(RELOCATION, Relocation(timestamp=stamp(at), pose=to_message(true)))
             yield self._say(HEALTH, Health(timestamp=stamp(at), service="tracker", status=Health.STATUS_OK))
+            yield self._say(LIDAR_KIND, LidarKind(timestamp=stamp(at), beams=180, cap=8.0))
+            yield self._say(SPACE, RegionSpace(region="hallway", model_version="abc"))
         self._count += 1
 
     def _hypotheses(self, at: int, true: np.ndarray, progress: float) -> Hypotheses:

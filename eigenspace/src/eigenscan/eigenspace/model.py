@@ -150,7 +150,7 @@ class RegionModel:
             space = space_from_message(message.space)
         except ValueError as error:
             raise ModelError(f"region {message.region!r}: space: {error}") from error
-        return cls(
+        model = cls(
             region=message.region,
             frame_id=message.frame_id,
             spacing=message.spacing,
@@ -161,6 +161,8 @@ class RegionModel:
             outline=np.column_stack([message.outline_x, message.outline_y]),
             range_unit=message.range_unit,
         )
+        model.__dict__["version"] = version  # of its cached property: hashed once
+        return model
 
 
 def _derived(

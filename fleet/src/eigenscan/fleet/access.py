@@ -16,6 +16,7 @@ from eigenscan.schemas.channels import (
     HEALTH,
     HYPOTHESES,
     LATCHED_TEMPLATE,
+    LIDAR_KIND,
     OBSTACLES,
     RECORDINGS_TEMPLATE,
     SCAN,
@@ -140,7 +141,7 @@ def of_projector(site: str, group: str, name: str) -> Rights:
 
     return Rights(
         site,
-        says=keys([*ANSWERS, HEALTH]),
+        says=keys([*ANSWERS, LIDAR_KIND, HEALTH]),
         answers=(),
         shows=(_alive(site, name, "projector"),),
         hears=keys(hears),

@@ -15,7 +15,7 @@ from functools import cached_property
 
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
-from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
+from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel, RegionSpace
 from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -263,6 +263,21 @@ MODEL_SET = Channel(
     "which models and map belong together, from the mapbuilder, for projectors",
     (Role.MAPBUILDER,),
 )
+LIDAR_KIND = Channel(
+    "lidar_kind",
+    "{site}/robot/{robot}/lidar/{lidar}",
+    LidarKind,
+    Qos(Priority.DATA_LOW, rate_hz=0.1, air_hz=math.inf),
+    "a lidar that lacks eigenspaces",
+)
+SPACE = Channel(
+    "space",
+    "{site}/space/{region}/{kind}",
+    RegionSpace,
+    _SITE_DATA,
+    "a region's eigenspace for such lidars",
+    (Role.MAPBUILDER,),
+)
 HEALTH = Channel(
     "health",
     "{site}/health/{service}/{instance}",
@@ -287,6 +302,8 @@ CHANNELS: tuple[Channel, ...] = (
     MAP,
     MODEL,
     MODEL_SET,
+    LIDAR_KIND,
+    SPACE,
     HEALTH,
 )
 

@@ -75,6 +75,28 @@ class Eigenspace(_message.Message):
     usual_error: float
     def __init__(self, embedding: _Optional[_Union[Eigenspace.Embedding, str]] = ..., cap: _Optional[float] = ..., turn: _Optional[int] = ..., beams: _Optional[int] = ..., mean: _Optional[_Iterable[float]] = ..., vectors: _Optional[_Iterable[float]] = ..., eigenvalues: _Optional[_Iterable[float]] = ..., total_variance: _Optional[float] = ..., usual_error: _Optional[float] = ...) -> None: ...
 
+class LidarKind(_message.Message):
+    __slots__ = ("timestamp", "beams", "cap", "model_version")
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    BEAMS_FIELD_NUMBER: _ClassVar[int]
+    CAP_FIELD_NUMBER: _ClassVar[int]
+    MODEL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    timestamp: _timestamp_pb2.Timestamp
+    beams: int
+    cap: float
+    model_version: str
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., beams: _Optional[int] = ..., cap: _Optional[float] = ..., model_version: _Optional[str] = ...) -> None: ...
+
+class RegionSpace(_message.Message):
+    __slots__ = ("region", "model_version", "space")
+    REGION_FIELD_NUMBER: _ClassVar[int]
+    MODEL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    SPACE_FIELD_NUMBER: _ClassVar[int]
+    region: str
+    model_version: str
+    space: Eigenspace
+    def __init__(self, region: _Optional[str] = ..., model_version: _Optional[str] = ..., space: _Optional[_Union[Eigenspace, _Mapping]] = ...) -> None: ...
+
 class ModelSet(_message.Message):
     __slots__ = ("timestamp", "version", "frame_id", "map_version", "entries", "free_area_m2", "floors")
     class Entry(_message.Message):

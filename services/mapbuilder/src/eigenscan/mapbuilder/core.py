@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import GridMap, to_message
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.schemas.channels import DEFAULT_SITE, MAP, MODEL, MODEL_SET, Channel
+from eigenscan.mapbuilder.spaces import Spaces, SpaceStore
+from eigenscan.schemas.channels import DEFAULT_SITE, LIDAR_KIND, MAP, MODEL, MODEL_SET, SPACE, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.model_pb2 import ModelSet
+from eigenscan.schemas.model_pb2 import LidarKind, ModelSet
 
 
 class MapbuilderCore:
@@ -20,13 +21,18 @@ class MapbuilderCore:
     so that whoever has a set has heard of all its models.
     """
 
-    hears: tuple[Channel, ...] = ()
-    says: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET)
+    hears: tuple[Channel, ...] = (LIDAR_KIND,)
+    says: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE)
 
     def __init__(
-        self, settings: MapbuilderSettings, source: GridMap | SiteModel, site: str = DEFAULT_SITE
+        self,
+        settings: MapbuilderSettings,
+        source: GridMap | SiteModel,
+        site: str = DEFAULT_SITE,
+        store: SpaceStore | None = None,
     ) -> None:
-        """`site` is the first chunk of the keys that it speaks on."""
+        """`site` is the first chunk of the keys that it speaks on; `store` keeps spaces for other lidars."""
+        self._spaces = Spaces(site, settings, store)
         self._settings, self._source, self._address = settings, source, {"site": site}
         self._site: SiteModel | None = None
         self._version = ""
@@ -47,8 +53,10 @@ class MapbuilderCore:
         yield self._map(site.grid, site.frame_id)
         yield from self._announce(site)
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:  # noqa: ARG002 - of the protocol
-        """It hears nothing."""
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """The eigenspaces for a kind of lidar that a projector lacks."""
+        if heard.channel == LIDAR_KIND and self._site is not None:
+            return self._spaces.hear(self._site, heard.open(LidarKind))
         return ()
 
     def finish(self) -> Iterable[Envelope]:
@@ -63,6 +71,7 @@ class MapbuilderCore:
             "regions": len(self._site.regions),
             "positions": sum(len(model.index) for model in self._site.regions),
         }
+        counters |= self._spaces.counts
         detail = f"{counters['regions']} regions, version {self._version[:12]}"
         return Condition(Health.STATUS_OK, detail, counters)
 
@@ -78,6 +87,7 @@ class MapbuilderCore:
                 yield said
         self._site, self._version = site, whole.open(ModelSet).version
         yield whole
+        yield from self._spaces.renew(site)
 
 
 def announce_models(site: SiteModel, site_name: str) -> Iterator[Envelope]:

@@ -38,13 +38,13 @@ class MapbuilderSettings(BaseModel):
         None,
         gt=0.0,
         le=130.0,
-        description="m; longer ranges count as this in the analysis; default 12 on the ring, 15 as ranges",
+        description="m; longer ranges count as this; default 12 (ring) or 15 (range)",
     )
     field_of_view: float = Field(
         180.0,
         gt=0.0,
         le=360.0,
-        description="degrees that the site's usual lidar sees; eigenspaces for others are added",
+        description="degrees that the usual lidar sees",
     )
     components: int = Field(16, ge=1, le=64, description="principal components kept for each region")
     margin: float = Field(1.0, ge=0.0, le=10.0, description="m by which neighbouring regions overlap")

@@ -15,11 +15,12 @@ Index = NDArray[np.int64]
 class Projected:
     """A scan in each region's space: coefficients (R, M) and its error, root mean square (R,), m.
 
-    `searched` (R,): the region's space explains the scan well enough.
+    `explained` (R,): the region's space can explain the scan; `searched` (R,): and the region is ready.
     """
 
     coefficients: Array
     error_energy: Array
+    explained: NDArray[np.bool_]
     searched: NDArray[np.bool_]
 
 
@@ -27,7 +28,8 @@ class Projected:
 class Candidates:
     """n poses of the sensor, most likely first. `region` (n,) proposed each.
 
-    `ordinary` is the support of a place that merely looks similar.
+    `ordinary` is the support of a place that merely looks similar. `waiting` (R,): regions that were left to
+    later scans, where there are some.
     """
 
     poses: Array
@@ -39,3 +41,4 @@ class Candidates:
     projected: Projected
     unlisted_log_likelihood: float
     ordinary: float
+    waiting: NDArray[np.bool_] | None = None

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
+from eigenscan.eigenspace.analysis import Analysis, RegionSpace
 from eigenscan.eigenspace.model import ModelError
+from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.pose import from_message
 from eigenscan.projector.focus import WHOLE, Focus, Scope
@@ -15,35 +17,54 @@ from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.shelf import Shelf, WholeSet
-from eigenscan.projector.site import Site
+from eigenscan.projector.site import SensorView, Site
+from eigenscan.projector.tables import Store
+from eigenscan.schemas import model_pb2
 from eigenscan.schemas.channels import (
     DEFAULT_ROBOT,
     HYPOTHESES,
+    LIDAR_KIND,
     MAP,
     MODEL,
     MODEL_SET,
     OBSTACLES,
     POSE,
     SCAN,
+    SPACE,
     Channel,
 )
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
+from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
+
+ASK_AGAIN_NS = 10_000_000_000
 
 
 class ProjectorCore:
     """Hears the site's models and every scan of its robots; says what poses explain each scan."""
 
-    hears: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SCAN)
-    says: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES)
+    hears: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SCAN)
+    says: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND)
 
-    def __init__(self, settings: ProjectorSettings, instance: str = DEFAULT_ROBOT) -> None:
-        """`instance` tells its hypotheses' key from those of the site's other projectors."""
+    def __init__(
+        self,
+        settings: ProjectorSettings,
+        instance: str = DEFAULT_ROBOT,
+        store: Store | None = None,
+        aside: Callable[[Callable[[], None]], None] | None = None,
+    ) -> None:
+        """`instance` tells its hypotheses' key from those of the site's other projectors.
+
+        `store` keeps tables for the next start. `aside` does work that no answer depends on, in a thread.
+        """
         self._settings, self._instance = settings, instance
+        self._store, self._aside = store, aside
+        self._spaces: dict[tuple[str, Analysis], RegionSpace] = {}
+        self._asked: dict[tuple[str, str], int] = {}
+        self._view: SensorView | None = None
         self._focus = Focus()
         if settings.focus:
             self.hears = (*ProjectorCore.hears, POSE)
@@ -70,32 +91,84 @@ class ProjectorCore:
             self._take("map", lambda: self._shelf.put_map(heard.open(Grid)))
         elif heard.channel == MODEL:
             self._take("model", lambda: self._shelf.put_model(heard.open(RegionModel)))
+        elif heard.channel == SPACE:
+            self._take_space(heard.open(model_pb2.RegionSpace))
         elif heard.channel == MODEL_SET:
             self._take("model_set", lambda: self._shelf.put_set(heard.open(ModelSet)))
         return []
 
     def condition(self) -> Condition:
         """Waiting without a model; degraded where the newest one was refused."""
+        counts = dict(self._counts) | dict(self._store.counts if self._store else {})
         if self._site is None:
-            return Condition(Health.STATUS_WAITING, self._refused or self._shelf.missing, dict(self._counts))
-        detail = self._refused or self._shelf.missing
+            return Condition(Health.STATUS_WAITING, self._refused or self._shelf.missing, counts)
+        detail = self._refused or self._shelf.missing or f"model {self._site.version[:12]}"
         status = Health.STATUS_DEGRADED if self._refused else Health.STATUS_OK
-        return Condition(status, detail or f"model {self._site.version[:12]}", dict(self._counts))
+        if progress := self._progress():
+            detail = f"{detail}; {progress}"
+        return Condition(status, detail, counts)
+
+    def _progress(self) -> str:
+        """How far the work aside is for the lidar heard last, in words; empty where it is done."""
+        tables = self._view.tables if self._view and self._aside else None
+        if tables is None or tables.made == len(tables.models):
+            return ""
+        return f"eigenspaces for this lidar: {tables.made} of {len(tables.models)} regions"
 
     def _take(self, kind: str, put: Callable[[], WholeSet | None]) -> None:
         try:
             whole = put()
-            site = None if whole is None else Site(whole, self._settings)
+            site = None if whole is None else Site(whole, self._settings, self._spaces, self._store)
         except (MapError, ModelError) as error:
             self._counts[f"refused_{kind}"] += 1
             self._refused = str(error)
             return
         self._counts[f"taken_{kind}"] += 1
         if site is not None:
-            for sensor in self._site.sensors if self._site else []:
-                site.view(sensor)
-            self._site, self._focus = site, Focus()
+            before, self._site, self._focus = self._site, site, Focus()
+            held = {model.version for model in site.models}
+            for key in [key for key in self._spaces if key[0] not in held]:
+                del self._spaces[key]
+            self._asked.clear()
+            if before is not None:
+                before.abandon()
+                for sensor in before.sensors:
+                    self._begin(site.view(sensor))
             self._refused = ""
+
+    def _take_space(self, message: model_pb2.RegionSpace) -> None:
+        """Takes a region's eigenspace for a kind of lidar."""
+        try:
+            own = space_from_message(message.space)
+        except ValueError as error:
+            self._counts["refused_space"] += 1
+            self._refused = f"region {message.region!r}: space: {error}"
+            return
+        self._counts["taken_space"] += 1
+        self._spaces[message.model_version, own.analysis] = own
+
+    def _begin(self, view: SensorView) -> None:
+        """Lets what a new view lacks be made aside."""
+        if self._aside is not None:
+            self._aside(view.tables.work_aside)
+
+    def _ask(
+        self, address: Mapping[str, str], scan: Scan, site: Site, view: SensorView
+    ) -> Iterator[Envelope]:
+        """Asks for the eigenspaces of a kind of lidar, now and then until they are there."""
+        lidar, at = (address["robot"], address["lidar"]), nanoseconds(scan.timestamp)
+        last = self._asked.get(lidar)
+        if view.tables.is_known or (last is not None and 0 <= at - last < ASK_AGAIN_NS):
+            return
+        self._asked[lidar] = at
+        analysis = view.tables.analysis
+        kind = LidarKind(
+            timestamp=scan.timestamp,
+            beams=analysis.beams,
+            cap=analysis.embedding.cap,
+            model_version=site.version,
+        )
+        yield Envelope(LIDAR_KIND, address, kind)
 
     def _scan(self, heard: Envelope) -> list[Envelope]:
         if self._site is None:
@@ -120,7 +193,8 @@ class ProjectorCore:
     def _answer(
         self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site
     ) -> list[Envelope]:
-        view = site.view(seen.sensor)
+        is_new = not site.has_view(seen.sensor)
+        view = self._view = site.view(seen.sensor)
         scope = self._scope(address, scan, site)
         candidates = find_candidates(site, view, seen, self._settings, scope=scope)
         if scope.regions is None and self._settings.focus:
@@ -131,6 +205,9 @@ class ProjectorCore:
         ]
         if len(candidates.poses):
             said.append(Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates)))
+        said.extend(self._ask(address, scan, site, view))
+        if is_new:
+            self._begin(view)
         return said
 
     def _scope(self, address: dict[str, str], scan: Scan, site: Site) -> Scope:

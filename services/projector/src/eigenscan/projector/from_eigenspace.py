@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.eigenspace.analysis import ANALYSIS_TURN
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN, HEADING_STRIDE
 from eigenscan.geometry.circle import TURN
 from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.candidates import Candidates, Projected
@@ -29,15 +29,14 @@ def answer(
     as likely as any; and -1/2 of ||alpha - alpha'||^2 + ||E||^2 by what nearly no scan of its region exceeds.
     """
     found = found.best(most)
-    home = view.row_position[found.rows].astype(np.int64)
-    window = view.row_window[found.rows].astype(np.int64)
+    home, window = view.places(found.rows)
     poses = lattice_poses(site.lattice.positions, home, window, ANALYSIS_TURN, seen.sensor.angle_min)
     poses += found.offsets
     region = np.searchsorted(view.bounds, found.rows, side="right") - 1
     beams = len(seen.coarse) * view.embedding.channels
     usual = np.maximum(view.usual_error[region] * beams, 1e-9)
-    chance = np.log(len(view.row_position) / max(len(found.rows), 1))
-    heading = float(view.row_window[1] - view.row_window[0]) * TURN / ANALYSIS_TURN
+    chance = np.log(int(view.bounds[-1]) / max(len(found.rows), 1))
+    heading = HEADING_STRIDE * TURN / ANALYSIS_TURN
     Cp = grid_covariance(site.lattice.searched_spacing, heading)
     return Candidates(
         poses,

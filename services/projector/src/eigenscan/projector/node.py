@@ -24,7 +24,9 @@ def _make_core(options: ProjectorOptions) -> ProjectorCore:
     from eigenscan.projector.core import (
         ProjectorCore,
     )  # numba takes its time, and neighbours are found meanwhile
+    from eigenscan.projector.table_folder import TableFolder, in_a_thread
     from eigenscan.projector.warm_up import warm_up
 
     warm_up(options)
-    return ProjectorCore(options, options.instance)
+    store = TableFolder(options.keep / "tables") if options.keep is not None else None
+    return ProjectorCore(options, options.instance, store, in_a_thread)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN
@@ -11,6 +12,7 @@ from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.candidates import Candidates, Projected
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
+from eigenscan.projector.first_look import first_look
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
 from eigenscan.projector.from_eigenspace import answer
@@ -57,11 +59,13 @@ def find_candidates(
     scope: Scope = WHOLE,
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
-    if settings.verification == "eigenspace":
-        projected = project(view, seen, np.isfinite(seen.coarse), scope)
-        matches = _nearest(view, projected, len(seen.coarse), settings.candidates)
-        return answer(site, view, seen, projected, matches, settings.published)
-    projected, matches = _associate(view, seen, settings.candidates, scope)
+    by_eigenspace = settings.verification == "eigenspace"
+    masks = [np.isfinite(seen.coarse)] if by_eigenspace else _masks(seen.coarse)
+    waiting = _prepare(site, view, seen, masks, scope)
+    projected, matches = _associate(view, seen, masks, settings.candidates, scope)
+    if by_eigenspace:
+        found = answer(site, view, seen, projected, matches, settings.published)
+        return replace(found, waiting=waiting if waiting.any() else None)
     refined = settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA))
     seeds, home, region = _verified(site, view, seen, matches, round(refined), witness)
     points = seen.points
@@ -70,29 +74,65 @@ def find_candidates(
     witness("slid", slid.poses)
     best = _promising(site, view, seen, slid.poses, home)
     witness("kept to polish", slid.poses[best])
-    return _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness, scope)
+    found = _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness, scope)
+    if not waiting.any():
+        return found
+    return replace(found, waiting=waiting, unlisted_log_likelihood=0.0)  # of what waits nothing is known
 
 
-def _associate(view: SensorView, seen: Observation, count: int, scope: Scope) -> tuple[Projected, Matches]:
-    """The scan in every region's space, and the poses nearest to it there.
+def _masks(coarse: NDArray[np.float32]) -> list[NDArray[np.bool_]]:
+    """Beams (J,) by which a scan is searched: all that came back.
 
-    Where narrow things stand free in the scan, also as many of the nearest to the scan without them.
+    Where narrow things stand free in it also those without them.
     """
-    returned = np.isfinite(seen.coarse)
-    behind = returned & ~foreground(seen.coarse, TURN / ANALYSIS_TURN)
-    projected = project(view, seen, returned, scope)
-    whole = _nearest(view, projected, len(behind), count)
+    returned = np.isfinite(coarse)
+    behind = returned & ~foreground(coarse, TURN / ANALYSIS_TURN)
     cut_off = np.count_nonzero(returned) - np.count_nonzero(behind)
     if cut_off < FOREGROUND_SHARE * len(behind) or np.count_nonzero(behind) < len(behind) // 4:
-        return projected, whole
-    return projected, whole.joined(_nearest(view, project(view, seen, behind, scope), len(behind), count))
+        return [returned]
+    return [returned, behind]
+
+
+def _prepare(
+    site: Site, view: SensorView, seen: Observation, masks: list[NDArray[np.bool_]], scope: Scope
+) -> NDArray[np.bool_]:
+    """Makes ready the regions that the scan may be of, as many as a scan waits for, the likeliest first.
+
+    Which (R,) it may be of as well, and are left to later scans. `masks` (J,) as project's `used`.
+    """
+    tables = view.tables
+    if tables.ready.all():
+        return ~tables.ready
+    wanted = ~tables.ready if scope.regions is None else ~tables.ready & scope.regions
+    if tables.is_known:
+        explained = [project(view, seen, used, scope).explained for used in masks]
+        wanted &= np.logical_or.reduce(explained)
+    if np.count_nonzero(wanted) > tables.patience:
+        order = first_look(site.lattice, seen.coarse, masks[-1])
+    else:
+        order = np.zeros(len(wanted))
+    view.admit(wanted, order)
+    return wanted & ~tables.ready
+
+
+def _associate(
+    view: SensorView, seen: Observation, masks: list[NDArray[np.bool_]], count: int, scope: Scope
+) -> tuple[Projected, Matches]:
+    """The scan in every region's space, and the poses nearest to it there, as many for each of the masks."""
+    projected = [project(view, seen, used, scope) for used in masks]
+    matches = [_nearest(view, one, len(seen.coarse), count) for one in projected]
+    return projected[0], matches[0] if len(matches) == 1 else matches[0].joined(matches[1])
 
 
 def project(view: SensorView, seen: Observation, used: NDArray[np.bool_], scope: Scope = WHOLE) -> Projected:
     """The scan in the space of every region in `scope`; only the beams `used` (J,) take part."""
+    tables, among = view.tables, scope.regions
+    if not tables.is_known:
+        among = tables.ready if among is None else tables.ready & among
     channels = view.embedding(np.where(used, seen.coarse, np.float32(0)))
-    coefficients, square = view.spaces.project(channels, used, scope.regions)
-    return Projected(coefficients, np.sqrt(square), explaining(square, view.usual_error))
+    coefficients, square = view.spaces.project(channels, used, among)
+    explained = explaining(square, view.usual_error)
+    return Projected(coefficients, np.sqrt(square), explained, explained & tables.ready)
 
 
 def explaining(square: Array, usual: Array) -> NDArray[np.bool_]:
@@ -118,8 +158,7 @@ def _verified(
     """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
     once = matches.by_row()
     rows, offset = once.rows, once.offsets
-    home = view.row_position[rows].astype(np.int64)
-    window = view.row_window[rows].astype(np.int64)
+    home, window = view.places(rows)
     between = bool(offset.any())
     if between:
         window += np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)

@@ -44,7 +44,7 @@ def hypotheses_message(
         frame_id=site.frame_id,
         status=Hypotheses.STATUS_OK,
         unlisted_log_likelihood=found.unlisted_log_likelihood,
-        searched_area_m2=site.area(scope.regions),
+        searched_area_m2=site.area(_searched(scope, found)),
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         projections=[
@@ -83,6 +83,14 @@ def hypotheses_message(
         c = added.covariance
         c.xx, c.xy, c.xt, c.yy, c.yt, c.tt = xx, xy, xt, yy, yt, tt
     return message
+
+
+def _searched(scope: Scope, found: Candidates) -> NDArray[np.bool_] | None:
+    """Regions (R,) that the answer is about; None: all."""
+    waiting = found.waiting
+    if waiting is None:
+        return scope.regions
+    return ~waiting if scope.regions is None else scope.regions & ~waiting
 
 
 def told_regions(found: Candidates) -> NDArray[np.int64]:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+import mmap
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from eigenscan.eigenspace.analysis import (
-    ANALYSIS_TURN,
-    HEADING_STRIDE,
-    Analysis,
-    RegionSpace,
-    coarse_sensor,
-    sampled,
-)
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN, HEADING_STRIDE, coarse_sensor
 from eigenscan.eigenspace.embedding import Embedding
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces, faces_of
-from eigenscan.projector.association.kinds import association
-from eigenscan.projector.association.manifold import Association, Index, Sheets
+from eigenscan.projector.association.manifold import Association
 from eigenscan.projector.association.ratios import Ratios
 from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
@@ -28,6 +22,7 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
 from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.subspaces import Subspaces
+from eigenscan.projector.tables import HEADINGS, Flags, Given, Store, Tables
 from eigenscan.projector.verification import RANGE_CAP, predicted
 from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
@@ -36,33 +31,98 @@ KEPT_SENSORS = 8
 """Sensor grids whose subspaces are kept; the longest unused one goes first."""
 Panoramas = NDArray[np.float32]
 
+STEPS_ASIDE = 2
+"""Of the model's grid that verification looks beyond what is searched: it climbs to the position beside, and
+takes the one beside that for a pose between."""
 COARSE_CELL = 0.1
 """m, of the walls that many poses slide to."""
 
 
-@dataclass(frozen=True)
 class SensorView:
     """The site as one sensor sees it.
 
-    A row of `association` is a pose: position `row_position` (n,) of the lattice and window `row_window` (n,)
-    of its panorama; region r has the rows from `bounds[r]` to `bounds[r + 1]`.
-    `usual_error` (R,): mean square of the error vector that nearly no scan of a region's own exceeds.
-    `windows` (P, N + J) are the panoramas to verify against, `leaves` (P, N + J) where rays leave the walls.
+    A row of `association` is a pose (see `places`); region r has those from `bounds[r]` to `bounds[r + 1]`.
+    `windows` (P, N + J) are the panoramas to verify against, `leaves` (P, N + J) where rays leave the walls:
+    of the regions that are ready, and of the positions beside them.
     """
 
-    embedding: Embedding
-    spaces: Subspaces
-    association: Association
-    bounds: Index
-    row_position: NDArray[np.int32]
-    row_window: NDArray[np.int16]
-    usual_error: NDArray[np.float64]
-    windows: NDArray[np.float32]
-    leaves: NDArray[np.float32]
-    ratios: Ratios | None
-    """Interpolates what was associated, where settings ask for it."""
-    foreseen_by: str
-    """What the obstacle mask compares a scan with: the setting `obstacles`."""
+    def __init__(
+        self,
+        tables: Tables,
+        lattice: Lattice,
+        enters: Panoramas,
+        leaves: Panoramas,
+        range_max: float,
+        foreseen_by: str,
+    ) -> None:
+        """`enters` and `leaves` (P, N): where rays from the lattice's positions enter and leave walls, m.
+
+        `foreseen_by`: what the obstacle mask compares a scan with, the setting `obstacles`.
+        """
+        self.foreseen_by = foreseen_by
+        self.tables, self._lattice, self._range_max = tables, lattice, range_max
+        self._enters, self._leaves = enters, leaves
+        sizes = [len(which) * HEADINGS for which in lattice.searched]
+        self.bounds = np.cumsum([0, *sizes])
+        self._searched = np.concatenate(lattice.searched)
+        self.windows, self.leaves = (
+            untouched(len(enters), ANALYSIS_TURN + tables.analysis.beams) for _ in range(2)
+        )
+        self._shown = np.zeros(len(sizes), dtype=bool)
+        self._show()
+
+    def places(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Lattice positions (n,), and windows (n,) of their panoramas, of rows (n,) of `association`."""
+        return self._searched[rows // HEADINGS], rows % HEADINGS * HEADING_STRIDE
+
+    @property
+    def embedding(self) -> Embedding:
+        """Of the analysis."""
+        return self.tables.analysis.embedding
+
+    @property
+    def spaces(self) -> Subspaces:
+        """Of the regions that are ready, and of others where they are known."""
+        return self.tables.subspaces
+
+    @property
+    def association(self) -> Association:
+        """Over the regions that are ready."""
+        return self.tables.association
+
+    @property
+    def ratios(self) -> Ratios | None:
+        """Interpolates what was associated, where settings ask for it."""
+        return self.tables.ratios
+
+    @property
+    def usual_error(self) -> NDArray[np.float64]:
+        """As of Tables."""
+        return self.tables.usual_error
+
+    def admit(self, wanted: Flags, order: NDArray[np.float64]) -> None:
+        """As of Tables."""
+        self.tables.admit(wanted, order)
+        self._show()
+
+    def complete(self) -> SensorView:
+        """Itself, with all regions ready."""
+        self.tables.complete()
+        self._show()
+        return self
+
+    def _show(self) -> None:
+        """Fills the predicted scans around regions that became ready."""
+        fresh = np.flatnonzero(self.tables.ready & ~self._shown)
+        if not len(fresh):
+            return
+        self._shown[fresh] = True
+        near = np.unique(np.concatenate([self._lattice.regions[r] for r in fresh]))
+        for _ in range(STEPS_ASIDE):
+            near = np.unique(self._lattice.neighbours[near])
+            near = near[near >= 0]
+        for out, panoramas in ((self.windows, self._enters), (self.leaves, self._leaves)):
+            out[near] = predicted(panoramas[near], self.tables.analysis.beams, self._range_max)
 
 
 @dataclass(frozen=True)
@@ -83,7 +143,14 @@ class Site:
     Raises ModelError where its share is empty.
     """
 
-    def __init__(self, whole: WholeSet, settings: ProjectorSettings) -> None:
+    def __init__(
+        self,
+        whole: WholeSet,
+        settings: ProjectorSettings,
+        given: Given | None = None,
+        store: Store | None = None,
+    ) -> None:
+        """`given`: eigenspaces for other lidars that were heard; it may grow. `store`: of tables."""
         self.version, self.frame_id = whole.version, whole.frame_id
         own = own_share(whole.regions, settings.share)
         self.parts = settings.share[1]
@@ -100,13 +167,13 @@ class Site:
             self.readings = middle, replace(as_drawn, walls=faces)
         self.caster = self.readings[0].caster
         self.coarse_walls = WallField.of(field, COARSE_CELL)
-        self._models, self.analysis = own, own[0].space.analysis
+        self.models, self.analysis = own, own[0].space.analysis
         self.lattice = Lattice.of(own)
         self._enters, self._leaves = self._intervals()
         corners = [self.lattice.positions[positions] for positions in self.lattice.regions]
         self.boxes = np.array([[*points.min(axis=0), *points.max(axis=0)] for points in corners])
         self.regions = tuple(region.region for region in own)
-        self._settings = settings
+        self._settings, self._given, self._store = settings, {} if given is None else given, store
         self._views: OrderedDict[tuple[int, float], SensorView] = OrderedDict()
         self._sensors: dict[tuple[int, float], Sensor] = {}
 
@@ -127,6 +194,16 @@ class Site:
         sizes = np.array([len(positions) for positions in self.lattice.regions])
         return float(self.searched_area_m2 * sizes[regions].sum() / sizes.sum())
 
+    def has_view(self, sensor: Sensor) -> bool:
+        """Whether there is a view for `sensor` already."""
+        coarse = coarse_sensor(sensor)
+        return (coarse.beams, coarse.range_max) in self._views
+
+    def abandon(self) -> None:
+        """Ends the work aside for its views."""
+        for view in self._views.values():
+            view.tables.abandoned = True
+
     @property
     def sensors(self) -> list[Sensor]:
         """Sensors that were seen, the longest unused first."""
@@ -140,39 +217,25 @@ class Site:
             self._views[key] = self._make(coarse)
             self._sensors[key] = sensor
             while len(self._views) > KEPT_SENSORS:
-                oldest, _ = self._views.popitem(last=False)
+                oldest, gone = self._views.popitem(last=False)
+                gone.tables.abandoned = True
                 del self._sensors[oldest]
         self._views.move_to_end(key)
         return self._views[key]
 
     def _make(self, coarse: Sensor) -> SensorView:
-        settings, lattice = self._settings, self.lattice
-        analysis = self.analysis.of(coarse)
-        spaces, regions = [], []
-        for number, (which, cells) in enumerate(zip(lattice.searched, lattice.cells, strict=True)):
-            own, held = self._space(number, analysis)
-            spaces.append(own)
-            regions.append(Sheets(held, lattice.positions[which], cells))
-        searched = np.concatenate(lattice.searched).astype(np.int32)
-        headings = np.arange(0, ANALYSIS_TURN, HEADING_STRIDE, dtype=np.int16)
+        tables = Tables(
+            self.models, self.lattice, self.analysis.of(coarse), self._settings, self._given, self._store
+        )
         return SensorView(
-            analysis.embedding,
-            Subspaces.of([own.space for own in spaces]),
-            association(settings.association, regions, settings.margin),
-            np.cumsum([0, *(region.rows for region in regions)]),
-            np.repeat(searched, len(headings)),
-            np.tile(headings, len(searched)),
-            np.array([own.usual_error for own in spaces]),
-            predicted(self._enters, coarse.beams, coarse.range_max),
-            predicted(self._leaves, coarse.beams, coarse.range_max),
-            Ratios.of(regions) if settings.interpolation == "ratios" else None,
-            settings.obstacles,
+            tables, self.lattice, self._enters, self._leaves, coarse.range_max, self._settings.obstacles
         )
 
-    def _space(self, number: int, analysis: Analysis) -> tuple[RegionSpace, NDArray[np.float32]]:
-        """The eigenspace of a region, as published or derived, and the coefficients of its searched poses."""
-        model = self._models[number]
-        if model.space.analysis != analysis:
-            return model.derive(analysis)
-        searched = self.lattice.panoramas[self.lattice.searched[number]]
-        return model.space, sampled(searched, model.space.embedding, model.space.space)
+
+def untouched(rows: int, columns: int) -> NDArray[np.float32]:
+    """An array of singles that takes memory where it is written, in small pages: few rows of many are."""
+    memory = mmap.mmap(-1, max(4 * rows * columns, 1))
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        with suppress(OSError):  # a kernel without large pages
+            memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype=np.float32, count=rows * columns).reshape(rows, columns)

@@ -21,11 +21,25 @@ class Subspaces:
     @classmethod
     def of(cls, spaces: list[Eigenspace]) -> Subspaces:
         """Stack of spaces of the same sensor."""
+        components, channels, beams = spaces[0].vectors.shape
+        made = cls.reserved(len(spaces), components, channels, beams)
+        for r, space in enumerate(spaces):
+            made.put(r, space)
+        return made
+
+    @classmethod
+    def reserved(cls, regions: int, components: int, channels: int, beams: int) -> Subspaces:
+        """Room for the spaces of `regions`, each to be put in before it is projected into."""
         return cls(
-            np.stack([space.mean for space in spaces]),
-            np.stack([space.vectors for space in spaces]),
-            np.stack([space.noise / np.maximum(space.eigenvalues, 1e-12) for space in spaces]),
+            np.empty((regions, channels), dtype=np.float32),
+            np.empty((regions, components, channels, beams), dtype=np.float32),
+            np.empty((regions, components)),
         )
+
+    def put(self, r: int, space: Eigenspace) -> None:
+        """Takes the space of region r."""
+        self.mean[r], self.vectors[r] = space.mean, space.vectors
+        self.prior[r] = space.noise / np.maximum(space.eigenvalues, 1e-12)
 
     def project(
         self,

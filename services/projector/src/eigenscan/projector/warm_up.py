@@ -11,12 +11,14 @@ from eigenscan.eigenspace.model import RegionModel, model_set, quantize
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, to_message
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.first_look import first_look
+from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import Scan
 
-_CAP_M, _BEAMS, _SPACING_M = 10.0, 180, 0.25
+_CAP_M, _BEAMS, _SPACING_M = 15.0, 180, 0.25
 
 
 def warm_up(settings: ProjectorSettings) -> int:
@@ -33,7 +35,13 @@ def warm_up(settings: ProjectorSettings) -> int:
         Envelope(MODEL_SET, address, announced),
         *scans,
     ]
+    _look_at(model)  # only what is large needs it
     return sum(len(list(core.handle(envelope))) for envelope in heard)
+
+
+def _look_at(model: RegionModel) -> None:
+    lattice = Lattice.of((model,))
+    first_look(lattice, lattice.panoramas[0], np.isfinite(lattice.panoramas[0]))
 
 
 def _room() -> GridMap:

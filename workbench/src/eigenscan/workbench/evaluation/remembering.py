@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, SCAN
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, SCAN, SPACE
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
@@ -36,7 +36,7 @@ class Remembering:
         self._core = core
         self.hears, self.says = core.hears, core.says
         # with another input than scans and models an answer may follow from more than the scan
-        self._pure = set(core.hears) <= {MAP, MODEL, MODEL_SET, SCAN}
+        self._pure = set(core.hears) <= {MAP, MODEL, MODEL_SET, SPACE, SCAN}
         self._known: OrderedDict[tuple[str, bytes], _Answer] = OrderedDict()
         self.owed_ns = 0
 

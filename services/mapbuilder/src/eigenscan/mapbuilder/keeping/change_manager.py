@@ -56,7 +56,8 @@ class ChangeManager:
             self._open()
         self._publish = settings.changes == "publish"
         self._keeps = settings.changes != "off" and store.is_writable
-        self.hears: tuple[Channel, ...] = (TICK, SCAN, POSE) if self._keeps else (TICK,)
+        own = MapbuilderCore.hears
+        self.hears: tuple[Channel, ...] = (TICK, *own, SCAN, POSE) if self._keeps else (TICK, *own)
         self._counts: Counter[str] = Counter()
         self._proposed = self._accepted = ""
         self._saved = 0
@@ -75,6 +76,9 @@ class ChangeManager:
         """Says what has come into use since; of a scan or a pose, what the robots' visits made of it."""
         if heard.channel is TICK:
             yield from self._follow()
+        elif heard.channel in MapbuilderCore.hears:
+            if self._core is not None:
+                yield from self._core.handle(heard)
         elif self._detector is not None:
             self._hear(self._detector, heard)
 
@@ -92,7 +96,7 @@ class ChangeManager:
         if own.status == Health.STATUS_WAITING:
             return own
         seen: Counter[str] = self._detector.counts if self._detector else Counter()
-        told = replace(own, counters={**(self._counts + seen), **own.counters})
+        told = replace(own, counters={**(self._counts + seen + self._store.counts), **own.counters})
         problem = self._unreadable or self._problem
         if problem:
             return replace(told, status=Health.STATUS_DEGRADED, detail=problem)
@@ -102,7 +106,7 @@ class ChangeManager:
         """Reads the models in use. Raises ModelError."""
         found = self._store.renewed()
         assert found is not None  # the first time it is new
-        self._site, self._core = found, MapbuilderCore(self._settings, found, self._site_name)
+        self._site, self._core = found, MapbuilderCore(self._settings, found, self._site_name, self._store)
         return self._core
 
     def _make(self, source: Source | None) -> MapbuilderCore:

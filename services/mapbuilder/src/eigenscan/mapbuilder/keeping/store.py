@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+from eigenscan.eigenspace.analysis import Analysis, RegionSpace
 from eigenscan.eigenspace.folder import OUTLINES, SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
+from eigenscan.eigenspace.space_file import read_spaces, write_spaces
 from eigenscan.eigenspace.versions import (
     MANIFEST,
     PROPOSAL,
@@ -26,6 +30,8 @@ from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 
 PICTURE = "change.png"
+SPACES = "spaces"
+"""In a model folder: eigenspaces for lidars unlike the declared one, a file for each kind."""
 
 
 class Store:
@@ -36,6 +42,7 @@ class Store:
         self._evidence = folder.with_name(folder.name + ".evidence.npz")
         self._read: tuple[int, int] | None = None
         self._version = ""
+        self._counts: Counter[str] = Counter()
 
     @property
     def is_writable(self) -> bool:
@@ -58,6 +65,34 @@ class Store:
         site = read_models(self.folder)
         self._version = site.to_message().version
         return None if self._version == before else site
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Spaces for other lidars that were kept, could not be, or were damaged and set aside."""
+        return self._counts
+
+    def load_spaces(self) -> dict[Analysis, dict[str, RegionSpace]]:
+        """Eigenspaces for other lidars that are kept with the models in use."""
+        found = {}
+        for path in sorted((self.folder / SPACES).glob("*.npz")):
+            try:
+                made = read_spaces(path)
+            except ModelError:
+                self._counts["spaces_damaged"] += 1
+                with suppress(OSError):
+                    path.replace(path.with_suffix(".damaged"))
+            else:
+                found[next(iter(made.values())).analysis] = made
+        return found
+
+    def save_spaces(self, analysis: Analysis, made: Mapping[str, RegionSpace]) -> None:
+        """Keeps eigenspaces for another lidar with the models in use, where there is a place for them."""
+        try:
+            write_spaces(made, self.folder / SPACES / f"{analysis.name}.npz")
+        except OSError:
+            self._counts["spaces_not_kept"] += 1
+        else:
+            self._counts["spaces_kept"] += 1
 
     def propose(self, site: SiteModel, about: Mapping[str, Any], picture: bytes) -> None:
         """Puts `site` beside the version in use, as the one proposal. Raises ModelError or OSError."""

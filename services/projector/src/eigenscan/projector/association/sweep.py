@@ -37,6 +37,7 @@ class SweepTable(Association):
 
     `blocks` (B, M, BLOCK): coefficients in units of `unit`, M filled up with zeros to a multiple of 8;
     `centres` (M, B): their means; `rows` (B, BLOCK): the poses, -1 where a region's last block is not full.
+    Region r's poses are counted from `starts[r]`.
     `opened` as OPENED.
     """
 
@@ -45,25 +46,45 @@ class SweepTable(Association):
     rows: NDArray[np.int32]
     bounds: Index
     unit: float
+    starts: Index
     opened: float = OPENED
 
     @classmethod
     def of(cls, regions: list[Sheets], _margin: float = 0.0) -> SweepTable:
         """Table of all poses of the regions."""
         tables = [r.coefficients.reshape(r.rows, -1) for r in regions]
-        unit = max(max(float(np.abs(table).max(initial=0.0)) for table in tables) / _STEPS, 1e-9)
-        bounds = np.cumsum([0, *(-(-len(table) // BLOCK) for table in tables)])
-        count, components = int(bounds[-1]), -(-tables[0].shape[1] // _AT_ONCE) * _AT_ONCE
-        blocks = np.empty((count, components, BLOCK), dtype=np.int8)
-        rows = np.full((count, BLOCK), -1, dtype=np.int32)
-        start = 0
-        for table, first in zip(tables, bounds[:-1], strict=True):
-            packed = np.zeros((len(table), components), dtype=np.int8)
-            packed[:, : table.shape[1]] = np.rint(table * np.float32(1.0 / unit))
-            _fill(packed, _in_blocks(packed), start, first, blocks, rows)
-            start += len(table)
-        centres = np.ascontiguousarray(np.rint(blocks.mean(axis=2)).T.astype(np.int8))
-        return cls(blocks, centres, rows, bounds, unit)
+        largest = max(float(np.abs(table).max(initial=0.0)) for table in tables)
+        made = cls.reserved([len(table) for table in tables], tables[0].shape[1], largest)
+        for r, table in enumerate(tables):
+            made.fill(r, table)
+        return made
+
+    @classmethod
+    def reserved(cls, sizes: list[int], components: int, largest: float) -> SweepTable:
+        """Room for regions with so many poses each, which are filled before they are searched.
+
+        Coefficients of more than `largest`, m, count as that.
+        """
+        bounds = np.cumsum([0, *(-(-size // BLOCK) for size in sizes)])
+        count, components = int(bounds[-1]), -(-components // _AT_ONCE) * _AT_ONCE
+        return cls(
+            np.empty((count, components, BLOCK), dtype=np.int8),
+            np.empty((components, count), dtype=np.int8),
+            np.empty((count, BLOCK), dtype=np.int32),
+            bounds,
+            max(largest / _STEPS, 1e-9),
+            np.cumsum([0, *sizes]),
+        )
+
+    def fill(self, r: int, table: Singles) -> None:
+        """Takes the coefficients (n, M) of all poses of region r. The same again changes nothing."""
+        packed = np.zeros((len(table), len(self.centres)), dtype=np.int8)
+        packed[:, : table.shape[1]] = np.clip(np.rint(table * np.float32(1.0 / self.unit)), -_STEPS, _STEPS)
+        first, last = self.bounds[r], self.bounds[r + 1]
+        blocks, rows = self.blocks[first:last], np.full((last - first, BLOCK), -1, dtype=np.int32)
+        _fill(packed, _in_blocks(packed), int(self.starts[r]), 0, blocks, rows)
+        self.rows[first:last] = rows
+        self.centres[:, first:last] = np.rint(blocks.mean(axis=2)).T
 
     @property
     def nbytes(self) -> int:

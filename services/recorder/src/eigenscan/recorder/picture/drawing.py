@@ -21,6 +21,7 @@ from eigenscan.recorder.picture.status import Events, StatusBoard
 from eigenscan.schemas.channels import (
     HEALTH,
     HYPOTHESES,
+    LIDAR_KIND,
     MAP,
     MODEL,
     MODEL_SET,
@@ -31,6 +32,7 @@ from eigenscan.schemas.channels import (
     SCAN,
     SCAN_MOTION,
     SCAN_RAW,
+    SPACE,
     TRACKS,
     TRANSFORM,
     TRUTH,
@@ -67,7 +69,7 @@ The **bar on top** shows the state:
 - **Models**: which models and map are in use.
 - **Raw scans, Frames**: with `draw_all` only: what the driver gives (red: beyond the sensor's limits), in the
   robot's own frame; the coordinate frames, each in its parent.
-- **Events**: changes of state and of the services' health.
+- **Events**: changes of state and of the services' health; kinds of lidar that eigenspaces were added for.
 
 Hidden at first: the outlines of the regions that have an eigenspace (`world/regions`).
 """
@@ -113,6 +115,8 @@ class Picture:
             RELOCATION: (RelocationPicture(canvas).draw,),
             POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
             TRUTH: (robots.draw_truth, self._plots.hear_truth),
+            LIDAR_KIND: (events.hear_kind,),
+            SPACE: (events.hear_space,),
             HEALTH: (events.hear_health, board.hear_health),
         }
         if draw_all or layout != "fleet":  # many robots' guesses would hide the map

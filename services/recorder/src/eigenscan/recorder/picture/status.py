@@ -10,6 +10,7 @@ from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
 from eigenscan.recorder.picture.palette import SILENT, STATE_COLOURS, Colour, state_name
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import LidarKind
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 REFRESH_NS = 2_000_000_000
@@ -141,6 +142,21 @@ class Events:
         text = f"{'/'.join(who)}: {word} {message.detail}".rstrip()
         level = LEVELS.get(message.status, rr.TextLogLevel.WARN)
         self._canvas.draw(self._canvas.newest, f"events/{who[0]}", rr.TextLog(text, level=level))
+
+    def hear_kind(self, heard: Envelope) -> None:
+        """One line for each lidar that the site has no eigenspaces for."""
+        kind, address = heard.open(LidarKind), heard.address
+        what = f"{kind.beams} beams at 2 degrees, ranges up to {kind.cap:g} m: asks for eigenspaces"
+        self._say_once("lidar_kinds", f"{address['robot']}/{address['lidar']}: {what}")
+
+    def hear_space(self, heard: Envelope) -> None:
+        """One line for each kind of lidar that there are other eigenspaces for."""
+        self._say_once("spaces", f"eigenspaces for lidars {heard.address['kind']}")
+
+    def _say_once(self, path: str, text: str) -> None:
+        if self._canvas.newest and self._last.get((path, text)) is None:
+            self._last[path, text] = (0, text)
+            self._canvas.draw(self._canvas.newest, f"events/{path}", rr.TextLog(text))
 
 
 def _steady(detail: str) -> str:

@@ -1,0 +1,94 @@
+"""Tables that outlive a process: a folder for each kind of lidar and set of models, a file for each array.
+
+They are mapped, not read: what a scan does not search costs nothing. What cannot be used is set aside.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+
+KEPT = 6
+"""Sets of arrays: two versions of a site's models for three lidars. Those used longest ago go first."""
+ASIDE = ".damaged"
+
+
+class TableFolder:
+    """A Store (see tables) in `folder`. `counts`: what was taken, kept and set aside, by reason."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What was taken, kept and set aside, by reason."""
+        return dict(self._counts)
+
+    def load(self, name: str, like: Mapping[str, NDArray[Any]]) -> Arrays | None:
+        """Arrays kept as `name`, mapped copy-on-write; None where none have these shapes and types."""
+        place = self._folder / name
+        if not place.is_dir():
+            return None
+        found: Arrays = {}
+        try:
+            for part, wanted in like.items():
+                # a plain array: compiled code takes a mapped one for another type
+                array = np.asarray(np.load(place / f"{part}.npy", mmap_mode="c", allow_pickle=False))
+                if array.shape != wanted.shape or array.dtype != wanted.dtype:
+                    raise ValueError(f"{part}: {array.dtype} {array.shape}")
+                found[part] = array
+            place.touch()
+        except (OSError, ValueError, EOFError):
+            self.set_aside(name)
+            return None
+        self._counts["tables_taken"] += 1
+        return found
+
+    def save(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keeps arrays, in the place of what has that name; whole or not at all."""
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            fresh = Path(tempfile.mkdtemp(prefix=".", dir=self._folder))
+            try:
+                for part, array in arrays.items():
+                    np.save(fresh / f"{part}.npy", array, allow_pickle=False)
+                shutil.rmtree(self._folder / name, ignore_errors=True)
+                fresh.rename(self._folder / name)
+            finally:
+                shutil.rmtree(fresh, ignore_errors=True)
+            self._tidy()
+        except OSError:
+            self._counts["tables_not_kept"] += 1
+        else:
+            self._counts["tables_kept"] += 1
+
+    def set_aside(self, name: str) -> None:
+        """Renames what is kept as `name`, where that is not done already."""
+        self._counts["tables_damaged"] += 1
+        aside = self._folder / f"{name}{ASIDE}"
+        shutil.rmtree(aside, ignore_errors=True)
+        try:
+            (self._folder / name).rename(aside)
+        except OSError:  # it is set aside, or gone
+            return
+
+    def _tidy(self) -> None:
+        kept = sorted(self._folder.glob("[!.]*"), key=lambda path: path.stat().st_mtime, reverse=True)
+        for path in kept[KEPT:]:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def in_a_thread(work: Any) -> None:
+    """Does `work` behind what the process answers meanwhile."""
+    threading.Thread(target=work, name="tables", daemon=True).start()

@@ -1,0 +1,112 @@
+"""Eigenspaces for lidars unlike the declared one: made once, said once, kept with the models."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from eigenscan.eigenspace.folder import SiteModel, write_models
+from eigenscan.eigenspace.model import RegionModel
+from eigenscan.eigenspace.space_message import space_from_message
+from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.gridmap import GridMap
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.keeping.change_manager import ChangeManager
+from eigenscan.mapbuilder.keeping.store import Store
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.mapbuilder.spaces import KINDS
+from eigenscan.schemas.channels import LIDAR_KIND, SPACE
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.model_pb2 import LidarKind, RegionSpace
+
+SETTINGS = MapbuilderSettings()
+
+
+@pytest.fixture
+def site(office: GridMap) -> SiteModel:
+    return build_site(office, Plan(step=TURN / 180))
+
+
+def ask(beams: int, cap: float = 12.0) -> Envelope:
+    address = {"site": "s", "robot": "r", "lidar": "l"}
+    return Envelope(LIDAR_KIND, address, LidarKind(beams=beams, cap=cap))
+
+
+def said(core: MapbuilderCore | ChangeManager, heard: Envelope) -> dict[tuple[str, str], RegionSpace]:
+    """Spaces by region and version of its model."""
+    found = [envelope for envelope in core.handle(heard) if envelope.channel is SPACE]
+    messages = [envelope.open(RegionSpace) for envelope in found]
+    assert [envelope.address["region"] for envelope in found] == [m.region for m in messages]
+    return {(m.region, m.model_version): m for m in messages}
+
+
+def started(site: SiteModel) -> MapbuilderCore:
+    core = MapbuilderCore(SETTINGS, site, "s")
+    assert not [envelope for envelope in core.start() if envelope.channel is SPACE]
+    return core
+
+
+def test_each_region_is_answered_once_for_a_kind(site: SiteModel) -> None:
+    core = started(site)
+    found = said(core, ask(180))
+    assert set(found) == {(model.region, model.version) for model in site.regions}
+    for model in site.regions:
+        own = space_from_message(found[model.region, model.version].space)
+        direct, _ = model.derive(own.analysis)
+        assert own.analysis.beams == 180
+        np.testing.assert_array_equal(own.space.vectors, direct.space.vectors)
+        assert own.usual_error == direct.usual_error
+    assert said(core, ask(180)) == {}
+    assert len(said(core, ask(180, 5.0))) == len(site.regions)
+    assert core.condition().counters["lidar_kinds"] == 2
+
+
+def test_the_declared_lidar_and_nonsense_are_not_answered(site: SiteModel) -> None:
+    core = started(site)
+    assert said(core, ask(91)) == {}
+    for beams, cap in ((0, 12.0), (181, 12.0), (90, 0.0), (90, -1.0), (90, float("nan")), (90, 13.0)):
+        assert said(core, ask(beams, cap)) == {}
+    assert core.condition().counters["lidar_kind_malformed"] == 6
+
+
+def test_a_site_serves_a_bounded_number_of_kinds(site: SiteModel) -> None:
+    core = started(replace(site, regions=site.regions[:1]))
+    answered = [bool(said(core, ask(beams))) for beams in range(10, 10 + KINDS + 3)]
+    assert answered == [True] * KINDS + [False] * 3
+    assert core.condition().counters["lidar_kind_beyond_limit"] == 3
+
+
+def changed(model: RegionModel) -> RegionModel:
+    return model.with_ranges(model.index, model.ranges + np.uint16(1))
+
+
+def test_after_a_change_only_what_changed_is_said_again(site: SiteModel) -> None:
+    core = started(site)
+    said(core, ask(180))
+    after = replace(site, regions=(changed(site.regions[0]), *site.regions[1:]))
+    spaces = [e.open(RegionSpace) for e in core.renew(after) if e.channel is SPACE]
+    assert [(m.region, m.model_version) for m in spaces] == [
+        (after.regions[0].region, after.regions[0].version)
+    ]
+
+
+def test_what_was_made_is_kept_with_the_models_and_said_at_the_next_start(
+    site: SiteModel, tmp_path: Path
+) -> None:
+    folder = tmp_path / "model"
+    write_models(site, folder)
+    first = ChangeManager(Store(folder), SETTINGS, "s")
+    list(first.start())
+    want = said(first, ask(180))
+    (kept,) = (folder / "spaces").iterdir()
+    assert first.condition().counters["spaces_kept"] == 1
+    again = ChangeManager(Store(folder), SETTINGS, "s")
+    spaces = [e.open(RegionSpace) for e in again.start() if e.channel is SPACE]
+    assert {(m.region, m.model_version): m for m in spaces} == want
+    assert said(again, ask(180)) == {}
+    kept.write_bytes(kept.read_bytes()[:-500])
+    damaged = ChangeManager(Store(folder), SETTINGS, "s")
+    assert not [e for e in damaged.start() if e.channel is SPACE]
+    assert damaged.condition().counters["spaces_damaged"] == 1
+    assert said(damaged, ask(180)) == want
