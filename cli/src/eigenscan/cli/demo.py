@@ -1,4 +1,4 @@
-"""`eigenscan demo`: a robot that knows nothing finds itself, is carried away, and finds itself again."""
+"""`eigenscan demo`: a robot that knows nothing finds itself, is kidnapped, and finds itself again."""
 
 from __future__ import annotations
 

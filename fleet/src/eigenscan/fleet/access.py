@@ -85,7 +85,7 @@ class Rights:
 
 
 def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights:
-    """A robot says its own keys that cross the air, and hears what the site says to all or to it.
+    """A robot publishes its own keys that cross the air, and receives what is for all or for it.
 
     `served`: a projector elsewhere answers its scans.
     """
@@ -111,7 +111,7 @@ def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights
 
 
 def of_service(site: str, role: Role) -> Rights:
-    """A service of the site hears whatever has come to it, and says what the table lets it say."""
+    """A service of the site receives whatever has come to it, and publishes what the table allows."""
     says = [one for one in CHANNELS if role in one.said_by]
     hears = [one for one in CHANNELS if role in one.heard_by]
     # in health, where robots speak as well, it keeps to its own name
@@ -132,7 +132,7 @@ def of_service(site: str, role: Role) -> Rights:
 
 
 def of_projector(site: str, group: str, name: str) -> Rights:
-    """A projector called `name` hears maps, models and its robots' scans, and answers these robots alone."""
+    """A projector `name` receives maps, models and its robots' scans, and answers these robots alone."""
     hears = [SCAN, *(one for one in CHANNELS if one.qos.latched)]
     address = {"site": site, "robot": group, "projector": name, "service": "projector", "instance": name}
 

@@ -1,4 +1,4 @@
-"""What a site's robots and services say of themselves, and how long ago each was heard."""
+"""What a site's robots and services publish about themselves, and its age."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class FleetView:
         self._bus.say(envelope)
 
     def update(self) -> list[PoseEstimate]:
-        """Takes in what was heard since the last call, and gives its poses; ages count from here."""
+        """Takes in what was received since the last call, and gives its poses; ages count from here."""
         poses = []
         while self._tokens:
             key, there = self._tokens.pop(0)
@@ -196,7 +196,7 @@ class FleetView:
         return self.services.setdefault((name, instance), Service(name, instance))
 
     def robot_names(self) -> list[str]:
-        """Every robot that was heard, or that a service is there for."""
+        """Every robot that was received, or that a service is there for."""
         served = {
             name
             for each in self.services.values()

@@ -1,7 +1,7 @@
 """Zenoh as the contract uses it: envelopes out, samples into an inbox, latched channels by query.
 
 A latched channel's newest samples are held by who said them and given to every query on their keys.
-Who holds some shows a liveliness token; who hears the channel queries again at each new token, so
+Who holds some shows a liveliness token; who receives the channel queries again at each new token, so
 that it matters neither who came first nor whether a link was down meanwhile.
 """
 

@@ -61,7 +61,7 @@ def main(
     """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
 
     `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
-    hears keys of the site that are not of the contract, to count them, and drops later than others.
+    receives keys of the site that are not of the contract, to count them, and drops later than others.
     `make_port`: carries those channels of the core that are not of the contract. `prompt`: the core takes
     each message in the thread that brings it; for one that has done with it in well under a millisecond.
     `attend` is given the session once it is open.
@@ -88,7 +88,7 @@ def main(
             print(f"eigenscan-{service}: {error}", file=sys.stderr)
             code = EXIT_SETTINGS
         except BaseException:
-            if settings is None:  # --help, or flags that are none: all is said
+            if settings is None:  # --help, or flags that are none: nothing more to print
                 raise
             traceback.print_exc()
             code = EXIT_CORE

@@ -22,7 +22,7 @@ class ReceiveWatchdog:
     """Whether the health of other services of one instance name still arrives, once a second by the contract.
 
     What is published here does not count: it need not leave the process. Nothing is expected of a service
-    whose token is gone: a session that still hears is told so. Nor is it while there is no link at all.
+    whose token is gone: a session that still receives is told so. Nor is it while there is no link at all.
     """
 
     def __init__(self, patience: int) -> None:

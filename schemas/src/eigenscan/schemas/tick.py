@@ -1,7 +1,7 @@
 """Time as a channel: for a core that must act now and then, also without messages.
 
 It is not of the contract and never leaves its process: the runtime says it, once a second, to a core that
-hears it. As it is not recorded, a core that is replayed goes by the stamps of its messages instead.
+receives it. As it is not recorded, a core that is replayed goes by the stamps of its messages instead.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ class Demonstration:
         return False
 
     def _play(self, view: FleetView, supervisor: Supervisor) -> list[Sighting]:
-        """Publishes the simulation and hears the poses, until both are through."""
+        """Publishes the simulation and receives the poses, until both are through."""
         stage = self._stage
         sightings: list[Sighting] = []
         stop = threading.Event()
@@ -139,7 +139,7 @@ class Demonstration:
 
     @property
     def _kidnap(self) -> float:
-        """When the robot is carried away, s since the first scan."""
+        """When the robot is kidnapped, s since the first scan."""
         stage = self._stage
         return stage.scenario.seconds if stage.kidnap_time is None else self._time(stage.kidnap_time)
 

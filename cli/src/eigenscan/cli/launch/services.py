@@ -37,7 +37,7 @@ class Pipeline:
     told: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
 
     def start(self, supervisor: Supervisor) -> None:
-        """Starts all services, the recorder first, so that it hears everything."""
+        """Starts all services, the recorder first, so that it receives everything."""
         shared = ["--site", self.site, "--robot", self.robot]
         if self.zenoh:
             shared += ["--zenoh", str(self.zenoh)]

@@ -91,7 +91,7 @@ class Supervisor:
                 raise ChildDiedError(f"{child.name} {how}; its last log lines:\n{child.last_lines()}")
 
     def stop(self, keep: Sequence[str] = ()) -> None:
-        """Ends all children but those in `keep`, the recorder last: it hears the last words of the others."""
+        """Ends all children but those in `keep`, the recorder last: it receives the others' last messages."""
         ending = [name for name in self.children if name not in keep]
         self._end([name for name in ending if name != "recorder"])
         self._end([name for name in ending if name == "recorder"])

@@ -1,4 +1,4 @@
-"""What mapbuilder's answers depend on, besides what it hears."""
+"""What mapbuilder's answers depend on, besides what it receives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The recorder without its shell: hands all it hears to its sinks."""
+"""The recorder without its shell: hands all it receives to its sinks."""
 
 from __future__ import annotations
 

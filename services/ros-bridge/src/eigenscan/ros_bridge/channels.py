@@ -1,4 +1,4 @@
-"""ROS 2's messages as the bridge's core hears and says them: CDR bytes, by the name of topic or service."""
+"""ROS 2's messages as the bridge's core exchanges them: CDR bytes, by the name of topic or service."""
 
 from __future__ import annotations
 

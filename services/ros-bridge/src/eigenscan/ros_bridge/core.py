@@ -58,7 +58,7 @@ Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
 
 
 class RosBridgeCore:
-    """One robot's bridge. What it hears of ROS and says to it are CDR bytes, by endpoint."""
+    """One robot's bridge. What it receives from ROS and publishes there are CDR bytes, by endpoint."""
 
     hears: tuple[Channel, ...] = (ROS_HEARD, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP)
     says: tuple[Channel, ...] = (ROS_SAID, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)

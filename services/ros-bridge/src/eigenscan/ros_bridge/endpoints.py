@@ -1,4 +1,4 @@
-"""The ROS 2 topics and services that the bridge hears, says and answers, with their quality of service."""
+"""The ROS 2 topics and services of the bridge, with their quality of service."""
 
 from __future__ import annotations
 

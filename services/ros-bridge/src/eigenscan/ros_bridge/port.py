@@ -27,7 +27,7 @@ PATIENT_REQUESTS = 64
 
 
 class RosPort:
-    """Says and hears ROS 2's endpoints in one dialect."""
+    """Publishes and receives ROS 2's endpoints in one dialect."""
 
     channels: tuple[Channel, ...] = (ROS_HEARD, ROS_SAID, ROS_ASKED, ROS_ANSWERED)
 

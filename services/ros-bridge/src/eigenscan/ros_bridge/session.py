@@ -21,7 +21,7 @@ _THIS_MACHINE = ("localhost", "127.0.0.1", "[::1]")
 def subscribe(
     session: zenoh.Session, key: str, endpoint: Endpoint, on_sample: Callable[[zenoh.Sample], None]
 ) -> Any:
-    """Subscriber of a topic; of a transient local one also hears what was said before it came."""
+    """Subscriber of a topic; of a transient local one also receives what was published before it came."""
     # in the session's own thread: a thread's turn less
     heard = zenoh.handlers.Callback(on_sample, indirect=False)
     # on /tf its own messages would come back

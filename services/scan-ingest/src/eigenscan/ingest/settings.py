@@ -1,4 +1,4 @@
-"""What scan-ingest's answers depend on, besides what it hears."""
+"""What scan-ingest's answers depend on, besides what it receives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a candidate says, as a stranger on Zenoh hears it: keys, encodings, quality of service, times."""
+"""What a candidate publishes, as a subscriber receives it: keys, encodings, quality of service, times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each service hears, says and answers, as the contract's page has it."""
+"""What each service receives, publishes and answers, as the contract's page has it."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class Profile:
     numbers: Numbers | None
     """None for what says nothing that could be compared."""
     records: bool = False
-    """Whether it keeps all that it hears in files."""
+    """Whether it keeps all that it receives in files."""
 
     @property
     def latched(self) -> tuple[Channel, ...]:
-        """What it hears that is said only once."""
+        """What it receives that is published only once."""
         return tuple(channel for channel in self.hears if channel.qos.latched)
 
 

@@ -73,7 +73,7 @@ class Observed:
     counted_before: int = 0
     counted: int = 0
     other_set: str = ""
-    """Version of the set of models that was said while it ran."""
+    """Version of the set of models that was published while it ran."""
     joined: dict[str, tuple[Channel, bytes]] = field(default_factory=dict)
     """What one who came late got of latched channels, by key."""
     said: list[Said] = field(default_factory=list)
@@ -252,7 +252,7 @@ class Trial:
                 time.sleep(1.0)
 
     def _join_late(self) -> None:
-        """Hears latched channels as one that comes when all is said."""
+        """Hears latched channels as one that comes when all is published."""
         inbox, channels = Inbox(), self._seen.profile.says
         with Bus(open_session(self._others)) as late:
             late.listen(channels, {"site": self._site}, inbox)

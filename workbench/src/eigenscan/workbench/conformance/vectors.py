@@ -39,7 +39,7 @@ class Vectors:
 
 
 def load(file: str, hears: Iterable[Channel], says: Iterable[Channel], address: dict[str, str]) -> Vectors:
-    """The vectors in `file` for who hears and says these channels, under other names of site and robot."""
+    """The vectors in `file` for a service with these channels, under other names of site and robot."""
     heard, said = set(hears), set(says)
     latched, inputs, reference = [], [], []
     for record in read(folder() / file):

@@ -1,6 +1,6 @@
 """Kidnap: halfway through a window the log jumps to another window's start.
 
-Stamps go on without a gap and the odometry without a step: whoever is carried away does not feel it.
+Stamps go on without a gap and the odometry without a step: whoever is kidnapped does not feel it.
 """
 
 from __future__ import annotations

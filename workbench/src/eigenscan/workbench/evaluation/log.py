@@ -1,4 +1,4 @@
-"""A log as the pipeline hears it: raw scans and odometry, in the order in which they were recorded."""
+"""A log as the pipeline receives it: raw scans and odometry, in the order in which they were recorded."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Log:
 
 
 def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) -> Log:
-    """Reads whatever `eigenscan import` reads; `moved` hears how far it is, 0..1. Raises LogError."""
+    """Reads whatever `eigenscan import` reads; `moved` receives how far it is, 0..1. Raises LogError."""
     opened = open_log(path, options)
     heard = []
     for envelope in opened.envelopes():

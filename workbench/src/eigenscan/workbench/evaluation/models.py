@@ -38,7 +38,7 @@ class Built:
 def build(path: Path, settings: MapbuilderSettings, moved: Callable[[float], None]) -> Built:
     """Builds the models of a map_server yaml, or anew those of a model folder.
 
-    `moved` hears how far it is. Raises MapError or ModelError.
+    `moved` receives how far it is. Raises MapError or ModelError.
     """
     plan = replace(settings.plan, threads=os.cpu_count() or 1)
     grid = read_map(path / MAP if path.is_dir() else path)

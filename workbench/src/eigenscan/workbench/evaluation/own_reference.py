@@ -41,7 +41,7 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
 
 
 def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, str]:
-    """Where the pipeline claims to have been when it hears the whole log in one go, and its fault, if any.
+    """Where the pipeline claims to have been when it receives the whole log in one go, and its fault, if any.
 
     A wrong claim that a cold start makes as well is not found so. Raises EvaluationError.
     """

@@ -75,7 +75,7 @@ def judgeable(bench: Bench, windows: Iterable[Window]) -> list[Window]:
 
 
 def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | None = None) -> Figures:
-    """Cold starts at each window; `poses`: a file for all that was said."""
+    """Cold starts at each window; `poses`: a file for all that was published."""
     advance = bench.progress("windows", len(windows))
     judged, rows, cpu, streams = [], [], [], []
     faults: set[str] = set()

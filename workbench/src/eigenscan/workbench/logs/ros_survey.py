@@ -49,7 +49,7 @@ class Plan:
 
 @dataclass
 class Survey:
-    """What has been heard so far."""
+    """What has been received so far."""
 
     options: LogOptions
     tree: TransformTree = field(default_factory=TransformTree)
@@ -105,7 +105,7 @@ class Survey:
 
 
 def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
-    """Reads until each lidar was heard and is connected to the base, or to the end.
+    """Reads until each lidar was received and is connected to the base, or to the end.
 
     What is left out is counted. Raises LogError where there is no usable lidar, or not the one asked for.
     """

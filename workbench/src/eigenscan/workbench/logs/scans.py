@@ -73,7 +73,7 @@ class Scans:
 def read_scans(
     path: Path, options: LogOptions, moved: Callable[[float], None], with_odometry: bool = True
 ) -> Scans:
-    """Scans of whatever `eigenscan import` reads; `moved` hears how far it is, 0..1.
+    """Scans of whatever `eigenscan import` reads; `moved` receives how far it is, 0..1.
 
     Raises LogError where the log cannot be read or holds no scan that can be used.
     """

@@ -51,7 +51,7 @@ class Summary:
 
     @property
     def lidars(self) -> list[str]:
-        """Names of those that were heard."""
+        """Names of those that were received."""
         return sorted(name for name, row in self._rows.items() if row.beams)
 
     def add(self, envelope: Envelope, time: int) -> None:

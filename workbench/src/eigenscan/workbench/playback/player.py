@@ -27,7 +27,7 @@ class Score:
 
 
 class Player:
-    """One playback. `moved` hears where it is (ns), and whether it stands still."""
+    """One playback. `moved` receives where it is (ns), and whether it stands still."""
 
     def __init__(
         self,

@@ -39,7 +39,7 @@ class Selection:
         return [c for c in CHANNELS if c.qos.latched and any(c.parse(key) for key in self.keys)]
 
     def messages(self, begin: int) -> Iterator[Timed]:
-        """From log time `begin` on, after what is latched and was said before; to the selection's end."""
+        """From log time `begin` on, after the latched messages from before; to the selection's end."""
         for record in read(self.file, max(begin, self.begin)):
             if record.log_time > self.end:
                 return

@@ -21,7 +21,7 @@ Changes = Mapping[str, Mapping[str, str]]
 
 @dataclass
 class Instance:
-    """A core in its place: hears what its process would hear, and outlives its faults as a process does."""
+    """A core in its place: receives what its process would, and outlives its faults as a process does."""
 
     service: Service
     name: str

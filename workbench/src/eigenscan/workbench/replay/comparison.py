@@ -81,7 +81,7 @@ class Comparison:
         self._first: Finding | None = None
 
     def take(self, event: Event) -> None:
-        """Takes what was or is said; what was heard is left alone."""
+        """Takes what was or is published; inputs are left alone."""
         if event.side is Side.HEARD:
             return
         envelope, count = event.envelope, self.counts[event.envelope.channel]

@@ -17,7 +17,7 @@ from eigenscan.workbench.replay.services import Service, heard_by, said_by
 from eigenscan.workbench.replay.survey import Survey
 
 DISPENSABLE = (ODOMETRY, RELOCATION, SCAN_MOTION)
-"""What a service hears, but can do without."""
+"""What a service receives, but can do without."""
 
 
 class Side(Enum):
@@ -30,7 +30,7 @@ class Side(Enum):
 
 @dataclass(frozen=True)
 class Event:
-    """A message that cores heard, that they once said, or that they say now; `time` is a log time, ns."""
+    """A message that cores received, that they once published, or publish now; `time` is a log time, ns."""
 
     side: Side
     time: int
@@ -44,7 +44,7 @@ def play(
     models: Sequence[Envelope] = (),
     moved: Callable[[int], None] = lambda _time: None,
 ) -> Iterator[Event]:
-    """All events, in order of the recording's log time; `moved` hears it.
+    """All events, in order of the recording's log time; `moved` receives it.
 
     Maps and models come first, for a recorder may hear them late; `models` stand for those of the recording.
     Each answer follows what it answers.

@@ -156,7 +156,7 @@ def junit(cases: Sequence[Case], name: str = "eigenscan replay-test") -> str:
 
 
 def run_all(files: Sequence[Path], plan: Plan, said: Callable[[Case], None], jobs: int = 1) -> list[Case]:
-    """The cases of all files, `jobs` files at a time; `said` hears each in the order of the files."""
+    """The cases of all files, `jobs` files at a time; `said` receives each in the order of the files."""
     cases = []
     for found in _judged(files, plan, min(jobs, len(files))):
         for case in found:

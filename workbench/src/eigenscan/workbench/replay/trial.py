@@ -31,7 +31,7 @@ class Trial:
     reference: Reference | None = None
     """What they are to say, where it is not what the recording says."""
     out: Path | None = None
-    """Recording to write: all that was heard, and what is said now."""
+    """Recording to write: all that was received, and what is published now."""
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ class Stage:
 
     @property
     def keys(self) -> list[str]:
-        """Every key that messages are said on."""
+        """Every key that messages are published on."""
         return [channel.key(self._address) for channel in (ODOMETRY, SCAN_RAW, TRUTH)]
 
     @property

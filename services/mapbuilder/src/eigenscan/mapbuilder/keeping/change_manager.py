@@ -89,7 +89,7 @@ class ChangeManager:
         return ()
 
     def condition(self) -> Condition:
-        """OK once all models are said, and what is proposed; degraded where the store cannot be used."""
+        """OK once all models are published, and what is proposed; degraded where the store cannot be used."""
         if self._core is None:
             return Condition(Health.STATUS_WAITING, "building models")
         own = self._core.condition()

@@ -24,7 +24,7 @@ _STRAINED = 7.8
 
 @dataclass(frozen=True)
 class Sweep:
-    """One scan as it was heard: `stamp` in ns, `mount` (3,) of the sensor in the base frame.
+    """One scan as it was received: `stamp` in ns, `mount` (3,) of the sensor in the base frame.
 
     `odometry` (3,): the base in the odometry frame at the stamp; None where it is not known.
     """

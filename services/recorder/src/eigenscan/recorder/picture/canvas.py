@@ -106,7 +106,7 @@ class ScanMemory:
             self._scans.use(lidar, lambda: deque(maxlen=SCANS_KEPT)).append((stamp, scan))
 
     def lidars(self, robot: str) -> list[str]:
-        """Lidars of `robot` that have been heard."""
+        """Lidars of `robot` that have been received."""
         return [lidar for (owner, lidar), _ in self._scans.items() if owner == robot]
 
     def newest(self, robot: str, lidar: str, until: int, age: int = 0) -> Scan | None:
