@@ -32,10 +32,10 @@ from eigenscan.mapbuilder.mapping.composite import composite
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import project
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.methods import of_service

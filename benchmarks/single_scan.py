@@ -25,10 +25,10 @@ from eigenscan.geometry.pose import compose, covariance_from_message, from_messa
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.connectivity import best_of_neighbourhoods
 from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
 from eigenscan.schemas.envelope import Envelope
@@ -221,13 +221,13 @@ def recall_by_stage(
         scan = occluded(sample.scan, share, number)
         seen, truth = observe(scan), compose(sample.truth, from_message(scan.mount))
 
-        def witness(stage: str, poses: np.ndarray, truth: np.ndarray = truth) -> None:
+        def trace(stage: str, poses: np.ndarray, truth: np.ndarray = truth) -> None:
             found.setdefault(stage, []).append(bool(is_right(poses, truth).any()))
             order = np.arange(len(poses))
             apart = poses[best_of_neighbourhoods(poses, order, WITHIN_M, WITHIN_RAD, len(poses) or 1)]
             found.setdefault(f"{stage}: wrong", []).append(float(np.sum(~is_right(apart, truth))))
 
-        find_candidates(site, site.view(seen.sensor), seen, settings, witness)
+        find_candidates(site, site.view(seen.sensor), seen, settings, trace)
     return {stage: np.mean(hits) for stage, hits in found.items()}
 
 

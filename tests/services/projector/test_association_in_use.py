@@ -5,10 +5,10 @@ from typing import get_args
 import numpy as np
 import pytest
 from eigenscan.projector.association.kinds import Kind
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import explaining, find_candidates
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from hypothesis import given
@@ -55,12 +55,12 @@ def test_interpolated_poses_are_handed_on() -> None:
         for i, truth in enumerate(free_poses(12, 71, clearance=0.6)):
             seen = observe(scan_at(truth, noise=0.0, seed=i))
 
-            def witness(stage: str, poses: Array, truth: Array = truth, found: list[float] = found) -> None:
+            def trace(stage: str, poses: Array, truth: Array = truth, found: list[float] = found) -> None:
                 if stage == "associated":
                     here = poses[is_right(poses, truth)]
                     found.append(np.hypot(*(here - truth)[:, :2].T).min(initial=1.0))
 
-            find_candidates(built, built.view(seen.sensor), seen, settings_, witness)
+            find_candidates(built, built.view(seen.sensor), seen, settings_, trace)
     assert np.median(nearest["tetrahedra"]) < 0.5 * np.median(nearest["sweep"])
     assert np.median(nearest["triangles"]) < 0.5 * np.median(nearest["sweep"])
 

@@ -3,9 +3,9 @@
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.projector.coordinates import coordinates
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
 
 from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, site

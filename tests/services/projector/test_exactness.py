@@ -6,10 +6,10 @@ from eigenscan.eigenspace.analysis import ANALYSIS_TURN, coarse_sensor
 from eigenscan.eigenspace.embedding import Kind
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.projector.association.tree import Trees
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import project
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
 from eigenscan.schemas.scan_pb2 import Scan
 from hypothesis import given, settings

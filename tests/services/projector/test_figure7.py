@@ -4,10 +4,10 @@ import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.projector.association.kinds import Kind
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import project
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.site import Site
 from numpy.typing import NDArray
 

@@ -4,24 +4,24 @@ from dataclasses import replace
 
 import pytest
 from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.projector.shelf import ModelError, Shelf, WholeSet
+from eigenscan.projector.model_set_assembler import ModelError, ModelSetAssembler, WholeSet
 from eigenscan.schemas import model_pb2
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
 from tests.services.projector.office import envelopes, site
 
 
-def _put(shelf: Shelf, built: SiteModel) -> WholeSet | None:
+def _put(assembler: ModelSetAssembler, built: SiteModel) -> WholeSet | None:
     """All messages of a site; the last answer, which is the set where it is whole."""
     whole = None
     for envelope in envelopes(built):
         message = envelope.message
         if isinstance(message, Grid):
-            whole = shelf.put_map(message)
+            whole = assembler.put_map(message)
         elif isinstance(message, model_pb2.RegionModel):
-            whole = shelf.put_model(message)
+            whole = assembler.put_model(message)
         elif isinstance(message, model_pb2.ModelSet):
-            whole = shelf.put_set(message)
+            whole = assembler.put_set(message)
     return whole
 
 
@@ -34,13 +34,13 @@ def _moved(built: SiteModel, shift: float) -> SiteModel:
 @pytest.mark.parametrize("shift", [1e308, 1e7, -400.0])
 def test_a_region_outside_of_the_map_is_refused_although_its_hash_is_right(shift: float) -> None:
     with pytest.raises(ModelError, match=site().regions[0].region):
-        _put(Shelf(), _moved(site(), shift))
+        _put(ModelSetAssembler(), _moved(site(), shift))
 
 
 def test_after_a_hostile_set_the_next_sound_one_is_taken() -> None:
-    shelf = Shelf()
+    assembler = ModelSetAssembler()
     with pytest.raises(ModelError):
-        _put(shelf, _moved(site(), 400.0))
-    whole = _put(shelf, site())
+        _put(assembler, _moved(site(), 400.0))
+    whole = _put(assembler, site())
     assert whole is not None
     assert whole.version == site().to_message().version

@@ -12,11 +12,11 @@ from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.pose import from_message
 from eigenscan.projector.focus import WHOLE, Focus, Scope
+from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.shelf import Shelf, WholeSet
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.projector.tables import Store
 from eigenscan.schemas import model_pb2
@@ -68,7 +68,7 @@ class ProjectorCore:
         self._focus = Focus()
         if settings.focus:
             self.hears = (*ProjectorCore.hears, POSE)
-        self._shelf = Shelf()
+        self._assembler = ModelSetAssembler()
         self._site: Site | None = None
         self._counts: Counter[str] = Counter()
         self._refused = ""
@@ -88,21 +88,21 @@ class ProjectorCore:
         if heard.channel == POSE:
             self._focus.hear(heard.address["robot"], heard.open(PoseEstimate))
         elif heard.channel == MAP:
-            self._take("map", lambda: self._shelf.put_map(heard.open(Grid)))
+            self._take("map", lambda: self._assembler.put_map(heard.open(Grid)))
         elif heard.channel == MODEL:
-            self._take("model", lambda: self._shelf.put_model(heard.open(RegionModel)))
+            self._take("model", lambda: self._assembler.put_model(heard.open(RegionModel)))
         elif heard.channel == SPACE:
             self._take_space(heard.open(model_pb2.RegionSpace))
         elif heard.channel == MODEL_SET:
-            self._take("model_set", lambda: self._shelf.put_set(heard.open(ModelSet)))
+            self._take("model_set", lambda: self._assembler.put_set(heard.open(ModelSet)))
         return []
 
     def condition(self) -> Condition:
         """Waiting without a model; degraded where the newest one was refused."""
         counts = dict(self._counts) | dict(self._store.counts if self._store else {})
         if self._site is None:
-            return Condition(Health.STATUS_WAITING, self._refused or self._shelf.missing, counts)
-        detail = self._refused or self._shelf.missing or f"model {self._site.version[:12]}"
+            return Condition(Health.STATUS_WAITING, self._refused or self._assembler.missing, counts)
+        detail = self._refused or self._assembler.missing or f"model {self._site.version[:12]}"
         status = Health.STATUS_DEGRADED if self._refused else Health.STATUS_OK
         if progress := self._progress():
             detail = f"{detail}; {progress}"

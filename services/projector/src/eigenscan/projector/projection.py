@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Witness = Callable[[str, Array], None]
-"""Hears of each stage by name what sensor poses (n, 3) it leaves."""
+TraceCallback = Callable[[str, Array], None]
+"""Called after each stage with its name and the sensor poses (n, 3) that it leaves."""
 
 PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
 """Of the candidates this near to each other only the best is refined."""
@@ -55,7 +55,7 @@ def find_candidates(
     view: SensorView,
     seen: Observation,
     settings: ProjectorSettings,
-    witness: Witness = lambda *_: None,
+    trace: TraceCallback = lambda *_: None,
     scope: Scope = WHOLE,
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
@@ -67,14 +67,14 @@ def find_candidates(
         found = answer(site, view, seen, projected, matches, settings.published)
         return replace(found, waiting=waiting if waiting.any() else None)
     refined = settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA))
-    seeds, home, region = _verified(site, view, seen, matches, round(refined), witness)
+    seeds, home, region = _verified(site, view, seen, matches, round(refined), trace)
     points = seen.points
     sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
     slid = fit(site.coarse_walls, seeds, sliding, SLIDE)
-    witness("slid", slid.poses)
+    trace("slid", slid.poses)
     best = _promising(site, view, seen, slid.poses, home)
-    witness("kept to polish", slid.poses[best])
-    found = _weigh(site, seen, slid.poses[best], region[best], projected, settings, witness, scope)
+    trace("kept to polish", slid.poses[best])
+    found = _weigh(site, seen, slid.poses[best], region[best], projected, settings, trace, scope)
     if not waiting.any():
         return found
     return replace(found, waiting=waiting, unlisted_log_likelihood=0.0)  # of what waits nothing is known
@@ -153,7 +153,7 @@ def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> 
 
 
 def _verified(
-    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, witness: Witness
+    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, trace: TraceCallback
 ) -> tuple[Array, Index, Index]:
     """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
     once = matches.by_row()
@@ -170,9 +170,9 @@ def _verified(
     poses = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
     if between:
         poses[:, :2] += offset[:, :2] * (position == home)[:, None]
-    witness("associated", poses)
+    trace("associated", poses)
     best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
-    witness("verified", poses[best])
+    trace("verified", poses[best])
     region = np.searchsorted(view.bounds, rows[best], side="right") - 1
     return poses[best], position[best], region
 
@@ -210,7 +210,7 @@ def _weigh(
     region: Index,
     projected: Projected,
     settings: ProjectorSettings,
-    witness: Witness,
+    trace: TraceCallback,
     scope: Scope,
 ) -> Candidates:
     weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
@@ -224,15 +224,15 @@ def _weigh(
     polished, supported, explained, kept, ordinary = max(
         found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4]).sum())
     )
-    witness("polished", polished.poses)
+    trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
     covariances = pose_covariances(polished.information[kept], site.inexactness)
     exact = pose_covariances(polished.information[kept])
     # that an inexact map spreads a place over more poses makes the place no likelier
     spread = 0.5 * (np.linalg.slogdet(covariances)[1] - np.linalg.slogdet(exact)[1])
     likelihood = log_likelihood(supports, ordinary) - spread
-    witness("published", poses)
-    witness("first", poses[:1])
+    trace("published", poses)
+    trace("first", poses[:1])
     return Candidates(
         poses,
         covariances,

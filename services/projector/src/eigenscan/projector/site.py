@@ -18,9 +18,9 @@ from eigenscan.projector.association.manifold import Association
 from eigenscan.projector.association.ratios import Ratios
 from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
-from eigenscan.projector.shelf import WholeSet
 from eigenscan.projector.subspaces import Subspaces
 from eigenscan.projector.tables import HEADINGS, Flags, Given, Store, Tables
 from eigenscan.projector.verification import RANGE_CAP, predicted

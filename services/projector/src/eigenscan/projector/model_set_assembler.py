@@ -1,4 +1,4 @@
-"""The map and region models that were heard, until a set of them is whole."""
+"""Assembles received maps and region models into whole sets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class WholeSet:
     free_area_m2: float
 
 
-class Shelf:
+class ModelSetAssembler:
     """Collects maps, models and sets in any order; gives each whole set once."""
 
     def __init__(self) -> None:
@@ -116,4 +116,4 @@ def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:
             )
 
 
-__all__ = ["MapError", "ModelError", "Shelf", "WholeSet"]
+__all__ = ["MapError", "ModelError", "ModelSetAssembler", "WholeSet"]
