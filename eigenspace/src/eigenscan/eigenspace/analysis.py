@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 ANALYSIS_TURN = 180
 """Beams and headings of a full turn in the analysis: steps of 2 degrees."""
 COMPONENTS = 16
-"""Principal components kept: docs/reports/components.md."""
+"""Principal components kept: docs/reports.md."""
 SEARCH_SPACING = 0.5
 """m, between the positions that are searched in eigenspace; the finer ones refine what was found."""
 HEADING_STRIDE = 3

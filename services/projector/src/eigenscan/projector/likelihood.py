@@ -25,7 +25,7 @@ ORDINARY_RANK = 10
 NATS, STRANGE, SIMILAR = 33.0, 0.08, 0.54
 """ln odds per support; the support that counts for nothing: STRANGE, and SIMILAR times an ordinary place's.
 
-More careful than the maximum likelihood of what is right in single scans (docs/reports/likelihood.md): scans
+More careful than the maximum likelihood of what is right in single scans (docs/reports.md): scans
 that follow each other err alike.
 """
 

@@ -1,6 +1,6 @@
 """CSV tables of ranges: a line a scan, as Hokuyo's tools write them, or a line a beam, as SLAMTEC's do.
 
-The header names what there is, with its unit; docs/importing.md has the columns.
+The header names what there is, with its unit; docs/data.md has the columns.
 """
 
 from __future__ import annotations
