@@ -15,7 +15,7 @@ from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
-from eigenscan.schemas.channels import MODEL_SET, POSE, SCAN
+from eigenscan.schemas.channels import LIDAR_KIND, MODEL_SET, POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
@@ -91,7 +91,7 @@ def _full(*_: object) -> None:
 
 def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> None:
     core, manifest = start(folder, "off"), folder / "manifest.json"
-    assert core.hears == (TICK,)
+    assert core.hears == (TICK, LIDAR_KIND)
     good = manifest.read_text()
     manifest.write_text("{")
     assert list(core.handle(PULSE)) == []
@@ -105,7 +105,7 @@ def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> 
 def test_a_map_alone_cannot_be_kept() -> None:
     with pytest.raises(ValidationError, match="eigenscan build"):
         MapbuilderOptions(map="map.yaml", changes="propose")
-    assert MapbuilderCore(MapbuilderSettings(), KNOWN).hears == ()
+    assert MapbuilderCore(MapbuilderSettings(), KNOWN).hears == (LIDAR_KIND,)
 
 
 def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE) -> tuple[ChangeManager, str]:
