@@ -7,8 +7,8 @@ motion so far. Odometry plays no part, so that it can be held against the result
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import cos, hypot, inf, pi, sin
+from dataclasses import dataclass, replace
+from math import inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,17 @@ NOISE = 0.02
 """m, sigma of a point on its line: a lidar's noise and the roughness of walls."""
 REACH = 4
 """Beams to either side that are looked at for the nearest point."""
+WINDOW = np.arange(-REACH, REACH + 1)
 ROUNDS, WIDE_ROUNDS = 10, 4
 SETTLED = 1e-3
 """m and rad: a smaller step is the last."""
 LEAST_POINTS = 15
 LEAST_SUPPORT = 0.08
 """Share of the points that must fix a direction: fewer, at the ends of a hallway, slide along with it."""
+SHIFTS = np.array([-0.3, -0.15, 0.15, 0.3])
+"""m along the direction that is fixed worst, from which the scan is laid once more: what a robot drives."""
+APART_M, AS_WELL = 0.05, 0.04
+"""Two motions so far apart along it are two; so much of the beams tells which of them it was."""
 FITS = 0.4
 """Share of the later scan that the earlier one has to explain."""
 ON_LINE = 0.06
@@ -119,10 +124,26 @@ def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
         return NOTHING_IN_COMMON
     points = after.xy[chosen[:: max(len(chosen) // BEAMS, 1)]]
     turn = _first_turn(before, after)
-    best = _lay(before, points, guess)
-    if abs(turn - guess[2]) > 2.0 * TURN_STEP or best.explained < 0.8:
-        other = _lay(before, points, (0.0, 0.0, turn))
-        best = other if other.explained > best.explained else best
+    tried = _lay(before, points, np.array([guess, (0.0, 0.0, turn)]))
+    best = max(tried, key=lambda each: each.explained)
+    return _held_along(before, points, best) if best.fits else best
+
+
+def _held_along(before: Points, points: Array, found: Motion) -> Motion:
+    """The motion, or one further along that fits better; without what two that fit alike differ by.
+
+    In a hallway walls fit wherever one is along it, and few beams tell how far one came: also a wrong motion
+    is then a minimum that the fit does not leave.
+    """
+    x, y = np.linalg.eigh(found.information[:2, :2])[1][:, 0].tolist()
+    tried = [found, *_lay(before, points, np.array(found.delta) + SHIFTS[:, None] * np.array([x, y, 0.0]))]
+    best = max(tried, key=lambda each: each.explained)
+    for rival in tried:
+        off = x * (rival.delta[0] - best.delta[0]) + y * (rival.delta[1] - best.delta[1])
+        if abs(off) > APART_M and rival.explained >= best.explained - AS_WELL:
+            kept = np.eye(3)
+            kept[:2, :2] -= np.outer((x, y), (x, y))
+            return replace(best, information=kept @ best.information @ kept)
     return best
 
 
@@ -147,46 +168,46 @@ def _first_turn(before: Points, after: Points) -> float:
     return float(shifts[int(np.argmin(cost))]) * before.step
 
 
-def _lay(before: Points, points: Array, start: Pose) -> Motion:
-    x, y, turn = start
-    count = len(before.ranges)
-    window = np.arange(-REACH, REACH + 1)
-    information, explained, count_used = np.zeros((3, 3)), 0.0, 0
+def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
+    """Points (n, 2) laid on the earlier scan, from each of several motions (k, 3)."""
+    moved = starts.copy()
     mx, my, mt = before.mount
+    last, window = len(before.ranges) - 1, np.arange(-REACH, REACH + 1)
     for number in range(ROUNDS):
-        c, s = cos(turn), sin(turn)
-        turned = np.column_stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]])
-        placed = turned + np.array([x, y])
-        bearing = np.arctan2(placed[:, 1] - my, placed[:, 0] - mx) - mt - before.angle_min
+        c, s = np.cos(moved[:, 2:]), np.sin(moved[:, 2:])
+        turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=-1)
+        placed = turned + moved[:, None, :2]
+        bearing = np.arctan2(placed[..., 1] - my, placed[..., 0] - mx) - mt - before.angle_min
         centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
-        visible = centre < count + REACH
-        near = np.minimum(np.maximum(centre[:, None] + window, 0), count - 1)
-        apart = before.xy[near] - placed[:, None]
-        distance2 = (apart**2).sum(axis=2)
-        distance2[~before.lined[near]] = inf
-        nearest = np.argmin(distance2, axis=1)
-        row = np.arange(len(points))
-        beam = near[row, nearest]
+        visible = centre <= last + REACH
+        near = np.minimum(np.maximum(centre[..., None] + window, 0), last)
+        apart = before.xy[near] - placed[:, :, None]
+        distance2 = np.where(before.lined[near], (apart * apart).sum(axis=-1), inf)
+        nearest = np.argmin(distance2, axis=-1)[..., None]
         reach = WIDE if number < WIDE_ROUNDS else NEAR
-        used = visible & (distance2[row, nearest] <= reach**2)
-        count_used = int(np.count_nonzero(used))
-        if count_used < LEAST_POINTS:
-            return NOTHING_IN_COMMON
-        normal = before.normals[beam]
-        off = -(normal * apart[row, nearest]).sum(axis=1)
+        used = visible & (np.take_along_axis(distance2, nearest, -1)[..., 0] <= reach**2)
+        normal = before.normals[np.take_along_axis(near, nearest, -1)[..., 0]]
+        off = -(normal * np.take_along_axis(apart, nearest[..., None], 2)[:, :, 0]).sum(axis=-1)
         weight = np.where(used, 1.0 / (1.0 + (off / (2.0 * NOISE)) ** 2), 0.0)
-        lever = normal[:, 1] * turned[:, 0] - normal[:, 0] * turned[:, 1]
-        rows = np.column_stack([normal, lever])
-        weighted = rows * weight[:, None]
-        information = rows.T @ weighted
+        lever = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
+        rows = np.concatenate([normal, lever[..., None]], axis=-1)
+        weighted = rows * weight[..., None]
+        information = np.einsum("kni,knj->kij", rows, weighted)
         # where the scans tell nothing the motion stays as it was
-        step = np.linalg.solve(information + 0.1 * np.eye(3), -(weighted.T @ off))
-        x, y, turn = x + float(step[0]), y + float(step[1]), turn + float(step[2])
-        on_line = np.count_nonzero(used & (np.abs(off) <= ON_LINE))
-        explained = on_line / max(int(np.count_nonzero(visible)), LEAST_POINTS)
-        if number >= WIDE_ROUNDS and max(hypot(step[0], step[1]), abs(float(step[2]))) < SETTLED:
+        pull = np.einsum("kni,kn->ki", weighted, off)
+        step = np.linalg.solve(information + 0.1 * np.eye(3), -pull[..., None])[..., 0]
+        moved += step
+        if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
             break
-    return Motion((x, y, turn), _supported(information, count_used) / NOISE**2, explained)
+    found = np.count_nonzero(used, axis=1)
+    on_line = np.count_nonzero(used & (np.abs(off) <= ON_LINE), axis=1)
+    explained = on_line / np.maximum(np.count_nonzero(visible, axis=1), LEAST_POINTS)
+    return [
+        Motion((x, y, turn), _supported(information[k], int(found[k])) / NOISE**2, float(explained[k]))
+        if found[k] >= LEAST_POINTS
+        else NOTHING_IN_COMMON
+        for k, (x, y, turn) in enumerate(moved.tolist())
+    ]
 
 
 def _supported(information: Array, points: int) -> Array:

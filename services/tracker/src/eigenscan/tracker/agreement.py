@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 from math import exp, hypot, log
 
-from eigenscan.tracker.odometry import Motion, OdometryTrail, motion
+from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.planar import IDENTITY, Pose, compose, wrap
 
 SIGMA_M, SIGMA_RAD = 0.03, 0.04
@@ -24,11 +24,15 @@ benchmarks/integrity.py prints the false alarms that follow, on `none`.
 """
 FARTHEST_M, FARTHEST_RAD = 0.3, 0.4
 """Between two scans farther apart by odometry than this the motion is often found wrongly: left out."""
-MOVED_M, MOVED_RAD = 0.06, 0.06
+UNKNOWN_S = 0.05
+"""Of an interval that odometry does not cover, above which it tells nothing of it."""
+MOVED_M, MOVED_RAD = 0.1, 0.1
 """Of intervals in which less moved several are taken together: they tell nothing alone."""
-TOGETHER = 8
+TOGETHER_NS = 5_000_000_000
 NEUTRAL, FOR_FAULT, AGAINST = 2.0, 3.0, -1.0
 """Nats for a fault: half the squared distance less NEUTRAL, at most and at least; motion errs heavily."""
+TELLING = 2.0 * NEUTRAL
+"""Squared distance from standing still that a motion needs for the scans to tell anything of it."""
 AFTER_FAULT = -0.25
 """The same at least once a fault was seen: also a lidar that lies agrees now and then."""
 APART = 1.5
@@ -56,6 +60,7 @@ class ScanInterval:
     stamp: int
     moved: Pose | None
     spread: Spread = (0.0, 0.0, 0.0)
+    turn_variance: float = 0.0
     repeats: int = 0
     longest_step: float = 0.0
     """s, longest between two scans on the way."""
@@ -81,7 +86,6 @@ class _Open:
     scans: Pose = IDENTITY
     odometry: Pose = IDENTITY
     spread: Spread = (0.0, 0.0, 0.0)
-    count: int = 0
 
 
 class _Odds:
@@ -155,71 +159,69 @@ class Agreement:
                 interval = ScanInterval(interval.lidar, interval.since, interval.stamp, IDENTITY)
         self._waiting.append(interval)
 
-    def compare(self, trail: OdometryTrail, until: int) -> int | None:
-        """Compares what odometry covers of the intervals that end by `until`, ns.
+    def compare(self, trail: OdometryTrail, until: int) -> list[tuple[ScanInterval, Motion]]:
+        """Compares the intervals that end by `until`, ns, with odometry, where there is some.
 
-        By stamps, whatever came first: what arrived early counts no sooner. Gives the stamp, ns, since when
-        the way's direction was taken wrongly, where this showed it.
+        By stamps, whatever came first: what arrived early counts no sooner. Gives the intervals over which
+        the scans tell the motion well, in order, each with odometry's.
         """
-        turned = None
-        due = [each for each in self._waiting if each.stamp <= until and trail.covers(each.stamp)]
+        found = []
+        due = [each for each in self._waiting if each.stamp <= until]
         for interval in sorted(due, key=lambda each: (each.stamp, each.lidar)):
             self._waiting.remove(interval)
-            a, b = trail.at(interval.since), trail.at(interval.stamp)
-            if a is None or b is None or not interval.since < interval.stamp:
+            if not interval.since < interval.stamp:
                 continue
-            told = motion(a, b)
-            if told.breaks > 0 or abs(told.unknown) > 0.05:
+            told = trail.between(interval.since, interval.stamp)
+            if _is_far(told, interval):
                 self._open.pop(interval.lidar, None)
                 continue
-            turned = self._take(interval, told) or turned
-        return turned
+            if interval.moved is not None and not interval.repeats:
+                found.append((interval, told))
+            if told.breaks > 0 or abs(told.unknown) > UNKNOWN_S:
+                self._open.pop(interval.lidar, None)
+            else:
+                self._take(interval, told)
+        return found
 
-    def _take(self, interval: ScanInterval, told: Motion) -> int | None:
-        step = min(interval.longest_step / max(told.seconds, 1e-9), 1.0)
-        if told.way * step > FARTHEST_M or told.turn * step > FARTHEST_RAD:
-            self._open.pop(interval.lidar, None)
-            return None
+    def _take(self, interval: ScanInterval, told: Motion) -> None:
         if interval.moved is None:
             self._open.pop(interval.lidar, None)
             self._compared.append(
                 Compared(interval.since, interval.stamp, None, told.delta, (0.0, 0.0, 0.0), True)
             )
             self._way.take(APART)
-            return None
+            return
         held = self._open.setdefault(interval.lidar, _Open(interval.since))
         held.scans, held.odometry = compose(held.scans, interval.moved), compose(held.odometry, told.delta)
         (xx, xy, yy), (more_xx, more_xy, more_yy) = held.spread, interval.spread
         held.spread = xx + more_xx, xy + more_xy, yy + more_yy
-        held.count += 1
-        if not (moves(held.scans) or moves(held.odometry)) and held.count < TOGETHER:
-            return None
+        if not (moves(held.scans) or moves(held.odometry)) and interval.stamp - held.since < TOGETHER_NS:
+            return
         del self._open[interval.lidar]
-        if not (moves(held.scans) or moves(held.odometry)):
-            return None
-        return self._judge(held, interval.stamp)
+        if moves(held.scans) or moves(held.odometry):
+            self._judge(held, interval.stamp)
 
-    def _judge(self, held: _Open, stamp: int) -> int | None:
+    def _judge(self, held: _Open, stamp: int) -> None:
+        x, y, turned = held.odometry
         way, turn = distances2(held.scans, held.odometry, held.spread)
-        back = distances2(held.scans, (-held.odometry[0], -held.odometry[1], held.odometry[2]), held.spread)[
-            0
-        ]
-        drives = hypot(*held.odometry[:2]) > MOVED_M
+        back = distances2(held.scans, (-x, -y, turned), held.spread)[0]
+        longer = max(held.scans, held.odometry, key=lambda moved: hypot(moved[0], moved[1]))
+        # along a hallway the scans may not even tell a drive from standing still
+        tells = hypot(*longer[:2]) >= MOVED_M and distances2(IDENTITY, longer, held.spread)[0] > TELLING
+        drives = tells and hypot(x, y) > MOVED_M
         is_reversed = drives and way > 4.0 * NEUTRAL and back < 2.0 * NEUTRAL
+        is_forwards = drives and back > 4.0 * NEUTRAL and way < 2.0 * NEUTRAL
         is_fault = max(way, turn) > 2.0 * NEUTRAL
         self._compared.append(Compared(held.since, stamp, held.scans, held.odometry, held.spread, is_fault))
-        self._learn_sign(is_reversed, drives and not is_fault)
-        if max(hypot(*held.scans[:2]), hypot(*held.odometry[:2])) >= MOVED_M:
+        self._learn_sign(is_reversed, is_forwards)
+        if tells:
             if self.without_sign:
                 way = distances2(held.scans, _along(held.odometry, held.scans), held.spread)[0]
             self._way.take(0.5 * way - NEUTRAL)
-        if max(abs(held.scans[2]), abs(held.odometry[2])) >= MOVED_RAD:
+        if max(abs(held.scans[2]), abs(turned)) >= MOVED_RAD:
             self._turn.take(0.5 * turn - NEUTRAL)
-        # on the spot both directions are the same
-        if not drives or is_reversed == self.reversed:
-            return None
-        self.reversed = is_reversed
-        return held.since
+        if is_reversed or is_forwards:
+            self.reversed = is_reversed
 
     def _learn_sign(self, is_reversed: bool, is_forwards: bool) -> None:
         known = self.without_sign
@@ -236,6 +238,14 @@ class Agreement:
         told = hypot(*last.odometry[:2]) + abs(last.odometry[2])
         seen = hypot(*last.scans[:2]) + abs(last.scans[2])
         return min(1.0, (seen + SIGMA_M) / (told + SIGMA_M))
+
+
+def _is_far(told: Motion, interval: ScanInterval) -> bool:
+    """Whether two scans on the way lie so far apart that the motion between them is often found wrongly."""
+    x, y, turn = interval.moved or IDENTITY
+    step = min(interval.longest_step / max(told.seconds, 1e-9), 1.0)
+    way, turned = max(told.way, hypot(x, y)), max(told.turn, abs(turn))
+    return way * step > FARTHEST_M or turned * step > FARTHEST_RAD
 
 
 def _along(odometry: Pose, scans: Pose) -> Pose:

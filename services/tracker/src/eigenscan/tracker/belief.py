@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from eigenscan.geometry.pose import compose
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.branching import at_least, births, branch
 from eigenscan.tracker.covariance import log_volume
@@ -27,8 +26,8 @@ from eigenscan.tracker.evidence import (
 )
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
-from eigenscan.tracker.planar import inverse
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.reckoning import Leg, Motions, correct
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks
@@ -149,15 +148,9 @@ class Belief:
             self._release(np.full(len(self.tracks), 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)))
         self._return(happened(RETURN_RATE * abs(moved.seconds)))
 
-    def take_back(self, moved: Motion) -> None:
-        """Sets tracks back that odometry alone carried along `moved`, whose way was the other way round.
-
-        Of those that a hypothesis confirmed on that way only the rest of it is set back.
-        """
-        alone = np.clip(self.tracks.unchecked[:, 0] / max(moved.way, 1e-9), 0.0, 1.0)
-        x, y, _ = inverse(moved.delta)
-        back = np.array([x, y, 0.0])
-        self.tracks = replace(self.tracks, x=compose(self.tracks.x, 2.0 * alone[:, None] * back))
+    def correct(self, way: Leg, now: int, motions: Motions) -> None:
+        """Sets the tracks right by what scans tell of the motion since they were last fixed."""
+        self.tracks = correct(self.tracks, way, now, motions, self.settings)
 
     def _release(self, share: Array) -> None:
         """Moves `share` (n,) of the tracks' mass to "none"."""

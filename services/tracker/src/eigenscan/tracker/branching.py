@@ -81,7 +81,19 @@ def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precis
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
     unchecked[joined], nis[joined] = 0.0, pairs.distance2
     observations[joined] += 1
-    return replace(branches, x=x, C=C, unchecked=unchecked, nis=nis, observations=observations)
+    fixed_x, fixed_C, fixed_at = branches.fixed_x.copy(), branches.fixed_C.copy(), branches.fixed_at.copy()
+    fixed_x[joined], fixed_C[joined], fixed_at[joined] = x[joined], C[joined], seen.stamp
+    return replace(
+        branches,
+        x=x,
+        C=C,
+        fixed_x=fixed_x,
+        fixed_C=fixed_C,
+        fixed_at=fixed_at,
+        unchecked=unchecked,
+        nis=nis,
+        observations=observations,
+    )
 
 
 def at_least(grown: Tracks, alone: int, pairs: Pairs, log_mass: Array) -> Tracks:

@@ -6,7 +6,7 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from math import hypot, isfinite
 
-from eigenscan.tracker.planar import Pose, between, compose, scaled
+from eigenscan.tracker.planar import IDENTITY, Pose, between, compose, scaled
 from eigenscan.tracker.velocity_gate import Reading, VelocityGate
 
 KEPT_NS = 60_000_000_000
@@ -154,6 +154,14 @@ class OdometryTrail:
         if known is None:
             known = self._asked[stamp] = self._found(stamp)
         return known
+
+    def between(self, start: int, end: int) -> Motion:
+        """Motion between two stamps, ns; all of it unknown where there was no odometry yet."""
+        a, b = self.at(start), self.at(end)
+        if a is None or b is None:
+            seconds = (end - start) * 1e-9
+            return Motion(IDENTITY, 0.0, 0.0, 0.0, abs(seconds), 0.0, seconds)
+        return motion(a, b)
 
     def _found(self, stamp: int) -> Sample:
         index = bisect_left(self._samples, stamp, key=lambda sample: sample.stamp)

@@ -6,6 +6,7 @@ import numpy as np
 from eigenscan.geometry.pose import compose
 from eigenscan.geometry.symmetric import MATRICES, plus, put, triangle
 from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.planar import Pose
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.symmetric import ROWS, turned
 from numba import njit, types
@@ -35,8 +36,13 @@ def motion_noise(moved: Motion, settings: TrackerSettings) -> Array:
 
 def predict(x: Array, C: Array, moved: Motion, settings: TrackerSettings) -> tuple[Array, Array]:
     """Poses (n, 3) and covariances (n, 3, 3) after a motion."""
-    delta, Q = np.array(moved.delta), motion_noise(moved, settings)
-    return compose(x, delta), _grown(x, C, delta, Q)
+    return carry(x, C, moved.delta, motion_noise(moved, settings))
+
+
+def carry(x: Array, C: Array, delta: Pose, Q: Array) -> tuple[Array, Array]:
+    """Poses (n, 3) and covariances (n, 3, 3) after an increment whose noise (3, 3) is in the base frame."""
+    step = np.array(delta)
+    return compose(x, step), _grown(x, C, step, Q)
 
 
 _GROWN = types.float64[:, :, ::1](ROWS, MATRICES, types.float64[::1], types.float64[:, ::1])

@@ -16,9 +16,10 @@ from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state,
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Rivals
 from eigenscan.tracker.observation import Observation, limit_sigma
-from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample, motion
-from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse
+from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample
+from eigenscan.tracker.planar import Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.reckoning import leg
 from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
@@ -91,6 +92,7 @@ class RobotTracker:
         self._anchor: Pose | None = None
         self._rivals = Rivals()
         self._hint: Hint | None = None
+        self._corrected = 0
 
     def relocate(self, hint: Hint | None) -> None:
         """Forgets where the robot was; begins anew, from the next scan on, at the hint if there is one."""
@@ -163,8 +165,8 @@ class RobotTracker:
             self._counts["hypotheses_late"] += 1
             seen = self._brought_forward(seen, belief.stamp)
         elif belief.stamp is not None:
-            self._set_direction(belief.stamp)
-            belief.predict(self._applied(self._motion(belief.stamp, seen.stamp)))
+            self._correct(belief.stamp)
+            belief.predict(self._motion(belief.stamp, seen.stamp))
         belief.stamp = seen.stamp
         belief.forget_innovations()
         repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
@@ -184,16 +186,16 @@ class RobotTracker:
         self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
         return estimate
 
-    def _set_direction(self, predicted: int) -> None:
-        """Sets tracks back that were predicted, up to a stamp, with the way's sign wrong."""
-        was = self._agreement.reversed
-        turned = self._agreement.compare(self._trail, predicted)
-        if turned is None:
+    def _correct(self, now: int) -> None:
+        """Sets tracks right that odometry carried, up to `now`, other than the scans tell."""
+        told_well = self._agreement.compare(self._trail, now)
+        if self._agreement.is_faulty:
             return
-        self._counts["odometry_sign_turned"] += 1
-        if predicted > turned:
-            moved = self._motion(turned, predicted)
-            self.belief.take_back(_backwards(moved) if was else moved)
+        for interval, told in told_well:
+            if interval.since >= self._corrected:
+                self._corrected = interval.stamp
+                way = leg(interval, told, self._settings)
+                self.belief.correct(way, now, self._motion)
 
     def _applied(self, moved: Motion) -> Motion:
         return _backwards(moved) if self._agreement.reversed else moved
@@ -208,11 +210,7 @@ class RobotTracker:
         heed(self.belief, hint, seen, self._motion(hint.stamp if same_time else seen.stamp, seen.stamp))
 
     def _motion(self, start: int, end: int) -> Motion:
-        a, b = self._trail.at(start), self._trail.at(end)
-        if a is None or b is None:
-            seconds = (end - start) * 1e-9
-            return Motion(IDENTITY, 0.0, 0.0, 0.0, abs(seconds), 0.0, seconds)
-        return motion(a, b)
+        return self._applied(self._trail.between(start, end))
 
     def _brought_forward(self, seen: Observation, stamp: int) -> Observation:
         """A late observation as it would look from where the robot is by now."""

@@ -19,6 +19,7 @@ class Tracks:
     probability that the track, were it wrong, would be shown as a right one is. `evidence`
     (n, sources): what each source's scans from the present place said for a track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
+    `fixed_x`, `fixed_C` at `fixed_at` (n,), ns: the track where a hypothesis or scan motion last fixed it.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
     """
 
@@ -30,6 +31,9 @@ class Tracks:
     evidence: Array
     unchecked: Array
     nis: Array
+    fixed_x: Array
+    fixed_C: Array
+    fixed_at: Index
     frame: Index
     id: Index
     parent: Index
@@ -66,6 +70,9 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros((0, sources)),
         np.zeros((0, 2)),
         np.zeros(0),
+        np.zeros((0, 3)),
+        np.zeros((0, 3, 3)),
+        none,
         none,
         none,
         none,
@@ -88,6 +95,9 @@ def begin(
         evidence,
         np.zeros((len(x), 2)),
         np.full(len(x), np.nan),
+        x.copy(),
+        C.copy(),
+        none + stamp,
         none + frame,
         none,
         none,

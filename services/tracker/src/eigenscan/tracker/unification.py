@@ -34,7 +34,7 @@ def unify(belief: Belief) -> None:
     if len(pairs.track) == len(tracks):
         return  # each is alone with itself
     groups = _groups(len(tracks), pairs, tracks.frame)
-    belief.tracks = _merge(tracks, groups)
+    belief.tracks = _merge(tracks, groups, belief.stamp or 0)
 
 
 def _groups(count: int, pairs: Pairs, frame: Index) -> list[Index]:
@@ -52,7 +52,7 @@ def _groups(count: int, pairs: Pairs, frame: Index) -> list[Index]:
     return groups
 
 
-def _merge(tracks: Tracks, groups: list[Index]) -> Tracks:
+def _merge(tracks: Tracks, groups: list[Index], stamp: int) -> Tracks:
     """One track a group, with the moments of its members; groups list the heaviest first."""
     result = tracks.pick(np.array([group[0] for group in groups]))
     for row, group in enumerate(groups):
@@ -61,6 +61,8 @@ def _merge(tracks: Tracks, groups: list[Index]) -> Tracks:
         _keep_name(result, row, tracks, group)
         weight = np.exp(tracks.log_weight[group] - tracks.log_weight[group].max())
         result.x[row], result.C[row] = moments(tracks.x[group], tracks.C[group], weight)
+        result.fixed_x[row], result.fixed_C[row] = result.x[row], result.C[row]
+        result.fixed_at[row] = stamp
         # evidence speaks of a track that is shown
         shown = weight * (1.0 - tracks.hidden[group])
         if shown.sum() > 0.0:
