@@ -73,6 +73,27 @@ def test_along_a_hallway_the_covariance_says_that_nothing_is_known() -> None:
     assert covariance[1, 1] < 0.01
 
 
+def shelves(x: float, rng: np.random.Generator) -> np.ndarray:
+    """Ranges, 5.6 m at most, between two rows of posts that stand every 0.4 m before a wall."""
+    angles = FIRST + STEP * np.arange(BEAMS)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        walls = np.abs(1.2 / np.sin(angles))
+        posts = np.abs(1.0 / np.sin(angles))
+        along = x + posts * np.cos(angles)
+        ranges = np.where(along % 0.4 < 0.1, posts, walls) + 0.01 * rng.standard_normal(BEAMS)
+    return np.where(ranges < 5.6, ranges, np.nan)
+
+
+@pytest.mark.parametrize("moved", [0.1, 0.2])
+@pytest.mark.parametrize("seed", range(5))
+def test_between_shelves_that_look_alike_the_way_is_right_or_not_known(moved: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before, after = (points_of(shelves(x, rng), FIRST, STEP, (0.0, 0.0, 0.0), 0) for x in (0.0, moved))
+    found = motion_between(before, after, (0.0, 0.0, 0.0))
+    assert abs(found.delta[0] - moved) < 0.05 or found.covariance[0, 0] > 0.5
+    assert abs(found.delta[2]) < 0.02
+
+
 def test_scans_of_two_places_do_not_fit() -> None:
     rng = np.random.default_rng(2)
     before = points_of(seen((0.0, 0.5, 0.3), rng), FIRST, STEP, MOUNT, 0)

@@ -13,11 +13,8 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.tracks import begin
 
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
@@ -217,25 +214,18 @@ def test_the_protection_level_holds_the_error_and_is_absent_where_two_places_fit
     assert not pose.HasField("protection_radius")
 
 
-def test_what_odometry_alone_carried_is_taken_back_and_what_a_scan_confirmed_is_not() -> None:
-    belief = Belief(TrackerSettings())
-    start = np.array([[2.0, 3.0, 0.5], [7.0, 1.0, -2.0], [4.0, 4.0, 3.1]])
-    belief.source_index("0")
-    belief.tracks = begin(
-        start,
-        np.tile(np.eye(3) * 1e-3, (3, 1, 1)),
-        np.log([0.5, 0.3, 0.2]),
-        np.zeros(3),
-        np.zeros((3, 1)),
-        0,
-        0,
-    )
-    told = Motion((0.3, 0.02, 0.15), 0.3, 0.15, 0.0, 0.0, 0.0, 0.5)
-    belief.predict(told)
-    belief.tracks.unchecked[1] = 0.0
-    carried = belief.tracks.x.copy()
-    belief.take_back(told)
-    x, y, turn = told.delta
-    right = compose(start, np.array([-x, -y, turn]))
-    np.testing.assert_allclose(belief.tracks.x[[0, 2]], right[[0, 2]], atol=1e-12)
-    np.testing.assert_allclose(belief.tracks.x[1], carried[1], atol=1e-12)
+def test_a_hallway_that_hides_how_far_the_robot_came_is_no_evidence_against_it(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core, truth = make_core(), np.array([2.0, 3.0, 0.0])
+    for scan in range(60):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, truth - [2.0, 3.0, 0.0])))
+        if scan and scan % 3 == 0:
+            along = motion(time, time - 0.3, (0.0, 0.0, 0.0))
+            along.message.covariance.xx = 1.0  # type: ignore[attr-defined]
+            list(core.handle(along))
+        said = poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        truth = compose(truth, np.array([0.05, 0.0, 0.0]))
+    assert said[-1].state == STATE_LOCALIZED
+    assert core.condition().status == Health.STATUS_OK

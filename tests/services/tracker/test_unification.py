@@ -21,7 +21,7 @@ def _track(mass: float, frame: int = 0, off: float = 0.0) -> Tracks:
 
 
 def _unified(*tracks: Tracks) -> Tracks:
-    belief = SimpleNamespace(tracks=join(list(tracks)))
+    belief = SimpleNamespace(tracks=join(list(tracks)), stamp=0)
     unify(belief)  # type: ignore[arg-type]
     return belief.tracks
 

@@ -16,6 +16,8 @@ from eigenscan.tracker.planar import IDENTITY, Pose, compose, wrap
 
 SIGMA_M, SIGMA_RAD = 0.03, 0.04
 """What the two motions over an interval differ by where nothing is wrong..."""
+ONE_SHARE = 0.4
+"""Of these variances, what one interval has of it: (0.064 / 2.6 / SIGMA_RAD) squared."""
 SIGMA_SHARE = 0.15
 """...and this share of the way and of the turn on top.
 
@@ -78,14 +80,22 @@ class Compared:
     is_fault: bool
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Open:
-    """Intervals of one lidar that are not compared yet, for too little moved."""
+    """Intervals of one lidar, one after another, in which too little moved yet."""
 
     since: int
     scans: Pose = IDENTITY
     odometry: Pose = IDENTITY
     spread: Spread = (0.0, 0.0, 0.0)
+    count: int = 0
+
+    def longer_by(self, scans: Pose, odometry: Pose, spread: Spread) -> _Open:
+        """With one interval more."""
+        (xx, xy, yy), (more_xx, more_xy, more_yy) = self.spread, spread
+        total = xx + more_xx, xy + more_xy, yy + more_yy
+        scans, odometry = compose(self.scans, scans), compose(self.odometry, odometry)
+        return _Open(self.since, scans, odometry, total, self.count + 1)
 
 
 class _Odds:
@@ -107,7 +117,8 @@ class Agreement:
     def __init__(self) -> None:
         self._way, self._turn = _Odds(), _Odds()
         self._waiting: deque[ScanInterval] = deque(maxlen=64)
-        self._open: dict[str, _Open] = {}
+        self._open: dict[str, tuple[_Open, _Open]] = {}
+        """By lidar: the way that is open, and the turn."""
         self._compared: deque[Compared] = deque(maxlen=KEPT)
         self._forwards = 0
         self._reversed_seen = False
@@ -191,37 +202,47 @@ class Agreement:
             )
             self._way.take(APART)
             return
-        held = self._open.setdefault(interval.lidar, _Open(interval.since))
-        held.scans, held.odometry = compose(held.scans, interval.moved), compose(held.odometry, told.delta)
-        (xx, xy, yy), (more_xx, more_xy, more_yy) = held.spread, interval.spread
-        held.spread = xx + more_xx, xy + more_xy, yy + more_yy
-        if not (moves(held.scans) or moves(held.odometry)) and interval.stamp - held.since < TOGETHER_NS:
-            return
-        del self._open[interval.lidar]
-        if moves(held.scans) or moves(held.odometry):
-            self._judge(held, interval.stamp)
+        held = self._open.setdefault(interval.lidar, (_Open(interval.since), _Open(interval.since)))
+        way, turn = (each.longer_by(interval.moved, told.delta, interval.spread) for each in held)
+        if _moves(way):
+            self._judge_way(way, interval.stamp)
+        if _turns(turn):
+            self._judge_turn(turn, interval.stamp)
+        # a lidar that stands beside the turn's centre, other than stated, moves sideways with each turn
+        done = [_moves(way) or _turns(way), _turns(turn)]
+        anew = _Open(interval.stamp)
+        self._open[interval.lidar] = tuple(  # type: ignore[assignment]
+            anew if over or interval.stamp - each.since >= TOGETHER_NS else each
+            for each, over in zip((way, turn), done, strict=True)
+        )
 
-    def _judge(self, held: _Open, stamp: int) -> None:
+    def _judge_way(self, held: _Open, stamp: int) -> None:
         x, y, turned = held.odometry
-        way, turn = distances2(held.scans, held.odometry, held.spread)
+        off = distances2(held.scans, held.odometry, held.spread)[0]
         back = distances2(held.scans, (-x, -y, turned), held.spread)[0]
         longer = max(held.scans, held.odometry, key=lambda moved: hypot(moved[0], moved[1]))
         # along a hallway the scans may not even tell a drive from standing still
-        tells = hypot(*longer[:2]) >= MOVED_M and distances2(IDENTITY, longer, held.spread)[0] > TELLING
-        drives = tells and hypot(x, y) > MOVED_M
-        is_reversed = drives and way > 4.0 * NEUTRAL and back < 2.0 * NEUTRAL
-        is_forwards = drives and back > 4.0 * NEUTRAL and way < 2.0 * NEUTRAL
-        is_fault = max(way, turn) > 2.0 * NEUTRAL
-        self._compared.append(Compared(held.since, stamp, held.scans, held.odometry, held.spread, is_fault))
+        tells = distances2(IDENTITY, longer, held.spread)[0] > TELLING
+        drives = tells and hypot(x, y) > MOVED_M / 2.0
+        is_reversed = drives and off > 4.0 * NEUTRAL and back < 2.0 * NEUTRAL
+        is_forwards = drives and back > 4.0 * NEUTRAL and off < 2.0 * NEUTRAL
+        self._note(held, stamp, off > 2.0 * NEUTRAL)
         self._learn_sign(is_reversed, is_forwards)
         if tells:
             if self.without_sign:
-                way = distances2(held.scans, _along(held.odometry, held.scans), held.spread)[0]
-            self._way.take(0.5 * way - NEUTRAL)
-        if max(abs(held.scans[2]), abs(turned)) >= MOVED_RAD:
-            self._turn.take(0.5 * turn - NEUTRAL)
+                off = distances2(held.scans, _along(held.odometry, held.scans), held.spread)[0]
+            self._way.take(0.5 * off - NEUTRAL)
         if is_reversed or is_forwards:
             self.reversed = is_reversed
+
+    def _judge_turn(self, held: _Open, stamp: int) -> None:
+        # each interval errs anew
+        off = distances2(held.scans, held.odometry, held.spread)[1] / max(held.count * ONE_SHARE, 1.0)
+        self._note(held, stamp, off > 2.0 * NEUTRAL)
+        self._turn.take(0.5 * off - NEUTRAL)
+
+    def _note(self, held: _Open, stamp: int, is_fault: bool) -> None:
+        self._compared.append(Compared(held.since, stamp, held.scans, held.odometry, held.spread, is_fault))
 
     def _learn_sign(self, is_reversed: bool, is_forwards: bool) -> None:
         known = self.without_sign
@@ -257,9 +278,12 @@ def _along(odometry: Pose, scans: Pose) -> Pose:
     return share * x, share * y, turn
 
 
-def moves(moved: Pose) -> bool:
-    """Whether a motion tells anything."""
-    return hypot(moved[0], moved[1]) >= MOVED_M or abs(moved[2]) >= MOVED_RAD
+def _moves(held: _Open) -> bool:
+    return max(hypot(*held.scans[:2]), hypot(*held.odometry[:2])) >= MOVED_M
+
+
+def _turns(held: _Open) -> bool:
+    return max(abs(held.scans[2]), abs(held.odometry[2])) >= MOVED_RAD
 
 
 def distances2(scans: Pose, odometry: Pose, spread: Spread) -> tuple[float, float]:

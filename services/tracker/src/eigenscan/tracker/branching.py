@@ -81,14 +81,18 @@ def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precis
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
     unchecked[joined], nis[joined] = 0.0, pairs.distance2
     observations[joined] += 1
-    fixed_x, fixed_C, fixed_at = branches.fixed_x.copy(), branches.fixed_C.copy(), branches.fixed_at.copy()
-    fixed_x[joined], fixed_C[joined], fixed_at[joined] = x[joined], C[joined], seen.stamp
+    fixed_x, fixed_covariance, fixed_at = (
+        branches.fixed_x.copy(),
+        branches.fixed_covariance.copy(),
+        branches.fixed_at.copy(),
+    )
+    fixed_x[joined], fixed_covariance[joined], fixed_at[joined] = x[joined], C[joined], seen.stamp
     return replace(
         branches,
         x=x,
         C=C,
         fixed_x=fixed_x,
-        fixed_C=fixed_C,
+        fixed_covariance=fixed_covariance,
         fixed_at=fixed_at,
         unchecked=unchecked,
         nis=nis,

@@ -136,7 +136,9 @@ class TrackerCore:
         since, until = nanoseconds(message.since), nanoseconds(message.timestamp)
         spread = max(c.xx, 0.0), c.xy, max(c.yy, 0.0)
         robot.tracker.hear_motion(
-            ScanInterval(lidar, since, until, moved, spread, max(c.tt, 0.0), message.repeats, message.longest_step)
+            ScanInterval(
+                lidar, since, until, moved, spread, max(c.tt, 0.0), message.repeats, message.longest_step
+            )
         )
 
     def _hear_odometry(

@@ -70,22 +70,30 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
     open_ = tracks.fixed_at < way.stamp
     if not open_.any():
         return tracks
-    fixed_x, fixed_C, fixed_at = tracks.fixed_x.copy(), tracks.fixed_C.copy(), tracks.fixed_at.copy()
+    fixed_x, fixed_covariance, fixed_at = (
+        tracks.fixed_x.copy(),
+        tracks.fixed_covariance.copy(),
+        tracks.fixed_at.copy(),
+    )
     x, C = tracks.x.copy(), tracks.C.copy()
     for at in np.unique(fixed_at[open_]).tolist():
         these = fixed_at == at
         begun = max(at, way.since)
         if at < begun:
             moved = motions(at, begun)
-            fixed_x[these], fixed_C[these] = carry(
-                fixed_x[these], fixed_C[these], moved.delta, motion_noise(moved, settings)
+            fixed_x[these], fixed_covariance[these] = carry(
+                fixed_x[these], fixed_covariance[these], moved.delta, motion_noise(moved, settings)
             )
         share = (way.stamp - begun) / (way.stamp - way.since)
         delta = way.delta
         if begun > way.since:
             delta = compose(motions(begun, way.stamp).delta, scaled(way.correction, share))
-        fixed_x[these], fixed_C[these] = carry(fixed_x[these], fixed_C[these], delta, way.noise * share)
+        fixed_x[these], fixed_covariance[these] = carry(
+            fixed_x[these], fixed_covariance[these], delta, way.noise * share
+        )
     fixed_at[open_] = way.stamp
     rest = motions(way.stamp, now)
-    x[open_], C[open_] = carry(fixed_x[open_], fixed_C[open_], rest.delta, motion_noise(rest, settings))
-    return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_C=fixed_C, fixed_at=fixed_at)
+    x[open_], C[open_] = carry(
+        fixed_x[open_], fixed_covariance[open_], rest.delta, motion_noise(rest, settings)
+    )
+    return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at)

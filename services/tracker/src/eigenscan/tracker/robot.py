@@ -188,10 +188,7 @@ class RobotTracker:
 
     def _correct(self, now: int) -> None:
         """Sets tracks right that odometry carried, up to `now`, other than the scans tell."""
-        told_well = self._agreement.compare(self._trail, now)
-        if self._agreement.is_faulty:
-            return
-        for interval, told in told_well:
+        for interval, told in self._agreement.compare(self._trail, now):
             if interval.since >= self._corrected:
                 self._corrected = interval.stamp
                 way = leg(interval, told, self._settings)

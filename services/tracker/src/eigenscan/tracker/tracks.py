@@ -19,7 +19,7 @@ class Tracks:
     probability that the track, were it wrong, would be shown as a right one is. `evidence`
     (n, sources): what each source's scans from the present place said for a track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
-    `fixed_x`, `fixed_C` at `fixed_at` (n,), ns: the track where a hypothesis or scan motion last fixed it.
+    `fixed_x`, `fixed_covariance` at `fixed_at` (n,), ns: the track where a scan last fixed it.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
     """
 
@@ -32,7 +32,7 @@ class Tracks:
     unchecked: Array
     nis: Array
     fixed_x: Array
-    fixed_C: Array
+    fixed_covariance: Array
     fixed_at: Index
     frame: Index
     id: Index

@@ -61,7 +61,7 @@ def _merge(tracks: Tracks, groups: list[Index], stamp: int) -> Tracks:
         _keep_name(result, row, tracks, group)
         weight = np.exp(tracks.log_weight[group] - tracks.log_weight[group].max())
         result.x[row], result.C[row] = moments(tracks.x[group], tracks.C[group], weight)
-        result.fixed_x[row], result.fixed_C[row] = result.x[row], result.C[row]
+        result.fixed_x[row], result.fixed_covariance[row] = result.x[row], result.C[row]
         result.fixed_at[row] = stamp
         # evidence speaks of a track that is shown
         shown = weight * (1.0 - tracks.hidden[group])
