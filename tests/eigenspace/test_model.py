@@ -136,6 +136,33 @@ def test_what_a_later_version_adds_is_part_of_the_content() -> None:
     same(RegionModel.from_message(renamed(later)), model())
 
 
+def first_format() -> model_pb2.RegionModel:
+    """A model as the first release published it: with an eigenspace of plain ranges."""
+    message = model().to_message()
+    message.ClearField("space")
+    message.format, message.range_cap, message.mean, message.total_variance = 1, 15.0, 7.0, 3.0
+    message.sensor.angle_increment, message.sensor.beams = 0.1, 2
+    message.eigenvectors.extend([0.6, 0.8])
+    message.eigenvalues.append(2.5)
+    return renamed(message)
+
+
+def test_of_the_first_format_the_space_is_derived_and_the_version_stays() -> None:
+    message = first_format()
+    heard = RegionModel.from_message(message)
+    assert heard.version == message.version != model().version
+    now = model().derive(Analysis())[0]
+    same_space(heard.space, now)
+    same(heard, dataclasses.replace(model(), space=now))
+
+
+def test_the_version_of_the_first_format_holds_its_own_eigenspace_too() -> None:
+    message = first_format()
+    message.eigenvectors[0] = 0.7
+    with pytest.raises(ModelError, match="claims"):
+        RegionModel.from_message(message)
+
+
 def test_a_space_for_another_lidar_is_that_of_the_same_panoramas() -> None:
     one = model()
     wide = one.space.analysis.of(Sensor.facing(2 * np.pi, np.deg2rad(0.5), 5.0))
@@ -150,7 +177,8 @@ def test_a_space_for_another_lidar_is_that_of_the_same_panoramas() -> None:
 @pytest.mark.parametrize(
     ("message", "says"),
     [
-        (broken(format=1), "format 1, this version reads 2: .* eigenscan build"),
+        (broken(format=3), "format 3, this version reads 2: .* eigenscan build"),
+        (broken(format=1), "claims"),
         (broken(version="0" * 64), "claims"),
         (broken(spacing=0.26), "claims"),
         (broken(spacing=0.0), "spacing = 0"),

@@ -17,6 +17,8 @@ from eigenscan.schemas import model_pb2
 from numpy.typing import NDArray
 
 FORMAT = 2
+WITHOUT_SPACE = 1
+"""The first release's format: its eigenspace is of plain ranges, which no projector searches."""
 RANGE_UNIT = 0.002
 """m per step of a stored range; the farthest is 131 m."""
 NO_WALL = np.uint16(65535)
@@ -137,7 +139,11 @@ class RegionModel:
 
     @classmethod
     def from_message(cls, message: model_pb2.RegionModel) -> RegionModel:
-        """Model of a message. Raises ModelError where it is of another format, damaged or empty."""
+        """Model of a message. Raises ModelError where it is of another format, damaged or empty.
+
+        Of the first release's format the eigenspace is derived, by the default analysis. The version stays
+        the received one, so such a model is searched and not published again.
+        """
         _check(message)
         ranges = _inflate(message)
         version = _digest(message, ranges)
@@ -146,8 +152,12 @@ class RegionModel:
                 f"region {message.region!r}: content is {version[:12]}, not the version "
                 f"{message.version[:12]!r} it claims: damaged on the way, fetch it again"
             )
+        index = np.column_stack([message.index_x, message.index_y]).astype(np.int32)
         try:
-            space = space_from_message(message.space)
+            if message.format == WITHOUT_SPACE:
+                space, _ = _derived(ranges, message.range_unit, index, message.spacing, Analysis())
+            else:
+                space = space_from_message(message.space)
         except ValueError as error:
             raise ModelError(f"region {message.region!r}: space: {error}") from error
         model = cls(
@@ -155,7 +165,7 @@ class RegionModel:
             frame_id=message.frame_id,
             spacing=message.spacing,
             origin=np.array([message.origin_x, message.origin_y]),
-            index=np.column_stack([message.index_x, message.index_y]).astype(np.int32),
+            index=index,
             ranges=ranges,
             space=space,
             outline=np.column_stack([message.outline_x, message.outline_y]),
@@ -216,7 +226,7 @@ def set_version(map_version: str, versions: Sequence[str]) -> str:
 def _check(message: model_pb2.RegionModel) -> None:
     """Raises ModelError for fields that do not fit together."""
     name = f"region {message.region!r}"
-    if message.format != FORMAT:
+    if message.format not in (WITHOUT_SPACE, FORMAT):
         raise ModelError(
             f"{name}: model format {message.format}, this version reads {FORMAT}: build the models again, "
             "eigenscan build MAP -o MODEL"

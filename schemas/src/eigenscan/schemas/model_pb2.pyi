@@ -12,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RegionModel(_message.Message):
-    __slots__ = ("format", "region", "version", "frame_id", "spacing", "origin_x", "origin_y", "beams", "index_x", "index_y", "panoramas", "range_unit", "outline_x", "outline_y", "space")
+    __slots__ = ("format", "region", "version", "frame_id", "spacing", "origin_x", "origin_y", "beams", "index_x", "index_y", "panoramas", "range_unit", "sensor", "range_cap", "mean", "eigenvectors", "eigenvalues", "total_variance", "outline_x", "outline_y", "space")
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     REGION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -25,6 +25,12 @@ class RegionModel(_message.Message):
     INDEX_Y_FIELD_NUMBER: _ClassVar[int]
     PANORAMAS_FIELD_NUMBER: _ClassVar[int]
     RANGE_UNIT_FIELD_NUMBER: _ClassVar[int]
+    SENSOR_FIELD_NUMBER: _ClassVar[int]
+    RANGE_CAP_FIELD_NUMBER: _ClassVar[int]
+    MEAN_FIELD_NUMBER: _ClassVar[int]
+    EIGENVECTORS_FIELD_NUMBER: _ClassVar[int]
+    EIGENVALUES_FIELD_NUMBER: _ClassVar[int]
+    TOTAL_VARIANCE_FIELD_NUMBER: _ClassVar[int]
     OUTLINE_X_FIELD_NUMBER: _ClassVar[int]
     OUTLINE_Y_FIELD_NUMBER: _ClassVar[int]
     SPACE_FIELD_NUMBER: _ClassVar[int]
@@ -40,10 +46,28 @@ class RegionModel(_message.Message):
     index_y: _containers.RepeatedScalarFieldContainer[int]
     panoramas: bytes
     range_unit: float
+    sensor: Sensor
+    range_cap: float
+    mean: float
+    eigenvectors: _containers.RepeatedScalarFieldContainer[float]
+    eigenvalues: _containers.RepeatedScalarFieldContainer[float]
+    total_variance: float
     outline_x: _containers.RepeatedScalarFieldContainer[float]
     outline_y: _containers.RepeatedScalarFieldContainer[float]
     space: Eigenspace
-    def __init__(self, format: _Optional[int] = ..., region: _Optional[str] = ..., version: _Optional[str] = ..., frame_id: _Optional[str] = ..., spacing: _Optional[float] = ..., origin_x: _Optional[float] = ..., origin_y: _Optional[float] = ..., beams: _Optional[int] = ..., index_x: _Optional[_Iterable[int]] = ..., index_y: _Optional[_Iterable[int]] = ..., panoramas: _Optional[bytes] = ..., range_unit: _Optional[float] = ..., outline_x: _Optional[_Iterable[float]] = ..., outline_y: _Optional[_Iterable[float]] = ..., space: _Optional[_Union[Eigenspace, _Mapping]] = ...) -> None: ...
+    def __init__(self, format: _Optional[int] = ..., region: _Optional[str] = ..., version: _Optional[str] = ..., frame_id: _Optional[str] = ..., spacing: _Optional[float] = ..., origin_x: _Optional[float] = ..., origin_y: _Optional[float] = ..., beams: _Optional[int] = ..., index_x: _Optional[_Iterable[int]] = ..., index_y: _Optional[_Iterable[int]] = ..., panoramas: _Optional[bytes] = ..., range_unit: _Optional[float] = ..., sensor: _Optional[_Union[Sensor, _Mapping]] = ..., range_cap: _Optional[float] = ..., mean: _Optional[float] = ..., eigenvectors: _Optional[_Iterable[float]] = ..., eigenvalues: _Optional[_Iterable[float]] = ..., total_variance: _Optional[float] = ..., outline_x: _Optional[_Iterable[float]] = ..., outline_y: _Optional[_Iterable[float]] = ..., space: _Optional[_Union[Eigenspace, _Mapping]] = ...) -> None: ...
+
+class Sensor(_message.Message):
+    __slots__ = ("angle_min", "angle_increment", "beams", "range_max")
+    ANGLE_MIN_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_INCREMENT_FIELD_NUMBER: _ClassVar[int]
+    BEAMS_FIELD_NUMBER: _ClassVar[int]
+    RANGE_MAX_FIELD_NUMBER: _ClassVar[int]
+    angle_min: float
+    angle_increment: float
+    beams: int
+    range_max: float
+    def __init__(self, angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., beams: _Optional[int] = ..., range_max: _Optional[float] = ...) -> None: ...
 
 class Eigenspace(_message.Message):
     __slots__ = ("embedding", "cap", "turn", "beams", "mean", "vectors", "eigenvalues", "total_variance", "usual_error")
