@@ -151,6 +151,7 @@ def two_robots(stretch: Stretch) -> Stretch:
     """Both stretches at once, as long as both last: no pose is that of the one robot they are taken for."""
     shift = min(e.stamp for e in stretch.heard) - min(e.stamp for e in stretch.other) + 20_000_000
     ends = max(e.stamp for e in stretch.other) + shift
+    own_ends = max(e.stamp for e in stretch.heard)
     truth: dict[int, int | None] = {e.stamp: None for e in stretch.heard if e.stamp <= ends}
     heard = list(stretch.heard)
     for envelope in stretch.other:
@@ -158,7 +159,8 @@ def two_robots(stretch: Stretch) -> Stretch:
         message.CopyFrom(envelope.message)
         message.timestamp.CopyFrom(stamp(envelope.stamp + shift))  # type: ignore[attr-defined]
         if envelope.channel is SCAN_RAW:
-            truth[envelope.stamp + shift] = None
+            together = envelope.stamp + shift <= own_ends
+            truth[envelope.stamp + shift] = None if together else envelope.stamp
         heard.append(Envelope(envelope.channel, envelope.address, message))
     return stretch.saying(heard, truth)
 
