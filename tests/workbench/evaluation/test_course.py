@@ -37,6 +37,7 @@ SCHEMA: dict[str, Any] = {
     "to_localize": {"scans": SPREAD, "metres": SPREAD, "seconds": SPREAD, "cpu_s": SPREAD},
     "error": {"position_m": SPREAD, "heading_deg": SPREAD},
     "calibration_error": float,
+    "map_explains": {"median": float, "p5": float},
     "normalised_error_squared": TESTED,
     "normalised_innovation_squared": TESTED,
     "kidnap": {"noticed_s": SPREAD, "recovered_s": SPREAD, "recovered_rate": float},

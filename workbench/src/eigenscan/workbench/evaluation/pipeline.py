@@ -19,6 +19,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode, encode
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
+from eigenscan.workbench.evaluation.explained import explained_at_claims
 from eigenscan.workbench.evaluation.metrics import Stream
 from eigenscan.workbench.evaluation.remembering import Remembering
 from numpy.typing import NDArray
@@ -43,11 +44,13 @@ def unpack(packed: Packed) -> Iterator[Envelope]:
 class Run:
     """What a run said and cost: its poses, and the process time, ms, of each scan (n,).
 
+    `explained` (k,): share of the beams that the map explains, at the claims whose scans list their pose.
     `fault`: what the tracker's health found wrong with scans or odometry at the end; empty: nothing.
     """
 
     stream: Stream
     cpu_ms: NDArray[np.float64]
+    explained: NDArray[np.float64]
     fault: str = ""
 
 
@@ -93,7 +96,7 @@ class Pipeline:
     def run(self, heard: Iterable[Envelope]) -> Run:
         """Hears raw scans and odometry in the order given, from a cold start."""
         loop, tracker = self._cold()
-        said, cpu_ms, scans = list[_Said](), list[float](), list[int]()
+        said, cpu_ms, scans, published = list[_Said](), list[float](), list[int](), list[Envelope]()
         spent = at_last_scan = 0
         loop.start()
         for envelope in heard:
@@ -101,15 +104,17 @@ class Pipeline:
             answers = loop.hear(envelope)
             spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
             said += _poses(answers, spent)
+            published += answers
             if envelope.channel == SCAN_RAW:
                 scans.append(envelope.stamp)
                 cpu_ms.append((spent - at_last_scan) / 1e6)
                 at_last_scan = spent
-        said += _poses(loop.finish(), spent)
+        rest = loop.finish()
+        said += _poses(rest, spent)
         condition = tracker.condition()
         fault = condition.detail if condition.status == Health.STATUS_DEGRADED else ""
         stream = _stream(said, np.sort(np.asarray(scans, dtype=np.int64)))
-        return Run(stream, np.asarray(cpu_ms), fault)
+        return Run(stream, np.asarray(cpu_ms), explained_at_claims([*published, *rest]), fault)
 
     def answer(self, scan: Envelope) -> Answer:
         """Hears one raw scan: no odometry, no tracking, no prior."""

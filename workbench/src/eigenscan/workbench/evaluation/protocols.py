@@ -77,13 +77,14 @@ def judgeable(bench: Bench, windows: Iterable[Window]) -> list[Window]:
 def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | None = None) -> Figures:
     """Cold starts at each window; `poses`: a file for all that was published."""
     advance = bench.progress("windows", len(windows))
-    judged, rows, cpu, streams = [], [], [], []
+    judged, rows, cpu, streams, explained = [], [], [], [], []
     faults: set[str] = set()
     runs = bench.workers.runs(bench.log.between(window) for window in windows)
     for window, run in zip(windows, runs, strict=True):
         judged.append(judge(run.stream, bench.reference))
         rows.append(window_row(window, judged[-1], run.cpu_ms))
         cpu.append(run.cpu_ms)
+        explained.append(run.explained)
         streams.append(run.stream)
         if run.fault:
             faults.add(run.fault.partition(": ")[2])  # without the robot's name
@@ -95,6 +96,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
     return windows_figures(judged, rows) | {
         "faults": sorted(faults),
         "reference_in_doubt": {"claims": sum(doubts), "windows": sum(map(bool, doubts)), "rule": RULE},
+        "map_explains": summary(np.concatenate([np.empty(0), *explained]), 5),
         "cpu_ms_per_scan": summary(np.concatenate([np.empty(0), *cpu]), 99),
         "per_window": rows,
     }

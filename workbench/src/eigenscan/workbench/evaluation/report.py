@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from eigenscan.workbench.evaluation.doubt import RULE
+from eigenscan.workbench.evaluation.explained import LITTLE
 from eigenscan.workbench.evaluation.figures import Figures
 from eigenscan.workbench.evaluation.own_reference import WHOLE_DRIVE
 from rich.console import Console
@@ -54,6 +55,12 @@ def remarks(f: Figures) -> list[str]:
         f"odometry and scans disagree: {words} (eigenscan import --mount, --odometry-topic)"
         for words in f.get("faults") or ()
     ]
+    explains = f["map_explains"]["median"]
+    if explains is not None and explains < LITTLE:
+        found.append(
+            f"the map explains only {100 * explains:.0f} % of what the lidar sees at claimed poses: are walls "
+            "missing, moved or of glass, or is the map old?"
+        )
     apart = f["normalised_innovation_squared"]["consistency"]
     if apart["mean"] is not None and apart["high"] is not None and apart["mean"] > apart["high"]:
         found.append(
@@ -96,6 +103,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         ),
         (f"position {words['off']}, m", _pair(error["position_m"], "p95")),
         (f"heading {words['off']}, deg", _pair(error["heading_deg"], "p95")),
+        ("beams that the map explains, at claims", _explains(f["map_explains"])),
         ("calibration error", _percent(f["calibration_error"])),
     ]
     if not own:  # an estimate is not normally distributed about itself
@@ -146,6 +154,10 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
             f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire{memory}",
         ),
     ]
+
+
+def _explains(found: Figures) -> str:
+    return f"{_percent(found['median'])} (p5 {_percent(found['p5'])})"
 
 
 def _consistency(found: Figures) -> str:
