@@ -17,12 +17,14 @@ from eigenscan.schemas.channels import (
     CHANNELS,
     HEALTH,
     HYPOTHESES,
+    LIDAR_KIND,
     MAP,
     MODEL,
     MODEL_SET,
     OBSTACLES,
     POSE,
     SCAN,
+    SPACE,
     Channel,
 )
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -132,7 +134,7 @@ def test_a_groups_projector_hears_its_robots_scans_and_the_sites_models_only(
         if channel is SCAN:
             assert sayers == ({owner} if owner in SERVED else set())
         else:
-            assert sayers == ({"mapbuilder"} if channel in (MAP, MODEL, MODEL_SET) else set())
+            assert sayers == ({"mapbuilder"} if channel in (MAP, MODEL, MODEL_SET, SPACE) else set())
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
@@ -141,7 +143,7 @@ def test_a_groups_projector_answers_its_robots_only(heard: Heard, channel: Chann
         hearers = {who for who, key, by in heard if by == LAB and key == key_of(channel, owner)} - {LAB}
         if channel in (HYPOTHESES, OBSTACLES) and owner in SERVED:
             assert hearers == {owner, "mapbuilder", "recorder"}
-        elif channel is HEALTH and owner == LAB:
+        elif (channel is HEALTH and owner == LAB) or (channel is LIDAR_KIND and owner in SERVED):
             assert hearers == {"mapbuilder", "recorder"}
         else:
             assert hearers == set()

@@ -112,7 +112,7 @@ class Picture:
             MAP: (self._draw_map,),
             MODEL: (self._floor.draw_region,),
             MODEL_SET: (ModelsPicture(canvas).draw,),
-            RELOCATION: (RelocationPicture(canvas).draw,),
+            RELOCATION: (RelocationPicture(canvas, brief=layout == "fleet").draw,),
             POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
             TRUTH: (robots.draw_truth, self._plots.hear_truth),
             LIDAR_KIND: (events.hear_kind,),

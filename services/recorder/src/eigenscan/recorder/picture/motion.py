@@ -80,10 +80,13 @@ def _flush(pair: tuple[Series, Series]) -> None:
 
 
 class RelocationPicture:
-    """Draws where a robot is told to be, until it is told otherwise, and a line among the events."""
+    """Draws where a robot is told to be, until it is told otherwise, and a line among the events.
 
-    def __init__(self, canvas: Canvas) -> None:
-        self._canvas = canvas
+    `brief`: the line alone; the arrows of many robots would hide the map.
+    """
+
+    def __init__(self, canvas: Canvas, brief: bool = False) -> None:
+        self._canvas, self._brief = canvas, brief
 
     def draw(self, heard: Envelope) -> None:
         """An arrow with its 95 % ellipse; nothing where the robot is to search anew."""
@@ -97,8 +100,9 @@ class RelocationPicture:
         if message.HasField("pose") and is_place(pose):
             covariance = covariance_from_message(message.covariance)
             outline = [lift(ellipse(pose, covariance), 0.09)] if is_place(covariance) else []
-            self._canvas.style(path, _style)
-            self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, TOLD_M, 0.09), *outline]))
+            if not self._brief:
+                self._canvas.style(path, _style)
+                self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, TOLD_M, 0.09), *outline]))
             place = f"{pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg"
             words = f"{robot}: relocated to {place}"
         self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(words, level=rr.TextLogLevel.INFO))
