@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 LITTLE = 0.75
-"""Share of the beams, in the median of all claims, below which the map is worth a look. Of ten logs on maps
-that fit it is 0.83 to 0.99, with 30 % of the walls missing 0.68 to 0.72 (intel, fr079): `evaluate` prints it."""
+"""Share of the beams, median over all claims, below which the map is worth a look.
+
+Logs on maps that fit have 0.83 to 0.99, with 30 % of the walls missing 0.68 to 0.72 (intel, fr079).
+"""
 
 
 def explained_at_claims(published: Iterable[Envelope]) -> Floats:

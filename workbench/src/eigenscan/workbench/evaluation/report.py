@@ -58,8 +58,8 @@ def remarks(f: Figures) -> list[str]:
     explains = f["map_explains"]["median"]
     if explains is not None and explains < LITTLE:
         found.append(
-            f"the map explains only {100 * explains:.0f} % of what the lidar sees at claimed poses: are walls "
-            "missing, moved or of glass, or is the map old?"
+            f"the map explains only {100 * explains:.0f} % of what the lidar sees at claimed poses: are "
+            "walls missing, moved or of glass, or is the map old?"
         )
     apart = f["normalised_innovation_squared"]["consistency"]
     if apart["mean"] is not None and apart["high"] is not None and apart["mean"] > apart["high"]:
