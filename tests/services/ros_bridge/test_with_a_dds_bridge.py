@@ -124,9 +124,10 @@ def test_the_dds_bridge_is_told_of_the_topics(start: Start, dds: zenoh.Session, 
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         return {key.split("/", 3)[3] for key in keys if f"/{name}§" in key}
 
-    shown = eventually(lambda: found if len(found := tokens()) >= 28 else None, "the tokens")
-    assert len(shown) == 28
+    shown = eventually(lambda: found if len(found := tokens()) >= 29 else None, "the tokens")
+    assert len(shown) == 29
     assert {key.split("/")[0] for key in shown} == {"MP", "MS", "SS"}
+    assert any("§floor/" in key for key in shown)
     bridge.process.terminate()
     eventually(lambda: not tokens(), "the tokens' end")
 
