@@ -9,7 +9,7 @@ from pathlib import Path
 
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
-from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.runtime.recording import RecordingWriter, writing
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import CHANNELS, HEALTH, POSE, ContractError
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -26,6 +26,8 @@ bus, inbox = Bus(open_session(Path(zenoh))), Inbox()
 channels = [c for c in CHANNELS if not (fault == "no-past" and c.qos.latched)]
 bus.listen(channels, {"site": site}, inbox)
 bus.announce(site, "recorder", instance)
+if fault == "never-flushes":
+    writing.CHUNK_BYTES = 2**30  # nor does a chunk that is full reach the file
 writer, told, flushed = RecordingWriter(Path(folder) / "a.mcap"), 0.0, 0.0
 while not over.is_set():
     if time.monotonic() - told > 1.0:
