@@ -31,7 +31,7 @@ NOISE = 0.02
 """m, sigma of a point on its line: a lidar's noise and the roughness of walls."""
 REACH = 4
 """Beams to either side that are looked at for the nearest point."""
-WINDOW = np.arange(-REACH, REACH + 1)
+_WINDOW = np.arange(-REACH, REACH + 1)
 ROUNDS, WIDE_ROUNDS = 10, 4
 SETTLED = 1e-3
 """m and rad: a smaller step is the last."""
@@ -172,7 +172,7 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
     """Points (n, 2) laid on the earlier scan, from each of several motions (k, 3)."""
     moved = starts.copy()
     mx, my, mt = before.mount
-    last, window = len(before.ranges) - 1, np.arange(-REACH, REACH + 1)
+    last = len(before.ranges) - 1
     for number in range(ROUNDS):
         c, s = np.cos(moved[:, 2:]), np.sin(moved[:, 2:])
         turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=-1)
@@ -180,7 +180,7 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         bearing = np.arctan2(placed[..., 1] - my, placed[..., 0] - mx) - mt - before.angle_min
         centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
         visible = centre <= last + REACH
-        near = np.minimum(np.maximum(centre[..., None] + window, 0), last)
+        near = np.minimum(np.maximum(centre[..., None] + _WINDOW, 0), last)
         apart = before.xy[near] - placed[:, :, None]
         distance2 = np.where(before.lined[near], (apart * apart).sum(axis=-1), inf)
         nearest = np.argmin(distance2, axis=-1)[..., None]
