@@ -1,0 +1,16 @@
+"""VDA 5050's messages as the bridge's core exchanges them: JSON, by topic."""
+
+from __future__ import annotations
+
+from eigenscan.schemas.channels import Channel, Qos
+from google.protobuf.wrappers_pb2 import BytesValue
+
+MQTT_HEARD = Channel("mqtt_heard", "heard/{topic}", BytesValue, Qos(depth=256), "input from the broker")
+MQTT_SAID = Channel("mqtt_said", "said/{topic}", BytesValue, about="output to the broker")
+
+ORDER, INSTANT_ACTIONS = "order", "instantActions"
+"""Topics that fleet managers publish."""
+STATE, VISUALIZATION, FACTSHEET, CONNECTION = "state", "visualization", "factsheet", "connection"
+"""Topics that a robot publishes."""
+BROKER = "broker"
+"""No topic of the standard: the port says on it whether there is a connection; empty: there is."""

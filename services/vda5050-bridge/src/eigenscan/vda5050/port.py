@@ -1,0 +1,136 @@
+"""The bridge's connection to the MQTT broker: kept up, with a last will; the clock of what is published."""
+
+from __future__ import annotations
+
+import json
+import ssl
+from collections import Counter
+from datetime import UTC, datetime
+from typing import Any
+
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.settings import SettingsError
+from eigenscan.schemas.channels import Channel
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.wire import encode, encoding
+from eigenscan.vda5050.channels import (
+    BROKER,
+    CONNECTION,
+    FACTSHEET,
+    INSTANT_ACTIONS,
+    MQTT_HEARD,
+    MQTT_SAID,
+    ORDER,
+)
+from eigenscan.vda5050.options import Vda5050Options
+from google.protobuf.wrappers_pb2 import BytesValue
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+KEEP_ALIVE_S = 15
+"""After one and a half of it without a sign of life, the broker publishes the last will."""
+RECONNECT_S = (1, 10)
+"""First and longest wait before it connects again."""
+MOST_BYTES = 262_144
+"""Of a message that is taken."""
+CLOSE_S = 0.5
+
+
+class MqttPort:
+    """Publishes and receives a robot's topics of VDA 5050."""
+
+    channels: tuple[Channel, ...] = (MQTT_HEARD, MQTT_SAID)
+
+    def __init__(self, options: Vda5050Options) -> None:
+        self._options = options
+        self._inbox: Inbox | None = None
+        self._numbers: Counter[str] = Counter()
+        broken = {2: "CONNECTIONBROKEN", 3: "CONNECTION_BROKEN"}[options.major]
+        self._client = Client(CallbackAPIVersion.VERSION2, client_id=f"eigenscan-{options.serial}")
+        if not options.only_visualization:
+            self._client.will_set(self._topic(CONNECTION), self._connection(broken), qos=1, retain=True)
+        if options.username:
+            self._client.username_pw_set(options.username, self._password())
+        if options.address[2]:
+            self._client.tls_set_context(ssl.create_default_context(cafile=options.ca_file))
+        self._client.reconnect_delay_set(*RECONNECT_S)
+        self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = lambda *_: self._tell("cannot be reached")
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_message = self._on_message
+
+    def open(self, inbox: Inbox) -> None:
+        """Connects, and again whenever it must; a broker that is not there is waited for."""
+        self._inbox = inbox
+        host, port, _ = self._options.address
+        self._client.connect_async(host, port, keepalive=KEEP_ALIVE_S)
+        self._client.loop_start()
+
+    def say(self, envelope: Envelope) -> None:
+        """Publishes one message, dated now."""
+        topic = envelope.address["topic"]
+        body = {"timestamp": _now(), **json.loads(envelope.open(BytesValue).value)}
+        if self._client.is_connected():
+            self._client.publish(self._topic(topic), json.dumps(body), qos=0, retain=topic == FACTSHEET)
+
+    def close(self) -> None:
+        """Says that it goes, and goes."""
+        if self._client.is_connected() and not self._options.only_visualization:
+            last = self._client.publish(
+                self._topic(CONNECTION), self._connection("OFFLINE"), qos=1, retain=True
+            )
+            last.wait_for_publish(CLOSE_S)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _topic(self, name: str) -> str:
+        return f"{self._options.topics}/{name}"
+
+    def _password(self) -> str:
+        path = self._options.password_file
+        try:
+            return "" if path is None else path.read_text(encoding="utf-8").strip()
+        except OSError as error:
+            raise SettingsError(f"password_file: {error}") from error
+
+    def _connection(self, state: str) -> str:
+        told = {
+            "headerId": self._numbers[CONNECTION],
+            "timestamp": _now(),
+            "version": self._options.version,
+            "manufacturer": self._options.manufacturer,
+            "serialNumber": self._options.serial,
+            "connectionState": state,
+        }
+        self._numbers[CONNECTION] += 1
+        return json.dumps(told)
+
+    def _tell(self, words: str) -> None:
+        self._put(BROKER, words.encode())
+
+    def _put(self, topic: str, data: bytes) -> None:
+        assert self._inbox is not None
+        key = MQTT_HEARD.key({"topic": topic})
+        self._inbox.put(MQTT_HEARD, key, encode(BytesValue(value=data)), encoding(MQTT_HEARD))
+
+    def _on_connect(self, client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            self._tell(f"refuses: {reason}")
+            return
+        if not self._options.only_visualization:
+            client.subscribe([(self._topic(name), 0) for name in (INSTANT_ACTIONS, ORDER)])
+            client.publish(self._topic(CONNECTION), self._connection("ONLINE"), qos=1, retain=True)
+        self._tell("")
+
+    def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        self._tell(f"connection lost: {reason}")
+
+    def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
+        topic = message.topic.rpartition("/")[2]
+        # longer than any action: the core refuses what is cut off
+        self._put(topic, bytes(message.payload[:MOST_BYTES]))
+
+
+def _now() -> str:
+    """ISO 8601, UTC, ms."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
