@@ -323,6 +323,12 @@ RECORDINGS_ASKED = ("parts", "bytes")
 MOST_RECORDED_BYTES = 1_048_576
 """Of one answer: more would hold up what else leaves the robot."""
 
+LOCALIZE_TEMPLATE = "{site}/localize"
+"""Key on which projectors answer where one scan was taken: a LocalizeQuery, answered by a LocalizeReply."""
+
+MOST_ASKED_BYTES = 131_072
+"""Of one such query: a scan of 20,000 beams is shorter."""
+
 
 def find(key: str) -> tuple[Channel, dict[str, str]] | None:
     """Channel and address of a key, or None where the key is not ours."""

@@ -82,6 +82,10 @@ def stamp(nanoseconds: int) -> Timestamp:
     return Timestamp(seconds=nanoseconds // 1_000_000_000, nanos=nanoseconds % 1_000_000_000)
 
 
+LATEST_NS = 2**62
+"""ns before and after the epoch, the year 2116: sums of two fit into 64 bits. Later ones are taken for it."""
+
+
 def nanoseconds(timestamp: Timestamp) -> int:
-    """Nanoseconds since the epoch."""
-    return timestamp.seconds * 1_000_000_000 + timestamp.nanos
+    """Nanoseconds since the epoch, LATEST_NS before or after it at most."""
+    return min(max(timestamp.seconds * 1_000_000_000 + timestamp.nanos, -LATEST_NS), LATEST_NS)

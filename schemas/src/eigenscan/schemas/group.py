@@ -13,12 +13,17 @@ from functools import lru_cache
 from eigenscan.schemas.channels import Channel, ContractError, is_chunk
 
 EVERY = "*"
+MOST_PATTERNS = 200
+"""Of one group: services tell theirs to the whole site, whose programs look through them for each robot."""
 
 
 @lru_cache(maxsize=64)
 def patterns(group: str) -> tuple[str, ...]:
     """The names and patterns of a group. Raises ContractError where one cannot be a robot's name."""
-    found = tuple(re.sub(r"\*+", "*", part.strip()) for part in group.split(","))
+    parts = group.split(",", MOST_PATTERNS)
+    if len(parts) > MOST_PATTERNS:
+        raise ContractError(f"a group of more than {MOST_PATTERNS} names: use patterns, such as a-*")
+    found = tuple(re.sub(r"\*+", "*", part.strip()) for part in parts)
     for part in found:
         if not is_chunk(part.replace("*", "x")):
             raise ContractError(
@@ -36,12 +41,24 @@ def is_one(group: str) -> bool:
 
 def holds(group: str, robot: str) -> bool:
     """Whether a robot belongs to a group."""
-    return bool(_matcher(group).fullmatch(robot))
+    return any(_fits(part, robot) for part in patterns(group))
 
 
-@lru_cache(maxsize=64)
-def _matcher(group: str) -> re.Pattern[str]:
-    return re.compile("|".join(".*".join(map(re.escape, part.split("*"))) for part in patterns(group)))
+def _fits(pattern: str, robot: str) -> bool:
+    """Takes each piece where it first stands: a regular expression would try all places for all pieces."""
+    first, *rest = pattern.split("*")
+    if not rest:
+        return robot == pattern
+    *between, last = rest
+    at = len(first)
+    if not robot.startswith(first):
+        return False
+    for piece in between:
+        found = robot.find(piece, at)
+        if found < 0:
+            return False
+        at = found + len(piece)
+    return len(robot) - at >= len(last) and robot.endswith(last)
 
 
 def chunk_of(pattern: str) -> str:

@@ -26,21 +26,21 @@ from eigenscan.schemas import geometry_pb2 as eigenscan_dot_schemas_dot_geometry
 from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n eigenscan/schemas/tracking.proto\x12\teigenscan\x1a eigenscan/schemas/geometry.proto\x1a\x1fgoogle/protobuf/timestamp.proto\"\xa0\x04\n\x0cPoseEstimate\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x16\n\x0e\x63hild_frame_id\x18\x03 \x01(\t\x12\x1e\n\x04pose\x18\x04 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x05 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x1f\n\x05state\x18\x06 \x01(\x0e\x32\x10.eigenscan.State\x12\x12\n\nconfidence\x18\x07 \x01(\x01\x12\x18\n\x10none_probability\x18\x08 \x01(\x01\x12%\n\x0bmap_to_odom\x18\t \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x14\n\x0chas_odometry\x18\n \x01(\x08\x12\x15\n\rmodel_version\x18\x0b \x01(\t\x12\x10\n\x08track_id\x18\x0c \x01(\x04\x12\x1e\n\x11protection_radius\x18\r \x01(\x01H\x00\x88\x01\x01\x12\x1d\n\x10protection_angle\x18\x0e \x01(\x01H\x01\x88\x01\x01\x12\x17\n\x0fprotection_risk\x18\x0f \x01(\x01\x12\r\n\x05\x66loor\x18\x10 \x01(\t\x12$\n\nfloor_pose\x18\x11 \x01(\x0b\x32\x10.eigenscan.Pose2B\x14\n\x12_protection_radiusB\x13\n\x11_protection_angle\"\xe7\x01\n\x05Track\x12\n\n\x02id\x18\x01 \x01(\x04\x12\x11\n\tparent_id\x18\x02 \x01(\x04\x12\x1e\n\x04pose\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x04 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x13\n\x0bprobability\x18\x05 \x01(\x01\x12\x14\n\x0cobservations\x18\x06 \x01(\r\x12\x0b\n\x03\x61ge\x18\x07 \x01(\x01\x12!\n\x07history\x18\x08 \x03(\x0b\x32\x10.eigenscan.Pose2\x12\x10\n\x03nis\x18\t \x01(\x01H\x00\x88\x01\x01\x42\x06\n\x04_nis\"\x85\x01\n\x06Tracks\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12 \n\x06tracks\x18\x03 \x03(\x0b\x32\x10.eigenscan.Track\x12\x18\n\x10none_probability\x18\x04 \x01(\x01\"\x99\x01\n\nRelocation\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1e\n\x04pose\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x04 \x01(\x0b\x32\x16.eigenscan.Covariance3*X\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\x0e\n\nSTATE_LOST\x10\x01\x12\x13\n\x0fSTATE_AMBIGUOUS\x10\x02\x12\x13\n\x0fSTATE_LOCALIZED\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n eigenscan/schemas/tracking.proto\x12\teigenscan\x1a eigenscan/schemas/geometry.proto\x1a\x1fgoogle/protobuf/timestamp.proto\"\xb6\x04\n\x0cPoseEstimate\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x16\n\x0e\x63hild_frame_id\x18\x03 \x01(\t\x12\x1e\n\x04pose\x18\x04 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x05 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x1f\n\x05state\x18\x06 \x01(\x0e\x32\x10.eigenscan.State\x12\x12\n\nconfidence\x18\x07 \x01(\x01\x12\x18\n\x10none_probability\x18\x08 \x01(\x01\x12%\n\x0bmap_to_odom\x18\t \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x14\n\x0chas_odometry\x18\n \x01(\x08\x12\x15\n\rmodel_version\x18\x0b \x01(\t\x12\x10\n\x08track_id\x18\x0c \x01(\x04\x12\x1e\n\x11protection_radius\x18\r \x01(\x01H\x00\x88\x01\x01\x12\x1d\n\x10protection_angle\x18\x0e \x01(\x01H\x01\x88\x01\x01\x12\x17\n\x0fprotection_risk\x18\x0f \x01(\x01\x12\r\n\x05\x66loor\x18\x10 \x01(\t\x12$\n\nfloor_pose\x18\x11 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x14\n\x0c\x65xtrapolated\x18\x12 \x01(\x08\x42\x14\n\x12_protection_radiusB\x13\n\x11_protection_angle\"\xe7\x01\n\x05Track\x12\n\n\x02id\x18\x01 \x01(\x04\x12\x11\n\tparent_id\x18\x02 \x01(\x04\x12\x1e\n\x04pose\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x04 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x13\n\x0bprobability\x18\x05 \x01(\x01\x12\x14\n\x0cobservations\x18\x06 \x01(\r\x12\x0b\n\x03\x61ge\x18\x07 \x01(\x01\x12!\n\x07history\x18\x08 \x03(\x0b\x32\x10.eigenscan.Pose2\x12\x10\n\x03nis\x18\t \x01(\x01H\x00\x88\x01\x01\x42\x06\n\x04_nis\"\x85\x01\n\x06Tracks\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12 \n\x06tracks\x18\x03 \x03(\x0b\x32\x10.eigenscan.Track\x12\x18\n\x10none_probability\x18\x04 \x01(\x01\"\x99\x01\n\nRelocation\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1e\n\x04pose\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x04 \x01(\x0b\x32\x16.eigenscan.Covariance3*X\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\x0e\n\nSTATE_LOST\x10\x01\x12\x13\n\x0fSTATE_AMBIGUOUS\x10\x02\x12\x13\n\x0fSTATE_LOCALIZED\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'eigenscan.schemas.tracking_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_STATE']._serialized_start=1187
-  _globals['_STATE']._serialized_end=1275
+  _globals['_STATE']._serialized_start=1209
+  _globals['_STATE']._serialized_end=1297
   _globals['_POSEESTIMATE']._serialized_start=115
-  _globals['_POSEESTIMATE']._serialized_end=659
-  _globals['_TRACK']._serialized_start=662
-  _globals['_TRACK']._serialized_end=893
-  _globals['_TRACKS']._serialized_start=896
-  _globals['_TRACKS']._serialized_end=1029
-  _globals['_RELOCATION']._serialized_start=1032
-  _globals['_RELOCATION']._serialized_end=1185
+  _globals['_POSEESTIMATE']._serialized_end=681
+  _globals['_TRACK']._serialized_start=684
+  _globals['_TRACK']._serialized_end=915
+  _globals['_TRACKS']._serialized_start=918
+  _globals['_TRACKS']._serialized_end=1051
+  _globals['_RELOCATION']._serialized_start=1054
+  _globals['_RELOCATION']._serialized_end=1207
 # @@protoc_insertion_point(module_scope)

@@ -23,7 +23,7 @@ STATE_AMBIGUOUS: State
 STATE_LOCALIZED: State
 
 class PoseEstimate(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "child_frame_id", "pose", "covariance", "state", "confidence", "none_probability", "map_to_odom", "has_odometry", "model_version", "track_id", "protection_radius", "protection_angle", "protection_risk", "floor", "floor_pose")
+    __slots__ = ("timestamp", "frame_id", "child_frame_id", "pose", "covariance", "state", "confidence", "none_probability", "map_to_odom", "has_odometry", "model_version", "track_id", "protection_radius", "protection_angle", "protection_risk", "floor", "floor_pose", "extrapolated")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     CHILD_FRAME_ID_FIELD_NUMBER: _ClassVar[int]
@@ -41,6 +41,7 @@ class PoseEstimate(_message.Message):
     PROTECTION_RISK_FIELD_NUMBER: _ClassVar[int]
     FLOOR_FIELD_NUMBER: _ClassVar[int]
     FLOOR_POSE_FIELD_NUMBER: _ClassVar[int]
+    EXTRAPOLATED_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     child_frame_id: str
@@ -58,7 +59,8 @@ class PoseEstimate(_message.Message):
     protection_risk: float
     floor: str
     floor_pose: _geometry_pb2.Pose2
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., child_frame_id: _Optional[str] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., state: _Optional[_Union[State, str]] = ..., confidence: _Optional[float] = ..., none_probability: _Optional[float] = ..., map_to_odom: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., has_odometry: _Optional[bool] = ..., model_version: _Optional[str] = ..., track_id: _Optional[int] = ..., protection_radius: _Optional[float] = ..., protection_angle: _Optional[float] = ..., protection_risk: _Optional[float] = ..., floor: _Optional[str] = ..., floor_pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ...) -> None: ...
+    extrapolated: bool
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., child_frame_id: _Optional[str] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., state: _Optional[_Union[State, str]] = ..., confidence: _Optional[float] = ..., none_probability: _Optional[float] = ..., map_to_odom: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., has_odometry: _Optional[bool] = ..., model_version: _Optional[str] = ..., track_id: _Optional[int] = ..., protection_radius: _Optional[float] = ..., protection_angle: _Optional[float] = ..., protection_risk: _Optional[float] = ..., floor: _Optional[str] = ..., floor_pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., extrapolated: _Optional[bool] = ...) -> None: ...
 
 class Track(_message.Message):
     __slots__ = ("id", "parent_id", "pose", "covariance", "probability", "observations", "age", "history", "nis")
