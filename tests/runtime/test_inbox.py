@@ -54,6 +54,20 @@ def test_models_are_never_dropped() -> None:
     assert [int(inbox.take(0.0).payload) for _ in range(1000)] == list(range(1000))  # type: ignore[union-attr]
 
 
+def test_made_up_keys_do_not_fill_the_memory() -> None:
+    inbox = Inbox(most_bytes=1_000_000)
+    inbox.put(MODEL, "s/model/hall", b"model", "")
+    for number in range(5000):
+        inbox.put(SCAN_RAW, f"s/robot/r/scan/raw/{number}", b"x" * 9000, "")
+    assert len(inbox) <= 1 + 1_000_000 // 9000
+    assert inbox.dropped == {"scan_raw": 5001 - len(inbox)}
+    first = inbox.take(0.0)
+    assert first is not None
+    assert first.payload == b"model"
+    *_, last = iter(lambda: inbox.take(0.0), None)
+    assert last.key == "s/robot/r/scan/raw/4999"
+
+
 def _turn_s(keys: int) -> float:
     """Processor seconds for 20,000 samples put and taken while `keys` others wait."""
     inbox = Inbox()

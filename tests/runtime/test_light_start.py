@@ -6,7 +6,7 @@ import sys
 import pytest
 from eigenscan.cli.launch.supervision import ROS_BRIDGE, SERVICES
 
-NODES = {**SERVICES, "ros-bridge": ROS_BRIDGE}
+NODES = {**SERVICES, "ros-bridge": ROS_BRIDGE, "vda5050-bridge": "eigenscan.vda5050.node"}
 COMPILED = {"numba", "scipy"}
 """Half of a start: while they are imported, the session opens."""
 FOREIGN = {
@@ -36,5 +36,7 @@ def test_a_core_imports_only_what_it_works_with(node: str) -> None:
 
 
 def test_what_needs_nothing_compiled_has_none_of_it() -> None:
-    imported = _imported(*(f"eigenscan.{service}.core" for service in ("ingest", "recorder", "ros_bridge")))
+    imported = _imported(
+        *(f"eigenscan.{service}.core" for service in ("ingest", "recorder", "ros_bridge", "vda5050"))
+    )
     assert not imported & COMPILED

@@ -73,4 +73,4 @@ def print_waiting(what: str, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    node.main("tiny", TinySettings, TinyCore, prompt="--prompt" in sys.argv)
+    node.main(node.Service("tiny", TinySettings, TinyCore, prompt="--prompt" in sys.argv))

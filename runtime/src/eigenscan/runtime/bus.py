@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import zenoh
+from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
 from eigenscan.runtime.latched_cache import digest
@@ -47,8 +48,9 @@ _PRIORITY = {priority: getattr(zenoh.Priority, priority.name) for priority in Pr
 class Bus:
     """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
-    def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
+    def __init__(self, session: zenoh.Session, exchange: Exchange | None = None) -> None:
+        """`exchange`: with the other services of this process; then the session is theirs too, and stays."""
+        self._session, self._exchange = session, exchange
         self._idle: list[Any] = []
         self._publishers: RecentlyUsed[str, Any] = RecentlyUsed(self._idle.append)
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
@@ -135,7 +137,7 @@ class Bus:
         for channel in channels:
             intake = Intake([channel], inbox, known)
             for selector in selectors(channel, address):
-                self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
+                self._subscribe(selector, intake)
                 if channel.qos.latched:
                     self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
 
@@ -145,12 +147,21 @@ class Bus:
         Of latched channels, earlier samples are received too.
         """
         intake = Intake(channels, inbox)
-        self._declared.append(self._session.declare_subscriber(selector, intake.on_sample))
+        self._subscribe(selector, intake)
         site = selector.partition("/")[0].replace("**", "*")
         for channel in channels:
             past = channel.selector({"site": site})
             if channel.qos.latched and zenoh.KeyExpr(selector).intersects(past):
                 self._follow(channel, site, past, intake)
+
+    def _subscribe(self, selector: str, intake: Intake) -> None:
+        origin = zenoh.Locality.ANY
+        if self._exchange is not None:
+            origin = zenoh.Locality.REMOTE
+            self._exchange.listen(selector, intake)
+        self._declared.append(
+            self._session.declare_subscriber(selector, intake.on_sample, allowed_origin=origin)
+        )
 
     def _follow(
         self, channel: Channel, site: str, selector: str, intake: Intake, patience_s: float = 0.0
@@ -197,6 +208,8 @@ class Bus:
                 self._latched[key] = (channel, payload, stamp)
             publisher = self._publishers.use(key, lambda: self._publisher(channel, key))
             idle = [self._idle.pop() for _ in range(len(self._idle))]
+        if self._exchange is not None:
+            self._exchange.hand(channel, key, envelope.message, payload, stamp)
         publisher.put(payload, timestamp=stamp)
         for one in idle:  # of robots that are gone
             one.undeclare()
@@ -225,7 +238,7 @@ class Bus:
         )
 
     def close(self) -> None:
-        """Undeclares everything, then closes the session. Later publications fail."""
+        """Undeclares everything, then closes a session that is its own. Later publications fail."""
         with self._lock:
             declared = [*self._declared, *(publisher for _, publisher in self._publishers.items())]
             self._declared.clear()
@@ -233,7 +246,8 @@ class Bus:
         for one in declared:
             with contextlib.suppress(zenoh.ZError):  # the link may be gone already
                 one.undeclare()
-        self._session.close()
+        if self._exchange is None:
+            self._session.close()
 
 
 def stagger(address: Mapping[str, str]) -> float:

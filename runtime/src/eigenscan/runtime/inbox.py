@@ -15,16 +15,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from eigenscan.schemas.channels import Channel
+from google.protobuf.message import Message
+
+MOST_BYTES = 2**28
+"""That wait in all, beside latched samples: whoever makes up ever new keys has a queue for each of them."""
+
+
+SAMPLE_BYTES = 1000
+"""That a waiting sample takes beside its payload, about."""
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """One sample, not yet decoded."""
+    """One sample, not yet decoded, but for one of a service in the same process: that has its `message`."""
 
     channel: Channel
     key: str
     payload: bytes
     encoding: str
+    message: Message | None = None
 
 
 class Inbox:
@@ -35,25 +44,32 @@ class Inbox:
         slack: int = 1,
         behind_after_s: float = math.inf,
         clock: Callable[[], float] = time.monotonic,
+        ready: threading.Condition | None = None,
+        most_bytes: int = MOST_BYTES,
     ) -> None:
         """`slack` times the channels' depth may wait: for who wants all of it rather than the newest.
 
+        Beyond `most_bytes` the oldest go, of whatever key.
         Who has not been through with all that waits for `behind_after_s` of `clock`, in s, is behind.
+        `ready`: of several inboxes that one thread empties.
         """
         self._slack, self._behind_after_s, self._clock = slack, behind_after_s, clock
         self._through_at = 0.0  # when a sample last found nothing before it
         self._waiting: OrderedDict[int, Arrival] = OrderedDict()  # by order of arrival
         self._orders: dict[str, deque[int]] = {}  # of the samples that wait, by key
         self._next = 0
+        self._most_bytes, self._bytes = most_bytes, 0
         self._closed = False
-        self._ready = threading.Condition()
+        self._ready = ready or threading.Condition()
         self.on_put: Callable[[], None] | None = None
         """Called after each sample, in its thread; then no other thread is woken."""
         self._dropped: Counter[str] = Counter()
         self.too_late = 0
         """Samples that gave way to newer ones of their key."""
 
-    def put(self, channel: Channel, key: str, payload: bytes, encoding: str) -> None:
+    def put(
+        self, channel: Channel, key: str, payload: bytes, encoding: str, message: Message | None = None
+    ) -> None:
         """Adds a sample; where its key has enough waiting already the oldest of that key goes."""
         with self._ready:
             if not self._waiting:
@@ -62,8 +78,11 @@ class Inbox:
             if channel.qos.depth and len(orders) >= self._slack * channel.qos.depth:
                 self._give_way(channel, orders)
             orders.append(self._next)
-            self._waiting[self._next] = Arrival(channel, key, payload, encoding)
+            self._waiting[self._next] = Arrival(channel, key, payload, encoding, message)
             self._next += 1
+            if channel.qos.depth:
+                self._bytes += len(payload) + SAMPLE_BYTES
+                self._make_room()
             if self.on_put is None:
                 self._ready.notify()
         if self.on_put is not None:
@@ -85,13 +104,27 @@ class Inbox:
                 while len(orders) > 1:
                     self._give_way(arrival.channel, orders)
             arrival = self._waiting.pop(orders.popleft())
+            self._note_gone(arrival)
             if not orders:
                 del self._orders[arrival.key]
             return arrival
 
+    def _make_room(self) -> None:
+        """Drops the oldest samples while all together are too large."""
+        while self._bytes > self._most_bytes:
+            oldest = next(each for each in self._waiting.values() if each.channel.qos.depth)
+            orders = self._orders[oldest.key]
+            self._give_way(oldest.channel, orders)
+            if not orders:
+                del self._orders[oldest.key]
+
+    def _note_gone(self, arrival: Arrival) -> None:
+        if arrival.channel.qos.depth:
+            self._bytes -= len(arrival.payload) + SAMPLE_BYTES
+
     def _give_way(self, channel: Channel, orders: deque[int]) -> None:
         """Drops the oldest sample of a key."""
-        del self._waiting[orders.popleft()]
+        self._note_gone(self._waiting.pop(orders.popleft()))
         self._dropped[channel.name] += 1
         self.too_late += 1
 

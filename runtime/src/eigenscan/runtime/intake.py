@@ -11,14 +11,18 @@ import zenoh
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.latched_cache import DIGEST_BYTES, digest
 from eigenscan.schemas.channels import Channel, find
+from eigenscan.schemas.wire import encoding
+from google.protobuf.message import Message
 
 
 class Intake:
     """Puts samples into an inbox; of a latched key only what is newer than what it has put before."""
 
     def __init__(self, channels: Sequence[Channel], inbox: Inbox, known: Iterable[Arrival] = ()) -> None:
-        self._channels = channels
-        self._held = {sample.key: digest(sample.payload) for sample in known if sample.channel in channels}
+        self._names = {channel.name for channel in channels}
+        self._held = {
+            sample.key: digest(sample.payload) for sample in known if sample.channel.name in self._names
+        }
         self._inbox = inbox
         self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub lacks the comparison
         self._lock = threading.Lock()
@@ -39,20 +43,40 @@ class Intake:
         else:
             self._inbox.drop("unanswered")
 
+    def on_message(self, channel: Channel, key: str, message: Message, payload: bytes, stamp: Any) -> None:
+        """What another service of this process publishes; `stamp` is Zenoh's, of a latched sample."""
+        if channel.name in self._names:
+            self._put(channel, key, payload, encoding(channel), stamp, live=True, message=message)
+
     def _take(self, sample: Any, live: bool) -> None:
         key = str(sample.key_expr)
         channel = _channel_of(key)
-        if channel is None or channel not in self._channels:
+        if channel is None or channel.name not in self._names:
             self._inbox.drop("foreign_key")
         elif sample.kind != zenoh.SampleKind.PUT:
             self._inbox.drop("deletion")
         else:
             payload, declared = sample.payload.to_bytes(), str(sample.encoding)
-            with self._lock:  # held over the put: a newer sample must not be overtaken by this one
-                if not channel.qos.latched or self._is_news(key, sample.timestamp, live):
-                    self._inbox.put(channel, key, payload, declared)
-                    if channel.qos.latched:
-                        self._held[key] = digest(payload)
+            self._put(channel, key, payload, declared, sample.timestamp, live=live)
+
+    def _put(
+        self,
+        channel: Channel,
+        key: str,
+        payload: bytes,
+        declared: str,
+        stamp: Any,
+        *,
+        live: bool,
+        message: Message | None = None,
+    ) -> None:
+        if not channel.qos.latched:
+            self._inbox.put(channel, key, payload, declared, message)
+            return
+        with self._lock:  # held over the put: a newer sample must not be overtaken by this one
+            if self._is_news(key, stamp, live):
+                self._inbox.put(channel, key, payload, declared, message)
+                self._held[key] = digest(payload)
 
     def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
         """Clocks of two publishers may differ: between them only a held sample must prove to be newer."""

@@ -42,7 +42,7 @@ class _Kept:
         """From a file's name; None where it is not of this folder's."""
         number, _, rest = path.name.partition("-")
         hexadecimal, _, key = rest.partition("-")
-        if not (number.isdigit() and key):
+        if not (number.isascii() and number.isdigit() and key):
             return None
         return cls(path, int(number), hexadecimal, unquote(key))
 

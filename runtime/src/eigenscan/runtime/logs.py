@@ -23,7 +23,11 @@ class Logger(logging.LoggerAdapter[logging.Logger]):
     def process(self, msg: str, kwargs: MutableMapping[str, Any]) -> tuple[str, MutableMapping[str, Any]]:
         """Adds the context to the record. `exc_info`: an exception."""
         error = kwargs.pop("exc_info", None)
-        return msg, {"extra": {"told": kwargs}, "exc_info": error}
+        return msg, {"extra": {"told": {**(self.extra or {}), **kwargs}}, "exc_info": error}
+
+    def bound(self, **context: Any) -> Logger:
+        """The same with `context` in each record: of one of several services in a process."""
+        return Logger(self.logger, context)
 
 
 class _Lines(logging.Formatter):

@@ -13,22 +13,26 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.counters import Counters
+from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.health import TWIN_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.latched_cache import LatchedCache
-from eigenscan.runtime.logs import configure
+from eigenscan.runtime.logs import configure, logger
 from eigenscan.runtime.port import NoPort, Port
 from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
 from eigenscan.runtime.session import open_meanwhile
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
-from eigenscan.runtime.stop_event import StopEvent
+from eigenscan.runtime.stop_event import StopEvent, Stopping
 from eigenscan.runtime.work import Work
 from eigenscan.schemas.channels import HEALTH, Channel, ContractError
 from eigenscan.schemas.envelope import Core, Envelope
@@ -36,6 +40,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
 
 S = TypeVar("S", bound=ServiceSettings)
+T = TypeVar("T")
 
 HEALTH_PERIOD_S = 1.0
 STOP_CORE, CLOSE, STOP_ALL = 0.5, 0.35, 0.95
@@ -47,45 +52,48 @@ EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
 
-def main(
-    service: str,
-    kind: type[S],
-    make_core: Callable[[S], Core],
-    mode: str = "peer",
-    *,
-    whole_site: bool = False,
-    make_port: Callable[[S], Port] | None = None,
-    prompt: bool = False,
-    attend: Callable[[S, zenoh.Session], None] | None = None,
-) -> None:
-    """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits.
+@dataclass(frozen=True)
+class Service(Generic[S]):
+    """What the shell needs to know of a service.
 
     `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
     receives keys of the site that are not of the contract, to count them, and drops later than others.
     `make_port`: carries those channels of the core that are not of the contract. `prompt`: the core takes
     each message in the thread that brings it; for one that has done with it in well under a millisecond.
-    `attend` is given the session once it is open.
+    `attend` is given the session once it is open. `quick`: the core needs milliseconds for a message, so that
+    several of its kind share a thread where they share a process.
     """
+
+    name: str
+    kind: type[S]
+    make_core: Callable[[S], Core]
+    mode: str = "peer"
+    whole_site: bool = False
+    make_port: Callable[[S], Port] | None = None
+    prompt: bool = False
+    attend: Callable[[S, zenoh.Session], None] | None = None
+    quick: bool = False
+
+
+def main(service: Service[Any]) -> None:
+    """Entry point of a service: reads settings, runs until SIGTERM or SIGINT, exits."""
+    exit_with(
+        service.name,
+        lambda: load(service.kind, service.name),
+        lambda settings, stop: Node(service, settings, stop).run(),
+    )
+
+
+def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], int]) -> None:
+    """Reads settings, runs until SIGTERM or SIGINT, exits: with its code, or that of what it raises."""
     stop = StopEvent()
     with stop.on_signals():
         settings = None
         try:
-            settings = load(kind, service)
-            port = make_port(settings) if make_port else None
-            node = Node(
-                service,
-                settings,
-                lambda: make_core(settings),
-                mode,
-                stop,
-                whole_site=whole_site,
-                port=port,
-                prompt=prompt,
-                attend=(lambda session: attend(settings, session)) if attend else None,
-            )
-            code = node.run()
+            settings = read()
+            code = run(settings, stop)
         except (SettingsError, ContractError, OSError, ValueError) as error:
-            print(f"eigenscan-{service}: {error}", file=sys.stderr)
+            print(f"eigenscan-{name}: {error}", file=sys.stderr)
             code = EXIT_SETTINGS
         except BaseException:
             if settings is None:  # --help, or flags that are none: nothing more to print
@@ -98,96 +106,117 @@ def main(
     os._exit(code)
 
 
+@dataclass(frozen=True)
+class Shared:
+    """What the services of one process have in common."""
+
+    opening: Future[zenoh.Session]
+    exchange: Exchange
+    ready: threading.Condition
+    """Of the inboxes that one thread empties."""
+
+
 class Node:
     """Runs one core on Zenoh."""
 
     def __init__(
         self,
-        service: str,
+        service: Service[Any],
         settings: ServiceSettings,
-        make_core: Callable[[], Core],
-        mode: str = "peer",
-        stop: StopEvent | None = None,
+        stop: StopEvent,
         *,
-        whole_site: bool = False,
-        port: Port | None = None,
-        prompt: bool = False,
-        attend: Callable[[zenoh.Session], None] | None = None,
+        shared: Shared | None = None,
+        ends: Stopping | None = None,
     ) -> None:
-        self._attend = attend
+        """`stop` wakes the main thread; the service ends by `ends`, which is the same where none is given."""
         self.service, self.settings = service, settings
-        self._whole_site, self._prompt = whole_site, prompt
-        self._make_core, self._mode = make_core, mode
-        self._stop = stop or StopEvent()
+        self._stop, self._shared = stop, shared
+        self.ends: Stopping = ends or stop
         self._told = (Health.STATUS_UNSPECIFIED, "")
         self._twins = 0
-        self._log = configure(
-            settings.log_level, settings.log_format, service=service, instance=settings.instance
+        self._log = (
+            logger().bound(service=service.name, instance=settings.instance)
+            if shared
+            else configure(
+                settings.log_level, settings.log_format, service=service.name, instance=settings.instance
+            )
         )
         self._counters = Counters(self._log)
         self._monitor = Monitor(
-            service, settings.instance, _package_version(service), settings=settings.told()
+            service.name, settings.instance, _package_version(service.name), settings=settings.told()
         )
-        self._inbox = Inbox(WHOLE_SITE_SLACK if whole_site else 1, settings.behind_after)
+        slack = WHOLE_SITE_SLACK if service.whole_site else 1
+        ready = shared.ready if shared and service.quick else None
+        self.inbox = Inbox(slack, settings.behind_after, ready=ready)
         self._bus: Bus | None = None
         self._keepsake: LatchedCache | None = None
-        self._port = port or NoPort()
-        self._fault: BaseException | None = None
-        self._deaf = False
-
-    def stop(self) -> None:
-        """Asks the node to end, from any thread."""
-        self._stop.stop()
+        self._port: Port = service.make_port(settings) if service.make_port else NoPort()
+        self.fault: BaseException | None = None
+        self.is_deaf = False
+        self._looked = time.monotonic()
 
     def run(self) -> int:
         """Runs until stopped; gives the exit code. Raises what ended the core before that."""
+        self.serve_metrics()
+        core = threading.Thread(target=self.run_core, name="core", daemon=True)
+        core.start()
+        while not self._stop.stopping and core.is_alive() and not self.is_deaf:
+            self._stop.wait(HEALTH_PERIOD_S)
+            self.tell()
+        stop_s = self.settings.stop_s
+        faulthandler.dump_traceback_later(STOP_ALL * stop_s, exit=True)
+        try:
+            self.inbox.close()
+            core.join(STOP_CORE * stop_s)
+            closed = self.close(CLOSE * stop_s)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+        if self.fault:
+            raise self.fault
+        return self.code(unfinished=core.is_alive() or not closed)
+
+    def serve_metrics(self) -> None:
+        """Where the settings ask for it. Raises SettingsError."""
         settings = self.settings
         if settings.metrics_port is not None:
             port = self._monitor.serve(settings.metrics_host, settings.metrics_port)
             self._log.info("metrics", url=f"http://{settings.metrics_host}:{port}/metrics")
-        core = threading.Thread(target=self._run_core, name="core", daemon=True)
-        core.start()
-        self._tend(core)
-        faulthandler.dump_traceback_later(STOP_ALL * settings.stop_s, exit=True)
-        try:
-            self._inbox.close()
-            core.join(STOP_CORE * settings.stop_s)
-            unfinished = core.is_alive()
-            if self._bus:
-                closing = threading.Thread(target=self._close, args=(self._bus,), name="close", daemon=True)
-                closing.start()
-                closing.join(CLOSE * settings.stop_s)
-                unfinished = unfinished or closing.is_alive()
-            self._monitor.close()
-        finally:
-            faulthandler.cancel_dump_traceback_later()
-        if self._fault:
-            raise self._fault
+
+    def close(self, seconds: float) -> bool:
+        """Ends what it has open; whether all of that was closed within `seconds`."""
+        closed = True
+        if self._bus:
+            closing = threading.Thread(target=self._close, args=(self._bus,), name="close", daemon=True)
+            closing.start()
+            closing.join(seconds)
+            closed = not closing.is_alive()
+        self._monitor.close()
+        return closed
+
+    def code(self, *, unfinished: bool) -> int:
+        """Exit code at the end, which it logs."""
         counts: dict[str, Any] = dict(self._counters.counts)
         self._log.info("stopped", unfinished=unfinished, **counts)
-        if self._deaf:
+        if self.is_deaf:
             return EXIT_DEAF
         return EXIT_CORE if self._counters.counts["finish_failed"] else 0
 
-    def _tend(self, core: threading.Thread) -> None:
-        """Tells the service's health once a second and at every change, until the end is asked for."""
-        looked = time.monotonic()
-        while not self._stop.stopping and core.is_alive():
-            self._stop.wait(HEALTH_PERIOD_S)
-            if self._bus:
-                self._tell(self._bus)
-                if time.monotonic() - looked >= HEALTH_PERIOD_S:
-                    looked = time.monotonic()
-                    self._deaf = self._bus.is_deaf
-            if self._deaf:
-                self._log.error("deaf", hint="nothing of the other services arrives: ending to be restarted")
-                return
+    def tell(self) -> None:
+        """Says the service's health, for once a second and at every change."""
+        if not self._bus:
+            return
+        self._tell(self._bus)
+        if time.monotonic() - self._looked >= HEALTH_PERIOD_S:
+            self._looked = time.monotonic()
+            self.is_deaf = self._bus.is_deaf
+        if self.is_deaf:
+            self._log.error("deaf", hint="nothing of the other services arrives: ending to be restarted")
 
     def _tell(self, bus: Bus) -> None:
         health = self._monitor.message()
         address = {
             "site": self.settings.site,
-            "service": self.service,
+            "service": self.service.name,
             "instance": self.settings.instance,
         }
         bus.say(Envelope(HEALTH, address, health))
@@ -199,41 +228,53 @@ class Node:
             self._monitor.hear_twin()
             self._counters.warn("duplicate_instance", hint=TWIN_HINT)
 
-    def _run_core(self) -> None:
+    def run_core(self) -> None:
+        """From the first import to the last message, in this thread."""
+        with self.faults():
+            self.begin().run()
+
+    @contextmanager
+    def faults(self) -> Iterator[None]:
+        """What ends the core is kept as `fault`; the main thread is woken at the end."""
         try:
-            opening = open_meanwhile(self.settings.zenoh, self._mode)
-            core = self._made_core()
-            session = opening.result()
-            if self._attend:
-                self._attend(session)
-            bus = self._connect(core, session)
-            apart = self._port.channels
-
-            def say(envelope: Envelope) -> None:
-                (self._port if envelope.channel in apart else bus).say(envelope)
-
-            work = Work(
-                core,
-                self._inbox,
-                say,
-                self._keep,
-                self._monitor,
-                self._counters,
-                self._stop,
-                prompt=self._prompt,
-            )
-            work.begin()
-            self._log.info("ready", site=self.settings.site, robot=self.settings.robot)
-            work.run()
+            yield
         except BaseException as error:
-            self._fault = error
+            self.fault = error
         self._stop.set()
+
+    def begin(self) -> Work:
+        """The core, connected, after its first messages."""
+        settings, shared = self.settings, self._shared
+        opening = shared.opening if shared else open_meanwhile(settings.zenoh, self.service.mode)
+        core = self._made_core()
+        session = opening.result()
+        if self.service.attend:
+            self.service.attend(settings, session)
+        bus = self._connect(core, session)
+        apart = self._port.channels
+
+        def say(envelope: Envelope) -> None:
+            (self._port if envelope.channel in apart else bus).say(envelope)
+
+        work = Work(
+            core,
+            self.inbox,
+            say if apart else bus.say,
+            self._keep,
+            self._monitor,
+            self._counters,
+            self.ends,
+            prompt=self.service.prompt,
+        )
+        work.begin()
+        self._log.info("ready", site=settings.site, robot=settings.robot)
+        return work
 
     def _made_core(self) -> Core:
         """The core. What it imports stays: the garbage collector neither looks at it meanwhile nor later."""
         gc.disable()
         try:
-            return self._make_core()
+            return self.service.make_core(self.settings)
         finally:
             gc.freeze()
             gc.enable()
@@ -243,19 +284,19 @@ class Node:
         address = {"site": settings.site}
         if settings.robot != "*":
             address["robot"] = settings.robot
-        bus = self._bus = Bus(session)
+        bus = self._bus = Bus(session, self._shared.exchange if self._shared else None)
         apart = (*self._port.channels, TICK)
         hears = [channel for channel in core.hears if channel not in apart]
         bus.offer([channel for channel in core.says if channel not in apart], address)
-        if self._whole_site and settings.robot == "*":
-            bus.listen_all(hears, f"{settings.site}/**", self._inbox)
+        if self.service.whole_site and settings.robot == "*":
+            bus.listen_all(hears, f"{settings.site}/**", self.inbox)
         else:
-            bus.listen(hears, address, self._inbox, self._remember(hears))
-        bus.announce(settings.site, self.service, settings.instance)
+            bus.listen(hears, address, self.inbox, self._remember(hears))
+        bus.announce(settings.site, self.service.name, settings.instance)
         if settings.deaf_after:
             watchdog = ReceiveWatchdog(round(settings.deaf_after / HEALTH_PERIOD_S))
-            bus.watch_others(watchdog, settings.site, self.service, settings.instance)
-        self._port.open(self._inbox)
+            bus.watch_others(watchdog, settings.site, self.service.name, settings.instance)
+        self._port.open(self.inbox)
         return bus
 
     def _remember(self, hears: Sequence[Channel]) -> list[Arrival]:
@@ -265,7 +306,7 @@ class Node:
         self._keepsake = LatchedCache(self.settings.keep)
         known = [sample for sample in self._keepsake.read(self.settings.site) if sample.channel in hears]
         for sample in known:
-            self._inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
+            self.inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
         return known
 
     def _keep(self, sample: Arrival) -> None:

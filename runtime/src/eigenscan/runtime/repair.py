@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
+from eigenscan.runtime.recording.files import refuse_bomb
 from mcap.exceptions import EndOfFile
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -103,6 +104,7 @@ def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
 
 def _of_chunk(chunk: Chunk, found: Salvage) -> list[McapRecord]:
     try:
+        refuse_bomb(chunk.compression.encode(), chunk.data, len(chunk.data), chunk.uncompressed_size)
         return breakup_chunk(chunk, validate_crc=True)
     except (EndOfFile, *DAMAGE):
         found.lost_chunks += 1

@@ -95,6 +95,9 @@ def _core(settings: RouterSettings) -> RouterCore:
     return RouterCore()
 
 
+SERVICE = node.Service("router", RouterSettings, _core, mode="router", attend=_attend)
+
+
 def main() -> None:
     """Entry point of `eigenscan-router`."""
-    node.main("router", RouterSettings, _core, mode="router", attend=_attend)
+    node.main(SERVICE)

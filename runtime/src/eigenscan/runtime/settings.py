@@ -34,6 +34,14 @@ _SERVED = frozenset(("site", "robot", "instance"))
 """Which robots a service serves, and under which name: the keys of its core."""
 
 
+MOST_SHOWN = 200
+"""Characters of a bad value that an error quotes."""
+MOST_DOTS = 500
+"""On one line of a TOML file: a hundred addresses."""
+MOST_TABLE_BYTES = 40_000
+"""Of a settings file: several times those of all services with every setting."""
+
+
 class SettingsError(ValueError):
     """Settings that do not hold; the message names the source, the field and the fix."""
 
@@ -168,7 +176,7 @@ def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"] in {"list_type", "dict_type", "tuple_type", "set_type"}:
         message += ', written as JSON such as ["a", "b"]'
-    return f"{place} = {problem['input']!r}: {message}"
+    return f"{place} = {repr(problem['input'])[:MOST_SHOWN]}: {message[:MOST_SHOWN]}"
 
 
 def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, Given]:
@@ -226,7 +234,7 @@ def typed(kind: type[ServiceSettings], name: str, text: str) -> Any:
         return text
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # no JSON, or numbers and lists that only an attack has
         return text
 
 
@@ -243,10 +251,14 @@ def read_table(
 ) -> dict[str, Given]:
     """A service's settings in a TOML file that `asked` names. Raises SettingsError."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.stat().st_size > MOST_TABLE_BYTES:
+            raise SettingsError(f"{path}: has more than {MOST_TABLE_BYTES} bytes: check {asked}")
+        content = parse_toml(path.read_text(encoding="utf-8"))
+    except SettingsError:
+        raise
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read ({error.strerror}): check {asked}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
     tables = {name: value for name, value in content.items() if isinstance(value, dict)}
     shared = {name: value for name, value in content.items() if name not in tables}
@@ -267,6 +279,16 @@ def read_table(
     return {name: Given(value, f"{path}: {name}") for name, value in shared.items()} | {
         name: Given(value, f"{path}: [{service}] {name}") for name, value in own.items()
     }
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The content of a TOML file. Raises ValueError or RecursionError where it is none.
+
+    A key of thousands of parts takes the parser a time of their square: no line of ours has so many dots.
+    """
+    if any(line.count(".") > MOST_DOTS for line in text.splitlines()):
+        raise ValueError(f"a line with more than {MOST_DOTS} dots")
+    return tomllib.loads(text)
 
 
 def gone(kind: type[BaseModel], name: str) -> str:

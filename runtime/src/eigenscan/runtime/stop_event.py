@@ -13,6 +13,17 @@ import socket
 import threading
 from collections.abc import Iterator
 from types import FrameType
+from typing import Protocol
+
+
+class Stopping(Protocol):
+    """What a service ends by."""
+
+    stopping: bool
+
+    def set(self) -> None:
+        """Wakes the main thread."""
+        ...
 
 
 class StopEvent:

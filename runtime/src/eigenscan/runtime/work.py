@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.health import WAITING, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.stop_event import StopEvent
+from eigenscan.runtime.stop_event import Stopping
 from eigenscan.schemas.channels import ContractError
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -32,16 +32,17 @@ class Work:
         keep: Callable[[Arrival], None],
         monitor: Monitor,
         counters: Counters,
-        stop: StopEvent,
+        stop: Stopping,
         *,
         prompt: bool = False,
     ) -> None:
-        """`keep` receives latched samples; `stop` ends the work.
+        """`keep` receives latched samples; `stop` ends the work, and is set where its condition changes.
 
         `prompt`: takes each message in the thread that brings it.
         """
         self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
         self._monitor, self._counters, self._stop, self._prompt = monitor, counters, stop, prompt
+        self._due, self._tick_due = 0.0, (0.0 if TICK in core.hears else math.inf)
         self._too_late = 0
         self._turn = threading.Lock()
         """Held by the thread that the core works in."""
@@ -54,23 +55,38 @@ class Work:
         """Works until stopped, then publishes what the core holds back."""
         if self._prompt:
             self._inbox.on_put = self._work_off
-        due, tick_due = 0.0, (0.0 if TICK in self._core.hears else math.inf)
         while not self._stop.stopping:
-            if time.monotonic() >= tick_due:
-                with self._turn:
-                    self._give(tick(time.time_ns()), TICK.name)
-                tick_due = time.monotonic() + TICK_S
-            if time.monotonic() >= due:
-                with self._turn:
-                    changed = self._monitor.turn(self._condition())
-                if changed:
-                    self._stop.set()
-                due = time.monotonic() + CONDITION_PERIOD_S
+            self.keep_time()
             if self._prompt:
                 self._work_off()  # what came while the condition was asked for
                 self._inbox.wait_until_closed(CONDITION_PERIOD_S)
             elif arrival := self._inbox.take(CONDITION_PERIOD_S):
                 self._handle(arrival)
+        self.finish()
+
+    def step(self) -> bool:
+        """Handles one message that waits; False where none does. For who has several of these in turn."""
+        arrival = self._inbox.take(0.0)
+        if arrival is not None:
+            self._handle(arrival)
+        return arrival is not None
+
+    def keep_time(self) -> None:
+        """Does what is due by the clock."""
+        now = time.monotonic()
+        if now >= self._tick_due:
+            with self._turn:
+                self._give(tick(time.time_ns()), TICK.name)
+            self._tick_due = now + TICK_S
+        if now >= self._due:
+            with self._turn:
+                changed = self._monitor.turn(self._condition())
+            if changed:
+                self._stop.set()
+            self._due = now + CONDITION_PERIOD_S
+
+    def finish(self) -> None:
+        """Publishes what the core holds back."""
         try:
             with self._turn:
                 self._say(self._core.finish())
@@ -93,7 +109,10 @@ class Work:
             self._counters.set_aside("foreign_key", arrival.key)
             return
         try:
-            heard = Envelope(channel, address, decode(channel, arrival.payload, arrival.encoding))
+            message = arrival.message
+            if message is None:
+                message = decode(channel, arrival.payload, arrival.encoding)
+            heard = Envelope(channel, address, message)
         except ContractError as error:
             self._counters.set_aside("undecodable", arrival.key, error)
             return

@@ -9,6 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, cast
 
+import lz4.frame
+import zstandard
 from eigenscan.schemas.channels import ContractError
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.reader import NonSeekingReader, make_reader
@@ -38,6 +40,14 @@ _OTHER_LOGS = {b"#ROSBAG V": "a ROS 1 bag", b"SQLite format 3\0": "a ROS 2 bag's
 """How files that people take for recordings begin."""
 
 
+MOST_CHUNK_BYTES = 2**26
+"""That a chunk may inflate to, whatever its size; the recorder's have 256 KiB, or one message."""
+MOST_CHUNK_TIMES = 1000
+"""A larger chunk may inflate to so many times its size: a large site's map does to some hundred times."""
+_CHUNK, _CHUNK_HEAD = 6, struct.Struct("<QQQII")
+_RECORD_HEAD = struct.Struct("<BQ")
+
+
 class RecordingError(ValueError):
     """A file that is no readable recording; the message names it."""
 
@@ -54,6 +64,43 @@ class WholeReads:
         if len(data) < size:
             raise EndOfFile
         return data
+
+
+def inflates_to(compression: bytes, data: bytes, stated: int) -> int:
+    """Bytes that a chunk becomes, by what it states and by the start of its `data`."""
+    own = 0
+    if compression == b"zstd":
+        own = zstandard.frame_content_size(data)
+    elif compression == b"lz4":
+        own = int(lz4.frame.get_frame_info(data)["content_size"])
+    return max(own, stated)
+
+
+def refuse_bombs(file: IO[bytes]) -> None:
+    """Raises ValueError where a chunk of an MCAP would fill the memory. Reads the chunks' heads only."""
+    file.seek(len(MCAP0_MAGIC))
+    while len(head := file.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
+        kind, size = _RECORD_HEAD.unpack(head)
+        begin = file.tell()
+        if kind == _CHUNK:
+            start = file.read(min(size, 128))
+            _, _, stated, _, length = _CHUNK_HEAD.unpack_from(start)
+            compression = start[_CHUNK_HEAD.size :][:length]
+            data = start[_CHUNK_HEAD.size + length + 8 :]
+            refuse_bomb(compression, data, size, stated)
+        if size > 2**62:
+            break
+        file.seek(begin + size)
+    file.seek(0)
+
+
+def refuse_bomb(compression: bytes, data: bytes, size: int, stated: int) -> None:
+    """Raises ValueError where a chunk of `size` bytes would fill the memory; `data`: its start at least."""
+    becomes = stated
+    with suppress(ZstdError, RuntimeError):  # what does not inflate is told when it is read
+        becomes = inflates_to(compression, data, stated)
+    if becomes > max(MOST_CHUNK_BYTES, MOST_CHUNK_TIMES * size):
+        raise ValueError(f"a chunk of {size} bytes would become {becomes}")
 
 
 def parts(path: Path) -> list[Path]:
@@ -78,6 +125,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
     try:
         with path.open("rb") as file:
             _refuse_others(path, file)
+            refuse_bombs(file)
             yield file
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error

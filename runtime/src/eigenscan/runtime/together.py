@@ -1,0 +1,214 @@
+"""Several services in one process: same cores, same keys, one session; messages between them go hand to hand.
+
+Those whose cores are quick share a thread, the one nearest to the pose first, so that none waits for a thread
+switch. The others have a thread each. A service that fails ends all: what restarts the process restarts them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import zenoh
+from eigenscan.runtime.exchange import Exchange
+from eigenscan.runtime.logs import configure
+from eigenscan.runtime.node import (
+    CLOSE,
+    HEALTH_PERIOD_S,
+    STOP_ALL,
+    STOP_CORE,
+    Node,
+    Service,
+    Shared,
+    exit_with,
+)
+from eigenscan.runtime.session import open_meanwhile
+from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
+from eigenscan.runtime.stop_event import StopEvent
+from eigenscan.runtime.work import CONDITION_PERIOD_S, Work
+from eigenscan.schemas.channels import ContractError
+
+Told = list[tuple[Service[Any], ServiceSettings]]
+
+SWITCH_S = 0.0005
+"""s for which a thread may hold the interpreter while another waits: a pose would wait for the recorder for
+Python's own 5 ms."""
+
+
+class Later:
+    """The end of services that hear the others' last messages."""
+
+    def __init__(self, first: StopEvent) -> None:
+        self.stopping = False
+        self._first = first
+
+    def set(self) -> None:
+        """Wakes the main thread."""
+        self._first.set()
+
+
+Groups = Sequence[tuple[Sequence[str], Sequence[str]]]
+"""Names of services and the flags of each of them."""
+
+
+def main(groups: Callable[[], Groups], find: Callable[[str], Service[Any]]) -> None:
+    """Runs services, nearest the sensor first, until SIGTERM or SIGINT, exits."""
+    exit_with("together", lambda: read(groups(), find), lambda told, stop: Together(told, stop).run())
+
+
+def read(groups: Groups, find: Callable[[str], Service[Any]]) -> Told:
+    """Settings of each service. Raises SettingsError where they cannot be those of one process."""
+    told: Told = []
+    for names, flags in groups:
+        for name in names:
+            service = find(name)
+            told.append((service, load(service.kind, name, list(flags))))
+    if len({service.name for service, _ in told}) < len(told):
+        raise SettingsError("a service is named twice: name each once")
+    if len({(settings.zenoh, service.mode) for service, settings in told}) > 1:
+        raise SettingsError("zenoh: must be the same for all services of a process")
+    return _own_ports(told)
+
+
+def _own_ports(told: Told) -> Told:
+    """Where all are told the same metrics port, they take that one and those after it, in order."""
+    taken: set[int] = set()
+    result: Told = []
+    for service, settings in told:
+        port = settings.metrics_port
+        while port and port in taken:
+            port += 1
+        if port:
+            taken.add(port)
+        result.append((service, settings.model_copy(update={"metrics_port": port})))
+    return result
+
+
+class Together:
+    """The services of one process."""
+
+    def __init__(self, told: Told, stop: StopEvent) -> None:
+        first = told[0][1]
+        configure(first.log_level, first.log_format)
+        self._stop, self._later = stop, Later(stop)
+        self._ready = threading.Condition()
+        opening = open_meanwhile(first.zenoh, told[0][0].mode)
+        self._shared = Shared(opening, Exchange(), self._ready)
+        self._stop_s = max(settings.stop_s for _, settings in told)
+        self.nodes = [
+            Node(
+                service,
+                settings,
+                stop,
+                shared=self._shared,
+                ends=self._later if service.whole_site else None,
+            )
+            for service, settings in told
+        ]
+
+    def run(self) -> int:
+        """Runs until stopped; gives the exit code. Raises what ended a core before that."""
+        sys.setswitchinterval(SWITCH_S)
+        for node in self.nodes:
+            node.serve_metrics()
+        quick = [node for node in self.nodes if node.service.quick]
+        last = [node for node in self.nodes if node.service.whole_site]
+        # who hears the others' first messages is there before them
+        threads = {node.service.name: self._thread(node.run_core, node.service.name) for node in last}
+        if quick:
+            threads["quick"] = self._thread(lambda: self._run_quick(quick), "core")
+        for node in self.nodes:
+            if node not in (*quick, *last):
+                threads[node.service.name] = self._thread(node.run_core, node.service.name)
+        self._tend(threads)
+        faulthandler.dump_traceback_later(STOP_ALL * self._stop_s, exit=True)
+        try:
+            unfinished = not self._end(threads, last)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+        for node in self.nodes:
+            if node.fault:
+                raise node.fault
+        return max([node.code(unfinished=unfinished) for node in self.nodes])
+
+    def _thread(self, run: Callable[[], None], name: str) -> threading.Thread:
+        thread = threading.Thread(target=run, name=name, daemon=True)
+        thread.start()
+        return thread
+
+    def _tend(self, threads: dict[str, threading.Thread]) -> None:
+        """Tells each service's health, until the end is asked for or one of them has ended."""
+        while not self._stop.stopping and all(thread.is_alive() for thread in threads.values()):
+            self._stop.wait(HEALTH_PERIOD_S)
+            for node in self.nodes:
+                node.tell()
+            if any(node.is_deaf for node in self.nodes):
+                return
+
+    def _run_quick(self, nodes: Sequence[Node]) -> None:
+        """All quick cores, in this thread."""
+        works: list[tuple[Node, Work]] = []
+        for node in nodes:
+            with node.faults():
+                works.insert(0, (node, node.begin()))
+            if node.fault:
+                return
+        while not self._stop.stopping:
+            if not self._work(works):
+                with self._ready:
+                    self._ready.wait_for(
+                        lambda: self._stop.stopping or any(len(node.inbox) for node in nodes),
+                        CONDITION_PERIOD_S,
+                    )
+            if any(node.fault for node in nodes):
+                return
+        for _, work in reversed(works):
+            work.finish()
+
+    def _work(self, works: list[tuple[Node, Work]]) -> bool:
+        """One message, of the service nearest to the pose that has one; False where none waits."""
+        for node, work in works:
+            try:
+                work.keep_time()
+                if work.step():
+                    return True
+            except BaseException as error:
+                node.fault = error
+                self._stop.set()
+                return False
+        return False
+
+    def _end(self, threads: dict[str, threading.Thread], last: Sequence[Node]) -> bool:
+        """Ends all, those last that hear the others; whether everything was finished in time."""
+        self._stop.stopping = True
+        end = time.monotonic() + STOP_CORE * self._stop_s
+        for node in self.nodes:
+            if node not in last:
+                node.inbox.close()
+        late = {node.service.name for node in last}
+        for name, thread in threads.items():
+            if name not in late:
+                thread.join(max(0.0, end - time.monotonic()))
+        while any(len(node.inbox) for node in last) and time.monotonic() < end:
+            time.sleep(0.005)
+        self._later.stopping = True
+        for node in last:
+            node.inbox.close()
+            threads[node.service.name].join(max(0.0, end - time.monotonic()))
+        finished = not any(thread.is_alive() for thread in threads.values())
+        closing = time.monotonic() + CLOSE * self._stop_s
+        for node in self.nodes:
+            finished &= node.close(max(0.0, closing - time.monotonic()))
+        # a session may be slow to close, or never have opened
+        session = self._thread(self._close_session, "close")
+        session.join(max(0.0, closing - time.monotonic()))
+        return finished and not session.is_alive()
+
+    def _close_session(self) -> None:
+        with contextlib.suppress(ContractError, zenoh.ZError):  # it did not open, which the cores have told
+            self._shared.opening.result().close()

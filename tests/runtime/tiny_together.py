@@ -1,0 +1,87 @@
+"""Three tiny services in one process: one answers raw scans, one hears that, one keeps all."""
+
+import sys
+import threading
+from collections.abc import Iterable
+from typing import Any
+
+from eigenscan.runtime.node import Service
+from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.runtime.together import main
+from eigenscan.schemas.channels import CHANNELS, HYPOTHESES, OBSTACLES, SCAN, SCAN_RAW, Channel
+from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+
+SAID: list[int] = []
+
+
+class Silent:
+    hears: tuple[Channel, ...] = ()
+    says: tuple[Channel, ...] = ()
+
+    def __init__(self, settings: ServiceSettings) -> None:
+        self._settings = settings
+
+    def start(self) -> Iterable[Envelope]:
+        return ()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        return ()
+
+    def finish(self) -> Iterable[Envelope]:
+        return ()
+
+    def condition(self) -> Condition:
+        return Condition()
+
+
+class First(Silent):
+    hears: tuple[Channel, ...] = (SCAN_RAW,)
+    says: tuple[Channel, ...] = (SCAN,)
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        name = heard.open(RawScan).frame_id
+        if name == "leave":
+            sys.exit(0)
+        scan = Scan(frame_id=name)
+        SAID.append(id(scan))
+        yield Envelope(SCAN, heard.address, scan)
+
+
+class Second(Silent):
+    """Says of each scan whether it is the very object that was published, and in the same thread."""
+
+    hears: tuple[Channel, ...] = (SCAN,)
+    says: tuple[Channel, ...] = (HYPOTHESES,)
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        same = id(heard.message) in SAID
+        name = f"{heard.open(Scan).frame_id} {'same' if same else 'copy'} {threading.current_thread().name}"
+        yield Envelope(HYPOTHESES, {**heard.address, "projector": "p"}, Hypotheses(frame_id=name))
+
+    def finish(self) -> Iterable[Envelope]:
+        address = {"site": self._settings.site, "robot": "robot", "lidar": "l", "projector": "p"}
+        return (Envelope(HYPOTHESES, address, Hypotheses(frame_id="last")),)
+
+
+class Keeper(Silent):
+    """Prints what it hears of the two."""
+
+    hears = CHANNELS
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        if heard.channel in (SCAN, HYPOTHESES, OBSTACLES):
+            print(f"kept {heard.channel.name} {heard.message.frame_id}", flush=True)  # type: ignore[attr-defined]
+        return ()
+
+
+SERVICES: dict[str, Service[Any]] = {
+    "first": Service("first", ServiceSettings, First, quick=True),
+    "second": Service("second", ServiceSettings, Second, quick=True),
+    "keeper": Service("keeper", ServiceSettings, Keeper, whole_site=True),
+}
+
+
+if __name__ == "__main__":
+    main(lambda: [([*SERVICES], sys.argv[1:])], SERVICES.__getitem__)
