@@ -58,10 +58,10 @@ def test_a_model_comes_back_from_the_wire_as_it_went() -> None:
     sent = model()
     message = decode(MODEL, encode(sent.to_message()))
     assert isinstance(message, model_pb2.RegionModel)
-    heard = RegionModel.from_message(message)
-    same(sent, heard)
-    assert heard.version == sent.version
-    np.testing.assert_allclose(heard.positions[0], [-1.5 - 0.75, 2.0])
+    received = RegionModel.from_message(message)
+    same(sent, received)
+    assert received.version == sent.version
+    np.testing.assert_allclose(received.positions[0], [-1.5 - 0.75, 2.0])
 
 
 def test_ranges_are_kept_to_half_a_step_and_no_wall_stays_none() -> None:
@@ -149,11 +149,11 @@ def first_format() -> model_pb2.RegionModel:
 
 def test_of_the_first_format_the_space_is_derived_and_the_version_stays() -> None:
     message = first_format()
-    heard = RegionModel.from_message(message)
-    assert heard.version == message.version != model().version
+    received = RegionModel.from_message(message)
+    assert received.version == message.version != model().version
     now = model().derive(Analysis())[0]
-    same_space(heard.space, now)
-    same(heard, dataclasses.replace(model(), space=now))
+    same_space(received.space, now)
+    same(received, dataclasses.replace(model(), space=now))
 
 
 def test_the_version_of_the_first_format_holds_its_own_eigenspace_too() -> None:

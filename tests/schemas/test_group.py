@@ -44,3 +44,14 @@ def test_other_fields_are_as_they_were() -> None:
 def test_what_is_no_name_is_refused(group: str) -> None:
     with pytest.raises(ContractError, match="is no robot"):
         patterns(group)
+
+
+def test_no_pattern_takes_long() -> None:
+    """With a regular expression this took longer than anybody waits."""
+    assert not holds("*a" * 40 + "b", "a" * 5000)
+    assert holds("*a" * 40, "a" * 5000)
+
+
+def test_a_group_of_thousands_is_refused() -> None:
+    with pytest.raises(ContractError, match="more than 200"):
+        patterns(",".join(f"r{number}" for number in range(5000)))

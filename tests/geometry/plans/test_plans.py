@@ -67,7 +67,7 @@ def _expect_rooms(grid: GridMap, door: int = FREE) -> None:
 
 
 @pytest.mark.parametrize(
-    ("units", "unit", "said"),
+    ("units", "unit", "published"),
     [
         (dxf_units.MM, 0.001, None),
         (dxf_units.M, 1.0, None),
@@ -76,8 +76,8 @@ def _expect_rooms(grid: GridMap, door: int = FREE) -> None:
         (dxf_units.MM, 0.5, 0.5),
     ],
 )
-def test_a_dxf_in_any_unit(tmp_path: Path, units: int, unit: float, said: float | None) -> None:
-    _expect_rooms(read_plan(_dxf(tmp_path, units, unit), PlanOptions(said, ("WALLS",))))
+def test_a_dxf_in_any_unit(tmp_path: Path, units: int, unit: float, published: float | None) -> None:
+    _expect_rooms(read_plan(_dxf(tmp_path, units, unit), PlanOptions(published, ("WALLS",))))
 
 
 def test_all_layers_count_where_none_is_named(tmp_path: Path) -> None:

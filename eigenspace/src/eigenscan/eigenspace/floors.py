@@ -11,6 +11,9 @@ from eigenscan.geometry.pose import Array, between, from_message, to_message
 from eigenscan.schemas.model_pb2 import ModelSet
 from numpy.typing import ArrayLike
 
+FARTHEST = 1e7
+"""m; no site reaches so far, and beyond it nothing is finite for long."""
+
 
 @dataclass(frozen=True)
 class Floor:
@@ -46,19 +49,40 @@ class Floor:
         return cls(message.name, from_message(message.origin), outline)
 
     def to_json(self) -> dict[str, Any]:
-        """What the manifest says of it."""
+        """What the manifest states of it."""
         return {"name": self.name, "origin": self.origin.tolist(), "outline": self.outline.tolist()}
 
     @classmethod
-    def from_json(cls, said: dict[str, Any]) -> Floor:
+    def from_json(cls, published: dict[str, Any]) -> Floor:
         """Inverse of to_json. Raises KeyError, TypeError or ValueError for what it did not make."""
         return cls(
-            str(said["name"]),
-            np.array(said["origin"], dtype=np.float64).reshape(3),
-            np.array(said["outline"], dtype=np.float64).reshape(4, 2),
+            str(published["name"]),
+            np.array(published["origin"], dtype=np.float64).reshape(3),
+            np.array(published["outline"], dtype=np.float64).reshape(4, 2),
         )
 
 
 def floor_of(floors: Iterable[Floor], pose: ArrayLike) -> Floor | None:
     """The floor that a pose (3,) in the site's frame is on; None where there is none."""
     return next((floor for floor in floors if floor.holds(pose)), None)
+
+
+def usable_floors(message: ModelSet) -> tuple[Floor, ...]:
+    """The floors of a set; what is no floor (no name, no outline, numbers that are none) is left out."""
+    return tuple(Floor.from_message(published) for published in message.floors if _is_floor(published))
+
+
+def _is_floor(published: ModelSet.Floor) -> bool:
+    if not published.name or len(published.outline_x) != 4 or len(published.outline_y) != 4:
+        return False
+    numbers = [
+        *published.outline_x,
+        *published.outline_y,
+        published.origin.x,
+        published.origin.y,
+        published.origin.theta,
+    ]
+    if not all(abs(number) < FARTHEST for number in numbers):
+        return False
+    corner, along, _, across = np.column_stack([published.outline_x, published.outline_y])
+    return float(np.hypot(*(along - corner))) > 0.0 and float(np.hypot(*(across - corner))) > 0.0

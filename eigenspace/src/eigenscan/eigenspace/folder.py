@@ -155,7 +155,7 @@ def read_models(folder: Path) -> SiteModel:
     """Models of a folder that write_models made.
 
     Raises ModelError naming the file where it is missing, of another layout, or does not have the
-    version that the manifest says.
+    version that the manifest states.
     """
     manifest = _read_manifest(folder / MANIFEST)
     try:
@@ -167,7 +167,7 @@ def read_models(folder: Path) -> SiteModel:
     if set_version(grid.version, [model.version for model in regions]) != manifest["version"]:
         raise ModelError(f"{folder / MAP}: is not the map that the models were built from: build again")
     try:
-        floors = tuple(Floor.from_json(said) for said in manifest.get("floors", []))
+        floors = tuple(Floor.from_json(published) for published in manifest.get("floors", []))
     except (KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{folder / MANIFEST}: floors: {error}: build again") from error
     return SiteModel(grid, manifest["frame_id"], regions, floors)
@@ -188,7 +188,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
                 raise ModelError(f"{path}: {entry['region']!r} cannot be a region's name")
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}: is this a model folder?") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ModelError(f"{path}: is not JSON: {error}") from error
     except (KeyError, TypeError) as error:
         raise ModelError(f"{path}: is no manifest of models: lacks {error}") from error

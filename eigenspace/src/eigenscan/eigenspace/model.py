@@ -25,6 +25,8 @@ NO_WALL = np.uint16(65535)
 _MOST_BEAMS = 65536
 MOST_BYTES = 2**28
 """Of a region's panoramas, inflated: 7,000 m2 at 0.25 m and 0.5 degrees. What is more is an attack."""
+MOST_SMALL_BYTES, MOST_TIMES = 2**26, 100
+"""A region whose panoramas take more than the first shrinks to a tenth at best, never to a hundredth."""
 MOST_CELLS_APART = 10**6
 """Grid steps of a position from the region's origin, at most."""
 _COMPRESSION = 1
@@ -107,6 +109,12 @@ class RegionModel:
         """The ranges as they travel: little-endian, zlib."""
         return zlib.compress(self.ranges.astype("<u2").tobytes(), _COMPRESSION)
 
+    def check(self) -> None:
+        """Raises ModelError or ValueError for numbers that no region of a building has."""
+        message = self._message(b"")
+        check(message)
+        space_from_message(message.space)
+
     @property
     def entry(self) -> model_pb2.ModelSet.Entry:
         """What a set says of the model."""
@@ -144,7 +152,7 @@ class RegionModel:
         Of the first release's format the eigenspace is derived, by the default analysis. The version stays
         the received one, so such a model is searched and not published again.
         """
-        _check(message)
+        check(message)
         ranges = _inflate(message)
         version = _digest(message, ranges)
         if version != message.version:
@@ -223,7 +231,7 @@ def set_version(map_version: str, versions: Sequence[str]) -> str:
     return hashlib.sha256("\n".join([map_version, *versions]).encode()).hexdigest()
 
 
-def _check(message: model_pb2.RegionModel) -> None:
+def check(message: model_pb2.RegionModel) -> None:
     """Raises ModelError for fields that do not fit together."""
     name = f"region {message.region!r}"
     if message.format not in (WITHOUT_SPACE, FORMAT):
@@ -262,6 +270,10 @@ def _check(message: model_pb2.RegionModel) -> None:
 def _inflate(message: model_pb2.RegionModel) -> NDArray[np.uint16]:
     shape = (len(message.index_x), message.beams)
     expected = 2 * shape[0] * shape[1]
+    if expected > max(MOST_SMALL_BYTES, MOST_TIMES * len(message.panoramas)):
+        raise ModelError(
+            f"region {message.region!r}: {len(message.panoramas)} bytes would inflate to {expected}"
+        )
     inflater = zlib.decompressobj()
     try:
         raw = inflater.decompress(message.panoramas, expected + 1)

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
-from zipfile import BadZipFile
 
-import numpy as np
+from eigenscan.eigenspace.archive import DAMAGE, opened
 from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.folder import check_place, publish
 from eigenscan.eigenspace.model import ModelError, set_of
@@ -71,7 +70,7 @@ class Pieces:
         try:
             piece = _described(self._path(key))
             read_region(piece.path, piece.entry.version)
-        except (OSError, BadZipFile, KeyError, ValueError, EOFError):
+        except (OSError, *DAMAGE):
             return None
         return piece
 
@@ -111,7 +110,7 @@ class Pieces:
 
 
 def _described(path: Path) -> Piece:
-    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+    with opened(path) as file:
         entry = ModelSet.Entry(
             region=str(file["region"]), version=str(file["version"]), size=int(file["wire_bytes"])
         )

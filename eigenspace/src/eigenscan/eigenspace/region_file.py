@@ -5,10 +5,11 @@ from __future__ import annotations
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from eigenscan.eigenspace.analysis import RegionSpace
+from eigenscan.eigenspace.archive import DAMAGE, opened
 from eigenscan.eigenspace.components import Eigenspace
 from eigenscan.eigenspace.embedding import Embedding
 from eigenscan.eigenspace.model import ModelError, RegionModel
@@ -39,13 +40,17 @@ def _arrays(model: RegionModel) -> dict[str, Any]:
 def read_region(path: Path, version: str) -> RegionModel:
     """The model in `path`. Raises ModelError where it cannot be read or is of another version."""
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        with opened(path) as file:
             model = _from_arrays(file)
+        found = model.version
+        model.check()
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (BadZipFile, KeyError, ValueError, TypeError, EOFError) as error:
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+    except (AttributeError, *DAMAGE) as error:
         raise ModelError(f"{path}: is no region of a model: {error}") from error
-    if model.version != version:
+    if found != version:
         raise ModelError(f"{path}: content is not the version {version[:12]} of the manifest: build again")
     return model
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from eigenscan.eigenspace.analysis import RegionSpace
+from eigenscan.eigenspace.archive import DAMAGE, opened
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.region_file import space_arrays, space_of_arrays
 from eigenscan.eigenspace.space_message import space_from_message, space_to_message
@@ -35,7 +35,7 @@ def write_spaces(made: Mapping[str, RegionSpace], path: Path) -> None:
 def read_spaces(path: Path) -> dict[str, RegionSpace]:
     """Inverse of write_spaces. Raises ModelError for what is no such file, or holds no sound spaces."""
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        with opened(path) as file:
             arrays = {name: file[name] for name in file.files}
         versions = arrays.pop("versions").tolist()
         found = {
@@ -46,6 +46,6 @@ def read_spaces(path: Path) -> dict[str, RegionSpace]:
             space_from_message(space_to_message(own))  # what the wire would refuse
         if not found or len({own.analysis for own in found.values()}) > 1:
             raise ValueError("expected spaces of one analysis")
-    except (OSError, BadZipFile, KeyError, ValueError, TypeError, IndexError, EOFError) as error:
+    except (OSError, *DAMAGE) as error:
         raise ModelError(f"{path}: holds no eigenspaces: {error}") from error
     return found

@@ -150,20 +150,20 @@ def exchange(one: Path, other: Path) -> None:
 
 
 def _describe(folder: Path) -> Version | None:
-    """What a folder's manifest says of it; None where it is no model folder."""
+    """What a folder's manifest states of it; None where it is no model folder."""
     manifest = folder / MANIFEST
     try:
-        said = json.loads(manifest.read_text(encoding="utf-8"))
+        published = json.loads(manifest.read_text(encoding="utf-8"))
         return Version(
-            str(said["version"]),
+            str(published["version"]),
             folder,
             manifest.stat().st_mtime,
-            len(said["regions"]),
-            float(said["free_area_m2"]),
-            sum(int(entry["wire_bytes"]) for entry in said["regions"]),
+            len(published["regions"]),
+            float(published["free_area_m2"]),
+            sum(int(entry["wire_bytes"]) for entry in published["regions"]),
             _proposed_for(folder / PROPOSAL),
         )
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import re
+import struct
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,9 +27,14 @@ FARTHEST_M = 1e7
 """m from the map frame's origin, at most: the farthest that grid coordinates of the Earth (UTM) reach."""
 MOST_CELLS = 400_000_000
 """A square kilometre in cells of 5 cm."""
+SMALL_PIXELS, PIXELS_A_BYTE = 10_000_000, 10_000
+"""Larger images hold at most so many pixels a byte: an empty one of 1 bit a pixel has 8,000 as PNG."""
 IMAGE_FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF", "GIF")
 """Those that map savers write and people draw. Others may start programs, as EPS does."""
-_MOST_YAML_BYTES = 100_000
+_MOST_YAML_BYTES = 10_000
+MOST_NESTED = 20
+_DAMAGE = (ValueError, SyntaxError, ArithmeticError, LookupError, TypeError, struct.error, MemoryError)
+"""What Pillow's readers raise over damaged images."""
 _SAVED_UNKNOWN = 205.0
 """Grey that map savers write for unknown; a free_thresh above 0.196, such as Nav2's 0.25, makes it free."""
 
@@ -100,7 +107,9 @@ def read_map(path: Path) -> GridMap:
         meta = yaml.safe_load(_plain_yaml(path))
     except OSError as error:
         raise MapError(f"{path}: cannot be read: {error.strerror}: check the path") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except MapError:
+        raise
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # no date, a number of 5,000 digits, ...
         raise MapError(f"{path}: is no map: give the map_server yaml, which names its image") from error
     if not isinstance(meta, dict):
         raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
@@ -143,44 +152,66 @@ def _plain_yaml(path: Path) -> str:
     if path.stat().st_size > _MOST_YAML_BYTES:
         raise MapError(f"{path}: is too large for a map_server yaml: give the file that names the image")
     text = path.read_text(encoding="utf-8")
+    if nesting(text) > MOST_NESTED:
+        raise MapError(f"{path}: is no map: give the map_server yaml, which names its image")
     if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):  # a few of them fill the memory
         raise MapError(f"{path}: has a YAML alias (*name): write the value in its place")
     return text
 
 
+def nesting(text: str) -> int:
+    """How deep brackets and braces stand in each other: YAML's readers take a time of its square."""
+    depth = most = 0
+    for bracket in re.findall(r"[][{}]", text):
+        depth += 1 if bracket in "[{" else -1
+        most = max(most, depth)
+    return most
+
+
 def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) -> float:
     value = meta.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise MapError(f"{path}: {name} {'is missing' if value is None else f'= {value!r}'}: give a number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
+        shown = "is missing" if value is None else f"= {value!r}"[:80]
+        raise MapError(f"{path}: {name} {shown}: give a number")
     return float(value)
 
 
 def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
-    """Red, green, blue and where there is one alpha (H, W, 3 or 4) of the image that the map `path` names."""
+    """Pixels of the image of the map `path`: grey (H, W), or red, green, blue, alpha (H, W, 3 or 4)."""
     from PIL import Image, UnidentifiedImageError
 
-    if file.exists() and not file.is_file():
-        raise MapError(f"{path}: image {file} is no file: name the pgm or png beside this file")
     try:
         with Image.open(file, formats=IMAGE_FORMATS) as image:
-            if image.width * image.height > MOST_CELLS:
+            held = max(SMALL_PIXELS, PIXELS_A_BYTE * file.stat().st_size)
+            if image.width * image.height > min(MOST_CELLS, held):
                 raise MapError(f"{path}: image {file} has {image.width} x {image.height} pixels: too large")
             if image.mode.startswith(("I", "F")):
                 raise MapError(f"{path}: image {file} has more than 8 bits a pixel: save it with 8")
+            if image.mode in ("1", "L") and "transparency" not in image.info:
+                return np.asarray(image.convert("L"))
             bands = image.getbands()
             return np.asarray(
                 image.convert("RGBA" if "A" in bands or "transparency" in image.info else "RGB")
             )
     except MapError:
         raise
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, *_DAMAGE) as error:
         raise MapError(f"{path}: image {file} cannot be read: {error}") from error
 
 
 def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     file = path.parent / meta["image"]
+    try:
+        is_file = not file.exists() or file.is_file()
+    except (OSError, ValueError) as error:
+        raise MapError(f"{path}: image {str(file)[:200]!r} cannot be read: {error}") from error
+    if not is_file:
+        raise MapError(f"{path}: image {file} is no file: name the pgm or png beside this file")
     pixels = _pixels(path, file)
-    grey = pixels[..., :3].mean(axis=-1)
+    # what each sum of red, green and blue means, as a table: there may be pixels by the hundred million
+    sums = pixels if pixels.ndim == 2 else pixels[..., :3].sum(axis=-1, dtype=np.uint16)
+    grey = np.arange(256.0) if pixels.ndim == 2 else np.arange(766.0) / 3.0
+    transparent = pixels[..., 3] == 0 if pixels.ndim == 3 and pixels.shape[-1] == 4 else None
     mode = meta.get("mode", "trinary")
     if mode not in ("trinary", "scale", "raw"):
         raise MapError(f"{path}: mode = {mode!r}: there are trinary, scale and raw")
@@ -197,15 +228,15 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
             raise MapError(f"{path}: free_thresh = {below} is above occupied_thresh = {above}: swap them")
         occupancy = grey / 255.0 if negate else 1.0 - grey / 255.0
         occupied, free = occupancy > above, occupancy < below
-        if mode == "trinary" and not negate and np.any(grey > _SAVED_UNKNOWN):
+        if mode == "trinary" and not negate and grey[int(sums.max(initial=0))] > _SAVED_UNKNOWN:
             free &= grey != _SAVED_UNKNOWN
-        if mode == "scale" and pixels.shape[-1] == 4:
-            transparent = pixels[..., 3] == 0
-            occupied, free = occupied & ~transparent, free & ~transparent
-    cells = np.full(grey.shape, UNKNOWN, dtype=np.uint8)
-    cells[free] = FREE
-    cells[occupied] = OCCUPIED
-    if not np.any(free):
+    table = np.full(len(grey), UNKNOWN, dtype=np.uint8)
+    table[free] = FREE
+    table[occupied] = OCCUPIED
+    cells: NDArray[np.uint8] = table[sums]
+    if mode == "scale" and transparent is not None:
+        cells[transparent] = UNKNOWN
+    if not np.any(cells == FREE):
         raise MapError(f"{path}: no free cell in {file}: check negate, free_thresh and occupied_thresh")
     return cells
 

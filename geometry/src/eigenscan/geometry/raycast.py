@@ -63,7 +63,7 @@ class RayCaster:
         return self.grid.to_grid(points) + 1.0
 
     def in_dark(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN: a ray from there says nothing."""
+        """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN: rays from there show nothing."""
         dark: NDArray[np.bool_] = _stop_at(self.leap, self.to_cells(points)) == DARK
         return dark
 

@@ -15,7 +15,7 @@ HORIZONTAL = 0.94
 
 
 class TransformTree:
-    """The first transform heard of each frame to its parent."""
+    """The first transform received of each frame to its parent."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Matrix]] = {}
@@ -30,7 +30,7 @@ class TransformTree:
         self._parents[child] = (parent, matrix)
 
     def frames(self) -> list[str]:
-        """All frames that have been heard of, in the order heard."""
+        """All frames that were named, in the order received."""
         return list(
             dict.fromkeys(frame for child, (parent, _) in self._parents.items() for frame in (parent, child))
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,15 @@ import numpy as np
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.plans.expansion import TooMuchError, placed
 from eigenscan.geometry.plans.raster import Walls
+from eigenscan.geometry.pose import Array
 
 OUTLINES = frozenset({"LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"})
 """What may be a wall. Text, dimensions and hatches are not."""
+DAMAGE = (ArithmeticError, LookupError, TypeError, AttributeError, RecursionError, MemoryError, StopIteration)
+"""What the library raises over values that make no sense."""
+MOST_CURVED = 300_000
+"""Points of all curves of a drawing: more than any floor has."""
+_POINT = np.dtype((np.float64, 2))
 SMOOTH = 0.01
 """m that a straight piece may lie off the curve that it stands for."""
 
@@ -20,21 +27,30 @@ SMOOTH = 0.01
 def read_dxf(path: Path, metres_per_unit: float | None, layers: Collection[str]) -> Walls:
     """Lines of the model space, blocks included, in m. Raises MapError."""
     try:
-        from ezdxf.enums import InsertUnits
         from ezdxf.filemanagement import readfile
         from ezdxf.lldxf.const import DXFError
-        from ezdxf.path import make_path
-        from ezdxf.units import conversion_factor
     except ImportError as error:
         raise MapError(f"{path}: reading DXF needs ezdxf: pip install 'eigenscan[plans]'") from error
     try:
         drawing = readfile(path)
-    except (DXFError, OSError, UnicodeDecodeError) as error:
+    except (DXFError, OSError, ValueError, *DAMAGE) as error:
         raise MapError(f"{path}: is no DXF that can be read: {error}") from error
     try:
-        _check_size(drawing)
+        return _read(path, drawing, metres_per_unit, layers)
     except TooMuchError as error:
-        raise MapError(f"{path}: the block {error}: explode it, or save the walls alone") from error
+        raise MapError(f"{path}: {error}: explode it, or save the walls alone") from error
+    except MapError:
+        raise
+    except (DXFError, ValueError, *DAMAGE) as error:
+        raise MapError(f"{path}: its lines cannot be read: {error}") from error
+
+
+def _read(path: Path, drawing: Any, metres_per_unit: float | None, layers: Collection[str]) -> Walls:
+    from ezdxf.enums import InsertUnits
+    from ezdxf.path import make_path
+    from ezdxf.units import conversion_factor
+
+    _check_size(drawing)
     scale = metres_per_unit
     if scale is None:
         if not drawing.units:
@@ -44,11 +60,17 @@ def read_dxf(path: Path, metres_per_unit: float | None, layers: Collection[str])
     if missing := sorted(set(layers) - {layer for layer, _ in walls}):
         there = ", ".join(sorted({layer for layer, _ in walls}))
         raise MapError(f"{path}: no wall on the layer {missing[0]}: there are {there}")
-    lines = []
+    lines, curved = [], MOST_CURVED
     for layer, entity in walls:
         if not layers or layer in layers:
-            points = make_path(entity).flattening(SMOOTH / scale)
-            lines.append(np.array([(point.x, point.y) for point in points]).reshape(-1, 2) * scale)
+            outline = make_path(entity)
+            straight = len(outline) + 1
+            points = islice(outline.flattening(SMOOTH / scale), straight + curved + 1)
+            line: Array = np.fromiter(((point.x, point.y) for point in points), dtype=_POINT)
+            curved -= max(0, len(line) - straight)
+            if curved < 0:
+                raise TooMuchError(f"its curves become more than {MOST_CURVED} points")
+            lines.append(line * scale)
     return Walls(lines)
 
 

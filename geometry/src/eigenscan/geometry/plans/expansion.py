@@ -30,11 +30,11 @@ def placed(start: str, refers: Callable[[str], Iterable[tuple[str, int]]], own: 
         if waiting and name not in begun:
             begun.add(name)
             if any(part in begun for part in waiting):
-                raise TooMuchError(f"{name!r} contains itself")
+                raise TooMuchError(f"{name[:80]!r} contains itself")
             stack += waiting
             continue
         totals[name] = own(name) + sum(times * totals[part] for part, times in parts)
         if totals[name] > MOST_PLACED:
-            raise TooMuchError(f"{name!r} becomes more than {MOST_PLACED} shapes")
+            raise TooMuchError(f"{name[:80]!r} becomes more than {MOST_PLACED} shapes")
         stack.pop()
     return totals[start]

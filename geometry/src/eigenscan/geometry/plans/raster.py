@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from eigenscan.geometry.gridmap import FREE, MOST_CELLS, OCCUPIED, UNKNOWN, GridMap, MapError
+from eigenscan.geometry.gridmap import FARTHEST_M, FREE, OCCUPIED, UNKNOWN, GridMap, MapError
 from eigenscan.geometry.pose import Array
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
@@ -17,6 +17,8 @@ DOORWAY = 1.2
 """m: an opening no wider than this does not let the outside in."""
 ROOM = 0.5
 """m: what nowhere is so far from its walls is the inside of a wall, a pillar or a table, and no room."""
+MOST_DRAWN_CELLS = 100_000_000
+"""500 m by 500 m at 5 cm: what is inside is found with some 40 bytes a cell."""
 MARGIN = 2.0
 """m of outside around the drawing: more than half a doorway, so that the outside goes around it."""
 
@@ -35,9 +37,11 @@ def rasterize(path: Path, walls: Walls, resolution: float) -> GridMap:
     if not drawn:
         raise MapError(f"{path}: no wall in it: check --layer")
     points = np.concatenate(drawn)
+    if not (np.abs(points) <= FARTHEST_M).all():  # also what is no number
+        raise MapError(f"{path}: farther than {FARTHEST_M:g} m from its origin: check --metres-per-unit")
     low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     width, height = np.ceil((high - low) / resolution).astype(np.int64).tolist()
-    if not np.isfinite(points).all() or width * height > MOST_CELLS:
+    if width * height > MOST_DRAWN_CELLS:
         wide, deep = high - low
         raise MapError(f"{path}: {wide:.0f} m by {deep:.0f} m: too large: check --metres-per-unit")
     wall = _draw(walls, low, resolution, (width, height))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,10 @@ SMOOTH = 0.05
 """m between the points that a curve becomes."""
 MOST_POINTS = 1000
 """A curve becomes at most so many."""
+CHORDS = 4
+"""By which a curve's length is taken."""
+MOST_CURVED = 50_000
+"""Points of all curves of a drawing: more than any floor has, and a second's work."""
 DARK = 128
 """A fill whose mean of red, green and blue (0..255) is below this is a wall; paper is not."""
 
@@ -30,8 +35,7 @@ def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str])
     Raises MapError.
     """
     try:
-        from svgelements import SVG, Shape
-        from svgelements import Path as Outline
+        from svgelements import SVG
     except ImportError as error:
         raise MapError(f"{path}: reading SVG needs svgelements: pip install 'eigenscan[plans]'") from error
     if metres_per_unit is None:
@@ -41,16 +45,34 @@ def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str])
         drawing = SVG.parse(str(path))
     except TooMuchError as error:
         raise MapError(f"{path}: {error}: export the walls alone") from error
-    except (ParseError, ValueError, OSError, UnicodeDecodeError) as error:
+    except (ParseError, ValueError, OSError, *DAMAGE) as error:
         raise MapError(f"{path}: is no SVG that can be read: {error}") from error
+    try:
+        return _walls(path, drawing, metres_per_unit, layers)
+    except TooMuchError as error:
+        raise MapError(f"{path}: {error}: export the walls alone") from error
+    except DAMAGE as error:
+        raise MapError(f"{path}: its shapes cannot be read: {error}") from error
+
+
+DAMAGE = (ArithmeticError, LookupError, TypeError, AttributeError, RecursionError, MemoryError)
+"""What the library raises over values that make no sense."""
+
+
+def _walls(path: Path, drawing: Any, metres_per_unit: float, layers: Collection[str]) -> Walls:
+    from svgelements import Path as Outline
+    from svgelements import Shape
+
     groups = list(_groups(drawing, layers))
     if layers and not groups:
         raise MapError(f"{path}: no group with the id or label {', '.join(layers)}")
     lines, filled = list[Array](), list[Array]()
+    curved = 0
     for element in (each for group in groups or [drawing] for each in group.select()):
         if isinstance(element, Shape):
             for part in Outline(element).as_subpaths():
-                points = _points(Outline(part), metres_per_unit)
+                points = _points(Outline(part), metres_per_unit, MOST_CURVED - curved)
+                curved += max(0, len(points) - len(part))
                 if _is_dark(element.fill):
                     filled.append(points)
                 if element.stroke.value is not None:
@@ -90,14 +112,35 @@ def _is_dark(colour: Any) -> bool:
     )
 
 
-def _points(outline: Any, scale: float) -> Array:
-    """Points (n, 2), m: corners of straight pieces, a row of points of curves."""
-    points = []
+def _points(outline: Any, scale: float, room: int) -> Array:
+    """Points (n, 2), m: corners of straight pieces, a row of points of curves, `room` of these at most.
+
+    Raises TooMuchError.
+    """
+    points = [np.empty((0, 2))]
     for segment in outline:
         straight = type(segment).__name__ in ("Move", "Line", "Close")
-        count = 1 if straight else min(MOST_POINTS, max(8, int(segment.length(error=1e-3) * scale / SMOOTH)))
-        points += [segment.point(k / count) for k in range(1, count + 1)]
-    return np.array([(point.x, point.y) for point in points if point is not None]).reshape(-1, 2) * scale
+        count = 1 if straight else min(MOST_POINTS, max(8, int(_length(segment) * scale / SMOOTH)))
+        room -= count if not straight else 0
+        if room < 0:
+            raise TooMuchError(f"its curves become more than {MOST_CURVED} points")
+        if segment.end is not None:
+            points.append(_at(segment, np.arange(1, count + 1) / count))
+    return np.concatenate(points) * scale
+
+
+def _at(segment: Any, shares: Array) -> Array:
+    """Points (n, 2) of a piece, at shares (n,) of it."""
+    if len(shares) == 1:
+        return np.array([[segment.end.x, segment.end.y]])
+    found: Array = np.asarray(segment.npoint(shares), dtype=np.float64)
+    return found
+
+
+def _length(curve: Any) -> float:
+    """About the curve's length, in its units: an exact one is sought for seconds where a curve is wild."""
+    length = float(np.hypot(*np.diff(_at(curve, np.linspace(0.0, 1.0, CHORDS + 1)), axis=0).T).sum())
+    return length if math.isfinite(length) else 0.0
 
 
 def _upright(walls: Walls) -> Walls:
