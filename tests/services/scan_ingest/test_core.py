@@ -39,16 +39,16 @@ def core(**settings: object) -> ScanIngestCore:
     return ScanIngestCore(ScanIngestSettings.model_validate(settings))
 
 
-def heard(message: RawScan, lidar: str = "front", robot: str = "r") -> Envelope:
+def received(message: RawScan, lidar: str = "front", robot: str = "r") -> Envelope:
     return Envelope(SCAN_RAW, ADDRESS | {"lidar": lidar, "robot": robot}, message)
 
 
-def scans(said: Iterable[Envelope]) -> list[Scan]:
-    return [envelope.open(Scan) for envelope in said if envelope.channel is SCAN]
+def scans(published: Iterable[Envelope]) -> list[Scan]:
+    return [envelope.open(Scan) for envelope in published if envelope.channel is SCAN]
 
 
 def one(ingest: ScanIngestCore, message: RawScan) -> Scan:
-    (scan,) = scans(ingest.handle(heard(message)))
+    (scan,) = scans(ingest.handle(received(message)))
     return scan
 
 
@@ -63,10 +63,10 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
     ingest = core(base_frame="base_footprint")
     mount = Pose2(x=0.2, y=-0.1, theta=0.5)
     for number in range(3):
-        said = next(iter(ingest.handle(heard(raw((number + 1) * SECOND, mount=mount)))))
-        assert said.channel is SCAN
-        assert said.key == "s/robot/r/scan/front"
-        scan = said.open(Scan)
+        published = next(iter(ingest.handle(received(raw((number + 1) * SECOND, mount=mount)))))
+        assert published.channel is SCAN
+        assert published.key == "s/robot/r/scan/front"
+        scan = published.open(Scan)
         assert (scan.sequence, scan.frame_id, scan.mount) == (number, "base_footprint", mount)
         assert (scan.range_min, scan.range_max) == (0.1, 30.0)
         assert nanoseconds(scan.timestamp) == (number + 1) * SECOND
@@ -84,6 +84,7 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
         ({"angle_min": math.inf}, "angles_not_finite"),
         ({"angle_increment": 1.0}, "over_a_turn"),
         ({"mount": Pose2(x=math.nan)}, "mount_not_finite"),
+        ({"mount": Pose2(y=-1e308)}, "mount_too_far"),
         ({"range_min": 5.0, "range_max": 2.0}, "limits_inconsistent"),
         ({"range_max": math.nan}, "limits_inconsistent"),
         ({"range_max": -1.0}, "limits_inconsistent"),
@@ -91,7 +92,7 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
 )
 def test_what_cannot_be_used_is_counted_by_reason(fields: dict[str, Any], reason: str) -> None:
     ingest = core(max_beams=1000)
-    assert not list(ingest.handle(heard(raw(**fields))))
+    assert not list(ingest.handle(received(raw(**fields))))
     assert aside(ingest) == {reason: 1}
     assert ingest.condition().status == Health.STATUS_DEGRADED
     # and it does not stand in the way of the next, of the same stamp
@@ -107,8 +108,8 @@ def test_another_message_on_its_key_is_counted() -> None:
 def test_duplicate_and_late_stamps_are_set_aside() -> None:
     ingest = core()
     times = [10, 12, 12, 11, 13, 5, 14]
-    said = [n for n in times for _ in scans(ingest.handle(heard(raw(n * SECOND))))]
-    assert said == [10, 12, 13, 14]
+    published = [n for n in times for _ in scans(ingest.handle(received(raw(n * SECOND))))]
+    assert published == [10, 12, 13, 14]
     assert aside(ingest) == {"duplicate_stamp": 1, "out_of_order": 2}
 
 
@@ -117,7 +118,7 @@ def test_lidars_and_robots_do_not_disturb_each_other() -> None:
     for time in (3, 2, 1):
         for robot in ("a", "b"):
             lidar = f"lidar{time}"
-            (scan,) = scans(ingest.handle(heard(raw(time * SECOND), lidar, robot)))
+            (scan,) = scans(ingest.handle(received(raw(time * SECOND), lidar, robot)))
             assert scan.sequence == 0
     assert ingest.condition().counters["lidars"] == 6
 
@@ -125,40 +126,42 @@ def test_lidars_and_robots_do_not_disturb_each_other() -> None:
 def test_a_clock_that_was_set_back_is_followed_after_some_scans() -> None:
     ingest = core(clock_step_scans=4)
     times = [100, 101, 10, 11, 12, 13, 14]
-    said = [n for n in times for _ in scans(ingest.handle(heard(raw(n * SECOND))))]
-    assert said == [100, 101, 13, 14]
+    published = [n for n in times for _ in scans(ingest.handle(received(raw(n * SECOND))))]
+    assert published == [100, 101, 13, 14]
     assert ingest.condition().counters["clock_steps"] == 1
 
 
 def test_one_stamp_far_ahead_does_not_blind_for_ever() -> None:
     ingest = core(clock_step_scans=5)
     times = [1, 2, 2_000_000_000, *range(3, 20)]
-    said = [n for n in times for _ in scans(ingest.handle(heard(raw(n * SECOND))))]
-    assert said == [1, 2, 2_000_000_000, *range(7, 20)]
+    published = [n for n in times for _ in scans(ingest.handle(received(raw(n * SECOND))))]
+    assert published == [1, 2, 2_000_000_000, *range(7, 20)]
 
 
 @given(st.lists(st.integers(1, 30), max_size=60))
 def test_stamps_increase_but_where_the_clock_stepped(times: list[int]) -> None:
     ingest = core(clock_step_scans=3)
-    said = [nanoseconds(s.timestamp) for n in times for s in scans(ingest.handle(heard(raw(n * SECOND))))]
-    back = sum(b <= a for a, b in pairwise(said))
+    published = [
+        nanoseconds(s.timestamp) for n in times for s in scans(ingest.handle(received(raw(n * SECOND))))
+    ]
+    back = sum(b <= a for a, b in pairwise(published))
     counters = ingest.condition().counters
     assert back == counters.get("clock_steps", 0)
-    assert counters["heard"] == len(times) == len(said) + sum(aside(ingest).values())
+    assert counters["heard"] == len(times) == len(published) + sum(aside(ingest).values())
 
 
 def test_it_says_when_most_is_set_aside_and_recovers() -> None:
     ingest = core()
     assert ingest.condition().status == Health.STATUS_WAITING
     for number in range(1, 21):
-        list(ingest.handle(heard(raw(number * SECOND))))
+        list(ingest.handle(received(raw(number * SECOND))))
     for _ in range(30):
-        list(ingest.handle(heard(raw(20 * SECOND))))
+        list(ingest.handle(received(raw(20 * SECOND))))
     condition = ingest.condition()
     assert condition.status == Health.STATUS_DEGRADED
     assert condition.detail == "30 of the last 50 scans set aside, most: duplicate_stamp"
     for number in range(21, 50):
-        list(ingest.handle(heard(raw(number * SECOND))))
+        list(ingest.handle(received(raw(number * SECOND))))
     assert ingest.condition().status == Health.STATUS_OK
 
 
@@ -179,7 +182,7 @@ def test_settings_win_over_the_driver() -> None:
 def test_a_mount_for_every_lidar_gives_way_to_one_by_name() -> None:
     ingest = core(mounts={"*": {"x": 1.0}, "rear": {"x": -1.0}})
     found = {
-        lidar: scans(ingest.handle(heard(raw(), lidar)))[0].mount.x for lidar in ("front", "rear", "side")
+        lidar: scans(ingest.handle(received(raw(), lidar)))[0].mount.x for lidar in ("front", "rear", "side")
     }
     assert found == {"front": 1.0, "rear": -1.0, "side": 1.0}
 
@@ -233,9 +236,9 @@ def test_whatever_comes_in_only_canonical_scans_go_out(
         mount=Pose2(x=pose[0], y=pose[1], theta=pose[2]),
         upside_down=upside_down,
     )
-    said = scans(ingest.handle(heard(message)))
-    assert len(said) + sum(aside(ingest).values()) == 1
-    for scan in said:
+    published = scans(ingest.handle(received(message)))
+    assert len(published) + sum(aside(ingest).values()) == 1
+    for scan in published:
         got = np.array(scan.ranges[:], dtype=np.float32)
         assert scan.angle_increment > 0
         assert -math.pi <= scan.angle_min < math.pi
@@ -253,7 +256,7 @@ def test_the_same_input_gives_the_same_bytes() -> None:
     outputs = []
     for _ in range(2):
         ingest = core(angle_step=0.5)
-        outputs.append([s.SerializeToString() for m in messages for s in scans(ingest.handle(heard(m)))])
+        outputs.append([s.SerializeToString() for m in messages for s in scans(ingest.handle(received(m)))])
     assert outputs[0] == outputs[1]
     assert Counter(map(bool, outputs[0])) == {True: 19}
 
@@ -284,10 +287,10 @@ def test_lidars_without_end_are_served_and_those_that_are_gone_forgotten(
 ) -> None:
     monkeypatch.setattr(recently_used, "AMONG", 100)
     ingest = core()
-    first = heard(raw(), robot="first")
+    first = received(raw(), robot="first")
     assert [scan.sequence for scan in scans(ingest.handle(first))] == [0]
     assert scans(ingest.handle(first)) == []  # the same stamp again
     for number in range(10_000):
-        assert len(scans(ingest.handle(heard(raw(), robot=f"r{number}")))) == 1
+        assert len(scans(ingest.handle(received(raw(), robot=f"r{number}")))) == 1
     assert [scan.sequence for scan in scans(ingest.handle(first))] == [0]
     assert ingest.condition().counters["lidars"] == 10_002

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -107,8 +108,10 @@ class Lidar:
     def __init__(self) -> None:
         self.core, self.time = ScanIngestCore(ScanIngestSettings()), 0
 
-    def say(self, ranges: np.ndarray, mount: tuple[float, ...] = MOUNT) -> list[Envelope]:
-        self.time += 100_000_000
+    def say(
+        self, ranges: np.ndarray, mount: tuple[float, ...] = MOUNT, after: int = 100_000_000
+    ) -> list[Envelope]:
+        self.time += after
         raw = RawScan(
             timestamp=stamp(self.time),
             mount=Pose2(x=mount[0], y=mount[1], theta=mount[2]),
@@ -139,11 +142,37 @@ def test_a_drive_is_told_piece_by_piece() -> None:
     assert not lidar.fault
 
 
+def test_scans_that_a_driver_publishes_at_once_tell_the_turn_between_them() -> None:
+    lidar, rng, told = Lidar(), np.random.default_rng(5), 0.0
+    pose = (-1.0, 0.5, 0.0)
+    for burst in range(5):  # it stands until the scans' mean rate is known
+        for after in (2_000_000_000, *[1_000_000] * 9):
+            for envelope in lidar.say(seen(pose, rng), after=after):
+                if envelope.channel is SCAN_MOTION:
+                    message, last = envelope.open(ScanMotion), pose
+                    assert message.HasField("motion")
+                    told += message.motion.theta
+            pose = composed(pose, (0.0, 0.0, 0.09 if burst else 0.0))
+    assert told == pytest.approx(last[2], abs=0.05)
+    assert told > 3.0
+
+
+def test_of_a_fast_lidar_not_every_scan_is_laid_on_an_earlier_one() -> None:
+    slow, fast = (Lidar() for _ in range(2))
+    rng, published = np.random.default_rng(5), Counter[str]()
+    for lidar, name, period in ((slow, "slow", 100_000_000), (fast, "fast", 25_000_000)):
+        for scan in range(10_000_000_000 // period):
+            pose = (-1.0, 0.5, 0.3 * scan * period * 1e-9)
+            said = lidar.say(seen(pose, rng), after=period)
+            published[name] += sum(envelope.channel is SCAN_MOTION for envelope in said)
+    assert published["fast"] <= 1.2 * published["slow"]
+
+
 def test_identical_scans_are_counted_told_and_named() -> None:
     lidar, still = Lidar(), seen((0.0, 0.5, 0.3), np.random.default_rng(1))
-    said = [lidar.say(still) for _ in range(25)]
-    assert all(envelopes[0].channel is SCAN for envelopes in said)
-    repeats = [each[-1].open(ScanMotion).repeats for each in said[1:]]
+    published = [lidar.say(still) for _ in range(25)]
+    assert all(envelopes[0].channel is SCAN for envelopes in published)
+    repeats = [each[-1].open(ScanMotion).repeats for each in published[1:]]
     assert repeats == list(range(1, 25))
     assert lidar.fault.startswith("lidar r/front frozen: 25 identical scans")
     lidar.say(seen((0.0, 0.5, 0.3), np.random.default_rng(2)))
@@ -168,11 +197,11 @@ def test_a_wall_close_ahead_is_no_cover() -> None:
 
 def test_two_lidars_of_one_name_are_named_and_set_aside() -> None:
     lidar, rng = Lidar(), np.random.default_rng(1)
-    said = [
+    published = [
         lidar.say(seen((0.0, 0.5, 0.3), rng), MOUNT if scan % 2 else (-0.3, 0.0, math.pi))
         for scan in range(20)
     ]
-    assert not any(said[8:])
+    assert not any(published[8:])
     assert "two lidars" in lidar.fault
 
 

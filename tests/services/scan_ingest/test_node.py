@@ -63,7 +63,7 @@ def raw_scans() -> list[Envelope]:
 
 def test_the_process_says_what_the_core_says(hub: tuple[Bus, Path]) -> None:
     bus, leaf = hub
-    heard = raw_scans()
+    received = raw_scans()
     settings = ScanIngestSettings(
         angle_step=0.5, range_max=20.0, mounts={"front": {"x": 0.2, "upside_down": True}}
     )
@@ -74,15 +74,15 @@ def test_the_process_says_what_the_core_says(hub: tuple[Bus, Path]) -> None:
     command = [sys.executable, "-m", "eigenscan.ingest.node", *where, *FLAGS]
     service = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
-        assert bus.wait_for_listener(SCAN_RAW.key(heard[0].address), PATIENCE_S)
+        assert bus.wait_for_listener(SCAN_RAW.key(received[0].address), PATIENCE_S)
         answered = 0
         # one at a time: scans in a burst may be dropped
-        for envelope in heard:
+        for envelope in received:
             bus.say(envelope)
-            said = sorted((one.key, encode(one.message)) for one in core.handle(envelope))
-            arrived = [inbox.take(timeout=PATIENCE_S) for _ in said]
-            assert said == sorted((one.key, one.payload) for one in arrived if one is not None)
-            answered += any(SCAN.parse(key) for key, _ in said)
+            published = sorted((one.key, encode(one.message)) for one in core.handle(envelope))
+            arrived = [inbox.take(timeout=PATIENCE_S) for _ in published]
+            assert published == sorted((one.key, one.payload) for one in arrived if one is not None)
+            answered += any(SCAN.parse(key) for key, _ in published)
         assert answered == 16
         service.send_signal(signal.SIGTERM)
         assert service.wait(PATIENCE_S) == 0

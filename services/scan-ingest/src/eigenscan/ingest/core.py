@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from itertools import chain, pairwise
 
 import numpy as np
-from eigenscan.ingest.normalize import FARTHEST, Ranges, ScanError, Sweep, limit, orient, resample
+from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.normalize import Ranges, ScanError, Sweep, limit, limits, orient, resample
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
 from eigenscan.ingest.watch import FROZEN, Watch, one_value
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
@@ -19,6 +20,8 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 
+FARTHEST_MOUNT = 100.0
+"""m of a lidar from its robot's base, at most: no robot is as large."""
 RECENT = 50
 GAP_NS = 1_000_000_000
 """Between two scans: the lidar paused, or its clock was set forward; its stamps do not tell which."""
@@ -70,19 +73,19 @@ class ScanIngestCore:
         self._recent: deque[str] = deque(maxlen=RECENT)
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing is said unasked."""
+        """Nothing is published unasked."""
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The canonical scan of a raw one unless it was set aside; then, now and then, the motion."""
         self._counts["heard"] += 1
         try:
-            raw = heard.open(RawScan)
+            raw = received.open(RawScan)
         except ContractError:
             return self._set_aside("other_message")
-        lidar = self._lidars.use((heard.address["robot"], heard.address["lidar"]), self._new_lidar)
+        lidar = self._lidars.use((received.address["robot"], received.address["lidar"]), self._new_lidar)
         try:
-            scan, ranges = self._normalize(lidar, heard.address["lidar"], raw)
+            scan, ranges = self._normalize(lidar, received.address["lidar"], raw)
         except ScanError as unusable:
             lidar.recent.append(unusable.reason)
             return self._set_aside(unusable.reason)
@@ -90,7 +93,7 @@ class ScanIngestCore:
         self._counts["published"] += 1
         self._recent.append("")
         # the scan goes out before the motion is looked for
-        return chain((Envelope(SCAN, heard.address, scan),), self._motion(lidar, heard, scan, ranges))
+        return chain((Envelope(SCAN, received.address, scan),), self._motion(lidar, received, scan, ranges))
 
     def finish(self) -> Iterable[Envelope]:
         """Nothing is held back."""
@@ -120,7 +123,7 @@ class ScanIngestCore:
         self._recent.append(reason)
         return ()
 
-    def _motion(self, lidar: _Lidar, heard: Envelope, scan: Scan, ranges: Ranges) -> Iterator[Envelope]:
+    def _motion(self, lidar: _Lidar, received: Envelope, scan: Scan, ranges: Ranges) -> Iterator[Envelope]:
         mount = (scan.mount.x, scan.mount.y, scan.mount.theta)
         told = lidar.watch.hear(
             nanoseconds(scan.timestamp), ranges, scan.angle_min, scan.angle_increment, mount
@@ -138,13 +141,13 @@ class ScanIngestCore:
             (xx, xy, xt), (_, yy, yt), (_, _, tt) = moved.covariance.tolist()
             message.motion.CopyFrom(Pose2(x=x, y=y, theta=theta))
             message.covariance.CopyFrom(Covariance3(xx=xx, xy=xy, xt=xt, yy=yy, yt=yt, tt=tt))
-        yield Envelope(SCAN_MOTION, heard.address, message)
+        yield Envelope(SCAN_MOTION, received.address, message)
 
     def _normalize(self, lidar: _Lidar, name: str, raw: RawScan) -> tuple[Scan, Ranges]:
         time = nanoseconds(raw.timestamp)
         self._check_order(lidar, time)
         mount, upside_down = self._mount(name, raw)
-        lidar.watch.hear_layout((mount.x, mount.y, mount.theta), raw.angle_min)
+        lidar.watch.receive_layout((mount.x, mount.y, mount.theta), raw.angle_min)
         if lidar.watch.two_lidars:
             raise ScanError("two_lidars")
         range_min, range_max = self._limits(raw)
@@ -199,17 +202,19 @@ class ScanIngestCore:
             return pose, override.upside_down
         if not all(map(math.isfinite, (raw.mount.x, raw.mount.y, raw.mount.theta))):
             raise ScanError("mount_not_finite")
+        if max(abs(raw.mount.x), abs(raw.mount.y)) > FARTHEST_MOUNT:
+            raise ScanError("mount_too_far")
+        if not -math.pi <= raw.mount.theta < math.pi:
+            theta = float(wrap(raw.mount.theta))
+            return Pose2(x=raw.mount.x, y=raw.mount.y, theta=theta), raw.upside_down
         return raw.mount, raw.upside_down
 
     def _limits(self, raw: RawScan) -> tuple[float, float]:
-        """Both limits, m; a maximum of 0, infinity or the like is not stated."""
+        """Both limits, m, by the settings where they say so. Raises ScanError."""
         settings = self._settings
         low = raw.range_min if settings.range_min is None else settings.range_min
         high = raw.range_max if settings.range_max is None else settings.range_max
-        low, high = max(low, 0.0), 0.0 if high > FARTHEST else high
-        if not (low < FARTHEST and high >= 0.0) or 0.0 < high <= low:
-            raise ScanError("limits_inconsistent")
-        return low, high
+        return limits(low, high)
 
     def _ranges(self, raw: RawScan) -> Ranges:
         count = len(raw.ranges)

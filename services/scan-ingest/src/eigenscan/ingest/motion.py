@@ -85,7 +85,7 @@ class Motion:
 
     @property
     def covariance(self) -> Array:
-        """(3, 3) in m^2, m rad, rad^2; a metre or a radian where the scans tell nothing."""
+        """(3, 3) in m^2, m rad, rad^2; a metre or a radian where the scans show nothing."""
         return np.asarray(np.linalg.inv(self.information + np.eye(3)), dtype=np.float64)
 
 
@@ -173,27 +173,35 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
     moved = starts.copy()
     mx, my, mt = before.mount
     last = len(before.ranges) - 1
+    # coordinates apart: numpy takes several times as long for arrays of pairs
+    px, py = points[:, 0].copy(), points[:, 1].copy()
+    # beams without a line are nowhere near
+    line_x, line_y = np.where(before.lined, before.xy.T, inf)
+    rows = np.empty((len(starts), len(points), 3))
     for number in range(ROUNDS):
         c, s = np.cos(moved[:, 2:]), np.sin(moved[:, 2:])
-        turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=-1)
-        placed = turned + moved[:, None, :2]
-        bearing = np.arctan2(placed[..., 1] - my, placed[..., 0] - mx) - mt - before.angle_min
+        turned_x, turned_y = c * px - s * py, s * px + c * py
+        x, y = turned_x + moved[:, :1], turned_y + moved[:, 1:2]
+        bearing = np.arctan2(y - my, x - mx) - mt - before.angle_min
         centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
         visible = centre <= last + REACH
         near = np.minimum(np.maximum(centre[..., None] + _WINDOW, 0), last)
-        apart = before.xy[near] - placed[:, :, None]
-        distance2 = np.where(before.lined[near], (apart * apart).sum(axis=-1), inf)
-        nearest = np.argmin(distance2, axis=-1)[..., None]
+        apart_x, apart_y = line_x[near] - x[..., None], line_y[near] - y[..., None]
+        distance2 = apart_x * apart_x + apart_y * apart_y
+        nearest = np.argmin(distance2, axis=-1)
+        nearest += _WINDOW.size * np.arange(nearest.size).reshape(nearest.shape)
         reach = WIDE if number < WIDE_ROUNDS else NEAR
-        used = visible & (np.take_along_axis(distance2, nearest, -1)[..., 0] <= reach**2)
-        normal = before.normals[np.take_along_axis(near, nearest, -1)[..., 0]]
-        off = -(normal * np.take_along_axis(apart, nearest[..., None], 2)[:, :, 0]).sum(axis=-1)
+        used = visible & (distance2.take(nearest) <= reach**2)
+        line = near.take(nearest)
+        normal_x, normal_y = before.normals[:, 0].take(line), before.normals[:, 1].take(line)
+        # of a beam without a line the normal is zero, and so is how far off it is
+        off = -(normal_x * (before.xy[:, 0].take(line) - x) + normal_y * (before.xy[:, 1].take(line) - y))
         weight = np.where(used, 1.0 / (1.0 + (off / (2.0 * NOISE)) ** 2), 0.0)
-        lever = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
-        rows = np.concatenate([normal, lever[..., None]], axis=-1)
+        rows[..., 0], rows[..., 1] = normal_x, normal_y
+        rows[..., 2] = normal_y * turned_x - normal_x * turned_y
         weighted = rows * weight[..., None]
         information = np.einsum("kni,knj->kij", rows, weighted)
-        # where the scans tell nothing the motion stays as it was
+        # where the scans show nothing the motion stays as it was
         pull = np.einsum("kni,kn->ki", weighted, off)
         step = np.linalg.solve(information + 0.1 * np.eye(3), -pull[..., None])[..., 0]
         moved += step

@@ -7,12 +7,16 @@ from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-scan-ingest[node]", SystemExit):
     from eigenscan.ingest.options import ScanIngestOptions
+    from eigenscan.runtime.node import Service
     from eigenscan.runtime.node import main as run
+
+
+SERVICE = Service("scan-ingest", ScanIngestOptions, ScanIngestCore, quick=True)
 
 
 def main() -> None:
     """Entry point of `eigenscan-scan-ingest`."""
-    run("scan-ingest", ScanIngestOptions, ScanIngestCore)
+    run(SERVICE)
 
 
 if __name__ == "__main__":

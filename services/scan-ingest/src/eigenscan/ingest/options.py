@@ -1,4 +1,4 @@
-"""What scan-ingest can be told."""
+"""The settings of scan-ingest."""
 
 from __future__ import annotations
 

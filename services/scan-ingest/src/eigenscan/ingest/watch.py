@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 
 Ranges = NDArray[np.float32]
 
-MATCH_EVERY_NS = 150_000_000
-"""Between two scans that are laid on each other: robots move little in less."""
+MATCH_EVERY_NS, PERIODS = 150_000_000, 20
+"""Between two scans that are laid on each other, on the mean of so many: robots move little in less.
+
+On the mean, for a driver may publish several scans of the past seconds at once.
+"""
 STEP_M, STEP_RAD, STEP_NS = 0.15, 0.12, 600_000_000
 """After this much motion or time it is told: several times what a match errs by.
 
 That is 5 cm and 0.06 rad at most in 99 of 100 on jarvis and intel.
 """
-LONGEST_NS = 2_000_000_000
+LONGEST_NS = 5_000_000_000
 """Scans farther apart than this may have nothing in common."""
 FROZEN = 20
 """Identical scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
@@ -40,6 +43,8 @@ class Watch:
         self._last: Ranges | None = None
         self._reference: Points | None = None
         self._newest = 0
+        self._stamps: deque[int] = deque(maxlen=PERIODS + 1)
+        self._skipped = 0
         self._compared = 0
         self.longest_step = 0.0
         """s, longest between two scans that were compared, of what was told last."""
@@ -53,7 +58,7 @@ class Watch:
         back = sum(a == c != b for a, b, c in zip(seen, seen[1:], seen[2:], strict=False))
         return back >= ALTERNATIONS
 
-    def hear_layout(self, mount: Pose, angle_min: float) -> None:
+    def receive_layout(self, mount: Pose, angle_min: float) -> None:
         """Notes where the beams of a raw scan start."""
         self._layouts.append((*(round(value, 3) for value in mount), round(angle_min, 1)))
 
@@ -62,7 +67,7 @@ class Watch:
     ) -> tuple[int, Motion | None] | None:
         """What a canonical scan tells: since when, ns, and the motion since then.
 
-        None where it is too early to tell; no motion where the scan repeats the one before.
+        None where it is too early to decide; no motion where the scan repeats the one before.
         """
         last, self._last = self._last, ranges
         if last is not None and np.array_equal(last, ranges, equal_nan=True):
@@ -71,7 +76,7 @@ class Watch:
             return since, None
         self.repeats = 0
         reference, self._newest = self._reference, stamp
-        if reference is not None and 0 < stamp - reference.stamp < MATCH_EVERY_NS:
+        if reference is not None and self._is_early(stamp):
             return None
         points = points_of(ranges.astype(np.float64), angle_min, step, mount, stamp)
         if reference is None or not 0 < stamp - reference.stamp <= LONGEST_NS:
@@ -81,7 +86,7 @@ class Watch:
             self.longest_step = 0.0
         self.longest_step = max(self.longest_step, (stamp - self._compared) * 1e-9)
         self._compared = stamp
-        seconds = (stamp - reference.stamp) * 1e-9
+        seconds = max(stamp - reference.stamp, MATCH_EVERY_NS) * 1e-9
         vx, vy, turning = self._velocity
         moved = motion_between(reference, points, (vx * seconds, vy * seconds, turning * seconds))
         x, y, turn = moved.delta
@@ -91,6 +96,16 @@ class Watch:
             return None
         self._reference = points
         return reference.stamp, moved
+
+    def _is_early(self, stamp: int) -> bool:
+        """Whether a later scan will do: of a fast lidar not every scan is laid on the reference."""
+        self._stamps.append(stamp)
+        passed = (len(self._stamps) - 1) * MATCH_EVERY_NS
+        self._skipped += 1
+        early = self._skipped * (stamp - self._stamps[0]) < passed
+        if not early:
+            self._skipped = 0
+        return early
 
     def _begin(self, points: Points) -> None:
         self._reference, self._compared = points, points.stamp
