@@ -11,9 +11,11 @@ from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.pose import from_message
+from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.focus import WHOLE, Focus, Scope
 from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.projector.observation import Observation, observe
+from eigenscan.projector.one_shot import QueryError, answer
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
@@ -35,10 +37,12 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.localize_pb2 import LocalizeQuery
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from google.protobuf.wrappers_pb2 import StringValue
 
 ASK_AGAIN_NS = 10_000_000_000
 
@@ -82,7 +86,7 @@ class ProjectorCore:
         return []
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        """Takes a map, a model or a set; answers a scan with hypotheses and obstacles."""
+        """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
         if heard.channel == SCAN:
             return self._scan(heard)
         if heard.channel == POSE:
@@ -93,6 +97,8 @@ class ProjectorCore:
             self._take("model", lambda: self._assembler.put_model(heard.open(RegionModel)))
         elif heard.channel == SPACE:
             self._take_space(heard.open(model_pb2.RegionSpace))
+        elif heard.channel == LOCALIZE_ASKED:
+            return [self._one_shot(heard)]
         elif heard.channel == MODEL_SET:
             self._take("model_set", lambda: self._assembler.put_set(heard.open(ModelSet)))
         return []
@@ -189,6 +195,18 @@ class ProjectorCore:
             return [Envelope(HYPOTHESES, address, unusable(scan, self._site, seen))]
         self._counts["scan_projected"] += 1
         return self._answer(address, scan, seen, mount, self._site)
+
+    def _one_shot(self, heard: Envelope) -> Envelope:
+        """The reply to a query, or why there is none."""
+        self._counts["queries"] += 1
+        try:
+            if self._site is None:
+                raise QueryError(f"no answer yet: {self._refused or self._assembler.missing}")
+            reply = answer(heard.open(LocalizeQuery), self._site, self._settings)
+        except QueryError as error:
+            self._counts["queries_refused"] += 1
+            return Envelope(LOCALIZE_REFUSED, heard.address, StringValue(value=str(error)))
+        return Envelope(LOCALIZE_ANSWERED, heard.address, reply)
 
     def _answer(
         self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site

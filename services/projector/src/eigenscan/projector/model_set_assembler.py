@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from eigenscan.eigenspace.floors import Floor, usable_floors
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
 from eigenscan.schemas import model_pb2
@@ -19,6 +20,7 @@ class WholeSet:
     grid: GridMap
     regions: tuple[RegionModel, ...]
     free_area_m2: float
+    floors: tuple[Floor, ...] = ()
 
 
 class ModelSetAssembler:
@@ -90,7 +92,8 @@ class ModelSetAssembler:
         # only what the next set may share is kept
         self._models = {model.version: model for model in regions}
         self._grids = {announced.map_version: grid}
-        return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2)
+        floors = usable_floors(announced)
+        return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2, floors)
 
 
 def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:

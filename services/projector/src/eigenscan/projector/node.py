@@ -8,16 +8,13 @@ from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-projector[node]", SystemExit):
     from eigenscan.projector.options import ProjectorOptions
-    from eigenscan.runtime import node
+    from eigenscan.projector.port import LocalizePort
+    from eigenscan.runtime.node import Service
+    from eigenscan.runtime.node import main as run
 
 
 if TYPE_CHECKING:
     from eigenscan.projector.core import ProjectorCore
-
-
-def main() -> None:
-    """Runs the projector until it is told to stop."""
-    node.main("projector", ProjectorOptions, _make_core)
 
 
 def _make_core(options: ProjectorOptions) -> ProjectorCore:
@@ -30,3 +27,19 @@ def _make_core(options: ProjectorOptions) -> ProjectorCore:
     warm_up(options)
     store = TableFolder(options.keep / "tables") if options.keep is not None else None
     return ProjectorCore(options, options.instance, store, in_a_thread)
+
+
+_PORT = LocalizePort()
+SERVICE = Service(
+    "projector",
+    ProjectorOptions,
+    _make_core,
+    make_port=lambda _: _PORT,
+    attend=_PORT.attend,
+    quick=True,
+)
+
+
+def main() -> None:
+    """Runs the projector until it is told to stop."""
+    run(SERVICE)

@@ -10,11 +10,18 @@ from eigenscan.projector.settings import PART, ProjectorSettings
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import DEFAULT_ROBOT, ContractError
 from eigenscan.schemas.group import instance_name
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 
 class ProjectorOptions(ProjectorSettings, ServiceSettings):
     """Candidate poses and obstacles from one scan, by the eigenspaces of the site's regions."""
+
+    localize_share: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="share of its time for queries on {site}/localize; 0: none is answered",
+    )
 
     @model_validator(mode="before")
     @classmethod

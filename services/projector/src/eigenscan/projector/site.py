@@ -151,7 +151,7 @@ class Site:
         store: Store | None = None,
     ) -> None:
         """`given`: eigenspaces for other lidars that were heard; it may grow. `store`: of tables."""
-        self.version, self.frame_id = whole.version, whole.frame_id
+        self.version, self.frame_id, self.floors = whole.version, whole.frame_id, whole.floors
         own = own_share(whole.regions, settings.share)
         self.parts = settings.share[1]
         self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
@@ -176,6 +176,7 @@ class Site:
         self._settings, self._given, self._store = settings, {} if given is None else given, store
         self._views: OrderedDict[tuple[int, float], SensorView] = OrderedDict()
         self._sensors: dict[tuple[int, float], Sensor] = {}
+        self._passing: set[tuple[int, float]] = set()
 
     def _intervals(self) -> tuple[Panoramas, Panoramas]:
         """Where rays from the positions enter the walls as they are drawn, and where they leave them."""
@@ -195,9 +196,10 @@ class Site:
         return float(self.searched_area_m2 * sizes[regions].sum() / sizes.sum())
 
     def has_view(self, sensor: Sensor) -> bool:
-        """Whether there is a view for `sensor` already."""
+        """Whether there is a view for `sensor` of a robot already."""
         coarse = coarse_sensor(sensor)
-        return (coarse.beams, coarse.range_max) in self._views
+        key = (coarse.beams, coarse.range_max)
+        return key in self._views and key not in self._passing
 
     def abandon(self) -> None:
         """Ends the work aside for its views."""
@@ -206,20 +208,28 @@ class Site:
 
     @property
     def sensors(self) -> list[Sensor]:
-        """Sensors that were seen, the longest unused first."""
-        return [self._sensors[key] for key in self._views]
+        """Sensors of robots that were seen, the longest unused first."""
+        return [self._sensors[key] for key in self._views if key not in self._passing]
 
-    def view(self, sensor: Sensor) -> SensorView:
-        """The site for `sensor`; made at its first scan. Where its first beam looks makes no difference."""
+    def view(self, sensor: Sensor, *, passing: bool = False) -> SensorView:
+        """The site for `sensor`; made at its first scan. Where its first beam looks makes no difference.
+
+        `passing`: of a single query. Such views make room first, so that no robot's lidar loses its own.
+        """
         coarse = coarse_sensor(sensor)
         key = (coarse.beams, coarse.range_max)
         if key not in self._views:
+            while len(self._views) >= KEPT_SENSORS:
+                oldest = next((one for one in self._views if one in self._passing), next(iter(self._views)))
+                self._views.pop(oldest).tables.abandoned = True
+                self._passing.discard(oldest)
+                del self._sensors[oldest]
             self._views[key] = self._make(coarse)
             self._sensors[key] = sensor
-            while len(self._views) > KEPT_SENSORS:
-                oldest, gone = self._views.popitem(last=False)
-                gone.tables.abandoned = True
-                del self._sensors[oldest]
+            if passing:
+                self._passing.add(key)
+        if not passing:
+            self._passing.discard(key)
         self._views.move_to_end(key)
         return self._views[key]
 
