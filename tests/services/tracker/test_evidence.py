@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from eigenscan.geometry.pose import compose
 from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.evidence import (
     Merit,
@@ -18,12 +19,14 @@ from eigenscan.tracker.evidence import (
     twins_go_on,
     twins_of,
 )
-from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.tracks import Tracks, begin, join
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.stats import multivariate_normal
+
+from tests.services.tracker.conftest import MakeCore, Speaker, TracksOf
 
 # written out, not taken from what is tested: a change there must show here
 ENDS = 0.35
@@ -66,14 +69,30 @@ def test_the_best_is_worth_what_it_is_ahead_of_other_places() -> None:
     seen = listed([[1, 1, 0], [1.2, 1, 0.05], [6, 1, 0], [6, 4, 0]], [15.0, 14.0, 12.0, 11.0])
     merit = Merit.of(seen)
     # its neighbour is of the same place, and ahead of the next one by less
-    np.testing.assert_allclose(merit.alone, [15.0 + 3.0, 14.0 + 2.0, 12.0, 11.0])
+    np.testing.assert_allclose(merit.alone, [15.0 + 3.0, 14.0 + 2.0, 12.0, 11.0 - 1.5 * 0.25])
     lone = merit.foretold - Merit.of(listed(seen.poses[2:3], [12.0])).foretold[0]
     assert lone[3] < lone[2] < lone[0]
 
 
 def test_a_lead_counts_up_to_a_bound_and_headings_wrap() -> None:
     far_ahead = Merit.of(listed([[1, 1, np.pi - 0.01], [1, 1, -np.pi + 0.01], [9, 9, 0]], [30.0, 29.0, 2.0]))
-    np.testing.assert_allclose(far_ahead.alone, [30.0 + MOST_AHEAD, 29.0 + MOST_AHEAD, 2.0])
+    # a poor fit's covariance is exp(0.25 * 10) times as large: its volume by 1.5 times as many nats
+    np.testing.assert_allclose(far_ahead.alone, [30.0 + MOST_AHEAD, 29.0 + MOST_AHEAD, 2.0 - 1.5 * 2.5])
+
+
+def test_a_poor_fit_errs_by_more_and_by_no_more_than_twenty_times() -> None:
+    np.testing.assert_allclose(
+        np.exp(poorness(np.array([20.0, 12.0, 8.0, 0.0, -300.0]))),
+        [1.0, 1.0, np.exp(1.0), np.exp(3.0), np.exp(3.0)],
+    )
+
+
+def test_a_poor_fit_makes_its_place_no_likelier() -> None:
+    for L in (3.0, 9.0, 14.0):
+        wider = R * np.exp(poorness(np.array([L])))[0]
+        mass = Merit.of(listed([[1, 1, 0]], [L])).alone[0] + 0.5 * np.log(np.linalg.det(wider))
+        lead = min(L, MOST_AHEAD)
+        assert mass == pytest.approx(L + lead + 0.5 * np.log(np.linalg.det(R)))
 
 
 def test_an_empty_list_is_worth_nothing() -> None:
@@ -197,3 +216,29 @@ def test_twins_are_one_at_most_and_in_the_end_as_many_as_usual(a: float, b: floa
 
 def test_a_usual_innovation_leaves_the_covariance_as_it_is() -> None:
     np.testing.assert_allclose(surprise(np.array([0.0, 3.0, 15.0])), [1.0, 1.0, 3.0])
+
+
+def test_two_places_that_look_the_same_stay_even_where_one_of_them_had_a_poor_track(
+    make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf
+) -> None:
+    """As behind the doors of a lift on one of two floors that are alike: the cabin left poor tracks."""
+    core = make_core()
+    turning = [np.array([0.0, 0.0, 0.12 * number]) for number in range(20)]
+    cabin, poor = [np.array([20.0, 0.0, 0.0]), np.array([20.0, 40.0, 0.0])], np.array([0.0, 0.0, 0.0])
+    for number, turn in enumerate(turning):
+        core.handle(speaker.odometry(0.1 * number, turn))
+        listed = [*(one + turn for one in cabin), poor + turn]
+        core.handle(speaker.hypotheses(0.1 * number, listed, [14.0, 14.0, 8.0]))
+    out = turning[-1] + np.array([0.16, 0.1, 0.0])
+    for number in range(20, 40):
+        step = np.array([0.1 * (number - 20), 0.0, 0.0])
+        core.handle(speaker.odometry(0.1 * number, compose(turning[-1], step)))
+        here, there = compose(poor + out, step), compose(poor + out + [0.0, 40.0, 0.0], step)
+        said = core.handle(speaker.hypotheses(0.1 * number, [here, there], [22.0, 22.0]))
+        (tracks,) = tracks_of(said)
+        masses = [
+            sum(t.probability for t in tracks.tracks if np.hypot(t.pose.x - x, t.pose.y - y) < 1.0)
+            for x, y in (here[:2], there[:2])
+        ]
+        assert max(masses) < 2.0 * min(masses), (number, masses)
+    assert sum(masses) > 0.9

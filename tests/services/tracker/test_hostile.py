@@ -186,6 +186,18 @@ def test_a_scan_from_the_future_is_set_aside(
     assert core.condition().counters["hypotheses_from_future"] == 1
 
 
+@pytest.mark.parametrize("seconds", [2**62, -(2**62), 9_300_000_000])
+def test_a_stamp_beyond_all_time_ends_nothing(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, seconds: int
+) -> None:
+    core = make_core()
+    hostile = speaker.hypotheses(1.0, [TRUTH], [60.0])
+    hostile.open(Hypotheses).timestamp.seconds = seconds
+    core.handle(hostile)
+    assert len(standing(core, speaker, poses_of, 10.0, 15)) >= 10
+    core.finish()
+
+
 def test_a_gap_in_the_log_is_no_future(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 10.0, 5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from math import inf
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def test_it_is_filterpys(make_core: MakeCore, speaker: Speaker, tracks_of: Track
 def test_a_scan_that_gives_a_track_no_hypothesis_leaves_none(
     make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf
 ) -> None:
-    core = make_core()
+    core = make_core(tracks_hz=inf)
     drive(core, speaker, tracks_of, 3, 1)
     (unusable,) = tracks_of(
         core.handle(speaker.hypotheses(11.0, [], [], status=Hypotheses.STATUS_UNUSABLE_SCAN, lidar="rear"))

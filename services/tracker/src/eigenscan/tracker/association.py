@@ -10,6 +10,7 @@ from eigenscan.geometry.symmetric import determinant, inverse, plus, square, tri
 from eigenscan.tracker.symmetric import apart
 from numba import njit
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -25,6 +26,11 @@ class Pairs:
     """Squared Mahalanobis distance under C* + C."""
     log_overlap: Array
     """ln of the integral of N(X*, C*) times exp(-d^2/2 under C): 0 where the track is a sure point at Y."""
+
+
+def gate(probability: float) -> float:
+    """Squared Mahalanobis distance of three dimensions that this share of right hypotheses is within."""
+    return float(chdtri(3, 1.0 - probability))
 
 
 def associate(x: Array, C: Array, y: Array, R: Array, gate: float) -> Pairs:

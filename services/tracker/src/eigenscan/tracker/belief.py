@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from eigenscan.tracker.association import associate
+from eigenscan.tracker.association import associate, gate
 from eigenscan.tracker.branching import at_least, births, branch
 from eigenscan.tracker.covariance import log_volume
 from eigenscan.tracker.evidence import (
@@ -32,7 +32,6 @@ from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
@@ -99,7 +98,7 @@ class Belief:
     stamp: int | None = None
 
     def __post_init__(self) -> None:
-        self.gate = float(chdtri(3, 1.0 - self.settings.gate_probability))
+        self.gate = gate(self.settings.gate_probability)
 
     @property
     def none_probability(self) -> float:
@@ -205,12 +204,12 @@ class Belief:
         carried = merit.alone + log_volume(seen.covariances) + part.log_density(source, share)
         alone = np.logaddexp(carried, slipped(old, seen, merit, pairs))
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), source, share)
-        grown = at_least(grown, len(old), pairs, alone)
+        evidence = np.zeros((len(alone), len(self.sources)))
+        evidence[:, source] = merit.foretold
+        twin = twins_of(merit.foretold)
+        grown = at_least(grown, len(old), pairs, alone, evidence, twin)
         k, log_weight = births(grown, seen, pairs, alone)
-        evidence = np.zeros((len(k), len(self.sources)))
-        evidence[:, source] = merit.foretold[k]
-        twin = twins_of(merit.foretold[k])
-        new = begin(seen.poses[k], seen.covariances[k], log_weight, twin, evidence, frame, seen.stamp)
+        new = begin(seen.poses[k], seen.covariances[k], log_weight, twin[k], evidence[k], frame, seen.stamp)
         self.tracks = share_twins(join([*others, grown, new]))
         part.search(source, share)
         self.normalise()

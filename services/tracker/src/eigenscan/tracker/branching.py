@@ -100,19 +100,28 @@ def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precis
     )
 
 
-def at_least(grown: Tracks, alone: int, pairs: Pairs, log_mass: Array) -> Tracks:
+def at_least(
+    grown: Tracks, alone: int, pairs: Pairs, log_mass: Array, evidence: Array, twin: Array
+) -> Tracks:
     """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
 
     A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it.
+    hypothesis takes it, with the `evidence` (k, sources) and the `twin` (k,) of a track that begins: with a
+    poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
+    same and had no track.
     """
     log_weight = grown.log_weight.copy()
     joined = log_weight[alone:]
     best = np.full(len(log_mass), -np.inf)
     np.maximum.at(best, pairs.hypothesis, joined)
-    first = joined == best[pairs.hypothesis]
-    joined[first] = np.maximum(joined[first], log_mass[pairs.hypothesis[first]])
-    return replace(grown, log_weight=log_weight)
+    raised = np.flatnonzero((joined == best[pairs.hypothesis]) & (joined < log_mass[pairs.hypothesis]))
+    k = pairs.hypothesis[raised]
+    own = np.exp(joined[raised] - log_mass[k])
+    joined[raised] = log_mass[k]
+    evidences, twins, rows = grown.evidence.copy(), grown.twin.copy(), raised + alone
+    evidences[rows] = own[:, None] * evidences[rows] + (1.0 - own)[:, None] * evidence[k]
+    twins[rows] = own * twins[rows] + (1.0 - own) * twin[k]
+    return replace(grown, log_weight=log_weight, evidence=evidences, twin=twins)
 
 
 def births(tracks: Tracks, seen: Observation, pairs: Pairs, log_mass: Array) -> tuple[Index, Array]:

@@ -45,6 +45,24 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 DEFAULT_BODY_FRAME = "base_link"
 DEFAULT_ODOM_FRAME = "odom"
 NO_BUILDING = Building()
+EARLY = 0.1
+"""Of the time between two messages, by which one may come early: stamps jitter."""
+
+
+class _Pace:
+    """Keeps messages apart, by their stamps."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._apart = (1.0 - EARLY) * 1e9 / rate_hz
+        self._last: int | None = None
+
+    def is_due(self, stamp: int) -> bool:
+        """Whether a message of `stamp`, ns, may follow the last one; also where the clock was set back."""
+        return self._last is None or not 0 <= stamp - self._last < self._apart
+
+    def note(self, stamp: int) -> None:
+        """One was published."""
+        self._last = stamp
 
 
 @dataclass
@@ -52,6 +70,8 @@ class _Tracked:
     """A robot and the names of its frames."""
 
     tracker: RobotTracker
+    transforms: _Pace
+    tracks: _Pace
     odom_frame: str = DEFAULT_ODOM_FRAME
     body_frame: str = DEFAULT_BODY_FRAME
     map_frame: str = "map"
@@ -116,7 +136,11 @@ class TrackerCore:
     def _robot(self, address: Mapping[str, str]) -> _Tracked:
         return self._robots.use(
             (address["site"], address["robot"]),
-            lambda: _Tracked(RobotTracker(self._settings, self._counts)),
+            lambda: _Tracked(
+                RobotTracker(self._settings, self._counts),
+                _Pace(self._settings.transform_hz),
+                _Pace(self._settings.tracks_hz),
+            ),
         )
 
     def _relocate(self, robot: _Tracked, message: Relocation) -> None:
@@ -154,8 +178,12 @@ class TrackerCore:
                 nanoseconds(message.timestamp), (position.x, position.y, yaw(message.pose.orientation))
             ),
         )
+        at = nanoseconds(message.timestamp)
+        if not robot.transforms.is_due(at):
+            return
         transform = robot.tracker.map_to_odom()
         if transform is not None:
+            robot.transforms.note(at)
             x, y, theta = transform
             yield Envelope(
                 TRANSFORM,
@@ -174,10 +202,13 @@ class TrackerCore:
     ) -> Iterator[Envelope]:
         for estimate in estimates:
             robot.map_frame = estimate.frame
-            message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
-            self._buildings.get(address["site"], NO_BUILDING).locate(message)
-            yield Envelope(POSE, address, message)
-            yield Envelope(TRACKS, address, _tracks_message(estimate))
+            if not estimate.was_foretold:
+                message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
+                self._buildings.get(address["site"], NO_BUILDING).locate(message)
+                yield Envelope(POSE, address, message)
+            if not estimate.extrapolated and robot.tracks.is_due(estimate.stamp):
+                robot.tracks.note(estimate.stamp)
+                yield Envelope(TRACKS, address, _tracks_message(estimate))
 
 
 def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:
@@ -190,6 +221,7 @@ def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:
         none_probability=estimate.none_probability,
         has_odometry=estimate.map_to_odom is not None,
         model_version=estimate.model_version,
+        extrapolated=estimate.extrapolated,
     )
     if estimate.protection is not None:
         message.protection_radius = estimate.protection.radius

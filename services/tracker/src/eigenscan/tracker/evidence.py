@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from eigenscan.tracker.association import Pairs
 from eigenscan.tracker.covariance import log_density, log_volume, residual
-from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
 from scipy.special import expit
@@ -66,7 +66,9 @@ class Merit:
     def of(cls, seen: Observation) -> Merit:
         """Both follow from likelihoods and from how far the best is ahead of other places."""
         lead = ahead(seen)
-        return cls(seen.log_likelihoods + lead, SLOPE * (seen.log_likelihoods - EVEN) + lead)
+        # that a poor fit may be of more poses makes the place no likelier
+        spread = 1.5 * poorness(seen.log_likelihoods)
+        return cls(seen.log_likelihoods + lead - spread, SLOPE * (seen.log_likelihoods - EVEN) + lead)
 
     def of_pairs(self, pairs: Pairs) -> Array:
         """What each pair (p,) of a track and a hypothesis in its gate is worth.

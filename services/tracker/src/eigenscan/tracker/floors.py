@@ -6,12 +6,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.eigenspace.floors import Floor, floor_of
+from eigenscan.eigenspace.floors import Floor, floor_of, usable_floors
 from eigenscan.geometry.pose import to_message
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.belief import Belief
-from eigenscan.tracker.observation import FARTHEST
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -34,15 +33,10 @@ class Building:
     @classmethod
     def of(cls, message: ModelSet, counts: Counter[str]) -> Building:
         """The floors of a set; what is no floor is left out and counted."""
-        floors = []
-        for said in message.floors:
-            numbers = [*said.outline_x, *said.outline_y, said.origin.x, said.origin.y, said.origin.theta]
-            whole = len(said.outline_x) == len(said.outline_y) == 4 and said.name
-            if whole and all(abs(number) < FARTHEST for number in numbers) and _has_area(said):
-                floors.append(Floor.from_message(said))
-            else:
-                counts["floor_not_usable"] += 1
-        return cls(message.frame_id, tuple(floors))
+        floors = usable_floors(message)
+        if unusable := len(message.floors) - len(floors):
+            counts["floor_not_usable"] += unusable
+        return cls(message.frame_id, floors)
 
     def locate(self, message: PoseEstimate) -> None:
         """Adds the floor to a pose in the set's map frame, and the pose in that floor's own frame."""
@@ -53,11 +47,6 @@ class Building:
         if floor is not None:
             message.floor = floor.name
             message.floor_pose.CopyFrom(to_message(floor.own(pose)))
-
-
-def _has_area(said: ModelSet.Floor) -> bool:
-    corner, along, _, across = np.column_stack([said.outline_x, said.outline_y])
-    return float(np.hypot(*(along - corner))) > 0.0 and float(np.hypot(*(across - corner))) > 0.0
 
 
 @dataclass

@@ -6,13 +6,9 @@ from eigenscan.schemas.envelope import Core
 from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-tracker[node]", SystemExit):
+    from eigenscan.runtime.node import Service
     from eigenscan.runtime.node import main as run
     from eigenscan.tracker.options import TrackerOptions
-
-
-def main() -> None:
-    """Entry point of `eigenscan-tracker`."""
-    run("tracker", TrackerOptions, _make_core)
 
 
 def _make_core(options: TrackerOptions) -> Core:
@@ -24,3 +20,11 @@ def _make_core(options: TrackerOptions) -> Core:
     from eigenscan.tracker.last_pose import Remembering
 
     return Remembering(core, options, options.last_pose)
+
+
+SERVICE = Service("tracker", TrackerOptions, _make_core, quick=True)
+
+
+def main() -> None:
+    """Entry point of `eigenscan-tracker`."""
+    run(SERVICE)

@@ -23,6 +23,12 @@ FARTHEST = 1e7
 SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
 """m, m, rad: no scan fixes a pose better than the lower; the upper says nothing."""
 
+GOOD, POORER = 12.0, 0.25
+"""Log-likelihood from which on a pose errs as its covariance tells; nats of the factor on it for each less.
+
+Rounded from intel and guardian 3 on worse maps, and alike on fr079: benchmarks/evidence.py --way.
+"""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -71,12 +77,14 @@ def observe(
         counts["hypothesis_not_finite"] += int((~finite).sum())
         rows = rows[finite]
     covariances = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    likelihoods = settings.trust * rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)
     good = is_covariance(covariances)
     if not good.all():
         counts["covariance_replaced"] += int((~good).sum())
         sigma = np.array([settings.grid_spacing, settings.grid_spacing, settings.grid_step])
         covariances = np.where(good[:, None, None], covariances, np.diag(sigma**2))
-    listed = rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)
+    if settings.method != "paper":
+        covariances = covariances * np.exp(poorness(likelihoods))[:, None, None]
     unlisted = message.unlisted_log_likelihood
     unlisted = (
         float(np.clip(unlisted, -LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT))
@@ -90,13 +98,22 @@ def observe(
         message.frame_id,
         np.column_stack([rows[:, :2], wrap(rows[:, 2])]),
         limit_sigma(covariances),
-        settings.trust * listed,
+        likelihoods,
         settings.trust * unlisted,
         message.searched_area_m2 if 1.0 <= message.searched_area_m2 < 1e9 else 1.0,
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
         len(message.hypotheses),
     )
+
+
+def poorness(log_likelihoods: Array) -> Array:
+    """Ln of the factor (k,) >= 1 on the covariances (k, 3, 3) of hypotheses with these likelihoods (k,).
+
+    A pose that explains little of the scan is more often the nearest fit than the place.
+    """
+    result: Array = POORER * (GOOD - log_likelihoods).clip(0.0, GOOD)
+    return result
 
 
 def _rows(message: Hypotheses) -> Array:

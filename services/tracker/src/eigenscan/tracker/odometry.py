@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, isfinite
 
@@ -15,6 +16,8 @@ KEPT_AT_LEAST, KEPT_AT_MOST = 2, 20_000
 """Samples, whatever their age."""
 FARTHEST = 1e7
 """m from the odom frame's origin: beyond it a number is an overflow, not a place."""
+LONGEST_NS = 100_000_000
+"""Between odometry messages that tell a velocity: at 2 m/s2 it leads 1 cm astray in as long again."""
 RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
 
@@ -139,6 +142,15 @@ class OdometryTrail:
         if self._samples[len(self._samples) // 2].stamp < stamp or len(self._samples) > KEPT_AT_MOST:
             del self._samples[: max(len(self._samples) // 2 - KEPT_AT_LEAST, 0)]
 
+    def foretold(self, stamp: int) -> OdometryTrail | None:
+        """This trail, had odometry gone on to `stamp`, ns, as it went before; None where it may not have."""
+        samples = _extrapolated(self._samples, stamp)
+        if samples is None:
+            return None
+        trail = OdometryTrail(self._gate)
+        trail._samples = samples
+        return trail
+
     def covers(self, stamp: int) -> bool:
         """Whether odometry of `stamp` or later has arrived."""
         return bool(self._samples) and self._samples[-1].stamp >= stamp
@@ -172,6 +184,34 @@ class OdometryTrail:
             first = self._samples[0]
             return _held(first, stamp, first.unknown - (first.stamp - stamp) * 1e-9)
         return _interpolate(self._samples[index - 1], self._samples[index], stamp)
+
+
+def _extrapolated(samples: Sequence[Sample], stamp: int) -> list[Sample] | None:
+    """Samples up to `stamp`, ns, and one there by the last two's velocity.
+
+    None where the next odometry is due before `stamp`, for it is still to come; where the last one is of that
+    very stamp; or where a jump or slip, or too long an interval, tells no velocity.
+    """
+    count = bisect_right(samples, stamp, key=lambda sample: sample.stamp)
+    if count < 2:
+        return None
+    before, last = samples[count - 2], samples[count - 1]
+    period, ahead = last.stamp - before.stamp, stamp - last.stamp
+    if not 0 < ahead < period <= LONGEST_NS or last.breaks > before.breaks or last.slip > before.slip:
+        return None
+    share = ahead / period
+    step = scaled(between(before.chained, last.chained), share)
+    there = Sample(
+        stamp,
+        compose(last.raw, step),
+        compose(last.chained, step),
+        last.way + share * (last.way - before.way),
+        last.turn + share * (last.turn - before.turn),
+        last.slip,
+        last.unknown + share * (last.unknown - before.unknown),
+        last.breaks,
+    )
+    return [*samples[:count], there]
 
 
 def _held(sample: Sample, stamp: int, unknown: float) -> Sample:

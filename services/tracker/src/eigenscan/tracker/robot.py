@@ -12,9 +12,11 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.cause import likely_cause
+from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Rivals
+from eigenscan.tracker.foretelling import twin
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample
 from eigenscan.tracker.planar import Pose, compose, inverse
@@ -57,6 +59,10 @@ class Estimate:
     map_to_odom: Pose | None
     model_version: str
     protection: Protection | None
+    extrapolated: bool = False
+    """Foretold by the last velocity: its pose is said, its tracks are not."""
+    was_foretold: bool = False
+    """Its pose was said already."""
 
 
 @dataclass
@@ -81,6 +87,8 @@ class RobotTracker:
         self._timeline = Timeline(settings.patience, settings.late, counts)
         self._silence = Silence(self._timeline)
         self._agreement = Agreement()
+        self._foretold: set[tuple[str, int]] = set()
+        """Sources and stamps of what waits and was said already."""
         self._reset()
 
     def _reset(self) -> None:
@@ -90,6 +98,7 @@ class RobotTracker:
         self._histories: dict[int, deque[Pose2]] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
+        self._claim = Claim(self._settings)
         self._rivals = Rivals()
         self._hint: Hint | None = None
         self._corrected = 0
@@ -110,15 +119,16 @@ class RobotTracker:
         if self._trail.newest is not None:
             self._timeline.hear_odometry(self._trail.newest.stamp, result == "odometry_restarted")
             self._silence.hear_odometry(self._trail.newest.stamp)
-        return [self._step(seen) for seen in self._timeline.ready()]
+        return self._ready()
 
     def hear(self, seen: Observation) -> list[Estimate]:
-        """Takes an observation; gives the estimates that are ready."""
+        """Takes an observation; gives the estimates that are ready, and what is foretold."""
         heard = self._timeline.hear(seen)
         self._silence.hear(seen, heard)
         if heard is Heard.RESTARTED:
             self._reset()
-        return [self._step(each) for each in self._timeline.ready()]
+            self._foretold.clear()
+        return self._ready()
 
     def hear_motion(self, interval: ScanInterval) -> None:
         """Takes what two scans tell of the motion between them."""
@@ -126,7 +136,45 @@ class RobotTracker:
 
     def finish(self) -> list[Estimate]:
         """Estimates for all that still waits."""
-        return [self._step(seen) for seen in self._timeline.rest()]
+        return [self._final(seen) for seen in self._timeline.rest()]
+
+    def _ready(self) -> list[Estimate]:
+        foretold = self._foretell() if self._settings.at_once else []
+        return [*foretold, *(self._final(seen) for seen in self._timeline.ready())]
+
+    def _foretell(self) -> list[Estimate]:
+        """What waits leads to by odometry up to its stamp alone, where that tells enough; once each."""
+        told: list[Estimate] = []
+        waiting = self._timeline.waiting()
+        for n, seen in enumerate(waiting):
+            if (seen.source, seen.stamp) in self._foretold or seen.stamp <= (self.belief.stamp or 0):
+                continue
+            trail = self._trail.foretold(seen.stamp)
+            if trail is None:
+                break  # nor what follows: poses are said in order
+            self._foretold.add((seen.source, seen.stamp))
+            one = self._twin(trail)
+            steps = [one._step(each) for each in waiting[: n + 1]]
+            told.append(replace(steps[-1], extrapolated=True))
+        return told
+
+    def _twin(self, trail: OdometryTrail) -> RobotTracker:
+        """A copy of this tracker that may take a step without it, with another trail."""
+        own: tuple[tuple[object, object], ...] = (
+            (self._trail, trail),
+            (self._counts, Counter()),
+            (self._timeline, self._timeline),
+            (self._histories, {}),
+        )
+        return twin(self, {id(part): other for part, other in own})
+
+    def _final(self, seen: Observation) -> Estimate:
+        """The estimate by all odometry that there is by now."""
+        estimate, source = self._step(seen), (seen.source, seen.stamp)
+        if source not in self._foretold:
+            return estimate
+        self._foretold.remove(source)
+        return replace(estimate, was_foretold=True)
 
     @property
     def fault(self) -> str:
@@ -166,7 +214,10 @@ class RobotTracker:
             seen = self._brought_forward(seen, belief.stamp)
         elif belief.stamp is not None:
             self._correct(belief.stamp)
-            belief.predict(self._motion(belief.stamp, seen.stamp))
+            moved = self._motion(belief.stamp, seen.stamp)
+            belief.predict(moved)
+            self._claim.predict(moved)
+            self._claim.advance(moved.seconds, self._progress(moved))
         belief.stamp = seen.stamp
         belief.forget_innovations()
         repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
@@ -174,7 +225,10 @@ class RobotTracker:
             self._counts["scan_repeated"] += 1
         elif seen.usable:
             self._heed_hint(seen)
-            belief.observe(seen, self._share(seen))
+            share = self._share(seen)
+            belief.observe(seen, share)
+            if share.broken:
+                self._claim.forget()
             self._rivals.hear(belief, belief.frames.index(seen.frame), seen.stamp)
             prune(belief)
             unify(belief)
@@ -230,9 +284,8 @@ class RobotTracker:
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
-        progress = moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
         # what was driven counts as far as the scans changed by it
-        progress *= self._agreement.change()
+        progress = self._progress(moved) * self._agreement.change()
         progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
         # a new place counts anew, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
@@ -242,6 +295,10 @@ class RobotTracker:
         carried = happened(rate * seconds)
         precision = min(1.0, progress)
         return Share(novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1)
+
+    def _progress(self, moved: Motion) -> float:
+        """How far the robot has come, 1: a scan is new evidence."""
+        return moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
@@ -262,7 +319,9 @@ class RobotTracker:
         belief = self.belief
         verdict = self._judge()
         verdict = replace(verdict, confidence=verdict.confidence * self._agreement.trust)
-        self.state = next_state(self.state, belief, verdict.confidence, self._settings)
+        self.state = self._claim.held_back(
+            next_state(self.state, belief, verdict.confidence, self._settings), belief.tracks, verdict.track
+        )
         odometry = self._trail.at(seen.stamp) if self._near_odometry(seen.stamp) else None
         frame = belief.frames[int(belief.tracks.frame[verdict.track])] if verdict.track >= 0 else seen.frame
         return Estimate(

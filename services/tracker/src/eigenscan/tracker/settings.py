@@ -37,6 +37,7 @@ class TrackerSettings(BaseModel):
     patience: float = Field(
         0.2, ge=0, description="s, by stamps, that hypotheses wait for odometry of the same time"
     )
+    at_once: bool = Field(True, description="publish poses before odometry of their time comes")
     late: float = Field(0.5, ge=0, description="s; hypotheses that come later are rejected")
     independence_m: float = Field(
         0.5, gt=0, description="m driven after which a scan counts as independent evidence"
@@ -63,9 +64,11 @@ class TrackerSettings(BaseModel):
         0.9, gt=0, le=1, description="confidence from which a pose is claimed as localized"
     )
     released_below: float = Field(
-        0.7, ge=0, le=1, description="confidence below which the claim is withdrawn"
+        0.8, ge=0, le=1, description="confidence below which the claim is withdrawn"
     )
     protection_risk: float = Field(
         1e-3, gt=0, lt=0.5, description="probability with which a claim's protection level may be exceeded"
     )
+    transform_hz: float = Field(20.0, gt=0, description="most transforms a second; inf: at each odometry")
+    tracks_hz: float = Field(10.0, gt=0, description="most tracks messages a second; inf: at each pose")
     history: int = Field(100, ge=0, description="past poses kept for each track")

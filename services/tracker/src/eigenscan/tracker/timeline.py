@@ -121,6 +121,10 @@ class Timeline:
             result.append(seen)
         return result
 
+    def waiting(self) -> list[Observation]:
+        """All that waits, oldest first."""
+        return [seen for *_, seen in sorted(self._waiting, key=lambda one: one[:3])]
+
     def rest(self) -> list[Observation]:
         """All that still waits, oldest first."""
         return [heapq.heappop(self._waiting)[3] for _ in range(len(self._waiting))]

@@ -1,0 +1,88 @@
+"""A claim that jumps is withdrawn first."""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST
+from eigenscan.tracker.claim import Claim
+from eigenscan.tracker.odometry import Motion, OdometryTrail
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.tracks import Tracks, begin
+from eigenscan.tracker.velocity_gate import VelocityGate
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def at(x: float, y: float, heading: float = 0.0, sigma: float = 0.05, frame: int = 1) -> Tracks:
+    pose, spread = np.array([[x, y, heading]]), np.diag([sigma, sigma, 0.05])[None] ** 2
+    return begin(pose, spread, np.zeros(1), np.zeros(1), np.zeros((1, 1)), frame, 0)
+
+
+def driven(way: float) -> Motion:
+    trail = OdometryTrail(VelocityGate(2.0, 3.0))
+    trail.take(0, (0.0, 0.0, 0.0))
+    trail.take(1_000_000_000, (way, 0.0, 0.0))
+    return trail.between(0, 1_000_000_000)
+
+
+def test_a_claim_follows_odometry() -> None:
+    claim = Claim(TrackerSettings())
+    for step in range(5):
+        assert claim.held_back(STATE_LOCALIZED, at(step * 0.8, 0.0), 0) == STATE_LOCALIZED
+        claim.predict(driven(0.8))
+
+
+@given(st.floats(0.9, 40.0), st.floats(-3.0, 3.0))
+def test_a_jump_is_not_claimed_until_it_has_held_for_a_step(away: float, bearing: float) -> None:
+    claim, there = Claim(TrackerSettings()), at(away * np.cos(bearing), away * np.sin(bearing))
+    claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
+    assert claim.held_back(STATE_LOCALIZED, there, 0) == STATE_AMBIGUOUS
+    claim.advance(0.1, 0.6)
+    assert claim.held_back(STATE_LOCALIZED, there, 0) == STATE_AMBIGUOUS
+    claim.advance(0.1, 0.6)
+    assert claim.held_back(STATE_LOCALIZED, there, 0) == STATE_LOCALIZED
+
+
+def test_going_to_and_fro_is_never_claimed() -> None:
+    claim = Claim(TrackerSettings())
+    claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
+    for place in (5.0, 0.0, 5.0, 0.0):
+        claim.advance(0.1, 0.6)
+        assert claim.held_back(STATE_LOCALIZED, at(place, 0.0), 0) == STATE_AMBIGUOUS
+
+
+def test_a_turn_or_another_map_frame_is_a_jump_too() -> None:
+    for there in (at(0.0, 0.0, heading=np.pi), at(0.0, 0.0, frame=2)):
+        claim = Claim(TrackerSettings())
+        claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
+        assert claim.held_back(STATE_LOCALIZED, there, 0) == STATE_AMBIGUOUS
+
+
+def test_what_odometry_and_the_claims_own_spread_allow_is_no_jump() -> None:
+    claim = Claim(TrackerSettings())
+    claim.held_back(STATE_LOCALIZED, at(0.0, 0.0, sigma=0.4), 0)
+    assert claim.held_back(STATE_LOCALIZED, at(0.9, 0.0), 0) == STATE_LOCALIZED
+
+
+def test_after_a_claim_was_withdrawn_a_new_one_may_be_elsewhere() -> None:
+    claim = Claim(TrackerSettings())
+    claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
+    assert claim.held_back(STATE_LOST, at(0.0, 0.0), 0) == STATE_LOST
+    assert claim.held_back(STATE_LOCALIZED, at(9.0, 0.0), 0) == STATE_LOCALIZED
+
+
+def test_a_robot_that_stands_is_claimed_again_after_its_memory() -> None:
+    claim = Claim(TrackerSettings())
+    claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
+    states = []
+    for _ in range(15):
+        states.append(claim.held_back(STATE_LOCALIZED, at(9.0, 0.0), 0))
+        claim.advance(0.101, 0.0)
+    assert states == [STATE_AMBIGUOUS] * 5 + [STATE_LOCALIZED] * 10
+
+
+def test_where_scans_tell_that_the_robot_was_carried_away_nothing_is_held_back() -> None:
+    claim = Claim(TrackerSettings())
+    claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
+    claim.forget()
+    assert claim.held_back(STATE_LOCALIZED, at(9.0, 0.0), 0) == STATE_LOCALIZED
