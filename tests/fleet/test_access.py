@@ -50,7 +50,7 @@ def key_of(channel: Channel, owner: str) -> str:
     return channel.key(fields | {"service": "tracker" if owner in ROBOTS else owner})
 
 
-def may_say(holder: str, channel: Channel, owner: str) -> bool:
+def may_publish(holder: str, channel: Channel, owner: str) -> bool:
     role = role_of(holder)
     if role not in channel.said_by:
         return False
@@ -60,7 +60,7 @@ def may_say(holder: str, channel: Channel, owner: str) -> bool:
     return channel.qos.air_hz > 0 and (holder == owner or not by_owner)
 
 
-def may_hear(holder: str, channel: Channel, owner: str) -> bool:
+def may_receive(holder: str, channel: Channel, owner: str) -> bool:
     to_another = holder in ROBOTS and "robot" in channel.fields and holder != owner
     return role_of(holder) in channel.heard_by and not to_another
 
@@ -69,14 +69,16 @@ def may_hear(holder: str, channel: Channel, owner: str) -> bool:
 class Exchange:
     """What everybody heard, of whom, after everybody said everything."""
 
-    heard: set[tuple[str, str, str]] = field(default_factory=set)
+    received: set[tuple[str, str, str]] = field(default_factory=set)
     answered: set[tuple[str, str, str]] = field(default_factory=set)
     tokens: set[tuple[str, str]] = field(default_factory=set)
 
-    def hearer(self, holder: str) -> Any:
+    def subscriber(self, holder: str) -> Any:
         def on_sample(sample: Any) -> None:
-            said = sample.payload.to_bytes().decode(errors="replace")  # the router says its health meanwhile
-            self.heard.add((holder, str(sample.key_expr), said))
+            published = sample.payload.to_bytes().decode(
+                errors="replace"
+            )  # the router says its health meanwhile
+            self.received.add((holder, str(sample.key_expr), published))
 
         return on_sample
 
@@ -164,7 +166,7 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
             # a rule is asked for the subscription as it stands: the whole, and each channel by itself
             for selector in ["**", f"{SITE}/**", *(channel.selector({"site": SITE}) for channel in CHANNELS)]:
                 session.declare_subscriber(
-                    selector, told.hearer(holder), allowed_origin=zenoh.Locality.REMOTE
+                    selector, told.subscriber(holder), allowed_origin=zenoh.Locality.REMOTE
                 )
             session.liveliness().declare_subscriber(f"{SITE}/**", told.seer(holder), history=True)
             for channel in LATCHED:
@@ -177,24 +179,28 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
                 )
             shown += [session.liveliness().declare_token(token_of(holder, owner)) for owner in HOLDERS]
         expected = {
-            (hearer, key_of(channel, owner), holder)
+            (subscriber, key_of(channel, owner), holder)
             for holder, channel, owner in SPOKEN
-            for hearer in HOLDERS
-            if hearer != holder and may_say(holder, channel, owner) and may_hear(hearer, channel, owner)
+            for subscriber in HOLDERS
+            if subscriber != holder
+            and may_publish(holder, channel, owner)
+            and may_receive(subscriber, channel, owner)
         }
 
-        def said() -> bool:
+        def published() -> bool:
             speak(sessions)
-            return expected <= told.heard
+            return expected <= told.received
 
-        until(said, "not all that is allowed has arrived")
+        until(published, "not all that is allowed has arrived")
         for _ in range(ROUNDS):
             speak(sessions)
             time.sleep(PAUSE_S)
         answers = {
-            (hearer, key_of(channel, holder), holder)
-            for holder, channel, hearer in product(HOLDERS, LATCHED, HOLDERS)
-            if hearer != holder and may_say(holder, channel, holder) and may_hear(hearer, channel, holder)
+            (subscriber, key_of(channel, holder), holder)
+            for holder, channel, subscriber in product(HOLDERS, LATCHED, HOLDERS)
+            if subscriber != holder
+            and may_publish(holder, channel, holder)
+            and may_receive(subscriber, channel, holder)
         }
         until(lambda: answers <= ask(sessions, told), "not all that may answer do")
         until(lambda: tokens_allowed() <= told.tokens, "not all signs of life that are allowed are seen")
@@ -206,11 +212,11 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
 @pytest.mark.parametrize("holder", HOLDERS)
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
 def test_says_what_the_table_lets_it_say(exchange: Exchange, channel: Channel, holder: str) -> None:
-    for owner, hearer in product(HOLDERS, HOLDERS):
-        if hearer != holder:
-            arrived = (hearer, key_of(channel, owner), holder) in exchange.heard
-            allowed = may_say(holder, channel, owner) and may_hear(hearer, channel, owner)
-            assert arrived == allowed, f"{holder} as {owner} to {hearer}"
+    for owner, subscriber in product(HOLDERS, HOLDERS):
+        if subscriber != holder:
+            arrived = (subscriber, key_of(channel, owner), holder) in exchange.received
+            allowed = may_publish(holder, channel, owner) and may_receive(subscriber, channel, owner)
+            assert arrived == allowed, f"{holder} as {owner} to {subscriber}"
 
 
 @pytest.mark.parametrize("holder", HOLDERS)
@@ -220,7 +226,7 @@ def test_asks_and_answers_where_the_table_lets_it(exchange: Exchange, channel: C
     assert {who for who, by in asked if by == holder} == {
         who
         for who in HOLDERS
-        if who != holder and may_say(holder, channel, holder) and may_hear(who, channel, holder)
+        if who != holder and may_publish(holder, channel, holder) and may_receive(who, channel, holder)
     }
 
 
@@ -239,35 +245,41 @@ def test_shows_itself_under_its_own_name_only(exchange: Exchange, holder: str) -
 
 def test_a_robot_speaks_of_services_that_there_are(fleet: Fleet) -> None:
     """Made-up names would fill the site's recordings: each is one more channel of a file."""
-    heard: list[str] = []
+    received: list[str] = []
     with fleet.past_its_router("r17") as robot, fleet.at_site("recorder") as recorder:
-        recorder.declare_subscriber(f"{SITE}/health/**", lambda sample: heard.append(str(sample.key_expr)))
+        recorder.declare_subscriber(f"{SITE}/health/**", lambda sample: received.append(str(sample.key_expr)))
         known = HEALTH.key({"site": SITE, "service": "tracker", "instance": "r17"})
 
-        def known_is_heard() -> bool:
+        def known_is_received() -> bool:
             robot.put(f"{SITE}/health/made-up/r17", b"")
             robot.put(known, b"")
-            return known in heard
+            return known in received
 
-        until(known_is_heard, "a known service is not heard")
+        until(known_is_received, "a known service is not heard")
         time.sleep(DENIED_S)
-    assert f"{SITE}/health/made-up/r17" not in heard
+    assert f"{SITE}/health/made-up/r17" not in received
 
 
 def test_what_a_reader_of_the_table_expects(exchange: Exchange) -> None:
     """Said once without the table, so that an error in it is noticed as well."""
-    heard_by: dict[tuple[str, str, str], set[str]] = {}
+    received_by: dict[tuple[str, str, str], set[str]] = {}
     for holder, channel, owner in SPOKEN:
-        said = (key_of(channel, owner), holder)
-        heard_by[channel.name, owner, holder] = {one for one, *what in exchange.heard if tuple(what) == said}
+        published = (key_of(channel, owner), holder)
+        received_by[channel.name, owner, holder] = {
+            one for one, *what in exchange.received if tuple(what) == published
+        }
     site = {"mapbuilder", "recorder", "operator"}
-    assert heard_by[POSE.name, "r17", "r17"] == site
-    assert heard_by[POSE.name, "r17", "r18"] == set()
-    assert heard_by[POSE.name, "r17", "mapbuilder"] == set()
-    assert heard_by[SCAN.name, "r17", "r17"] == heard_by[SCAN_RAW.name, "r17", "r17"] == set()
-    assert heard_by[MODEL.name, "mapbuilder", "mapbuilder"] == {"r17", "r18", "recorder", "operator"}
-    assert heard_by[MODEL.name, "r17", "r17"] == set()
-    told = {key: by for key, by in heard_by.items() if key[2] == "operator" and by}
+    assert received_by[POSE.name, "r17", "r17"] == site
+    assert received_by[POSE.name, "r17", "r18"] == set()
+    assert received_by[POSE.name, "r17", "mapbuilder"] == set()
+    assert received_by[SCAN.name, "r17", "r17"] == received_by[SCAN_RAW.name, "r17", "r17"] == set()
+    assert received_by[MODEL.name, "mapbuilder", "mapbuilder"] == {"r17", "r18", "recorder", "operator"}
+    assert received_by[MODEL.name, "r17", "r17"] == set()
+    told = {key: by for key, by in received_by.items() if key[2] == "operator" and by}
     assert told[RELOCATION.name, "r17", "operator"] == {"r17", "mapbuilder", "recorder"}
     assert {channel for channel, _, _ in told} == {RELOCATION.name}
-    assert heard_by[RELOCATION.name, "r17", "mapbuilder"] == heard_by[RELOCATION.name, "r17", "r18"] == set()
+    assert (
+        received_by[RELOCATION.name, "r17", "mapbuilder"]
+        == received_by[RELOCATION.name, "r17", "r18"]
+        == set()
+    )

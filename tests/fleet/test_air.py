@@ -47,13 +47,13 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
 
 
 def count(
-    session: zenoh.Session, heard: Counter[str], selector: str = f"{SITE}/**", payload: bytes | None = None
+    session: zenoh.Session, received: Counter[str], selector: str = f"{SITE}/**", payload: bytes | None = None
 ) -> None:
     """Counts what comes by key; with `payload`, of that only."""
 
     def on_sample(sample: zenoh.Sample) -> None:
         if payload is None or sample.payload.to_bytes() == payload:
-            heard[str(sample.key_expr)] += 1
+            received[str(sample.key_expr)] += 1
 
     session.declare_subscriber(selector, on_sample)
 
@@ -79,9 +79,9 @@ def drive(fleet: Fleet, rounds: int = ROUNDS) -> Driven:
     unlimited = [one.key(ADDRESS) for one in OWN if one.qos.air_hz == math.inf]
     crossing = [POSE.key(ADDRESS), *unlimited]
     with fleet.at_site("recorder") as site, fleet.on_robot(ROBOT) as other, fleet.on_robot(ROBOT) as speaker:
-        for session, heard, first in zip((site, other), (at_site, on_robot), met, strict=True):
+        for session, received, first in zip((site, other), (at_site, on_robot), met, strict=True):
             count(session, first)
-            count(session, heard, payload=MARKED)
+            count(session, received, payload=MARKED)
 
         def arrives() -> bool:
             for key in crossing:
@@ -184,11 +184,11 @@ def test_a_robot_that_is_asked_sends_raw_scans_and_the_others_do_not(tmp_path: P
 
 def test_a_robot_that_floods_is_held_back_at_the_site(fleet: Fleet) -> None:
     """Without its own router in between, and with messages of any size."""
-    heard, met = Counter[str](), Counter[str]()
+    received, met = Counter[str](), Counter[str]()
     sizes: set[int] = set()
     with fleet.at_site("recorder") as site, fleet.past_its_router("r18") as thief:
         key = POSE.key(ADDRESS | {"robot": "r18"})
-        count(site, heard, payload=MARKED)
+        count(site, received, payload=MARKED)
         count(site, met)
         site.declare_subscriber(key, lambda sample: sizes.add(len(sample.payload)))
 
@@ -213,12 +213,12 @@ def test_a_robot_that_floods_is_held_back_at_the_site(fleet: Fleet) -> None:
 
         until(is_last, "what comes after the flood does not arrive")
         seconds = time.monotonic() - began
-    assert heard[key] <= at_most(FLOODS_HELD_AT * POSE.qos.air_hz, seconds)
+    assert received[key] <= at_most(FLOODS_HELD_AT * POSE.qos.air_hz, seconds)
     assert sizes == {0, len(MARKED), len(b"last")}
 
 
 def test_what_waited_for_a_bad_link_passes_at_once_where_floods_are_not_held_back(tmp_path: Path) -> None:
-    fleet, heard, met = make_fleet(tmp_path), Counter[str](), Counter[str]()
+    fleet, received, met = make_fleet(tmp_path), Counter[str](), Counter[str]()
     settings = fleet.folder / "fleet.toml"
     settings.write_text(settings.read_text().replace("floods = true", "floods = false"))
     fleet.command("configure")
@@ -227,7 +227,7 @@ def test_what_waited_for_a_bad_link_passes_at_once_where_floods_are_not_held_bac
     try:
         with fleet.at_site("recorder") as site, fleet.past_its_router(ROBOT) as robot:
             key = POSE.key(ADDRESS)
-            count(site, heard, payload=MARKED)
+            count(site, received, payload=MARKED)
             count(site, met)
 
             def arrives() -> bool:
@@ -237,44 +237,44 @@ def test_what_waited_for_a_bad_link_passes_at_once_where_floods_are_not_held_bac
             until(arrives, "nothing arrives")
             for _ in range(10):
                 robot.put(key, MARKED)
-            until(lambda: heard[key] == 10, f"{heard[key]} of 10 arrive")
+            until(lambda: received[key] == 10, f"{received[key]} of 10 arrive")
     finally:
         fleet.stop()
 
 
 def test_a_service_on_the_robot_is_not_commanded_from_the_site(fleet: Fleet) -> None:
     """Only maps and models come in, not what its services tell each other."""
-    heard: Counter[str] = Counter()
+    received: Counter[str] = Counter()
     with fleet.at_site("mapbuilder") as site, fleet.on_robot(ROBOT) as service:
         for channel in CHANNELS:
-            count(service, heard, channel.selector({"site": SITE}))
+            count(service, received, channel.selector({"site": SITE}))
 
         def arrives() -> bool:
             for channel in CHANNELS:
                 site.put(channel.key(ADDRESS), b"")
-            return heard[MAP.key(ADDRESS)] > 10
+            return received[MAP.key(ADDRESS)] > 10
 
         until(arrives, "no map comes in")
     own = HEALTH.key(ADDRESS | {"service": "router"})
-    assert set(heard) - {own} == {channel.key(ADDRESS) for channel in CHANNELS if channel.qos.latched}
+    assert set(received) - {own} == {channel.key(ADDRESS) for channel in CHANNELS if channel.qos.latched}
 
 
 def test_an_operators_word_comes_in_to_the_robot_that_it_is_for(fleet: Fleet) -> None:
     """Through the site's router and the robot's own; nothing else that the operator says does."""
-    heard: Counter[str] = Counter()
+    received: Counter[str] = Counter()
     with fleet.at_site("operator") as operator, fleet.on_robot(ROBOT) as service:
         for channel in CHANNELS:
-            count(service, heard, channel.selector({"site": SITE}))
+            count(service, received, channel.selector({"site": SITE}))
 
         def arrives() -> bool:
             for channel in CHANNELS:
                 for robot in (ROBOT, "r18"):
                     operator.put(channel.key(ADDRESS | {"robot": robot}), b"")
-            return heard[RELOCATION.key(ADDRESS)] > 10
+            return received[RELOCATION.key(ADDRESS)] > 10
 
         until(arrives, "no word comes in")
     own = HEALTH.key(ADDRESS | {"service": "router"})
-    assert set(heard) - {own} == {RELOCATION.key(ADDRESS)}
+    assert set(received) - {own} == {RELOCATION.key(ADDRESS)}
 
 
 def test_a_robot_takes_up_the_operators_word_and_nobody_elses(fleet: Fleet) -> None:
@@ -285,11 +285,11 @@ def test_a_robot_takes_up_the_operators_word_and_nobody_elses(fleet: Fleet) -> N
         tracker = subprocess.Popen(
             [program, "--site", SITE, "--robot", ROBOT, "--zenoh", config], stderr=log, stdout=log
         )
-    health, heard = HEALTH.key(ADDRESS), Counter[str]()
+    health, received = HEALTH.key(ADDRESS), Counter[str]()
     try:
         with fleet.at_site("recorder") as site:
-            count(site, heard, health)
-            until(lambda: heard[health] > 0, f"no tracker\n{fleet.log('tracker')}")
+            count(site, received, health)
+            until(lambda: received[health] > 0, f"no tracker\n{fleet.log('tracker')}")
         for name, taken in (("operator", True), ("recorder", False)):
             own = fleet.machines / ("operator" if name == "operator" else "site") / f"{name}.json5"
             seconds = 20.0 if taken else 3.0

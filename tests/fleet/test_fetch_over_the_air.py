@@ -63,7 +63,7 @@ def recorder(fleet: Fleet) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def said(fleet: Fleet, recorder: Path) -> int:
+def published(fleet: Fleet, recorder: Path) -> int:
     """Poses that the robot said and its recorder wrote; how many."""
     address, number = {"site": SITE, "robot": R17}, 0
 
@@ -92,18 +92,18 @@ def fetch(fleet: Fleet, robot: str, out: Path) -> subprocess.CompletedProcess[st
     )  # fmt: skip
 
 
-def test_an_operator_has_what_the_robot_recorded(fleet: Fleet, said: int, tmp_path: Path) -> None:
+def test_an_operator_has_what_the_robot_recorded(fleet: Fleet, published: int, tmp_path: Path) -> None:
     done = fetch(fleet, R17, tmp_path / "here")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told["bytes_moved"] == sum(file["bytes"] for file in told["files"]) > 0
     (path,) = (tmp_path / "here").glob("*.mcap")
     assert is_complete(path)  # though the recorder still writes its own
-    assert sum(record.envelope.channel is POSE for record in read(path)) >= said
+    assert sum(record.envelope.channel is POSE for record in read(path)) >= published
 
 
 def test_a_robot_that_does_not_answer_is_named_with_what_may_be_wrong(
-    fleet: Fleet, said: int, tmp_path: Path
+    fleet: Fleet, published: int, tmp_path: Path
 ) -> None:
     done = fetch(fleet, R18, tmp_path / "here")
     assert done.returncode == 1
@@ -117,7 +117,7 @@ def answers(session: zenoh.Session, robot: str) -> list[bytes]:
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
 
 
-def test_only_the_site_may_ask(fleet: Fleet, said: int) -> None:
+def test_only_the_site_may_ask(fleet: Fleet, published: int) -> None:
     others: dict[str, Callable[[], zenoh.Session]] = {
         "another robot": lambda: fleet.on_robot(R18),
         "a thief of its certificate": lambda: fleet.past_its_router(R18),
@@ -131,7 +131,7 @@ def test_only_the_site_may_ask(fleet: Fleet, said: int) -> None:
             assert answers(session, R17) == [], who
 
 
-def test_a_robot_answers_for_its_own_recordings_only(fleet: Fleet, said: int) -> None:
+def test_a_robot_answers_for_its_own_recordings_only(fleet: Fleet, published: int) -> None:
     asked: list[str] = []
 
     def lie(query: zenoh.Query) -> None:

@@ -41,7 +41,7 @@ LAB = "lab"
 GROUP = "a-*,b-7"
 PROGRAMS = Path(sys.executable).parent
 HOLDERS = (*ROBOTS, LAB, "mapbuilder", "recorder")
-HEARD, SAID = (SCAN, MAP, MODEL, MODEL_SET), (HYPOTHESES, OBSTACLES, HEALTH)
+RECEIVED, PUBLISHED = (SCAN, MAP, MODEL, MODEL_SET), (HYPOTHESES, OBSTACLES, HEALTH)
 ROUNDS, PAUSE_S = 5, 0.1
 
 
@@ -53,7 +53,7 @@ def key_of(channel: Channel, owner: str) -> str:
 
 
 WHAT = [(channel, owner) for channel in CHANNELS for owner in HOLDERS]
-Heard = set[tuple[str, str, str]]
+Received = set[tuple[str, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -84,9 +84,9 @@ def session_of(fleet: Fleet, holder: str) -> zenoh.Session:
 
 
 @pytest.fixture(scope="module")
-def heard(fleet: Fleet) -> Iterator[Heard]:
+def received(fleet: Fleet) -> Iterator[Received]:
     """Who heard which key of whom, after everybody said every key."""
-    told: Heard = set()
+    told: Received = set()
     with ExitStack() as opened:
         sessions = {holder: opened.enter_context(session_of(fleet, holder)) for holder in HOLDERS}
         for holder, session in sessions.items():
@@ -112,25 +112,25 @@ def heard(fleet: Fleet) -> Iterator[Heard]:
             *((who, key_of(HEALTH, LAB), LAB) for who in ("mapbuilder", "recorder")),
         }
 
-        def said() -> bool:
+        def published() -> bool:
             for holder, session in sessions.items():
                 for channel, owner in WHAT:
                     session.put(key_of(channel, owner), holder)
             return expected <= told
 
-        until(said, "not all that is allowed has arrived")
+        until(published, "not all that is allowed has arrived")
         for _ in range(ROUNDS):
-            said()
+            published()
             time.sleep(PAUSE_S)
         yield told
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
 def test_a_groups_projector_hears_its_robots_scans_and_the_sites_models_only(
-    heard: Heard, channel: Channel
+    received: Received, channel: Channel
 ) -> None:
     for owner in HOLDERS:
-        sayers = {by for who, key, by in heard if who == LAB and key == key_of(channel, owner)} - {LAB}
+        sayers = {by for who, key, by in received if who == LAB and key == key_of(channel, owner)} - {LAB}
         if channel is SCAN:
             assert sayers == ({owner} if owner in SERVED else set())
         else:
@@ -138,19 +138,21 @@ def test_a_groups_projector_hears_its_robots_scans_and_the_sites_models_only(
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
-def test_a_groups_projector_answers_its_robots_only(heard: Heard, channel: Channel) -> None:
+def test_a_groups_projector_answers_its_robots_only(received: Received, channel: Channel) -> None:
     for owner in HOLDERS:
-        hearers = {who for who, key, by in heard if by == LAB and key == key_of(channel, owner)} - {LAB}
+        subscribers = {who for who, key, by in received if by == LAB and key == key_of(channel, owner)} - {
+            LAB
+        }
         if channel in (HYPOTHESES, OBSTACLES) and owner in SERVED:
-            assert hearers == {owner, "mapbuilder", "recorder"}
+            assert subscribers == {owner, "mapbuilder", "recorder"}
         elif (channel is HEALTH and owner == LAB) or (channel is LIDAR_KIND and owner in SERVED):
-            assert hearers == {"mapbuilder", "recorder"}
+            assert subscribers == {"mapbuilder", "recorder"}
         else:
-            assert hearers == set()
+            assert subscribers == set()
 
 
-def test_no_robot_hears_another_ones_answers_and_none_of_them_answers(heard: Heard) -> None:
-    for who, key, by in heard:
+def test_no_robot_hears_another_ones_answers_and_none_of_them_answers(received: Received) -> None:
+    for who, key, by in received:
         for channel in (HYPOTHESES, OBSTACLES):
             if channel.parse(key):
                 assert by == LAB

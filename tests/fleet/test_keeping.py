@@ -40,8 +40,8 @@ def test_a_fleets_site_keeps_its_map_and_hears_two_scans_a_second(tmp_path: Path
 
 def test_who_is_answered_by_a_projector_elsewhere_sends_all_its_scans(tmp_path: Path) -> None:
     begin(tmp_path, "s", ["localhost"])
-    said = read(tmp_path).model_dump() | {"groups": {"lab": "a-*"}, "robots": {"a-2": {"scan": 5.0}}}
-    fleet = checked(said, "here")
+    published = read(tmp_path).model_dump() | {"groups": {"lab": "a-*"}, "robots": {"a-2": {"scan": 5.0}}}
+    fleet = checked(published, "here")
     assert fleet.air_of("a-1")[SCAN.name] == math.inf
     assert fleet.air_of("a-2")[SCAN.name] == 5.0
     assert fleet.air_of("b-1")[SCAN.name] == 2.0

@@ -30,45 +30,47 @@ def pose(robot: str) -> str:
 
 
 def test_a_stolen_robot_is_shut_out_by_one_step(fleet: Fleet) -> None:
-    heard: set[tuple[str, str]] = set()
+    received: set[tuple[str, str]] = set()
 
     def speak() -> None:
-        for name, session in said.items():
+        for name, session in published.items():
             session.put(pose(name), b"here")
         mapbuilder.put(MODEL_KEY, b"model")
 
-    def all_heard(robots: tuple[str, ...]) -> bool:
+    def all_received(robots: tuple[str, ...]) -> bool:
         speak()
-        return {("recorder", pose(name)) for name in robots} | {(name, MODEL_KEY) for name in robots} <= heard
+        return {("recorder", pose(name)) for name in robots} | {
+            (name, MODEL_KEY) for name in robots
+        } <= received
 
     with ExitStack() as opened:
         recorder, mapbuilder = (
             opened.enter_context(fleet.at_site(name)) for name in ("recorder", "mapbuilder")
         )
-        said = {name: opened.enter_context(fleet.past_its_router(name)) for name in ROBOTS}
-        listen(recorder, "recorder", f"{SITE}/**", heard)
-        for name, session in said.items():
-            listen(session, name, MODEL.selector({"site": SITE}), heard)
-        until(lambda: all_heard(ROBOTS), "not all is well before")
+        published = {name: opened.enter_context(fleet.past_its_router(name)) for name in ROBOTS}
+        listen(recorder, "recorder", f"{SITE}/**", received)
+        for name, session in published.items():
+            listen(session, name, MODEL.selector({"site": SITE}), received)
+        until(lambda: all_received(ROBOTS), "not all is well before")
 
         fleet.command("revoke", "r17")
         fleet.install("site")
         fleet.restart_with_the_new_configuration("site")
 
-        heard.clear()
-        until(lambda: all_heard(("r18",)), "r18 is not back")
+        received.clear()
+        until(lambda: all_received(("r18",)), "r18 is not back")
         for _ in range(20):
             speak()
-        until(lambda: all_heard(("r18",)), "r18 is gone")
-        assert not {("recorder", pose("r17")), ("r17", MODEL_KEY)} & heard
+        until(lambda: all_received(("r18",)), "r18 is gone")
+        assert not {("recorder", pose("r17")), ("r17", MODEL_KEY)} & received
 
 
-def listen(session: zenoh.Session, name: str, selector: str, heard: set[tuple[str, str]]) -> None:
-    session.declare_subscriber(selector, lambda sample: heard.add((name, str(sample.key_expr))))
+def listen(session: zenoh.Session, name: str, selector: str, received: set[tuple[str, str]]) -> None:
+    session.declare_subscriber(selector, lambda sample: received.add((name, str(sample.key_expr))))
 
 
 def test_a_new_certificate_does_not_let_the_old_one_in_again(fleet: Fleet) -> None:
-    heard: set[bytes] = set()
+    received: set[bytes] = set()
     stolen = fleet.machines / "stolen"
     (fleet.machines / "r17").rename(stolen)
     (fleet.machines / "r17").mkdir()
@@ -84,17 +86,17 @@ def test_a_new_certificate_does_not_let_the_old_one_in_again(fleet: Fleet) -> No
         fleet.past_its_router("stolen") as old,
         fleet.past_its_router("r17") as new,
     ):
-        recorder.declare_subscriber(pose("r17"), lambda sample: heard.add(sample.payload.to_bytes()))
+        recorder.declare_subscriber(pose("r17"), lambda sample: received.add(sample.payload.to_bytes()))
 
         def speak() -> bool:
             old.put(pose("r17"), b"old")
             new.put(pose("r17"), b"new")
-            return b"new" in heard
+            return b"new" in received
 
         until(speak, "the new certificate is not let in")
         for _ in range(20):
             speak()
-        assert heard == {b"new"}
+        assert received == {b"new"}
 
 
 @pytest.mark.skipif(ZENOHD is not None, reason="Zenoh's own router does not look at its configuration again")

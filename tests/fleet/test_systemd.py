@@ -57,3 +57,11 @@ def test_targets_name_programs_that_there_are() -> None:
 def test_a_service_has_few_rights(units: Path, name: str) -> None:
     threshold = f"--threshold={WORST_EXPOSURE}"
     analyze(units, "security", "--offline=true", "--no-pager", threshold, f"eigenscan@{name}.service")
+
+
+def test_no_service_writes_what_another_one_runs() -> None:
+    """Compiled code is loaded as it is: each service can write its own cache only."""
+    text = (UNITS / "eigenscan@.service").read_text()
+    assert "NUMBA_CACHE_DIR=/var/cache/eigenscan/%i" in text
+    assert "CacheDirectory=eigenscan/%i\n" in text
+    assert "ReadWritePaths" not in text

@@ -92,29 +92,29 @@ def test_a_late_joiner_gets_the_whole_set_from_the_service(office: GridMap, tmp_
                 break
         else:
             pytest.fail("the service ended before it was ready")
-        heard = _listen(ours, site)
+        received = _listen(ours, site)
     finally:
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-    models = {key: RegionModel.from_message(m) for key, m in heard.items() if "/model/" in key}
-    entries = heard[f"{site}/models"].entries
+    models = {key: RegionModel.from_message(m) for key, m in received.items() if "/model/" in key}
+    entries = received[f"{site}/models"].entries
     assert [entry.version for entry in entries] == [
         models[f"{site}/model/{e.region}"].version for e in entries
     ]
-    assert from_message(heard[f"{site}/map"]).version == heard[f"{site}/models"].map_version
+    assert from_message(received[f"{site}/map"]).version == received[f"{site}/models"].map_version
 
 
 def _listen(config: Path, site: str) -> dict[str, Any]:
-    inbox, heard = Inbox(), dict[str, Any]()
+    inbox, received = Inbox(), dict[str, Any]()
     with Bus(open_session(config)) as bus:
         bus.listen((MAP, MODEL, MODEL_SET), {"site": site}, inbox)
         deadline = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline and len(heard) < 5:
+        while time.monotonic() < deadline and len(received) < 5:
             arrival = inbox.take(0.2)
             if arrival is not None:
-                heard[arrival.key] = decode(arrival.channel, arrival.payload, arrival.encoding)
-    return heard
+                received[arrival.key] = decode(arrival.channel, arrival.payload, arrival.encoding)
+    return received
 
 
 @pytest.mark.parametrize(

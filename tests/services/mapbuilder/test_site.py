@@ -69,12 +69,12 @@ def test_a_change_at_one_end_leaves_the_models_that_do_not_see_it(office: GridMa
 
 
 def test_progress_goes_from_nothing_to_all(office: GridMap) -> None:
-    heard = []
-    build_site(office, QUICK, lambda what, share: heard.append((what, share)))
-    shares = [share for _, share in heard]
+    received = []
+    build_site(office, QUICK, lambda what, share: received.append((what, share)))
+    shares = [share for _, share in received]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
-    assert next(what for what, _ in heard) == "regions"
+    assert next(what for what, _ in received) == "regions"
 
 
 @pytest.mark.parametrize("value", [UNKNOWN, OCCUPIED])
@@ -114,14 +114,14 @@ def test_the_picture_shows_each_region_in_its_own_colour(office: GridMap) -> Non
     assert len(hues) >= 3
 
 
-def said(core: MapbuilderCore) -> list[Envelope]:
+def published(core: MapbuilderCore) -> list[Envelope]:
     return list(Loopback([core]).start())
 
 
 def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -> None:
     core = MapbuilderCore(MapbuilderSettings(step=2.0), office, site="lab")
     assert core.condition().status == Health.STATUS_WAITING
-    envelopes = said(core)
+    envelopes = published(core)
     assert [e.channel.name for e in envelopes] == ["map", "model", "model", "model", "model_set"]
     assert [e.key for e in envelopes[:2]] == ["lab/map", "lab/model/r01"]
     models = [RegionModel.from_message(e.open(model_pb2.RegionModel)) for e in envelopes[1:4]]
@@ -136,7 +136,7 @@ def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -
 def test_models_that_were_built_before_are_said_as_they_are(office: GridMap) -> None:
     site = build_site(office, replace(QUICK, frame_id="floor2"))
     core = MapbuilderCore(MapbuilderSettings(), site)
-    envelopes = said(core)
+    envelopes = published(core)
     assert envelopes[0].open(Grid).frame_id == "floor2"
     assert envelopes[-1].message == site.to_message()
 

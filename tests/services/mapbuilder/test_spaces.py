@@ -33,9 +33,9 @@ def ask(beams: int, cap: float = 12.0) -> Envelope:
     return Envelope(LIDAR_KIND, address, LidarKind(beams=beams, cap=cap))
 
 
-def said(core: MapbuilderCore | ChangeManager, heard: Envelope) -> dict[tuple[str, str], RegionSpace]:
+def published(core: MapbuilderCore | ChangeManager, received: Envelope) -> dict[tuple[str, str], RegionSpace]:
     """Spaces by region and version of its model."""
-    found = [envelope for envelope in core.handle(heard) if envelope.channel is SPACE]
+    found = [envelope for envelope in core.handle(received) if envelope.channel is SPACE]
     messages = [envelope.open(RegionSpace) for envelope in found]
     assert [envelope.address["region"] for envelope in found] == [m.region for m in messages]
     return {(m.region, m.model_version): m for m in messages}
@@ -49,7 +49,7 @@ def started(site: SiteModel) -> MapbuilderCore:
 
 def test_each_region_is_answered_once_for_a_kind(site: SiteModel) -> None:
     core = started(site)
-    found = said(core, ask(180))
+    found = published(core, ask(180))
     assert set(found) == {(model.region, model.version) for model in site.regions}
     for model in site.regions:
         own = space_from_message(found[model.region, model.version].space)
@@ -57,22 +57,22 @@ def test_each_region_is_answered_once_for_a_kind(site: SiteModel) -> None:
         assert own.analysis.beams == 180
         np.testing.assert_array_equal(own.space.vectors, direct.space.vectors)
         assert own.usual_error == direct.usual_error
-    assert said(core, ask(180)) == {}
-    assert len(said(core, ask(180, 5.0))) == len(site.regions)
+    assert published(core, ask(180)) == {}
+    assert len(published(core, ask(180, 5.0))) == len(site.regions)
     assert core.condition().counters["lidar_kinds"] == 2
 
 
 def test_the_declared_lidar_and_nonsense_are_not_answered(site: SiteModel) -> None:
     core = started(site)
-    assert said(core, ask(91)) == {}
+    assert published(core, ask(91)) == {}
     for beams, cap in ((0, 12.0), (181, 12.0), (90, 0.0), (90, -1.0), (90, float("nan")), (90, 13.0)):
-        assert said(core, ask(beams, cap)) == {}
+        assert published(core, ask(beams, cap)) == {}
     assert core.condition().counters["lidar_kind_malformed"] == 6
 
 
 def test_a_site_serves_a_bounded_number_of_kinds(site: SiteModel) -> None:
     core = started(replace(site, regions=site.regions[:1]))
-    answered = [bool(said(core, ask(beams))) for beams in range(10, 10 + KINDS + 3)]
+    answered = [bool(published(core, ask(beams))) for beams in range(10, 10 + KINDS + 3)]
     assert answered == [True] * KINDS + [False] * 3
     assert core.condition().counters["lidar_kind_beyond_limit"] == 3
 
@@ -83,7 +83,7 @@ def changed(model: RegionModel) -> RegionModel:
 
 def test_after_a_change_only_what_changed_is_said_again(site: SiteModel) -> None:
     core = started(site)
-    said(core, ask(180))
+    published(core, ask(180))
     after = replace(site, regions=(changed(site.regions[0]), *site.regions[1:]))
     spaces = [e.open(RegionSpace) for e in core.renew(after) if e.channel is SPACE]
     assert [(m.region, m.model_version) for m in spaces] == [
@@ -98,15 +98,15 @@ def test_what_was_made_is_kept_with_the_models_and_said_at_the_next_start(
     write_models(site, folder)
     first = ChangeManager(Store(folder), SETTINGS, "s")
     list(first.start())
-    want = said(first, ask(180))
+    want = published(first, ask(180))
     (kept,) = (folder / "spaces").iterdir()
     assert first.condition().counters["spaces_kept"] == 1
     again = ChangeManager(Store(folder), SETTINGS, "s")
     spaces = [e.open(RegionSpace) for e in again.start() if e.channel is SPACE]
     assert {(m.region, m.model_version): m for m in spaces} == want
-    assert said(again, ask(180)) == {}
+    assert published(again, ask(180)) == {}
     kept.write_bytes(kept.read_bytes()[:-500])
     damaged = ChangeManager(Store(folder), SETTINGS, "s")
     assert not [e for e in damaged.start() if e.channel is SPACE]
     assert damaged.condition().counters["spaces_damaged"] == 1
-    assert said(damaged, ask(180)) == want
+    assert published(damaged, ask(180)) == want

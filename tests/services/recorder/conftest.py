@@ -53,13 +53,13 @@ class Recorder:
                     return health
         pytest.fail(f"no such health; log:\n{self.log.read_text()}")
 
-    def await_written(self, said: Sequence[Envelope]) -> Health:
+    def await_written(self, published: Sequence[Envelope]) -> Health:
         """Until all of these are in the file; of its own health there is more in it."""
-        wanted = Counter(envelope.channel.name for envelope in said if envelope.channel is not HEALTH)
+        wanted = Counter(envelope.channel.name for envelope in published if envelope.channel is not HEALTH)
 
         def has_all(health: Health) -> bool:
-            heard = {name: health.counters.get(f"heard_{name}", 0) for name in wanted}
-            return all(heard[name] >= count for name, count in wanted.items())
+            received = {name: health.counters.get(f"heard_{name}", 0) for name in wanted}
+            return all(received[name] >= count for name, count in wanted.items())
 
         return self.await_health(has_all)
 

@@ -19,7 +19,7 @@ ADDRESS = {"site": "s", "robot": "r"}
 class Slow:
     """A sink that writes only when it is let, and fails on request."""
 
-    def __init__(self, fails_on: Callable[[Envelope], bool] = lambda heard: False) -> None:
+    def __init__(self, fails_on: Callable[[Envelope], bool] = lambda received: False) -> None:
         self.may_write, self.writes = threading.Event(), threading.Event()
         self.written: list[Envelope] = []
         self.closed = False
@@ -28,12 +28,12 @@ class Slow:
     problem = ""
     counters: Mapping[str, int] = {"drawn": 7}
 
-    def write(self, heard: Envelope) -> None:
+    def write(self, received: Envelope) -> None:
         self.writes.set()
         self.may_write.wait(120)
-        if self._fails_on(heard):
+        if self._fails_on(received):
             raise ValueError("undrawable")
-        self.written.append(heard)
+        self.written.append(received)
 
     def close(self) -> None:
         self.closed = True
@@ -57,7 +57,7 @@ def await_that(holds: Callable[[], bool]) -> None:
 
 
 def numbers(sink: Slow) -> list[int]:
-    return [heard.message.timestamp.nanos for heard in sink.written if heard.channel == POSE]  # type: ignore[attr-defined]
+    return [received.message.timestamp.nanos for received in sink.written if received.channel == POSE]  # type: ignore[attr-defined]
 
 
 def test_in_order_and_whole_where_there_is_time(patient: None) -> None:
@@ -85,7 +85,7 @@ def test_a_slow_sink_loses_the_oldest_but_never_the_map(patient: None) -> None:
     sink.may_write.set()
     await_that(lambda: len(sink.written) == WAITING + 2)
     background.close()
-    assert [heard.channel for heard in sink.written[:2]] == [POSE, MAP]
+    assert [received.channel for received in sink.written[:2]] == [POSE, MAP]
     assert numbers(sink) == [0, *range(101, WAITING + 101)]
 
 
@@ -102,7 +102,7 @@ def test_a_sink_that_hangs_does_not_keep_the_recorder_from_ending() -> None:
 
 
 def test_what_fails_is_counted_and_logged_once(caplog: pytest.LogCaptureFixture, patient: None) -> None:
-    sink = Slow(fails_on=lambda heard: heard.message.timestamp.nanos % 2 == 1)  # type: ignore[attr-defined]
+    sink = Slow(fails_on=lambda received: received.message.timestamp.nanos % 2 == 1)  # type: ignore[attr-defined]
     sink.may_write.set()
     background = BackgroundSink(sink)
     for number in range(10):

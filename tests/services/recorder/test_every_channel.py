@@ -105,10 +105,10 @@ def test_each_channel_is_seen(
 def test_odometry_and_scans_tell_the_speed_on_one_axis(tmp_path: Path) -> None:
     """Driven backwards at 0.5 m/s in a curve of 20 degrees/s; odometry every 20 ms, scans every 200 ms."""
     step = np.array([-0.5 * 0.02, 0.0, math.radians(20.0) * 0.02])
-    pose, said = np.array([3.0, -2.0, 2.0]), []
+    pose, published = np.array([3.0, -2.0, 2.0]), []
     for tick in range(100):
         at = stamp(S + tick * S // 50)
-        said.append(Envelope(ODOMETRY, ADDRESS, Odometry(timestamp=at, pose=to_pose3(pose))))
+        published.append(Envelope(ODOMETRY, ADDRESS, Odometry(timestamp=at, pose=to_pose3(pose))))
         pose = compose(pose, step)
     motion = np.zeros(3)
     for _ in range(10):
@@ -116,9 +116,9 @@ def test_odometry_and_scans_tell_the_speed_on_one_axis(tmp_path: Path) -> None:
     for scan in range(1, 10):
         at, since = stamp(S + scan * S // 5), stamp(S + (scan - 1) * S // 5)
         moved = ScanMotion(timestamp=at, since=since, motion=to_message(motion))
-        said.append(Envelope(SCAN_MOTION, ADDRESS, moved))
+        published.append(Envelope(SCAN_MOTION, ADDRESS, moved))
     unfit = ScanMotion(timestamp=stamp(4 * S), since=stamp(3 * S))
-    draw(tmp_path / "a.rrd", [*said, Envelope(SCAN_MOTION, ADDRESS, unfit)])
+    draw(tmp_path / "a.rrd", [*published, Envelope(SCAN_MOTION, ADDRESS, unfit)])
 
     def values(entity: str) -> list[float]:
         return [row[0] for _, row in rows(tmp_path / "a.rrd", entity, "Scalars:scalars")]
@@ -160,8 +160,8 @@ def test_frames_hang_below_their_parents(tmp_path: Path) -> None:
         message.translation.x, message.rotation.w = x, 1.0
         return Envelope(TRANSFORM, ADDRESS, message)
 
-    said = [moved("map", "odom", 1.0), moved("odom", "base link", 2.0), moved("base link", "map", 3.0)]
-    draw(tmp_path / "a.rrd", said, draw_all=True)
+    published = [moved("map", "odom", 1.0), moved("odom", "base link", 2.0), moved("base link", "map", 3.0)]
+    draw(tmp_path / "a.rrd", published, draw_all=True)
     ((_, (translation,)),) = rows(
         tmp_path / "a.rrd", "/frames/r1/map/odom/base\\ link", "Transform3D:translation"
     )
@@ -189,10 +189,10 @@ def test_a_robot_that_is_told_where_it_is_is_shown_with_it_until_it_is_to_search
 
 
 def test_the_models_in_use_are_a_page_with_their_floors_on_the_map(tmp_path: Path) -> None:
-    said = ModelSet(version="abcdef0123456789", map_version="fedcba", frame_id="map", free_area_m2=812.4)
-    said.entries.add(region="r01", version="0123456789abcdef", size=51_000)
-    said.floors.add(name="first floor", outline_x=[0.0, 9.0, 9.0, 0.0], outline_y=[0.0, 0.0, 5.0, 5.0])
-    draw(tmp_path / "a.rrd", [Envelope(MODEL_SET, ADDRESS, said)])
+    published = ModelSet(version="abcdef0123456789", map_version="fedcba", frame_id="map", free_area_m2=812.4)
+    published.entries.add(region="r01", version="0123456789abcdef", size=51_000)
+    published.floors.add(name="first floor", outline_x=[0.0, 9.0, 9.0, 0.0], outline_y=[0.0, 0.0, 5.0, 5.0])
+    draw(tmp_path / "a.rrd", [Envelope(MODEL_SET, ADDRESS, published)])
     ((_, (page,)),) = rows(tmp_path / "a.rrd", "/models", "TextDocument:text")
     for words in ("abcdef012345", "812 m²", "first floor", "| r01 | 0123456789ab | 51 |"):
         assert words in page
@@ -205,5 +205,7 @@ def test_a_pose_is_labelled_with_its_floor(tmp_path: Path) -> None:
         timestamp=stamp(S), state=STATE_LOCALIZED, confidence=0.97, track_id=1, floor="first floor"
     )
     draw(tmp_path / "a.rrd", [Envelope(POSE, ADDRESS, pose)])
-    labels = [row for _, row in rows(tmp_path / "a.rrd", "/world/robots/r1/pose", "Points3D:labels") if row]
+    labels = [
+        row for _, row in rows(tmp_path / "a.rrd", "/world/robots/r1/pose/label", "Points3D:labels") if row
+    ]
     assert labels[-1] == ["r1: LOCALIZED 97% first floor"]

@@ -134,11 +134,11 @@ def test_a_kill_leaves_all_that_was_on_disk(start_recorder: Callable[..., Any], 
     """How soon that is, is said below, where the test has the clock."""
     recorder = start_recorder("--mcap", str(tmp_path / "k.mcap"))
     address = {"site": recorder.site, "robot": "r1"}
-    said = itertools.count(1)
+    published = itertools.count(1)
 
     def say() -> None:
         for _ in range(10):
-            recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(next(said)))))
+            recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(next(published)))))
             time.sleep(0.005)
 
     # what has just come goes to the disk while the recorder is at work, not at its end
@@ -356,15 +356,15 @@ def test_a_clock_that_is_set_back_delays_neither_flush_nor_retry(tmp_path: Path)
 def test_on_a_full_disk_each_message_is_in_a_file_or_counted_and_no_empty_files_pile_up(
     tmp_path: Path,
 ) -> None:
-    clock, said = Clock(), 0
+    clock, published = Clock(), 0
     sink = McapSink(tmp_path, "s", clock, 0.5, {})
 
     def write(seconds: int) -> None:
-        nonlocal said
+        nonlocal published
         for _ in range(10 * seconds):
             clock.now += S // 10
-            said += 1
-            sink.write(pose(said))
+            published += 1
+            sink.write(pose(published))
 
     write(3)
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -381,9 +381,9 @@ def test_on_a_full_disk_each_message_is_in_a_file_or_counted_and_no_empty_files_
     assert len(files) == sink.counters["mcap_files"] == 2
     kept = [record.publish_time for path in files for record in read(path)]
     assert len(kept) == len(set(kept)) == sink.counters["mcap_written"]
-    assert sink.counters["mcap_written"] + sink.counters["mcap_lost"] == said
+    assert sink.counters["mcap_written"] + sink.counters["mcap_lost"] == published
     assert set(range(1, 25)) <= set(kept)
-    assert said in kept
+    assert published in kept
 
 
 @pytest.mark.parametrize(

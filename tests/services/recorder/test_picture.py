@@ -27,9 +27,11 @@ from eigenscan.recorder.picture.belief import probabilities
 from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
 from eigenscan.recorder.picture.canvas import Pace
+from eigenscan.recorder.picture.floor import scale_length
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.manifold import Manifold, analysis_of
 from eigenscan.recorder.picture.palette import LOCALIZED, LOST
+from eigenscan.recorder.picture.robot import label_place
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRACKS, TRUTH
@@ -99,7 +101,9 @@ def test_the_file_is_sound_and_holds_every_part_of_the_picture(tmp_path: Path) -
         "/world/map",
         "/world/regions/hallway",
         "/world/robots/r1/pose",
+        "/world/robots/r1/pose/label",
         "/world/robots/r1/pose/within_95_percent",
+        "/world/scale",
         "/world/robots/r1/scan/front",
         "/world/robots/r1/hypotheses/front/0",
         "/world/robots/r1/tracks",
@@ -393,10 +397,10 @@ def test_whatever_decodes_can_be_drawn(tmp_path: Path) -> None:
 def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tmp_path: Path) -> None:
     """A real process; it ends in time with both open, and the file is whole."""
     recorder = start_recorder("--rrd", str(tmp_path / "a.rrd"), "--viewer-port", "0", "--data-port", "0")
-    said = list(Site(recorder.site, seconds=0.5).messages())
-    for message in said:
+    published = list(Site(recorder.site, seconds=0.5).messages())
+    for message in published:
         recorder.bus.say(message)
-    recorder.await_health(lambda health: health.counters.get("drawn", 0) >= len(said))
+    recorder.await_health(lambda health: health.counters.get("drawn", 0) >= len(published))
     assert recorder.viewer().startswith("http://127.0.0.1:")
     assert recorder.stop() == 0
     assert "/world/map" in entities(tmp_path / "a.rrd")
@@ -505,10 +509,44 @@ def test_no_panel_of_any_layout_stays_empty(tmp_path: Path) -> None:
     draw(tmp_path / "a.rrd", Site("s", seconds=3.0).messages(), draw_all=True)
     drawn = entities(tmp_path / "a.rrd")
     for layout in get_args(Layout):
-        stood_on = origins(blueprint(layout, None, None, live=False, draw_all=True).root_container)
+        made = blueprint(layout, None, None, live=False, draw_all=True, has_truth=True)
+        stood_on = origins(made.root_container)
         assert {"status", "world", "legend"} <= stood_on
         for origin in stood_on:
             assert any(entity.startswith(f"/{origin}") for entity in drawn), (layout, origin)
+
+
+@pytest.mark.parametrize("layout", get_args(Layout))
+def test_without_a_true_pose_no_layout_has_a_panel_of_errors(layout: Layout) -> None:
+    errors = {"error/position", "error/heading"}
+    real, simulated = (
+        origins(blueprint(layout, None, None, live=False, has_truth=known).root_container)
+        for known in (False, True)
+    )
+    assert not errors & real
+    assert simulated - real == (errors if layout in ("operator", "developer") else set())
+
+
+@pytest.mark.parametrize(("width", "length"), [(27.0, 5.0), (9.0, 1.0), (260.0, 50.0), (1.0, 0.5)])
+def test_the_scale_bar_has_a_round_length_that_fits(width: float, length: float) -> None:
+    assert scale_length(width) == length
+
+
+def test_the_map_has_a_scale_bar_below_it(tmp_path: Path) -> None:
+    draw(tmp_path / "a.rrd", Site("s", seconds=1.0).messages())
+    ((_, labels),) = rows(tmp_path / "a.rrd", "/world/scale", "Points3D:labels")
+    ((_, strips),) = rows(tmp_path / "a.rrd", "/world/scale", "LineStrips3D:strips")
+    _, start, end, _ = np.array(strips[0])
+    assert labels == [f"{end[0] - start[0]:g} m"]
+
+
+@given(heading=st.floats(-4.0, 4.0), gap=st.floats(1.5, 20.0))
+def test_a_label_is_never_on_its_arrows_side(heading: float, gap: float) -> None:
+    pose = np.array([3.0, -2.0, heading])
+    x, y = label_place(pose, gap) - pose[:2]
+    assert x == 0.0
+    assert abs(y) == pytest.approx(gap)
+    assert y * np.sin(heading) <= 0.0
 
 
 def test_a_range_beyond_the_ring_is_drawn_near_what_was_seen() -> None:

@@ -57,11 +57,11 @@ def test_a_recorder_killed_at_any_moment_leaves_all_that_was_on_disk(
 ) -> None:
     recorder = start_recorder("--mcap", str(tmp_path / "k.mcap"))
     address = {"site": recorder.site, "robot": "r1"}
-    said: list[int] = []
+    published: list[int] = []
 
     def say() -> None:
-        said.append(time.time_ns())
-        recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(said[-1]))))
+        published.append(time.time_ns())
+        recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(published[-1]))))
         time.sleep(0.004)
 
     on_disk = recorder.await_on_disk(tmp_path / "k.mcap", random.Random(seed).randint(50, 500), say)
@@ -77,7 +77,7 @@ def test_a_recorder_killed_at_any_moment_leaves_all_that_was_on_disk(
     assert is_complete(repaired)
     assert is_sound(repaired)
     kept = stamps(repaired)
-    assert kept == said[: len(kept)]
+    assert kept == published[: len(kept)]
     assert len(kept) >= len(on_disk)
     assert stamps(tmp_path) == kept  # of both files in the folder, the repaired one counts
     assert read_metadata(repaired)["recorder"]

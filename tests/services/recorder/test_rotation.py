@@ -152,8 +152,8 @@ def test_a_process_rotates_within_its_budget_and_replay_joins_its_files(
     assert recorder.stop() == 0
     files = list(out.glob("*.mcap"))
     assert len(files) >= 3
-    heard = [encode(record.envelope.message) for record in read(out) if record.envelope.channel is POSE]
-    assert heard == [encode(message.message) for message in sent]
+    received = [encode(record.envelope.message) for record in read(out) if record.envelope.channel is POSE]
+    assert received == [encode(message.message) for message in sent]
     drawn = subprocess.run(
         [Path(sys.executable).parent / "eigenscan", "view", out, "--no-open", "--rrd", tmp_path / "a.rrd"],
         capture_output=True,

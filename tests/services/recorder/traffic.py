@@ -82,10 +82,10 @@ class Site:
     def messages(self) -> Iterator[Envelope]:
         timeline = list(self._stage.messages())
         self._begin = first = timeline[0].time
-        yield self._say(MAP, grid_message(self.grid, "map"))
-        yield self._say(MODEL, self._model())
-        yield self._say(MODEL_SET, ModelSet(timestamp=stamp(first), version="abc", frame_id="map"))
-        yield self._say(
+        yield self._publish(MAP, grid_message(self.grid, "map"))
+        yield self._publish(MODEL, self._model())
+        yield self._publish(MODEL_SET, ModelSet(timestamp=stamp(first), version="abc", frame_id="map"))
+        yield self._publish(
             TRANSFORM,
             FrameTransform(timestamp=stamp(first), parent_frame_id="map", child_frame_id="odom"),
         )
@@ -94,7 +94,7 @@ class Site:
             if timed.envelope.channel == SCAN_RAW:
                 yield from self._follow(timed.envelope.open(RawScan), timed.time)
 
-    def _say(self, channel: Channel, message: Message) -> Envelope:
+    def _publish(self, channel: Channel, message: Message) -> Envelope:
         return Envelope(channel, self.address, message)
 
     def _model(self) -> RegionModel:
@@ -107,7 +107,7 @@ class Site:
     def _follow(self, raw: RawScan, time: int) -> Iterator[Envelope]:
         """What the services make of a scan."""
         at = nanoseconds(raw.timestamp)
-        yield self._say(SCAN_MOTION, ScanMotion(timestamp=raw.timestamp, since=stamp(at - 100_000_000)))
+        yield self._publish(SCAN_MOTION, ScanMotion(timestamp=raw.timestamp, since=stamp(at - 100_000_000)))
         scan = Scan(
             timestamp=raw.timestamp,
             frame_id="base",
@@ -119,17 +119,17 @@ class Site:
             ranges=raw.ranges,
             sequence=self._count,
         )
-        yield self._say(SCAN, scan)
+        yield self._publish(SCAN, scan)
         true = self._stage.pose_at(time)
         progress = (time - self._begin) * 1e-9 / self._seconds
-        yield self._say(HYPOTHESES, self._hypotheses(at, true, progress))
-        yield self._say(OBSTACLES, self._obstacles(scan, true))
+        yield self._publish(HYPOTHESES, self._hypotheses(at, true, progress))
+        yield self._publish(OBSTACLES, self._obstacles(scan, true))
         believed = compose(true, [0.05, -0.03, 0.01])
         self._history.append(believed)
         state = STATE_LOST if progress < 0.2 else STATE_AMBIGUOUS if progress < 0.45 else STATE_LOCALIZED
         confidence = min(0.97, 0.1 + progress)
-        yield self._say(TRACKS, self._tracks(at, confidence))
-        yield self._say(
+        yield self._publish(TRACKS, self._tracks(at, confidence))
+        yield self._publish(
             POSE,
             PoseEstimate(
                 timestamp=stamp(at),
@@ -144,10 +144,12 @@ class Site:
             ),
         )
         if self._count % 10 == 0:
-            yield self._say(RELOCATION, Relocation(timestamp=stamp(at), pose=to_message(true)))
-            yield self._say(HEALTH, Health(timestamp=stamp(at), service="tracker", status=Health.STATUS_OK))
-            yield self._say(LIDAR_KIND, LidarKind(timestamp=stamp(at), beams=180, cap=8.0))
-            yield self._say(SPACE, RegionSpace(region="hallway", model_version="abc"))
+            yield self._publish(RELOCATION, Relocation(timestamp=stamp(at), pose=to_message(true)))
+            yield self._publish(
+                HEALTH, Health(timestamp=stamp(at), service="tracker", status=Health.STATUS_OK)
+            )
+            yield self._publish(LIDAR_KIND, LidarKind(timestamp=stamp(at), beams=180, cap=8.0))
+            yield self._publish(SPACE, RegionSpace(region="hallway", model_version="abc"))
         self._count += 1
 
     def _hypotheses(self, at: int, true: np.ndarray, progress: float) -> Hypotheses:

@@ -1,4 +1,4 @@
-"""Who may say and hear what through a router, as Zenoh's access control; all of it from the contract's table.
+"""Who may publish and receive what through a router: Zenoh's access control, from the contract's table.
 
 Nothing is allowed but what is written here, for each certificate by its common name. Zenoh is silent about
 what it denies: a denied sample does not arrive, a denied query gets no answer.
@@ -30,11 +30,20 @@ EVERY_MESSAGE = [
     "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
 ]  # fmt: skip
 
-ON_A_ROBOT = ("router", "scan-ingest", "projector", "tracker", "mapbuilder", "recorder", "ros-bridge")
+ON_A_ROBOT = (
+    "router",
+    "scan-ingest",
+    "projector",
+    "tracker",
+    "mapbuilder",
+    "recorder",
+    "ros-bridge",
+    "vda5050-bridge",
+)
 """Services that a robot's certificate may speak of: made-up names would fill the site's recordings."""
 
 ANSWERS = (HYPOTHESES, OBSTACLES)
-"""What a projector says to a robot."""
+"""What a projector reports to a robot."""
 
 Air = Mapping[str, float]
 """Channel name -> samples a second that a robot may send over the air, for every channel."""

@@ -41,7 +41,7 @@ class SiteCollector:
             state.add_metric([name], pose.state if pose is not None else 0)
             if robot is not None and pose is not None:
                 confidence.add_metric([name], pose.confidence)
-                age.add_metric([name], now - robot.heard_at)
+                age.add_metric([name], now - robot.received_at)
                 newest = view.model_version
                 old.add_metric([name], float(bool(newest) and pose.model_version != newest))
         yield from (state, confidence, age, old)
@@ -62,7 +62,7 @@ class SiteCollector:
             if service.health is None:
                 continue
             status.add_metric(labels, service.health.status)
-            age.add_metric(labels, now - service.heard_at)
+            age.add_metric(labels, now - service.received_at)
             clock.add_metric(labels, service.clock_offset_s or 0.0)
             for what, count in sorted(service.health.counters.items()):
                 counts.add_metric([*labels, what], count)

@@ -187,9 +187,9 @@ def _urgency(site: str, robot: str, air: access.Air) -> list[dict[str, Any]]:
 
 
 def _together(site: str) -> dict[str, Any]:
-    """What robots say goes on from the site's router together, not each in a batch of its own.
+    """What robots report goes on from the site's router together, not each in a batch of its own.
 
-    Express samples of 200 robots, 2,000 a second to each hearer, fill the deepest queue that Zenoh has, of 16
+    Express samples of 200 robots, 2,000 a second to each subscriber, fill Zenoh's deepest queue, of 16
     batches, whenever its thread gets no turn for 8 ms. What waits for none leaves at once either way.
     """
     urgent = [one for one in CHANNELS if Role.ROBOT in one.said_by and one.qos.express]

@@ -1,7 +1,8 @@
-"""What is wrong with a site, by what its services say, and how to mend it."""
+"""What is wrong with a site, by what its services report, and how to mend it."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,11 @@ from eigenscan.schemas.health_pb2 import Health
 CLOCK_S = 1.0
 """A robot's clock may be so far from ours, the way of a message included."""
 SILENT_S = 3.0
-"""A service that has not said its health for so long is not well, or its link is down."""
+"""A service that has not published its health for so long is not well, or its link is down."""
+
+
+_PART = re.compile(r"(\d{1,3})/(\d{1,3})", re.ASCII)
+"""What a projector tells of its share of the site; whatever else stands there is no share."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ def _of_a_service(service: Service) -> Iterator[Finding]:
     health = service.health
     if not service.contracts or health is None:
         return
-    if time.monotonic() - service.heard_at > SILENT_S:
+    if time.monotonic() - service.received_at > SILENT_S:
         yield Finding(where, "is there, but silent", "look at its log; its machine or link may be overloaded")
     offset = service.clock_offset_s or 0.0
     if abs(offset) > CLOCK_S:
@@ -142,8 +147,9 @@ def _of_sharing(where: str, there: dict[str, list[Service]]) -> Iterator[Finding
             yield Finding(where, f"has {name} {both}: each disturbs the other", "end all but one")
     shares: dict[int, set[int]] = {}
     for service in there["projector"]:
-        k, n = map(int, service.setting("part", "1/1").split("/"))
-        shares.setdefault(n, set()).add(k)
+        if found := _PART.fullmatch(service.setting("part", "1/1")):
+            k, n = map(int, found.groups())
+            shares.setdefault(n, set()).add(k)
     missing = {n: sorted({*range(1, n + 1)} - held) for n, held in shares.items()}
     if missing and all(missing.values()):
         n, lacking = min(missing.items(), key=lambda each: len(each[1]))

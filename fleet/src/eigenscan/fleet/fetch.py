@@ -1,6 +1,6 @@
 """A robot's recordings brought here: piece by piece, on from where it was cut off, only what lies in a time.
 
-What a robot says of its files is not believed: names stay within the folder, sizes within the disk.
+What a robot reports of its files is not believed: names stay within the folder, sizes within the disk.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PARTIAL = ".part"
 Ask = Callable[[str, bytes], bytes]
 """Puts a query for `parts` or `bytes` with its payload; gives the answer. Raises FailedError."""
 Moved = Callable[[int], object]
-"""Hears how many bytes came."""
+"""Receives how many bytes came."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ import json
 import math
 import re
 import shutil
-import tomllib
 from collections.abc import Mapping, Sequence
 from ipaddress import ip_address
 from pathlib import Path
@@ -25,6 +24,7 @@ from eigenscan.fleet.access import Air
 from eigenscan.fleet.authority import common_name
 from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.settings import parse_toml
 from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
 from eigenscan.schemas.group import holds, patterns
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -124,8 +124,8 @@ def read(folder: Path) -> Fleet:
             f"{path}: is not there: make a fleet with eigenscan fleet certify --site NAME -o {folder}"
         )
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        content = parse_toml(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
         raise UsageError(f"{path}: is not TOML: {error}") from error
     return checked(content, str(path))
 
@@ -136,7 +136,7 @@ def checked(content: Mapping[str, Any], source: str) -> Fleet:
         return Fleet.model_validate(content)
     except ValidationError as error:
         faults = [
-            f"{'.'.join(map(str, one['loc'])).removesuffix('.[key]')} = {one['input']!r}: "
+            f"{'.'.join(map(str, one['loc'])).removesuffix('.[key]')} = {repr(one['input'])[:200]}: "
             f"{one['msg'].removeprefix('Value error, ')}"
             for one in error.errors()
         ]

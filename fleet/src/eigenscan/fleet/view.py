@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.session import open_meanwhile
 from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, MODEL_SET, POSE, ContractError
 from eigenscan.schemas.envelope import Envelope, nanoseconds
-from eigenscan.schemas.group import holds, is_one, patterns
+from eigenscan.schemas.group import EVERY, holds, is_one, patterns
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -30,7 +31,10 @@ ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
 """What each robot needs, on it or for all robots at once (robot *)."""
 
 FORGOTTEN_S = 24 * 3600.0
-"""Who is gone and was not heard for so long is not shown any more."""
+"""Who is gone and was not received for so long is not shown any more."""
+
+MOST_SETTINGS = 20_000
+"""Characters of the settings that a service tells, at most: ten times what the largest of ours does."""
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
@@ -50,6 +54,23 @@ def connect(path: Path | None) -> zenoh.Session:
         ) from error
 
 
+@lru_cache(maxsize=1024)
+def settings_in(told: str) -> Mapping[str, str]:
+    """The settings that a service tells of itself, as text; none where that is no JSON object of a fair size.
+
+    Whoever may publish health may say anything here.
+    """
+    try:
+        values = json.loads(told) if len(told) <= MOST_SETTINGS else None
+        if not isinstance(values, dict):
+            return {}
+        found = {str(name): str(value) for name, value in values.items()}
+        patterns(found.get("robot", EVERY))
+    except (ValueError, RecursionError):
+        return {}
+    return found
+
+
 @dataclass
 class Service:
     """One instance of a service; times are monotonic, s."""
@@ -60,7 +81,7 @@ class Service:
     """Versions of the contract in its liveliness tokens; empty: it is not there (any more)."""
     health: Health | None = None
     first: Health | None = None
-    heard_at: float = 0.0
+    received_at: float = 0.0
     offsets: deque[float] = field(default_factory=lambda: deque(maxlen=OFFSETS))
     """How far the stamps of its latest words were before our clock, s."""
 
@@ -77,13 +98,15 @@ class Service:
     def setting(self, name: str, otherwise: str) -> str:
         """One of the settings that it tells of."""
         told = self.health.settings if self.health is not None else ""
-        return str(json.loads(told).get(name, otherwise)) if told else otherwise
+        return settings_in(told).get(name, otherwise)
 
     @property
     def status(self) -> str:
         """`ok`, `waiting`, `degraded`, or `unknown` before it said anything."""
         if self.health is None:
             return "unknown"
+        if self.health.status not in Health.Status.values():
+            return "unknown"  # of a later version, or of nobody we know
         return Health.Status.Name(self.health.status).removeprefix("STATUS_").lower()
 
     def counter(self, name: str) -> int:
@@ -91,7 +114,7 @@ class Service:
         return int(self.health.counters.get(name, 0)) if self.health is not None else 0
 
     def grew(self, name: str) -> int:
-        """By how much a counter grew since this service was first heard."""
+        """By how much a counter grew since this service was first received."""
         return self.counter(name) - (int(self.first.counters.get(name, 0)) if self.first is not None else 0)
 
     @property
@@ -110,7 +133,7 @@ class Robot:
 
     name: str
     pose: PoseEstimate | None = None
-    heard_at: float = 0.0
+    received_at: float = 0.0
 
 
 class FleetView:
@@ -143,7 +166,7 @@ class FleetView:
         self._tokens.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
     def say(self, envelope: Envelope) -> None:
-        """Says something to the site."""
+        """Publishes something to the site."""
         self._bus.say(envelope)
 
     def update(self) -> list[PoseEstimate]:
@@ -155,11 +178,11 @@ class FleetView:
             contracts = self._service(name, instance).contracts
             (contracts.add if there else contracts.discard)(contract)
         while (arrival := self._inbox.take(0.0)) is not None:
-            poses += self._hear(arrival, time.monotonic(), time.time_ns())
+            poses += self._receive(arrival, time.monotonic(), time.time_ns())
         since = time.monotonic() - FORGOTTEN_S
-        self.robots = {name: each for name, each in self.robots.items() if each.heard_at > since}
+        self.robots = {name: each for name, each in self.robots.items() if each.received_at > since}
         self.services = {
-            who: each for who, each in self.services.items() if each.contracts or each.heard_at > since
+            who: each for who, each in self.services.items() if each.contracts or each.received_at > since
         }
         return poses
 
@@ -173,7 +196,7 @@ class FleetView:
             self.update()
         return True
 
-    def _hear(self, arrival: Arrival, now: float, wall: int) -> list[PoseEstimate]:
+    def _receive(self, arrival: Arrival, now: float, wall: int) -> list[PoseEstimate]:
         try:
             message = decode(arrival.channel, arrival.payload, arrival.encoding)
         except ContractError:
@@ -183,13 +206,13 @@ class FleetView:
             self.model_version = message.version
         elif isinstance(message, PoseEstimate):
             robot = self.robots.setdefault(address["robot"], Robot(address["robot"]))
-            robot.pose, robot.heard_at = message, now
+            robot.pose, robot.received_at = message, now
             return [message]
         elif isinstance(message, Health):
             service = self._service(address["service"], address["instance"])
             service.offsets.append((nanoseconds(message.timestamp) - wall) * 1e-9)
             service.first = service.first or message
-            service.health, service.heard_at = message, now
+            service.health, service.received_at = message, now
         return []
 
     def _service(self, name: str, instance: str) -> Service:
@@ -209,7 +232,7 @@ class FleetView:
     def health(self, name: str) -> Health | None:
         """The newest word of a service of that name on itself."""
         told = [each for each in self.services.values() if each.name == name and each.health is not None]
-        return max(told, key=lambda each: each.heard_at).health if told else None
+        return max(told, key=lambda each: each.received_at).health if told else None
 
     def serving(self, robot: str) -> Iterator[Service]:
         """The services that work for one robot, its own and those for all."""

@@ -58,9 +58,9 @@ class Patrol:
         for timed in stage.messages():
             if timed.envelope.channel.name != "scan_raw":
                 continue
-            for said in ingest.handle(timed.envelope):
-                if said.channel is SCAN:
-                    yield said
+            for published in ingest.handle(timed.envelope):
+                if published.channel is SCAN:
+                    yield published
             if count % round(self.lidar.rate) == 0:
                 error = rng.normal(0.0, 1.0, 3) * ERROR
             count += 1

@@ -36,11 +36,11 @@ def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> Change
 
 def come_by(core: ChangeManager, numbers: Iterable[int]) -> list[Envelope]:
     """Robots on visits of these numbers, and a pulse at the end; what was said."""
-    said: list[Envelope] = []
+    published: list[Envelope] = []
     for number in numbers:
-        for heard in Patrol(number).messages(MOVED, number * VISIT_S):
-            said += core.handle(heard)
-    return [*said, *core.handle(PULSE)]
+        for received in Patrol(number).messages(MOVED, number * VISIT_S):
+            published += core.handle(received)
+    return [*published, *core.handle(PULSE)]
 
 
 @pytest.fixture
@@ -51,20 +51,20 @@ def folder(tmp_path: Path) -> Path:
 
 def test_what_is_published_can_be_taken_back_and_stays_taken_back(folder: Path) -> None:
     core, first = start(folder, "publish"), versions(folder)[0].version
-    said = come_by(core, range(5))
-    channels = Counter(envelope.channel.name for envelope in said)
+    published = come_by(core, range(5))
+    channels = Counter(envelope.channel.name for envelope in published)
     assert channels["map"] == channels["model_set"] == 1
     regions = core.condition().counters["regions"]
     assert 0 < channels["model"] < regions
     second = versions(folder)[0].version
-    assert said[-1].open(ModelSet).version == second != first
+    assert published[-1].open(ModelSet).version == second != first
     assert core.condition().counters["changes_published"] == 1
 
     replace(folder, choose(versions(folder), None, folder).folder)
     back = list(core.handle(PULSE))
     assert back[-1].open(ModelSet).version == first
-    said = come_by(core, [5, 6])
-    assert said == []
+    published = come_by(core, [5, 6])
+    assert published == []
     assert versions(folder)[0].version == first
     assert core.condition().counters["changes_proposed"] >= 2
     assert "eigenscan models accept" in core.condition().detail
@@ -98,7 +98,7 @@ def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> 
     assert core.condition().status == Health.STATUS_DEGRADED
     assert "manifest.json" in core.condition().detail
     manifest.write_text(good + " ")
-    assert [said.channel.name for said in core.handle(PULSE)] == ["map", "model_set"]
+    assert [published.channel.name for published in core.handle(PULSE)] == ["map", "model_set"]
     assert core.condition().status == Health.STATUS_OK
 
 

@@ -151,9 +151,9 @@ def test_a_short_error_is_bridged_by_odometry() -> None:
     odometry = compose(np.array([3.0, -2.0, 1.1]), truth)
     views = []
     for k, base in enumerate(truth):
-        said = base + np.array([5.0, 3.0, 0.0]) if 20 <= k < 40 else base
+        published = base + np.array([5.0, 3.0, 0.0]) if 20 <= k < 40 else base
         views += observer.add_scan(scan(k * SECOND // 2), lambda _: AGREED)
-        views += observer.add_pose(claim(k * SECOND // 2, said, odometry[k]), lambda _: AGREED)
+        views += observer.add_pose(claim(k * SECOND // 2, published, odometry[k]), lambda _: AGREED)
     assert counts["looks_bridged"] == 20
     assert len(views) == 50
     assert max(apart(view.pose, truth[2 * view.stamp // SECOND]) for view in views) < 1e-6
@@ -177,9 +177,9 @@ def change_after(
     detector = detector or ChangeDetector(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     change = None
     for k, patrol in enumerate(patrols):
-        for heard in patrol.messages(grid, k * every_s):
-            if heard.channel in (SCAN, POSE):
-                found = detector.hear(heard)
+        for received in patrol.messages(grid, k * every_s):
+            if received.channel in (SCAN, POSE):
+                found = detector.hear(received)
                 change = change if found is None else found
     return change, detector
 
@@ -203,8 +203,8 @@ def test_a_person_who_stands_for_an_hour_is_no_change() -> None:
     detector = ChangeDetector(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
     for k in range(7):
         patrol = Patrol(k, standing=standing if 1 <= k <= 5 else ())
-        for heard in patrol.messages(KNOWN, k * 900.0 + (3600.0 if k == 6 else 0.0)):
-            assert not detector.hear(heard)
+        for received in patrol.messages(KNOWN, k * 900.0 + (3600.0 if k == 6 else 0.0)):
+            assert not detector.hear(received)
         if k == 5:
             assert detector.counts["looks_counted"] > 500
 
@@ -231,10 +231,10 @@ def test_a_wrong_robot_among_right_ones_neither_hides_nor_makes_a_change() -> No
     found = None
     for k in range(5):
         liar, honest = Patrol(50 + k, seconds=30.0, off=(0.0, -5.0, 0.0)), Patrol(k)
-        for heard in liar.messages(MOVED, k * VISIT_S + 200.0, robot="liar"):
-            found = detector.hear(heard) or found
-        for heard in honest.messages(MOVED, k * VISIT_S + 400.0):
-            found = detector.hear(heard) or found
+        for received in liar.messages(MOVED, k * VISIT_S + 200.0, robot="liar"):
+            found = detector.hear(received) or found
+        for received in honest.messages(MOVED, k * VISIT_S + 400.0):
+            found = detector.hear(received) or found
     assert found
     gone = (KNOWN.cells == OCCUPIED) & (MOVED.cells == FREE)
     assert not (found.gone & ~binary_dilation(gone, iterations=3)).any()

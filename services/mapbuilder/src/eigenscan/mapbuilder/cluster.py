@@ -25,7 +25,7 @@ _PATIENCE_S = 20
 
 
 class ClusterError(ValueError):
-    """A cluster that cannot be used; the message says which and the fix."""
+    """A cluster that cannot be used; the message states which and the fix."""
 
 
 class Workers(AbstractContextManager["Workers"]):

@@ -17,8 +17,8 @@ from eigenscan.schemas.model_pb2 import LidarKind, ModelSet
 class MapbuilderCore:
     """Builds the models of a map, or takes those that were built before, and says them once.
 
-    All its channels are latched: whoever comes later gets them without asking twice. The set is said last,
-    so that whoever has a set has heard of all its models.
+    All its channels are latched: a late subscriber gets them without asking twice. The set is published last,
+    so that whoever has a set has received all its models.
     """
 
     hears: tuple[Channel, ...] = (LIDAR_KIND,)
@@ -36,7 +36,7 @@ class MapbuilderCore:
         self._settings, self._source, self._address = settings, source, {"site": site}
         self._site: SiteModel | None = None
         self._version = ""
-        self._said: dict[str, str] = {}
+        self._published: dict[str, str] = {}
 
     def start(self) -> Iterator[Envelope]:
         """The map at once, then the models. Raises ModelError where the map has no free position."""
@@ -49,14 +49,14 @@ class MapbuilderCore:
             yield from self.renew(self._source)
 
     def renew(self, site: SiteModel) -> Iterator[Envelope]:
-        """Says models that came into use: the map, and of the models those that it has not said."""
+        """Publishes models that came into use: the map, and of the models those that it has not published."""
         yield self._map(site.grid, site.frame_id)
         yield from self._announce(site)
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The eigenspaces for a kind of lidar that a projector lacks."""
-        if heard.channel == LIDAR_KIND and self._site is not None:
-            return self._spaces.hear(self._site, heard.open(LidarKind))
+        if received.channel == LIDAR_KIND and self._site is not None:
+            return self._spaces.hear(self._site, received.open(LidarKind))
         return ()
 
     def finish(self) -> Iterable[Envelope]:
@@ -64,7 +64,7 @@ class MapbuilderCore:
         return ()
 
     def condition(self) -> Condition:
-        """OK once all models are said."""
+        """OK once all models are published."""
         if self._site is None:
             return Condition(Health.STATUS_WAITING, "building models")
         counters = {
@@ -81,17 +81,17 @@ class MapbuilderCore:
     def _announce(self, site: SiteModel) -> Iterator[Envelope]:
         """The models that nobody has been told of, then the set."""
         *models, whole = announce_models(site, self._address["site"])
-        for model, said in zip(site.regions, models, strict=True):
-            if self._said.get(model.region) != model.version:
-                self._said[model.region] = model.version
-                yield said
+        for model, published in zip(site.regions, models, strict=True):
+            if self._published.get(model.region) != model.version:
+                self._published[model.region] = model.version
+                yield published
         self._site, self._version = site, whole.open(ModelSet).version
         yield whole
         yield from self._spaces.renew(site)
 
 
 def announce_models(site: SiteModel, site_name: str) -> Iterator[Envelope]:
-    """The models of a site as they are said: each region's, then the set that they make."""
+    """The models of a site as they are published: each region's, then the set that they make."""
     for model in site.regions:
         yield Envelope(MODEL, {"site": site_name, "region": model.region}, model.to_message())
     yield Envelope(MODEL_SET, {"site": site_name}, site.to_message())

@@ -45,7 +45,7 @@ def read_regions(path: Path) -> tuple[GivenRegion, ...]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RegionsError(f"{path}: cannot be read: {error.strerror}: check the path") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # what is nested too deep as well
         raise RegionsError(f"{path}: is not JSON: {error}") from error
     features = data.get("features") if isinstance(data, dict) else None
     if not isinstance(features, list) or data.get("type") != "FeatureCollection" or not features:
@@ -82,7 +82,7 @@ def _polygon(where: str, piece: Any) -> Polygon:
     for ring in given:
         try:
             points = np.array([point[:2] for point in ring], dtype=np.float64)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise RegionsError(f"{where}: coordinates: give rings of [x, y], in m") from error
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 4 or not np.isfinite(points).all():
             raise RegionsError(

@@ -7,6 +7,7 @@ from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-mapbuilder[node]", SystemExit):
     from eigenscan.mapbuilder.options import MapbuilderOptions
+    from eigenscan.runtime.node import Service
     from eigenscan.runtime.node import main as run
     from eigenscan.runtime.settings import SettingsError
 
@@ -34,9 +35,12 @@ def make_core(options: MapbuilderOptions) -> Core:
     return MapbuilderCore(options, read_map(options.map), options.site)
 
 
+SERVICE = Service("mapbuilder", MapbuilderOptions, make_core)
+
+
 def main() -> None:
     """Entry point of `eigenscan-mapbuilder`."""
-    run("mapbuilder", MapbuilderOptions, make_core)
+    run(SERVICE)
 
 
 if __name__ == "__main__":

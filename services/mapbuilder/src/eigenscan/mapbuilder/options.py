@@ -1,4 +1,4 @@
-"""What mapbuilder can be told."""
+"""The settings of mapbuilder."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from eigenscan.mapbuilder.regions import Regions, divide
 from eigenscan.mapbuilder.shards import Area, build_shard, in_memory, shards
 
 Progress = Callable[[str, float], None]
-"""Hears the step's name and the share of the whole that is done."""
+"""Receives the step's name and the share of the whole that is done."""
 
 __all__ = ["Layout", "Plan", "Progress", "build_site", "lay_out"]
 

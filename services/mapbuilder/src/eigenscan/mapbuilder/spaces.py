@@ -42,7 +42,7 @@ class Spaces:
     def __init__(self, site_name: str, settings: MapbuilderSettings, store: SpaceStore | None = None) -> None:
         self._site_name, self._settings, self._store = site_name, settings, store
         self._kinds: dict[Analysis, Made] = {}
-        self._said: dict[tuple[str, Analysis], str] = {}
+        self._published: dict[tuple[str, Analysis], str] = {}
         self.counts: Counter[str] = Counter()
 
     def renew(self, site: SiteModel) -> Iterator[Envelope]:
@@ -52,10 +52,10 @@ class Spaces:
                 if self._is_answered(site, analysis):
                     self._kinds.setdefault(analysis, {}).update(made)
         for analysis in self._kinds:
-            yield from self._say(site, analysis)
+            yield from self._publish(site, analysis)
 
     def hear(self, site: SiteModel, asked: model_pb2.LidarKind) -> Iterator[Envelope]:
-        """The spaces for a kind of lidar; none where they are said already, or it makes no sense."""
+        """The spaces for a kind of lidar; none where they are published already, or it makes no sense."""
         declared = site.regions[0].space.analysis
         if not (1 <= asked.beams <= ANALYSIS_TURN and 0 < asked.cap <= declared.embedding.cap):
             self.counts["lidar_kind_malformed"] += 1
@@ -68,7 +68,7 @@ class Spaces:
             return
         self._kinds[analysis] = {}
         self.counts["lidar_kinds"] += 1
-        yield from self._say(site, analysis)
+        yield from self._publish(site, analysis)
 
     def _is_answered(self, site: SiteModel, analysis: Analysis) -> bool:
         declared = site.regions[0].space.analysis
@@ -77,28 +77,28 @@ class Spaces:
         )
         return same and analysis != declared and (analysis in self._kinds or len(self._kinds) < KINDS)
 
-    def _say(self, site: SiteModel, analysis: Analysis) -> Iterator[Envelope]:
-        """The spaces of one kind that were not said yet, made where there are none."""
+    def _publish(self, site: SiteModel, analysis: Analysis) -> Iterator[Envelope]:
+        """The spaces of one kind that were not published yet, made where there are none."""
         made = self._kinds[analysis]
         lacking = [model for model in site.regions if model.version not in made]
         threads = self._settings.plan.threads if lacking else 1
         with ThreadPoolExecutor(max(threads, 1)) as pool:
             for model, own in zip(lacking, pool.map(lambda m: m.derive(analysis)[0], lacking), strict=True):
                 made[model.version] = own
-                yield from self._say_one(model, analysis, own)
+                yield from self._publish_one(model, analysis, own)
         for model in site.regions:
-            yield from self._say_one(model, analysis, made[model.version])
+            yield from self._publish_one(model, analysis, made[model.version])
         in_use = {model.version for model in site.regions}
         for version in made.keys() - in_use:
             del made[version]
         if lacking and self._store is not None:
             self._store.save_spaces(analysis, made)
 
-    def _say_one(self, model: RegionModel, analysis: Analysis, own: RegionSpace) -> Iterator[Envelope]:
+    def _publish_one(self, model: RegionModel, analysis: Analysis, own: RegionSpace) -> Iterator[Envelope]:
         key = model.region, analysis
-        if self._said.get(key) == model.version:
+        if self._published.get(key) == model.version:
             return
-        self._said[key] = model.version
+        self._published[key] = model.version
         message = model_pb2.RegionSpace(
             region=model.region, model_version=model.version, space=space_to_message(own)
         )

@@ -1,4 +1,4 @@
-"""What a file tells of the site that it was recorded at: who ran, with which settings, on which models."""
+"""What a file states about its site: who ran, with which settings, on which models."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 
 MOST_SERVICES = 10_000
-"""Instances that one file tells of: those of 1,000 robots, with room. Made-up names take no more memory."""
+"""Instances that one file states: those of 1,000 robots, with room. Made-up names take no more memory."""
 
 Metadata = dict[str, dict[str, str]]
 
@@ -23,21 +23,21 @@ class About:
         self._models: dict[str, str] = {}
         self._speaking: set[str] = set()
 
-    def hear(self, heard: Envelope) -> None:
+    def hear(self, received: Envelope) -> None:
         """Takes what belongs here, from any message."""
-        if heard.channel is HEALTH:
-            health = heard.open(Health)
+        if received.channel is HEALTH:
+            health = received.open(Health)
             told = {"version": health.package_version, "settings": health.settings}
             who = f"{health.service}/{health.instance}"
             if who not in self._services and len(self._services) >= MOST_SERVICES:
                 return
             self._services[who] = json.dumps(told)
             self._speaking.add(who)
-        elif heard.channel is MODEL_SET:
-            models = heard.open(ModelSet)
+        elif received.channel is MODEL_SET:
+            models = received.open(ModelSet)
             regions = {entry.region: entry.version for entry in models.entries}
             told = {"version": models.version, "map": models.map_version}
-            self._models[heard.key] = json.dumps(told | {"regions": regions})
+            self._models[received.key] = json.dumps(told | {"regions": regions})
 
     def begin_file(self) -> None:
         """Forgets who did not speak since the last call: robots come and go."""

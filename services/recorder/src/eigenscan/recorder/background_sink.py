@@ -41,13 +41,13 @@ class BackgroundSink:
         """Those of the sink, and `undrawn` (no time for it) and `undrawable` (it failed)."""
         return {**self._sink.counters, **self._counts}
 
-    def write(self, heard: Envelope) -> None:
+    def write(self, received: Envelope) -> None:
         """Lets the message wait its turn."""
         with self._news:
-            if heard.channel.qos.latched:
-                self._latched.append(heard)
+            if received.channel.qos.latched:
+                self._latched.append(received)
             else:
-                self._waiting.append(heard)
+                self._waiting.append(received)
                 if len(self._waiting) > WAITING:
                     self._waiting.popleft()
                     self._counts["undrawn"] += 1
@@ -65,16 +65,16 @@ class BackgroundSink:
 
     def _run(self) -> None:
         while True:
-            heard = self._take()
-            if heard is None:
+            received = self._take()
+            if received is None:
                 return
             try:
-                self._sink.write(heard)
+                self._sink.write(received)
             except Exception as error:
                 self._counts["undrawable"] += 1
                 if type(error) not in self._known:
                     self._known.add(type(error))
-                    logger().warning("undrawable", key=heard.key, exc_info=error)
+                    logger().warning("undrawable", key=received.key, exc_info=error)
 
     def _take(self) -> Envelope | None:
         """The next message, latched ones first; None at the end."""

@@ -23,7 +23,7 @@ class Sink(Protocol):
         """What was taken and what was lost."""
         ...
 
-    def write(self, heard: Envelope) -> None:
+    def write(self, received: Envelope) -> None:
         """Takes one message."""
         ...
 
@@ -33,7 +33,7 @@ class Sink(Protocol):
 
 
 class RecorderCore:
-    """Hears every channel and says nothing. Files, sockets and the clock belong to the sinks."""
+    """Receives every channel and publishes nothing. Files, sockets and the clock belong to the sinks."""
 
     hears: tuple[Channel, ...] = CHANNELS
     says: tuple[Channel, ...] = ()
@@ -42,13 +42,13 @@ class RecorderCore:
         self._sinks = tuple(sinks)
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing to say."""
+        """Nothing to publish."""
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Gives the message to every sink."""
         for sink in self._sinks:
-            sink.write(heard)
+            sink.write(received)
         return ()
 
     def finish(self) -> Iterable[Envelope]:

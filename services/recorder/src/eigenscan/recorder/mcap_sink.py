@@ -74,7 +74,7 @@ class McapSink:
         """
         return self._counts
 
-    def write(self, heard: Envelope) -> None:
+    def write(self, received: Envelope) -> None:
         """Adds a message: log time is now, publish time the message's own stamp."""
         now, before = self._clock(), perf_counter()
         if now < self._now:
@@ -82,17 +82,17 @@ class McapSink:
         self._now = now
         try:
             self._pending += 1
-            writer = self._rotated(now, heard.key) if self._writer else self._reopen(now)
+            writer = self._rotated(now, received.key) if self._writer else self._reopen(now)
             if writer is None:
                 self._settle("mcap_lost")
             else:
-                writer.write(heard, now, _published(heard) or now)
+                writer.write(received, now, _published(received) or now)
                 self._flush(writer, now)
         except Exception as error:  # whatever it is, the next messages must not be lost with this one
             self._fail(error, now)
-        if heard.channel.qos.latched:
-            self._latched[heard.key] = heard
-        self._about.hear(heard)
+        if received.channel.qos.latched:
+            self._latched[received.key] = received
+        self._about.hear(received)
         self._note_pace(perf_counter() - before)
 
     def close(self) -> None:
@@ -175,7 +175,7 @@ class McapSink:
         return writer
 
 
-def _published(heard: Envelope) -> int:
+def _published(received: Envelope) -> int:
     """The message's own stamp, ns since the epoch; 0 where it has none."""
-    stamp = getattr(heard.message, "timestamp", None)
+    stamp = getattr(received.message, "timestamp", None)
     return min(max(nanoseconds(stamp), 0), LATEST) if isinstance(stamp, Timestamp) else 0

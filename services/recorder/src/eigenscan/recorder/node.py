@@ -14,11 +14,12 @@ with needs("eigenscan-recorder[node]", SystemExit):
     from eigenscan.recorder.mcap_sink import McapSink
     from eigenscan.recorder.options import RecorderOptions
     from eigenscan.recorder.uploads import Uploads
-    from eigenscan.runtime.node import main as run_node
+    from eigenscan.runtime.node import Service
+    from eigenscan.runtime.node import main as run
     from eigenscan.runtime.settings import SettingsError
     from eigenscan.schemas.group import is_one
 
-SERVICE = "recorder"
+NAME = "recorder"
 _UPLOADS: list[Uploads] = []
 """Held for as long as the process is."""
 
@@ -27,7 +28,7 @@ def make_core(settings: RecorderOptions) -> RecorderCore:
     """The core with the sinks that the settings ask for, the recording first."""
     sinks: list[Sink] = []
     if settings.mcap is not None:
-        metadata = {SERVICE: {"settings": settings.model_dump_json()}}
+        metadata = {NAME: {"settings": settings.model_dump_json()}}
         sinks.append(
             McapSink(settings.mcap, settings.site, time.time_ns, settings.flush_s, metadata, settings.limits)
         )
@@ -50,9 +51,12 @@ def _offer_uploads(settings: RecorderOptions, session: zenoh.Session) -> None:
         _UPLOADS[-1].offer(session, settings.site, settings.robot)
 
 
+SERVICE = Service(NAME, RecorderOptions, make_core, whole_site=True, attend=_offer_uploads)
+
+
 def main() -> None:
     """Entry point."""
-    run_node(SERVICE, RecorderOptions, make_core, whole_site=True, attend=_offer_uploads)
+    run(SERVICE)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the recorder can be told."""
+"""The settings of the recorder."""
 
 from __future__ import annotations
 

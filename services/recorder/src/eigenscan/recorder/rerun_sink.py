@@ -53,9 +53,9 @@ class RerunSink:
         """`drawn`."""
         return self._counts
 
-    def write(self, heard: Envelope) -> None:
+    def write(self, received: Envelope) -> None:
         """Draws the message where it has a picture."""
-        self._picture.draw(heard)
+        self._picture.draw(received)
         self._counts["drawn"] += 1
 
     def flush(self) -> None:

@@ -34,7 +34,7 @@ class Agreement:
         return np.asarray((predicted < view.ranges - 2 * MARGIN).all(axis=0))
 
     def share(self, view: View) -> float:
-        """Share of the beams that end at the wall that the map foretells; 0 where there is no beam."""
+        """Share of the beams that end at the wall that the map predicts; 0 where there is no beam."""
         if not len(view.ranges):
             return 0.0
         predicted = self._caster.cast(view.pose, view.bearings, view.ranges + 2 * LONGEST_ERROR)[0]

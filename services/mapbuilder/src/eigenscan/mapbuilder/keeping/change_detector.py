@@ -19,7 +19,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
 
 class ChangeDetector:
-    """Hears scans and poses of all robots of a site; says what has changed at the end of a visit."""
+    """Receives scans and poses of all robots of a site; reports what has changed at the end of a visit."""
 
     def __init__(self, grid: GridMap, evidence: Evidence, visits: int, frame_id: str = "map") -> None:
         self.evidence = evidence
@@ -39,18 +39,18 @@ class ChangeDetector:
         same = grid.cells.shape == own.cells.shape and grid.resolution == own.resolution
         return same and bool(np.array_equal(grid.origin, own.origin))
 
-    def hear(self, heard: Envelope) -> Change | None:
+    def hear(self, received: Envelope) -> Change | None:
         """The change that is known now, at the end of each visit; else None."""
-        robot, judge = heard.address["robot"], self._agreement.share
+        robot, judge = received.address["robot"], self._agreement.share
         views: list[View] = []
-        if heard.channel is SCAN:
-            scan = heard.open(Scan)
-            observers, lidar = self._observers.use(robot, dict), heard.address["lidar"]
+        if received.channel is SCAN:
+            scan = received.open(Scan)
+            observers, lidar = self._observers.use(robot, dict), received.address["lidar"]
             if lidar not in observers:
                 observers[lidar] = TrustedObserver(self.counts)
             views = observers[lidar].add_scan(scan, judge)
-        elif heard.channel is POSE:
-            pose = heard.open(PoseEstimate)
+        elif received.channel is POSE:
+            pose = received.open(PoseEstimate)
             if pose.frame_id != self._frame_id:
                 self.counts["poses_of_another_frame"] += 1
                 return None

@@ -1,4 +1,4 @@
-"""The mapbuilder over a model folder: what came into use there is said, what the robots saw is kept there.
+"""The mapbuilder over a model folder: it publishes what came into use there, and keeps what the robots saw.
 
 The disk is of the shell, as is when it is looked at; what is seen, what changed and what follows from it are
 decided without it.
@@ -31,7 +31,7 @@ SAVE_EVERY = 200
 
 
 class ChangeManager:
-    """Says the models of a folder and keeps them true; what cannot be written beside is only said.
+    """Publishes the models of a folder and keeps them true; what cannot be written beside is only published.
 
     With a `source` the folder is made of that map first, where that is due. Once another version is put in
     use by hand, it only proposes.
@@ -72,15 +72,15 @@ class ChangeManager:
         if self._keeps:
             self._detector = self._adopt(self._site)
 
-    def handle(self, heard: Envelope) -> Iterator[Envelope]:
-        """Says what has come into use since; of a scan or a pose, what the robots' visits made of it."""
-        if heard.channel is TICK:
+    def handle(self, received: Envelope) -> Iterator[Envelope]:
+        """Publishes what has come into use since; of a scan or a pose, what the robots' visits made of it."""
+        if received.channel is TICK:
             yield from self._follow()
-        elif heard.channel in MapbuilderCore.hears:
+        elif received.channel in MapbuilderCore.hears:
             if self._core is not None:
-                yield from self._core.handle(heard)
+                yield from self._core.handle(received)
         elif self._detector is not None:
-            self._hear(self._detector, heard)
+            self._receive(self._detector, received)
 
     def finish(self) -> tuple[Envelope, ...]:
         """Nothing is held back; what was seen is put on disk."""
@@ -121,7 +121,7 @@ class ChangeManager:
         return self._open()
 
     def _follow(self) -> Iterator[Envelope]:
-        """The models in use in the store, where they are others than those that were said."""
+        """The models in use in the store, where they are others than those that were published."""
         try:
             site = self._store.renewed()
         except ModelError as error:
@@ -148,9 +148,9 @@ class ChangeManager:
             self._counts += detector.counts
             self._detector = self._adopt(site)
 
-    def _hear(self, detector: ChangeDetector, heard: Envelope) -> None:
+    def _receive(self, detector: ChangeDetector, received: Envelope) -> None:
         """Takes a scan or a pose; at the end of a visit a change may follow."""
-        change = detector.hear(heard)
+        change = detector.hear(received)
         if change is not None:
             self._counts["visits"] += 1
             self._problem = ""

@@ -1,4 +1,4 @@
-"""Where a robot says that it is, and whether that goes on from where it was sure to be."""
+"""Where a robot reports that it is, and whether that goes on from where it was sure to be."""
 
 from __future__ import annotations
 

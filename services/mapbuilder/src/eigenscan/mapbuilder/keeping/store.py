@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from eigenscan.eigenspace.analysis import Analysis, RegionSpace
+from eigenscan.eigenspace.archive import DAMAGE, MOST_BYTES, opened
 from eigenscan.eigenspace.folder import OUTLINES, SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.space_file import read_spaces, write_spaces
@@ -29,6 +29,8 @@ from eigenscan.eigenspace.versions import (
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 
+_BYTES_A_CELL = 64
+"""Of evidence, at most."""
 PICTURE = "change.png"
 SPACES = "spaces"
 """In a model folder: eigenspaces for lidars unlike the declared one, a file for each kind."""
@@ -123,7 +125,7 @@ class Store:
         """The evidence of these cells; none where the file is missing, damaged or of other cells."""
         evidence = Evidence.of(grid, visit_s)
         try:
-            with self._evidence.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            with opened(self._evidence, MOST_BYTES + _BYTES_A_CELL * grid.cells.size) as file:
                 if (
                     np.array_equal(file["cells"], _cells(grid))
                     and int(file["length_ns"]) == evidence.length_ns
@@ -132,7 +134,7 @@ class Store:
                     evidence.struck[:] = file["struck"]
                     evidence.crossed[:] = file["crossed"]
                     evidence.visit = int(file["visit"])
-        except (OSError, BadZipFile, KeyError, ValueError, EOFError):
+        except (OSError, *DAMAGE):
             return Evidence.of(grid, visit_s)
         return evidence
 

@@ -11,7 +11,7 @@ from eigenscan.geometry.pose import transform
 from numpy.typing import NDArray
 
 MARGIN = 0.1
-"""m before its end that a beam says nothing of: its range and its place are not exact."""
+"""m before its end that a beam shows nothing of: its range and its place are not exact."""
 
 
 @dataclass(frozen=True)

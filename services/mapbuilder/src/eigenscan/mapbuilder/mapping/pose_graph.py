@@ -20,7 +20,7 @@ _ANCHOR = np.array([1e-4, 1e-4, 1e-5])
 
 
 class MappingExtraError(ValueError):
-    """The library that optimises is not installed; the message tells how to."""
+    """The library that optimises is not installed; the message states how to."""
 
 
 def check_installed() -> None:

@@ -22,14 +22,14 @@ from eigenscan.mapbuilder.mapping.visits import visit_edges
 from numpy.typing import NDArray
 
 Progress = Callable[[str, float], None]
-"""Hears the step's name and the share of that step that is done."""
+"""Receives the step's name and the share of that step that is done."""
 
 _CARVED_M, _CARVED_RAD = 0.05, np.deg2rad(2.0)
 """A scan is carved where the robot has moved this much: one that stands does not outvote one that passes."""
 
 
 class MappingError(ValueError):
-    """Scans that no map can be made of; the message says why and what to do."""
+    """Scans that no map can be made of; the message states why and what to do."""
 
 
 @dataclass(frozen=True)

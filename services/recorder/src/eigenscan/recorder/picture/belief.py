@@ -12,7 +12,8 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.tracking_pb2 import Tracks
 
-HYPOTHESES_DRAWN = 200
+HYPOTHESES_DRAWN = 12
+"""The most likely of a list: the rest, a scan's worth of grey arrows, would hide the map."""
 TRACKS_DRAWN = 50
 IN_PLAY = 0.01
 """Probability from which a track is drawn: the dozens that a tracker keeps below it would hide the map."""
@@ -37,9 +38,9 @@ class BeliefPicture:
     def __init__(self, canvas: Canvas, pace: Pace) -> None:
         self._canvas, self._pace = canvas, pace
 
-    def draw_hypotheses(self, heard: Envelope) -> None:
+    def draw_hypotheses(self, received: Envelope) -> None:
         """Arrows, the longer and the more orange the more probable by this scan alone."""
-        message, where = heard.open(Hypotheses), heard.address
+        message, where = received.open(Hypotheses), received.address
         path = f"world/robots/{where['robot']}/hypotheses/{where['lidar']}/{where['projector']}"
         stamp = stamp_of(message.timestamp)
         if stamp is None or not self._pace.due(path, stamp):
@@ -59,10 +60,10 @@ class BeliefPicture:
             ),
         )
 
-    def draw_tracks(self, heard: Envelope) -> None:
+    def draw_tracks(self, received: Envelope) -> None:
         """The trajectory of each track that is in play, the fainter the less probable."""
-        message = heard.open(Tracks)
-        path = f"world/robots/{heard.address['robot']}/tracks"
+        message = received.open(Tracks)
+        path = f"world/robots/{received.address['robot']}/tracks"
         stamp = stamp_of(message.timestamp)
         if stamp is None or not self._pace.due(path, stamp):
             return
@@ -81,9 +82,9 @@ class BeliefPicture:
             stamp, path, rr.LineStrips3D(ways, colors=colours), rr.Points3D(ends, colors=colours)
         )
 
-    def draw_obstacles(self, heard: Envelope) -> None:
+    def draw_obstacles(self, received: Envelope) -> None:
         """The points that the map does not explain, in red."""
-        message, where = heard.open(Obstacles), heard.address
+        message, where = received.open(Obstacles), received.address
         path = f"world/robots/{where['robot']}/obstacles/{where['lidar']}"
         stamp = stamp_of(message.timestamp)
         if stamp is None or not self._pace.due(f"{path}/{where['projector']}", stamp):

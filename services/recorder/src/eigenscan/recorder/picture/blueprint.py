@@ -16,6 +16,10 @@ FIELD_OF_VIEW = np.deg2rad(55.0)
 """Of the viewer's eye, vertically."""
 UNKNOWN_FLOOR = [112, 137, 134]
 """As the map's texture shows what is unknown."""
+ROOM_AHEAD = 0.06
+"""Of a plot's span, right of the newest: an axis cuts what it writes at its end."""
+MARGIN = 1.14
+"""Of what the eye takes in, to the map: its scale bar is below it."""
 ASPECT = 1.35
 """Width over height of the map's panel on a usual screen."""
 
@@ -25,15 +29,21 @@ Extent = tuple[ArrayLike, ArrayLike]
 
 
 def blueprint(
-    layout: Layout, extent: Extent | None, window_s: float | None, live: bool, draw_all: bool = False
+    layout: Layout,
+    extent: Extent | None,
+    window_s: float | None,
+    live: bool,
+    draw_all: bool = False,
+    has_truth: bool = False,
 ) -> rrb.Blueprint:
     """Panels for any number of robots.
 
     `extent`: low and high corner of the map, m, which the eye takes in; `window_s`: s of the past that time
-    plots show, None for everything; `live`: the newest is followed; `draw_all`: raw scans and frames as well.
+    plots show, None for everything; `live`: the newest is followed; `draw_all`: raw scans and frames as well;
+    `has_truth`: there are errors to show.
     """
     panels = {"operator": _operator, "developer": _developer, "researcher": _researcher, "fleet": _fleet}
-    shown = panels[layout](extent, _past(window_s))
+    shown = panels[layout](extent, _past(window_s), has_truth)
     if draw_all:
         shown = rrb.Tabs(shown, rrb.Horizontal(_raw(), _frames(), name="Raw scans, frames"), active_tab=0)
     return rrb.Blueprint(
@@ -49,38 +59,39 @@ def blueprint(
     )
 
 
-def _operator(extent: Extent | None, past: Past) -> rrb.Container:
+def _operator(extent: Extent | None, past: Past, has_truth: bool) -> rrb.Container:
     """Where is it, and may it be believed?"""
+    errors = [rrb.Tabs(*_errors(past))] if has_truth else []
     evidence = rrb.Vertical(
         _state(past),
         _belief(past),
-        rrb.Tabs(*_errors(past)),
+        *errors,
         rrb.Tabs(_legend(), _beams(), _eigenspace(), _events()),
-        row_shares=[1.2, 2, 2, 5],
+        row_shares=[1.2, 2, *(2 for _ in errors), 5],
     )
     return _under_the_bar(rrb.Horizontal(_map(extent), evidence, column_shares=[7, 4]))
 
 
-def _developer(extent: Extent | None, past: Past) -> rrb.Container:
+def _developer(extent: Extent | None, past: Past, has_truth: bool) -> rrb.Container:
     """Which service did what, when?"""
     curves = rrb.Vertical(
         _state(past),
         _belief(past),
-        rrb.Tabs(*_motion(past), *_errors(past)),
+        rrb.Tabs(*_motion(past), *(_errors(past) if has_truth else ())),
         row_shares=[1.8, 2, 4],
     )
     here = rrb.Vertical(_map(extent), rrb.Tabs(_beams(), _legend(), _models()), row_shares=[7, 3])
     return _under_the_bar(rrb.Horizontal(here, rrb.Vertical(curves, _events(), row_shares=[3, 2])))
 
 
-def _researcher(extent: Extent | None, past: Past) -> rrb.Container:
+def _researcher(extent: Extent | None, past: Past, _: bool) -> rrb.Container:
     """What does the eigenspace make of a scan?"""
     space = rrb.Vertical(_eigenspace(), rrb.Tabs(_belief(past), _beams()), row_shares=[7, 2])
     scan = rrb.Vertical(_curves(), rrb.Tabs(_map(extent), _legend()), row_shares=[5, 4])
     return _under_the_bar(rrb.Horizontal(space, scan, column_shares=[6, 5]))
 
 
-def _fleet(extent: Extent | None, past: Past) -> rrb.Container:
+def _fleet(extent: Extent | None, past: Past, _: bool) -> rrb.Container:
     """Which robot needs me?"""
     below = rrb.Horizontal(
         _map(extent), rrb.Vertical(_events(), rrb.Tabs(_state(past), _legend())), column_shares=[7, 4]
@@ -113,7 +124,7 @@ def eye(extent: Extent | None) -> rrb.EyeControls3D | None:
         return None
     low, high = np.asarray(extent[0], dtype=np.float64), np.asarray(extent[1], dtype=np.float64)
     middle, size = (low + high) / 2, high - low
-    height = 1.04 * max(size[1], size[0] / ASPECT) / 2 / np.tan(FIELD_OF_VIEW / 2)
+    height = MARGIN * max(size[1], size[0] / ASPECT) / 2 / np.tan(FIELD_OF_VIEW / 2)
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=[middle[0], middle[1], height],
@@ -197,6 +208,6 @@ def _past(window_s: float | None) -> Past:
         rr.VisibleTimeRange(
             TIMELINE,
             start=rr.TimeRangeBoundary.cursor_relative(seconds=-window_s),
-            end=rr.TimeRangeBoundary.cursor_relative(seconds=0.0),
+            end=rr.TimeRangeBoundary.cursor_relative(seconds=ROOM_AHEAD * window_s),
         )
     ]

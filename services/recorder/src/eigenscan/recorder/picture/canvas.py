@@ -97,12 +97,12 @@ class ScanMemory:
     def __init__(self) -> None:
         self._scans: RecentlyUsed[tuple[str, str], deque[tuple[int, Scan]]] = RecentlyUsed()
 
-    def keep(self, heard: Envelope) -> None:
+    def keep(self, received: Envelope) -> None:
         """Remembers the scan, where its stamp is a time."""
-        scan = heard.open(Scan)
+        scan = received.open(Scan)
         stamp = stamp_of(scan.timestamp)
         if stamp is not None:
-            lidar = heard.address["robot"], heard.address["lidar"]
+            lidar = received.address["robot"], received.address["lidar"]
             self._scans.use(lidar, lambda: deque(maxlen=SCANS_KEPT)).append((stamp, scan))
 
     def lidars(self, robot: str) -> list[str]:

@@ -48,13 +48,14 @@ The **bar on top** shows the state:
 **SILENT** (grey): no pose comes any more.
 
 **On the map** (north up, metres):
-- **arrow with a disc**, in the state's colour: the estimated pose
+- **arrow with a disc**, in the state's colour: the estimated pose; the outline holds it in 95 of 100 cases
 - **blue points**: the scan, drawn at that pose; it lies on the walls when the pose is right
 - **red points**: unexpected; the map does not explain them
 - **black arrow**: the true pose, from a simulator
-- **orange arrows**: hypotheses of the last scan; grey: improbable
+- **orange arrows**: the best hypotheses of the last scan; grey: improbable
 - **purple lines**: tracks and their past, from 1 % on; grey: improbable
 - **blue arrow with an ellipse**: the last relocation
+- **bar below the map**: its scale
 
 **Panels**:
 - **How sure**: the confidence that the pose is within 0.5 m and 10 degrees; the belief in no track at all.
@@ -98,12 +99,12 @@ class Picture:
 
         The others: see `blueprint.blueprint`.
         """
-        self._draw_all = draw_all
+        self._draw_all, self._has_truth = draw_all, False
         self._stream, self._layout, self._window_s, self._live = stream, layout, window_s, live
         canvas, scans = Canvas(stream), ScanMemory()
         pace, charts = Pace(rate_hz), Pace(rate_hz / CHARTS_LESS_OFTEN)
         self._floor, self._plots = Floor(canvas), Plots(canvas)
-        robots = RobotPicture(canvas, pace, scans, brief=layout == "fleet")
+        robots = RobotPicture(canvas, pace, scans, lambda: self._floor.label_gap, brief=layout == "fleet")
         belief = BeliefPicture(canvas, pace)
         beams, space = BeamsPicture(canvas, charts, scans), EigenspacePicture(canvas, charts, scans)
         board, events = StatusBoard(canvas), Events(canvas)
@@ -113,21 +114,21 @@ class Picture:
             MODEL: (self._floor.draw_region,),
             MODEL_SET: (ModelsPicture(canvas).draw,),
             RELOCATION: (RelocationPicture(canvas, brief=layout == "fleet").draw,),
-            POSE: (robots.draw_pose, board.hear_pose, self._plots.hear_pose),
-            TRUTH: (robots.draw_truth, self._plots.hear_truth),
-            LIDAR_KIND: (events.hear_kind,),
-            SPACE: (events.hear_space,),
-            HEALTH: (events.hear_health, board.hear_health),
+            POSE: (robots.draw_pose, board.receive_pose, self._plots.receive_pose),
+            TRUTH: (self._note_truth, robots.draw_truth, self._plots.receive_truth),
+            LIDAR_KIND: (events.receive_kind,),
+            SPACE: (events.receive_space,),
+            HEALTH: (events.receive_health, board.receive_health),
         }
         if draw_all or layout != "fleet":  # many robots' guesses would hide the map
             self._drawn_by |= {
                 MODEL: (self._floor.draw_region, space.keep_model),
-                SCAN: (scans.keep, robots.hear_scan),
+                SCAN: (scans.keep, robots.receive_scan),
                 HYPOTHESES: (belief.draw_hypotheses, space.draw),
                 OBSTACLES: (belief.draw_obstacles, beams.draw),
                 TRACKS: (belief.draw_tracks,),
-                ODOMETRY: (self._motion.hear_odometry,),
-                SCAN_MOTION: (self._motion.hear_scan_motion,),
+                ODOMETRY: (self._motion.receive_odometry,),
+                SCAN_MOTION: (self._motion.receive_scan_motion,),
             }
         if draw_all:
             self._drawn_by |= {
@@ -142,26 +143,34 @@ class Picture:
         """Those that are drawn."""
         return frozenset(self._drawn_by)
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """Draws one message; channels without a picture are left out."""
         with np.errstate(all="ignore"):  # what is no number is left out by each drawer
-            for draw in self._drawn_by.get(heard.channel, ()):
-                draw(heard)
+            for draw in self._drawn_by.get(received.channel, ()):
+                draw(received)
 
     def flush(self) -> None:
         """Draws what was held back."""
         self._plots.flush()
         self._motion.flush()
 
-    def _draw_map(self, heard: Envelope) -> None:
+    def _draw_map(self, received: Envelope) -> None:
         before = self._floor.extent
-        self._floor.draw_map(heard)
+        self._floor.draw_map(received)
         if before is None and self._floor.extent is not None:
+            self._show()
+
+    def _note_truth(self, _: Envelope) -> None:
+        if not self._has_truth:
+            self._has_truth = True
             self._show()
 
     def _show(self) -> None:
         self._stream.send_blueprint(
             blueprint(
-                self._layout, self._floor.extent, self._window_s, live=self._live, draw_all=self._draw_all
+                *(self._layout, self._floor.extent, self._window_s),
+                live=self._live,
+                draw_all=self._draw_all,
+                has_truth=self._has_truth,
             )
         )

@@ -38,24 +38,24 @@ class EigenspacePicture:
         self._best: dict[str, str] = {}
         self._shown: dict[str, tuple[str, int]] = {}
 
-    def keep_model(self, heard: Envelope) -> None:
+    def keep_model(self, received: Envelope) -> None:
         """Takes the newest model of a region."""
-        region = heard.address["region"]
-        self._models[region] = heard.open(model_pb2.RegionModel)
+        region = received.address["region"]
+        self._models[region] = received.open(model_pb2.RegionModel)
         for key in [key for key in self._manifolds if key[0] == region]:
             del self._manifolds[key]
         self._shown = {robot: shown for robot, shown in self._shown.items() if shown[0] != region}
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """Scan and hypotheses; those of other regions live in other spaces and are left out."""
-        message, robot = heard.open(Hypotheses), heard.address["robot"]
+        message, robot = received.open(Hypotheses), received.address["robot"]
         stamp = stamp_of(message.timestamp)
         if stamp is None or not message.hypotheses or not self._pace.due(f"eigenspace/{robot}", stamp):
             return
         region = message.hypotheses[0].region
         settled = self._best.get(robot) == region
         self._best[robot] = region
-        scan = self._scans.newest(robot, heard.address["lidar"], stamp)
+        scan = self._scans.newest(robot, received.address["lidar"], stamp)
         if not settled or scan is None or not scan.angle_increment > 0:
             return
         manifold = self._manifold(region, scan)

@@ -6,13 +6,20 @@ import numpy as np
 import rerun as rr
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
 from eigenscan.recorder.picture.canvas import Canvas
-from eigenscan.recorder.picture.palette import REGION
+from eigenscan.recorder.picture.palette import REGION, TRUTH
 from eigenscan.recorder.picture.shapes import is_place, lift
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.model_pb2 import RegionModel
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from numpy.typing import NDArray
 
+LABEL_M, LABEL_SHARE = 1.9, 0.035
+"""m from a robot to its label, at least, and as a share of the map's height: its arrow is 1.4 m long."""
+BAR_GAP = 0.04
+"""From the map down to its scale bar, as a share of the map's height."""
+BAR_SHARE = 0.2
+"""Of the map's width, that the scale bar takes at most."""
+BAR_STEPS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 TEXTURE_CELLS = 4096
 """Longest side of a texture that every browser takes."""
 
@@ -24,10 +31,10 @@ class Floor:
         self._canvas = canvas
         self.extent: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def draw_map(self, heard: Envelope) -> None:
+    def draw_map(self, received: Envelope) -> None:
         """The map as a texture at its scale. A grid of another form is left out."""
         try:
-            grid = from_message(heard.open(Grid))
+            grid = from_message(received.open(Grid))
         except MapError:
             return
         if not grid.cells.size or not is_place(grid.origin):
@@ -35,6 +42,7 @@ class Floor:
         height, width = grid.cells.shape
         corners = grid.to_map([[0, 0], [width, 0], [0, height], [width, height]])
         self.extent = corners.min(axis=0), corners.max(axis=0)
+        self._draw_scale(self.extent[0], self.extent[1])
         cells, resolution = _shrunk(grid)
         x, y, theta = grid.origin
         self._canvas.fix(
@@ -51,9 +59,29 @@ class Floor:
             ),
         )
 
-    def draw_region(self, heard: Envelope) -> None:
+    @property
+    def label_gap(self) -> float:
+        """Distance from a robot, m, at which its label does not cover its arrow."""
+        return (
+            LABEL_M if self.extent is None else max(LABEL_M, LABEL_SHARE * float(np.ptp(self.extent, 0)[1]))
+        )
+
+    def _draw_scale(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+        """A bar of a round length below the map's left corner."""
+        width, height = high - low
+        length = scale_length(float(width))
+        x, y, tick = low[0], low[1] - BAR_GAP * height, 0.3 * BAR_GAP * height
+        bar = lift([[x, y + tick], [x, y], [x + length, y], [x + length, y + tick]], 0.02)
+        end = lift([[x + length, y]], 0.02)
+        self._canvas.fix(
+            "world/scale",
+            rr.LineStrips3D([bar], colors=[TRUTH], radii=rr.Radius.ui_points(2.0)),
+            rr.Points3D(end, colors=[TRUTH], radii=0.0, labels=[f"{length:g} m"], show_labels=True),
+        )
+
+    def draw_region(self, received: Envelope) -> None:
         """The region's outline."""
-        model = heard.open(RegionModel)
+        model = received.open(RegionModel)
         corners = min(len(model.outline_x), len(model.outline_y))
         outline = np.column_stack([model.outline_x[:corners], model.outline_y[:corners]])
         if len(outline) < 3 or not is_place(outline):
@@ -63,6 +91,11 @@ class Floor:
             f"world/regions/{model.region}",
             rr.LineStrips3D([lift(closed, 0.01)], colors=[REGION], radii=rr.Radius.ui_points(0.75)),
         )
+
+
+def scale_length(width: float) -> float:
+    """The longest round length, m, that takes at most BAR_SHARE of `width`, m."""
+    return max((step for step in BAR_STEPS_M if step <= BAR_SHARE * width), default=BAR_STEPS_M[0])
 
 
 def _shrunk(grid: GridMap) -> tuple[NDArray[np.uint8], float]:

@@ -1,7 +1,7 @@
 """One region's eigenspace as it is looked at: its places as loops, in the space that the projector searches.
 
 The basis is the model's own for the declared lidar; for another kind it is derived as a projector derives it.
-Where a scan and its candidates lie in it, the projector says (`Hypotheses.projections` and `coefficients`).
+Where a scan and its candidates lie in it is published (`Hypotheses.projections` and `coefficients`).
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ class ModelsPicture:
         self._canvas = canvas
         self._version = ""
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """The page, the outline and name of each floor; an event where another version came."""
-        message = heard.open(ModelSet)
+        message = received.open(ModelSet)
         self._canvas.fix("models", rr.TextDocument(_page(message), media_type=rr.MediaType.MARKDOWN))
         for floor in message.floors:
             corners = min(len(floor.outline_x), len(floor.outline_y))

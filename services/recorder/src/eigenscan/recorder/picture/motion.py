@@ -33,9 +33,9 @@ class MotionPicture:
         self._series: RecentlyUsed[str, tuple[Series, Series]] = RecentlyUsed(_flush)
         self._before: RecentlyUsed[str, list[tuple[int, Array]]] = RecentlyUsed()
 
-    def hear_odometry(self, heard: Envelope) -> None:
+    def receive_odometry(self, received: Envelope) -> None:
         """Plots the speed since the last pose that was plotted."""
-        message, robot = heard.open(Odometry), heard.address["robot"]
+        message, robot = received.open(Odometry), received.address["robot"]
         stamp, pose = stamp_of(message.timestamp), from_pose3(message.pose)
         if stamp is None or not is_place(pose):
             return
@@ -46,9 +46,9 @@ class MotionPicture:
             self._add(robot, "odometry", HYPOTHESIS, stamp, between(last[0][1], pose), stamp - last[0][0])
         last[:] = [(stamp, pose)]
 
-    def hear_scan_motion(self, heard: Envelope) -> None:
+    def receive_scan_motion(self, received: Envelope) -> None:
         """Plots the speed between two scans; a gap where they do not fit each other."""
-        message, where = heard.open(ScanMotion), heard.address
+        message, where = received.open(ScanMotion), received.address
         stamp, since = stamp_of(message.timestamp), stamp_of(message.since)
         if stamp is None or since is None or since >= stamp:
             return
@@ -88,9 +88,9 @@ class RelocationPicture:
     def __init__(self, canvas: Canvas, brief: bool = False) -> None:
         self._canvas, self._brief = canvas, brief
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """An arrow with its 95 % ellipse; nothing where the robot is to search anew."""
-        message, robot = heard.open(Relocation), heard.address["robot"]
+        message, robot = received.open(Relocation), received.address["robot"]
         stamp = stamp_of(message.timestamp) or self._canvas.newest
         if not stamp:
             return

@@ -1,4 +1,4 @@
-"""The colours of the picture: one meaning each, told apart also by the colour-blind (Okabe and Ito)."""
+"""The colours of the picture: one meaning each, distinguished also by the colour-blind (Okabe and Ito)."""
 
 from __future__ import annotations
 

@@ -55,9 +55,9 @@ class Plots:
         self._truth: dict[str, deque[tuple[int, Array]]] = defaultdict(lambda: deque(maxlen=MOMENTS_KEPT))
         self._open: dict[str, deque[tuple[int, Array]]] = defaultdict(lambda: deque(maxlen=MOMENTS_KEPT))
 
-    def hear_pose(self, heard: Envelope) -> None:
+    def receive_pose(self, received: Envelope) -> None:
         """Plots the belief; the error as soon as the truth of that moment is known."""
-        message, robot = heard.open(PoseEstimate), heard.address["robot"]
+        message, robot = received.open(PoseEstimate), received.address["robot"]
         stamp = stamp_of(message.timestamp)
         if stamp is None:
             return
@@ -72,9 +72,9 @@ class Plots:
             self._open[robot].append((stamp, pose))
             self._settle(robot)
 
-    def hear_truth(self, heard: Envelope) -> None:
+    def receive_truth(self, received: Envelope) -> None:
         """Keeps the true pose, and plots the errors that waited for it."""
-        message, robot = heard.open(PoseInFrame), heard.address["robot"]
+        message, robot = received.open(PoseInFrame), received.address["robot"]
         stamp, pose = stamp_of(message.timestamp), from_pose3(message.pose)
         if stamp is None or not is_place(pose):
             return
@@ -135,9 +135,9 @@ class BeamsPicture:
     def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory) -> None:
         self._canvas, self._pace, self._scans = canvas, pace, scans
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """The error of each beam, m, over its angle, degrees."""
-        message, where = heard.open(Obstacles), heard.address
+        message, where = received.open(Obstacles), received.address
         path = f"beams/{where['robot']}/{where['lidar']}"
         stamp = stamp_of(message.timestamp)
         number = min(len(message.error), len(message.mask))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import rerun as rr
 from eigenscan.geometry.pose import Array, covariance_from_message, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory, stamp_of
@@ -30,23 +32,26 @@ class Sighting:
 class RobotPicture:
     """Draws poses and scans of all robots. A scan waits for the pose that follows from it."""
 
-    def __init__(self, canvas: Canvas, pace: Pace, scans: ScanMemory, *, brief: bool) -> None:
-        """`brief`: the label beside a robot is its name alone."""
+    def __init__(
+        self, canvas: Canvas, pace: Pace, scans: ScanMemory, label_gap: Callable[[], float], *, brief: bool
+    ) -> None:
+        """`label_gap`: m from a robot to its label; `brief`: the label is its name alone."""
+        self._label_gap = label_gap
         self._canvas, self._pace, self._scans, self._brief = canvas, pace, scans, brief
         self._seen: dict[str, Sighting] = {}
         self._state: dict[str, int] = {}
 
-    def hear_scan(self, heard: Envelope) -> None:
+    def receive_scan(self, received: Envelope) -> None:
         """Draws the scan where its pose came first."""
-        stamp = stamp_of(heard.open(Scan).timestamp)
-        seen = self._seen.get(heard.address["robot"])
+        stamp = stamp_of(received.open(Scan).timestamp)
+        seen = self._seen.get(received.address["robot"])
         if seen is not None and seen.stamp == stamp:
-            self._draw_scan(heard.address["robot"], heard.address["lidar"], seen)
+            self._draw_scan(received.address["robot"], received.address["lidar"], seen)
 
-    def draw_pose(self, heard: Envelope) -> None:
+    def draw_pose(self, received: Envelope) -> None:
         """The pose, its 95 % ellipse and the scans at it; a lost robot has none of them."""
-        message = heard.open(PoseEstimate)
-        stamp, robot = stamp_of(message.timestamp), heard.address["robot"]
+        message = received.open(PoseEstimate)
+        stamp, robot = stamp_of(message.timestamp), received.address["robot"]
         if stamp is None:
             return
         news = self._state.get(robot) != message.state
@@ -65,10 +70,10 @@ class RobotPicture:
         else:
             self._hide_scans(robot, stamp)
 
-    def draw_truth(self, heard: Envelope) -> None:
+    def draw_truth(self, received: Envelope) -> None:
         """The true pose, where a simulator or a reference says it."""
-        message = heard.open(PoseInFrame)
-        stamp, robot = stamp_of(message.timestamp), heard.address["robot"]
+        message = received.open(PoseInFrame)
+        stamp, robot = stamp_of(message.timestamp), received.address["robot"]
         pose = from_pose3(message.pose)
         if stamp is None or not is_place(pose) or not self._pace.due(f"truth/{robot}", stamp):
             return
@@ -88,7 +93,13 @@ class RobotPicture:
             stamp,
             path,
             rr.LineStrips3D(strips, colors=[colour]),
-            rr.Points3D(disc, colors=[colour], labels=[label]),
+            rr.Points3D(disc, colors=[colour]),
+        )
+        self._canvas.style(f"{path}/label", _label_style)
+        self._canvas.draw(
+            stamp,
+            f"{path}/label",
+            rr.Points3D(lift(label_place(pose, self._label_gap()), 0.12), colors=[colour], labels=[label]),
         )
         covariance = covariance_from_message(message.covariance)
         if is_place(covariance):
@@ -108,12 +119,22 @@ class RobotPicture:
         path = f"world/robots/{robot}/pose"
         self._canvas.clear(stamp, path)
         self._canvas.clear(stamp, f"{path}/within_95_percent")
+        self._canvas.clear(stamp, f"{path}/label")
         self._hide_scans(robot, stamp)
 
     def _hide_scans(self, robot: str, stamp: int) -> None:
         self._seen.pop(robot, None)
         for lidar in self._scans.lidars(robot):
             self._canvas.clear(stamp, f"world/robots/{robot}/scan/{lidar}")
+
+
+def label_place(pose: Array, gap: float) -> Array:
+    """Where (2,) the label of a robot at `pose` (3,) covers no part of its arrow: `gap`, m, beside it.
+
+    A label is wide and low: only above and below are free of the arrow at any heading.
+    """
+    away = -gap if np.sin(pose[2]) >= 0.0 else gap
+    return np.array([pose[0], pose[1] + away])
 
 
 def _arrow(pose: Array, height: float) -> tuple[Array32, Array32]:
@@ -124,8 +145,12 @@ def _arrow(pose: Array, height: float) -> tuple[Array32, Array32]:
 def _arrow_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
     return (
         rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0)),
-        rr.Points3D.from_fields(radii=rr.Radius.ui_points(8.0), show_labels=True),
+        rr.Points3D.from_fields(radii=rr.Radius.ui_points(8.0)),
     )
+
+
+def _label_style() -> tuple[rr.Points3D]:
+    return (rr.Points3D.from_fields(radii=0.0, show_labels=True),)
 
 
 def _truth_style() -> tuple[rr.LineStrips3D, rr.Points3D]:

@@ -24,9 +24,9 @@ class RawScanPicture:
     def __init__(self, canvas: Canvas, pace: Pace) -> None:
         self._canvas, self._pace = canvas, pace
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """Blue: ends of beams within the sensor's limits; red: beyond them; an arrow: where it is mounted."""
-        message, where = heard.open(RawScan), heard.address
+        message, where = received.open(RawScan), received.address
         path = f"raw/{where['robot']}/{where['lidar']}"
         stamp, mount = stamp_of(message.timestamp), from_message(message.mount)
         if stamp is None or not is_place(mount) or not self._pace.due(path, stamp):
@@ -55,9 +55,9 @@ class FramesPicture:
         self._canvas, self._pace = canvas, pace
         self._parents: RecentlyUsed[str, dict[str, str]] = RecentlyUsed()
 
-    def draw(self, heard: Envelope) -> None:
+    def draw(self, received: Envelope) -> None:
         """The child's axes in its parent."""
-        message, robot = heard.open(FrameTransform), heard.address["robot"]
+        message, robot = received.open(FrameTransform), received.address["robot"]
         stamp = stamp_of(message.timestamp)
         parent, child = message.parent_frame_id, message.child_frame_id
         parents = self._parents.use(robot, dict[str, str])

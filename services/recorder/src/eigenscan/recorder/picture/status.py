@@ -37,39 +37,39 @@ class StatusBoard:
         self._canvas = canvas
         self._lines: dict[str, Line] = {}
         self._states: dict[str, str] = {}
-        self._told_at: dict[str, int] = {}
+        self._repeated_at: dict[str, int] = {}
         self._looked_at = self._drawn_at = 0
         self._news = False
         self._drawn: list[Line] = []
         self._now = 0
-        self._heard_at: dict[str, int] = {}
+        self._received_at: dict[str, int] = {}
 
-    def hear_pose(self, heard: Envelope) -> None:
+    def receive_pose(self, received: Envelope) -> None:
         """Updates the robot's line."""
-        message, robot = heard.open(PoseEstimate), heard.address["robot"]
+        message, robot = received.open(PoseEstimate), received.address["robot"]
         stamp = stamp_of(message.timestamp)
         if stamp is None:
             return
-        self._heard_at[robot] = self._now
-        self._tell(stamp, _line(robot, message))
+        self._received_at[robot] = self._now
+        self._update(stamp, _line(robot, message))
 
-    def hear_health(self, heard: Envelope) -> None:
+    def receive_health(self, received: Envelope) -> None:
         """Takes the services' clock: while it goes on, a robot without poses is silent, not well."""
-        stamp = stamp_of(heard.open(Health).timestamp)
+        stamp = stamp_of(received.open(Health).timestamp)
         self._now = max(self._now, stamp or 0)
-        for robot, heard_at in self._heard_at.items():
-            if heard_at and self._now - heard_at > SILENT_NS:
-                self._heard_at[robot] = 0
-                self._tell(self._canvas.newest, _say(robot, SILENCE, SILENT))
+        for robot, received_at in self._received_at.items():
+            if received_at and self._now - received_at > SILENT_NS:
+                self._received_at[robot] = 0
+                self._update(self._canvas.newest, _described(robot, SILENCE, SILENT))
 
-    def _tell(self, stamp: int, line: Line) -> None:
+    def _update(self, stamp: int, line: Line) -> None:
         robot, name = line.robot, line.state
         self._lines[robot] = line
         before = self._states.get(robot)
         if before != name:
             self._announce(stamp, robot, name, before)
-        if before != name or abs(stamp - self._told_at.get(robot, 0)) >= REPEAT_NS:
-            self._told_at[robot] = stamp
+        if before != name or abs(stamp - self._repeated_at.get(robot, 0)) >= REPEAT_NS:
+            self._repeated_at[robot] = stamp
             self._canvas.draw(stamp, f"state/{robot}", rr.StateChange(state=name))
         self._news |= before != name
         self._refresh(stamp)
@@ -108,10 +108,10 @@ def _line(robot: str, message: PoseEstimate) -> Line:
         sureness = f"{5 * round(20 * min(max(message.confidence, 0.0), 1.0))} % sure"
         if message.floor:
             sureness += f", {message.floor}"
-    return _say(robot, name, STATE_COLOURS.get(message.state, SILENT), sureness)
+    return _described(robot, name, STATE_COLOURS.get(message.state, SILENT), sureness)
 
 
-def _say(robot: str, name: str, colour: Colour, sureness: str = "") -> Line:
+def _described(robot: str, name: str, colour: Colour, sureness: str = "") -> Line:
     return Line(robot, name, list(ADVICE).index(name), colour, sureness, ADVICE[name])
 
 
@@ -129,31 +129,31 @@ class Events:
         self._canvas = canvas
         self._last: dict[tuple[str, str], tuple[int, str]] = {}
 
-    def hear_health(self, heard: Envelope) -> None:
+    def receive_health(self, received: Envelope) -> None:
         """One line where status or detail changed."""
-        message = heard.open(Health)
-        who = heard.address["service"], heard.address["instance"]
-        told = message.status, _steady(message.detail)
-        if not self._canvas.newest or self._last.get(who) == told:
+        message = received.open(Health)
+        who = received.address["service"], received.address["instance"]
+        now = message.status, _steady(message.detail)
+        if not self._canvas.newest or self._last.get(who) == now:
             return
-        self._last[who] = told
+        self._last[who] = now
         known = message.status in LEVELS
         word = Health.Status.Name(message.status).removeprefix("STATUS_") if known else "?"
         text = f"{'/'.join(who)}: {word} {message.detail}".rstrip()
         level = LEVELS.get(message.status, rr.TextLogLevel.WARN)
         self._canvas.draw(self._canvas.newest, f"events/{who[0]}", rr.TextLog(text, level=level))
 
-    def hear_kind(self, heard: Envelope) -> None:
+    def receive_kind(self, received: Envelope) -> None:
         """One line for each lidar that the site has no eigenspaces for."""
-        kind, address = heard.open(LidarKind), heard.address
+        kind, address = received.open(LidarKind), received.address
         what = f"{kind.beams} beams at 2 degrees, ranges up to {kind.cap:g} m: asks for eigenspaces"
-        self._say_once("lidar_kinds", f"{address['robot']}/{address['lidar']}: {what}")
+        self._add_once("lidar_kinds", f"{address['robot']}/{address['lidar']}: {what}")
 
-    def hear_space(self, heard: Envelope) -> None:
+    def receive_space(self, received: Envelope) -> None:
         """One line for each kind of lidar that there are other eigenspaces for."""
-        self._say_once("spaces", f"eigenspaces for lidars {heard.address['kind']}")
+        self._add_once("spaces", f"eigenspaces for lidars {received.address['kind']}")
 
-    def _say_once(self, path: str, text: str) -> None:
+    def _add_once(self, path: str, text: str) -> None:
         if self._canvas.newest and self._last.get((path, text)) is None:
             self._last[path, text] = (0, text)
             self._canvas.draw(self._canvas.newest, f"events/{path}", rr.TextLog(text))
