@@ -97,7 +97,9 @@ def _of_log(case: Case, given: argparse.Namespace) -> Any:
 
 def _figures(bench: Bench, folder: Path, given: argparse.Namespace) -> dict[str, Any]:
     windows, times = _asked(bench.log, bench.reference, folder)
-    driven = global_localization(bench, thin(judgeable(bench, windows), given.windows), None)
+    driven = global_localization(
+        bench, thin(judgeable(bench.log, bench.reference, windows), given.windows), None
+    )
     alone = single_scans(bench, thin(times, given.scans), None)
     return {
         "windows": driven["windows"],

@@ -3,8 +3,8 @@
     .venv/bin/python benchmarks/bandwidth.py [--seconds 20] [--json OUT]
 
 A robot's router and services, a site's router and mapbuilder, configured by `eigenscan fleet certify`. Twice:
-as shipped, and with raw scans asked for at 5 Hz. Of each key what the robot's services hear and what the site
-hears (payloads); `link` is all that passes between the two routers, with TLS, without TCP's headers.
+as shipped, and with raw scans asked for at 5 Hz. Of each key what the robot's services and the site receive
+(payloads); `link` is all that passes between the two routers, with TLS, without TCP's headers.
 """
 
 import argparse
@@ -139,36 +139,39 @@ def fleet_of_one(
 def measure(folder: Path, settings: str, seconds: float) -> dict[str, Any]:
     """Bytes of one robot, by key."""
     stage = Stage(office().render(), Scenario(seconds=3600.0, seed=3, site=SITE, robot=ROBOT))
-    heard: dict[str, Counter[str]] = {"site": Counter(), "robot": Counter()}
+    received: dict[str, Counter[str]] = {"site": Counter(), "robot": Counter()}
     times: dict[str, Counter[str]] = {"site": Counter(), "robot": Counter()}
     with ExitStack() as stack:
         air, site, robot = stack.enter_context(fleet_of_one(folder, settings, stage))
         for where, session in (("site", site), ("robot", robot)):
-            listen(session, heard[where], times[where])
+            listen(session, received[where], times[where])
         driver = stack.enter_context(Bus(open_session(folder / "fleet/robots" / ROBOT / "service.json5")))
         stop = threading.Event()
         stage.epoch = time.time_ns()
         driving = threading.Thread(target=publish, args=(stage.messages(), driver.say, 1.0, stop))
         driving.start()
         end = time.monotonic() + PATIENCE_S
-        while not (heard["robot"]["model_set"] and heard["site"]["pose"]):
+        while not (received["robot"]["model_set"] and received["site"]["pose"]):
             if time.monotonic() > end:
                 stop.set()
                 driving.join()
                 raise SystemExit("no pose came to the site")
             time.sleep(0.1)
         time.sleep(SETTLE_S)
-        models = sum(heard["robot"][name] for name in ("map", "model", "model_set"))
-        begin = dict(air.bytes), {where: (Counter(heard[where]), Counter(times[where])) for where in heard}
+        models = sum(received["robot"][name] for name in ("map", "model", "model_set"))
+        begin = (
+            dict(air.bytes),
+            {where: (Counter(received[where]), Counter(times[where])) for where in received},
+        )
         began = time.monotonic()
         time.sleep(seconds)
         took = time.monotonic() - began
         link = {way: (air.bytes[way] - begin[0][way]) / took for way in ("up", "down")}
         rows = {}
-        for name in sorted(heard["robot"] | heard["site"]):
+        for name in sorted(received["robot"] | received["site"]):
             rows[name] = {
                 f"{where}_{unit}": (now[where][name] - begin[1][where][index][name]) / took
-                for index, (unit, now) in enumerate((("bytes_s", heard), ("hz", times)))
+                for index, (unit, now) in enumerate((("bytes_s", received), ("hz", times)))
                 for where in ("robot", "site")
             }
         stop.set()
@@ -176,13 +179,13 @@ def measure(folder: Path, settings: str, seconds: float) -> dict[str, Any]:
     return {"keys": rows, "link_bytes_s": link, "models_bytes": models}
 
 
-def listen(session: zenoh.Session, heard: Counter[str], times: Counter[str]) -> None:
-    """Counts what is heard of the robot, and of maps and models, by channel."""
+def listen(session: zenoh.Session, received: Counter[str], times: Counter[str]) -> None:
+    """Counts what is received of the robot, and of maps and models, by channel."""
 
     def on_sample(sample: Any) -> None:
         found = find(str(sample.key_expr))
         if found and found[1].get("instance", ROBOT) == ROBOT:
-            heard[found[0].name] += len(sample.payload)
+            received[found[0].name] += len(sample.payload)
             times[found[0].name] += 1
 
     for channel in CHANNELS:

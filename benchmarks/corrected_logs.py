@@ -5,7 +5,7 @@
 
 LOGS holds NAME.log.gz, as GMapping writes them and public collections (Radish) have them: FLASER lines
 with corrected poses, and after each of them raw odometry that begins at that pose. Every other scan
-makes the map, all are heard, and those that made no map are tried alone. With `--parts` the scans of
+makes the map, all are received, and those that made no map are tried alone. With `--parts` the scans of
 every other 30 m make the map, so that the robot also drives where there is none. The references are the
 corrected poses, as good as they are.
 """

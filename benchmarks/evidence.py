@@ -1,6 +1,7 @@
-"""What a hypothesis is worth to a track that foretold it: right tracks beside wrong ones, on real logs.
+"""What a hypothesis is worth to a track that predicted it: right tracks beside wrong ones, on real logs.
 
     .venv/bin/python benchmarks/evidence.py [--datasets FOLDER] [--only intel] [--json OUT]
+        [--way "30 % of the walls missing"]
 
 A track is begun at each hypothesis of a scan that is worth it, and followed by the true motion to the scan
 half a metre or half a radian on. There it has a hypothesis of some log-likelihood L, by some nats ahead of
@@ -12,8 +13,13 @@ another place in between: what tells that it was (services/tracker, continuity.p
 
 And how often one list leaves out what the lists before and after it have (services/tracker, belief.py).
 
-And twins: of the wrong tracks those that look right, by this table; and of these, how many still do so 1, 2,
+And aliases: of the wrong tracks those that look right, by this table; and how many of these still do so 1, 2,
 4 and 6 steps on. Were scans from new places independent evidence, no more of them would than of all.
+
+And by how much the hypothesis nearest to the true pose errs, by its likelihood: squared, in sigmas of the
+covariance that the projector publishes, three of them; the mean of errors of at most CAPPED. The tracker
+makes poor fits' covariances larger by that (services/tracker, observation.py). `--way`: on a map made worse
+(benchmarks/worse_maps.py).
 
 The datasets are not part of the project; by default they are looked for beside it.
 """
@@ -21,6 +27,8 @@ The datasets are not part of the project; by default they are looked for beside 
 import argparse
 import itertools
 import json
+import tempfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +36,15 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.circle import difference
+from eigenscan.geometry.gridmap import read_map, write_map
 from eigenscan.geometry.pose import between, compose
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
+from eigenscan.tracker.covariance import mahalanobis_squared, residual
 from eigenscan.tracker.evidence import ENDS, EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
+from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.log import read_log
 from eigenscan.workbench.evaluation.metrics import errors, right
@@ -42,6 +53,7 @@ from eigenscan.workbench.evaluation.pipeline import Pipeline
 from eigenscan.workbench.evaluation.reference import read_trajectory
 from eigenscan.workbench.evaluation.windows import plan_windows, read_windows
 from eigenscan.workbench.logs import LogOptions
+from worse_maps import WAYS, Worse, stays
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
 CASES = {
@@ -60,14 +72,20 @@ AWAY_M = 3.0
 """A place nearer than this is none that a robot was carried to."""
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
 AHEAD = np.array([-np.inf, 0.0, 1.0, 3.0, 5.0, np.inf])
+NEAREST_M, NEAREST_RAD, CAPPED = 1.0, np.radians(25.0), 60.0
+"""Of the true pose, and the squared error, beyond which a hypothesis is of another place."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The list of one lidar's scan, poses (k, 3) and log-likelihoods (k,), and the true pose (3,)."""
+    """The list of one lidar's scan, poses (k, 3) with covariances (k, 3, 3), and the true pose (3,).
+
+    `likelihoods` (k,), as logarithms.
+    """
 
     lidar: str
     poses: np.ndarray
+    covariances: np.ndarray
     likelihoods: np.ndarray
     truth: np.ndarray
 
@@ -76,25 +94,32 @@ class Answer:
         return right(*errors(self.poses, np.broadcast_to(pose, self.poses.shape)))
 
 
-def answers(datasets: Path, case: str) -> Iterator[list[Answer]]:
-    """The lists of each window of a log that have a true pose."""
+def answers(datasets: Path, case: str, way: str) -> Iterator[list[Answer]]:
+    """The lists of each window of a log that have a true pose, on its map made worse in this way."""
     folder, log_name, truth_name = CASES[case]
     place = datasets / folder
     log = read_log(place / log_name, LogOptions(), lambda _: None)
     reference = read_trajectory(place / truth_name).restamped(log.logged)
     listed = place / "windows.csv"
     windows = read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference)
-    pipeline = Pipeline(build(place / "map.yaml", MapbuilderSettings(), lambda _: None).models)
+    worse = WAYS[way](Worse(read_map(place / "map.yaml"), stays), reference.poses, zlib.crc32(way.encode()))
+    with tempfile.TemporaryDirectory() as scratch:
+        write_map(worse.grid, Path(scratch) / "map.yaml")
+        built = build(Path(scratch) / "map.yaml", MapbuilderSettings(), lambda _: None)
+    pipeline = Pipeline(built.models)
     for window in windows:
         raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
         stamps = [envelope.stamp for envelope in raw]
         truths, known = reference.at(stamps)
-        said = [
+        truths = worse.move(truths)
+        published = [
             (e.address["lidar"], pipeline.answer(e), truth)
             for e, truth, there in zip(raw, truths, known, strict=True)
             if there
         ]
-        yield [Answer(lidar, a.poses, a.log_likelihoods, truth) for lidar, a, truth in said]
+        yield [
+            Answer(lidar, a.poses, a.covariances, a.log_likelihoods, truth) for lidar, a, truth in published
+        ]
 
 
 def independent_way(scans: list[Answer]) -> np.ndarray:
@@ -224,6 +249,20 @@ def continuity(windows: list[list[Answer]]) -> dict[str, list[float]]:
     return {name: (n / max(n.sum(), 1)).tolist() for name, n in (("together", together), ("apart", apart))}
 
 
+def squared_errors(windows: list[list[Answer]]) -> list[float | None]:
+    """By likelihood, the mean squared error, in sigmas, of hypotheses near the true pose; None of too few."""
+    found = [list[float]() for _ in LIKELIHOODS[1:]]
+    for scan in itertools.chain.from_iterable(windows):
+        off = residual(scan.poses, scan.truth[None])
+        near = (np.hypot(off[:, 0], off[:, 1]) < NEAREST_M) & (np.abs(off[:, 2]) < NEAREST_RAD)
+        if near.any():
+            best = int(np.argmax(near))
+            row = int(np.searchsorted(LIKELIHOODS, scan.likelihoods[best], side="right")) - 1
+            error = float(mahalanobis_squared(off[best][None], scan.covariances[best][None])[0])
+            found[row].append(min(error, CAPPED))
+    return [float(np.mean(errors)) if len(errors) >= 10 else None for errors in found]
+
+
 def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
     shape = (len(LIKELIHOODS) - 1, len(AHEAD) - 1)
     true, false = Counts(np.zeros(shape)), Counts(np.zeros(shape))
@@ -246,6 +285,7 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
         | missing(windows)
         | continuity(windows)
         | twins(windows)
+        | {"squared_errors": squared_errors(windows)}
     )
 
 
@@ -266,20 +306,25 @@ def show(row: dict[str, Any]) -> None:
             f"{low:>9g}..          "
             + "".join("         -" if np.isnan(r) else f"{r:>+10.1f}" for r in ratios)
         )
-    print(f"   missed {row['missed']:+.1f}", flush=True)
+    print(f"   missed {row['missed']:+.1f}")
+    tracker = np.exp(poorness((LIKELIHOODS[:-1] + LIKELIHOODS[1:]) / 2.0))
+    print("squared error, 3 were right; what the tracker divides it by")
+    for low, error, less in zip(LIKELIHOODS[:-1], row["squared_errors"], tracker, strict=True):
+        print(f"{low:>9g}..   " + ("-" if error is None else f"{error:.1f}") + f" ({less:.1f})", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--datasets", type=Path, default=DATASETS)
     parser.add_argument("--only", default="")
+    parser.add_argument("--way", default="exact", choices=list(WAYS), help="in which the map is made worse")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     print(f"the tracker: {SLOPE} (L - {EVEN}) + how far ahead, 0 to {MOST_AHEAD:g}")
     rows = []
     for case in CASES:
         if options.only in case:
-            rows.append(judge(case, list(answers(options.datasets, case))))
+            rows.append(judge(case, list(answers(options.datasets, case, options.way))))
             show(rows[-1])
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")

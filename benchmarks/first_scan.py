@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/first_scan.py [--areas 800 8311 51960] [--json OUT]
 
-Made-up office floors (benchmarks/floors.py), their models as the mapbuilder says them, one projector's core.
+Simulated office floors (benchmarks/floors.py), the mapbuilder's models of them, one projector's core.
 A start is a new view of a lidar: the declared one (first, 180 degrees), the same with tables of an earlier
 process (kept), one of 360 degrees before the mapbuilder has said its eigenspaces (other), and after (told).
 Times are of one core, whatever else the machine does. `right`: the share of such first answers whose first
@@ -60,13 +60,13 @@ def main() -> None:
 def measure(area: float, cache: Path | None) -> dict[str, float]:
     site = _models(area, cache)
     builder = MapbuilderCore(MapbuilderSettings(), site, "s")
-    said = list(builder.start())
+    published = list(builder.start())
     caster, truths = RayCaster.of(site.grid), poses(site.grid, STARTS + LATER, 5)
     narrow, wide = ([scan_at(caster, p, i, view) for i, p in enumerate(truths)] for view in (np.pi, WIDE))
     with tempfile.TemporaryDirectory() as folder:
         core = ProjectorCore(ProjectorSettings(), store=TableFolder(Path(folder)))
         began = time.process_time()
-        for envelope in said:
+        for envelope in published:
             list(core.handle(envelope))
         row: dict[str, float] = {"m2": site.grid.free_area, "regions": len(site.regions)}
         row["taken_s"] = time.process_time() - began
@@ -135,9 +135,9 @@ def answers(
     for scan, truth in zip(scans, truths, strict=True):
         before()
         began = time.process_time()
-        said = list(core.handle(Envelope(SCAN, LIDAR, scan)))
+        published = list(core.handle(Envelope(SCAN, LIDAR, scan)))
         times.append(time.process_time() - began)
-        message = next(e.message for e in said if e.channel is HYPOTHESES)
+        message = next(e.message for e in published if e.channel is HYPOTHESES)
         assert isinstance(message, Hypotheses)
         first = message.hypotheses[:1]
         right.append(any(np.hypot(h.pose.x - truth[0], h.pose.y - truth[1]) <= 0.5 for h in first))

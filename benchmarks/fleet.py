@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/fleet.py [--robots 1,10,20,40,80,200] [--groups 1] [--parts 1]
                                          [--rate 10] [--seconds 10] [--json OUT]
 
-Each robot says --rate canonical scans of 361 beams and five times as many odometries a second, computed
+Each robot reports --rate canonical scans of 361 beams and five times as many odometries a second, computed
 before. On the same machine run a router, a mapbuilder, and for each of --groups groups of the robots a
 tracker and --parts projectors, which share the site's regions. It ends where fewer than 95 % of the scans
 become poses. "ms a scan" is processor time, of the process and of its core alone, called in this process over
@@ -52,7 +52,7 @@ from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
-from fleet_robots import RATE_HZ, SITE, SPREAD_S, Heard, canonical, drive, name_of
+from fleet_robots import RATE_HZ, SITE, SPREAD_S, Received, canonical, drive, name_of
 
 PROGRAM = Path(sys.executable).with_name("eigenscan")
 SETTLE_S = 5.0
@@ -60,7 +60,7 @@ ENOUGH = 0.95
 ALONE_SCANS = 150
 
 
-def cores_alone(folder: Path, said: list[tuple[int, Envelope]]) -> dict[str, float]:
+def cores_alone(folder: Path, published: list[tuple[int, Envelope]]) -> dict[str, float]:
     """Processor time, ms a scan, of the two cores without processes and without Zenoh."""
     projector, tracker = ProjectorCore(ProjectorSettings()), TrackerCore(TrackerSettings())
     for model in announce_models(read_models(folder / "model"), SITE):
@@ -68,14 +68,14 @@ def cores_alone(folder: Path, said: list[tuple[int, Envelope]]) -> dict[str, flo
     projector.handle(Envelope(MAP, {"site": SITE}, to_message(read_models(folder / "model").grid, "map")))
     spent, scans = {"projector": 0.0, "tracker": 0.0}, 0
     address = {"site": SITE, "robot": "r", "lidar": "front"}
-    for at, envelope in said[: 60 * ALONE_SCANS // 10]:
+    for at, envelope in published[: 60 * ALONE_SCANS // 10]:
         envelope.message.timestamp.CopyFrom(stamp(at))  # type: ignore[attr-defined]
-        heard = [Envelope(envelope.channel, address, envelope.message)]
+        received = [Envelope(envelope.channel, address, envelope.message)]
         began = time.thread_time()
         if envelope.channel is SCAN:
-            heard = [each for each in projector.handle(heard[0]) if each.channel is HYPOTHESES]
+            received = [each for each in projector.handle(received[0]) if each.channel is HYPOTHESES]
         between = time.thread_time()
-        for each in heard:
+        for each in received:
             list(tracker.handle(each))
         if scans >= ALONE_SCANS // 10:  # what is compiled or made at the first is not what a scan costs
             spent["projector"] += between - began
@@ -105,26 +105,30 @@ def services(
 def measure(
     session: zenoh.Session,
     stage: Stage,
-    said: list[tuple[int, Envelope]],
+    published: list[tuple[int, Envelope]],
     names: list[str],
     seconds: float,
     processes: dict[str, psutil.Process],
 ) -> dict[str, Any]:
     """One row of the table."""
-    heard, stop = Heard(stage), threading.Event()
+    received, stop = Received(stage), threading.Event()
     everywhere = {"site": SITE}
     ears = [
         session.declare_subscriber(channel.selector(everywhere), on)
-        for channel, on in ((POSE, heard.on_pose), (TRACKS, heard.on_tracks), (HEALTH, heard.on_health))
+        for channel, on in (
+            (POSE, received.on_pose),
+            (TRACKS, received.on_tracks),
+            (HEALTH, received.on_health),
+        )
     ]
     bus = Bus(session)
-    driving = threading.Thread(target=drive, args=(bus, said, names, heard, stop))
+    driving = threading.Thread(target=drive, args=(bus, published, names, received, stop))
     driving.start()
     time.sleep(SETTLE_S)
     used = {name: process.cpu_times() for name, process in processes.items()}
-    heard.begin = time.monotonic()
+    received.begin = time.monotonic()
     time.sleep(seconds)
-    heard.end = time.monotonic()
+    received.end = time.monotonic()
     spent = {
         name: (sum(process.cpu_times()[:2]) - sum(used[name][:2])) / seconds
         for name, process in processes.items()
@@ -134,23 +138,23 @@ def measure(
     driving.join()
     for ear in ears:
         ear.undeclare()
-    waits = np.array(heard.waits or [np.nan])
+    waits = np.array(received.waits or [np.nan])
     return {
         "robots": len(names),
-        "scans_per_s": heard.said / seconds,
+        "scans_per_s": received.published / seconds,
         "ms_per_scan": {
-            kind: total(spent, kind) * seconds * 1e3 / max(len(heard.waits), 1)
+            kind: total(spent, kind) * seconds * 1e3 / max(len(received.waits), 1)
             for kind in ("projector", "tracker")
         },
         "load": psutil.getloadavg()[0],
-        "answered": len(heard.waits) / max(heard.said, 1),
+        "answered": len(received.waits) / max(received.published, 1),
         "p50_ms": float(np.median(waits)) * 1e3,
         "p99_ms": float(np.quantile(waits, 0.99)) * 1e3,
-        "claims_wrong": heard.wrong / max(heard.claims, 1),
-        "claimed": heard.claims / max(len(heard.waits), 1),
+        "claims_wrong": received.wrong / max(received.claims, 1),
+        "claimed": received.claims / max(len(received.waits), 1),
         "cores": spent,
         "rss_mb": {name: process.memory_info().rss / 1e6 for name, process in processes.items()},
-        "air_bytes_per_s": heard.air(heard.said / seconds / len(names)),
+        "air_bytes_per_s": received.air(received.published / seconds / len(names)),
     }
 
 
@@ -160,7 +164,7 @@ def total(figures: dict[str, float], kind: str) -> float:
 
 
 def wait_for_models(session: zenoh.Session, parts: int) -> None:
-    """Until every projector says that it has them."""
+    """Until every projector reports that it has them."""
     ready: set[str] = set()
 
     def on_health(sample: zenoh.Sample) -> None:
@@ -230,11 +234,11 @@ def main() -> None:
         processes = stack.enter_context(services(folder, config, router, arguments.parts, arguments.groups))
         session = stack.enter_context(open_session(config))
         wait_for_models(session, arguments.parts * arguments.groups)
-        said = canonical(stage, arguments.rate)
+        published = canonical(stage, arguments.rate)
         for robots in map(int, arguments.robots.split(",")):
             own = cores_alone(folder, canonical(stage, RATE_HZ))
             names = [name_of(robot, arguments.groups) for robot in range(robots)]
-            rows.append(measure(session, stage, said, names, seconds, processes) | {"alone_ms": own})
+            rows.append(measure(session, stage, published, names, seconds, processes) | {"alone_ms": own})
             print(row_text(rows[-1]), flush=True)
             if rows[-1]["answered"] < ENOUGH:
                 break

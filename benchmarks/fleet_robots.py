@@ -24,15 +24,15 @@ ON_ROBOT = ("scan-ingest", "projector", "tracker")
 
 
 @dataclass
-class Heard:
+class Received:
     """What came back within the window."""
 
     stage: Stage
     begin: float = np.inf
     end: float = np.inf
     sent: dict[tuple[str, int], tuple[float, int]] = field(default_factory=dict)
-    """Robot and stamp -> when the scan was said, s, and its time in the drive, ns."""
-    said: int = 0
+    """Robot and stamp -> when the scan was published, s, and its time in the drive, ns."""
+    published: int = 0
     waits: list[float] = field(default_factory=list)
     wrong: int = 0
     claims: int = 0
@@ -42,12 +42,12 @@ class Heard:
         now = time.monotonic()
         self._size("pose", sample)
         pose = PoseEstimate.FromString(sample.payload.to_bytes())
-        said = self.sent.pop((str(sample.key_expr).split("/")[2], nanoseconds(pose.timestamp)), None)
-        if said is None or not self.begin <= said[0] < self.end:
+        published = self.sent.pop((str(sample.key_expr).split("/")[2], nanoseconds(pose.timestamp)), None)
+        if published is None or not self.begin <= published[0] < self.end:
             return
-        self.waits.append(now - said[0])
+        self.waits.append(now - published[0])
         if pose.state == STATE_LOCALIZED:
-            x, y, _ = self.stage.pose_at(said[1])
+            x, y, _ = self.stage.pose_at(published[1])
             self.claims += 1
             self.wrong += bool(np.hypot(pose.pose.x - x, pose.pose.y - y) > RIGHT_M)
 
@@ -67,8 +67,8 @@ class Heard:
 
 
 def canonical(stage: Stage, rate_hz: float) -> list[tuple[int, Envelope]]:
-    """Time in the drive, ns, and what the robot says then: canonical scans and odometry, every so many."""
-    ingest, said, every = ScanIngestCore(ScanIngestSettings()), [], round(RATE_HZ / rate_hz)
+    """Time in the drive, ns, and what the robot reports then: canonical scans and odometry, every so many."""
+    ingest, published, every = ScanIngestCore(ScanIngestSettings()), [], round(RATE_HZ / rate_hz)
     count = {SCAN_RAW: 0, ODOMETRY: 0}
     for timed in stage.messages():
         channel = timed.envelope.channel
@@ -78,10 +78,10 @@ def canonical(stage: Stage, rate_hz: float) -> list[tuple[int, Envelope]]:
         if (count[channel] - 1) % every:
             continue
         if channel is SCAN_RAW:
-            said += [(timed.time, envelope) for envelope in ingest.handle(timed.envelope)]
+            published += [(timed.time, envelope) for envelope in ingest.handle(timed.envelope)]
         else:
-            said.append((timed.time, timed.envelope))
-    return said
+            published.append((timed.time, timed.envelope))
+    return published
 
 
 def name_of(robot: int, groups: int) -> str:
@@ -91,16 +91,16 @@ def name_of(robot: int, groups: int) -> str:
 
 def drive(
     bus: Bus,
-    said: list[tuple[int, Envelope]],
+    published: list[tuple[int, Envelope]],
     names: list[str],
-    heard: Heard,
+    received: Received,
     stop: threading.Event,
 ) -> None:
-    """Says what the robots of these names say, each message when its time has come, with stamps of now."""
-    first, began, robots = said[0][0], time.monotonic(), len(names)
-    rate_hz = sum(envelope.channel is SCAN for _, envelope in said) / (said[-1][0] - first) * 1e9
+    """Publishes the messages of these robots, each when its time has come, with stamps of now."""
+    first, began, robots = published[0][0], time.monotonic(), len(names)
+    rate_hz = sum(envelope.channel is SCAN for _, envelope in published) / (published[-1][0] - first) * 1e9
     wall = time.time_ns()
-    times = np.array([at for at, _ in said])
+    times = np.array([at for at, _ in published])
     due: list[tuple[float, int, int, int]] = []
     for robot in range(robots):
         offset = int(robot * SPREAD_S / robots * 1e9)
@@ -111,15 +111,15 @@ def drive(
         at, robot, index, origin = heapq.heappop(due)
         if (wait := began + at - time.monotonic()) > 0 and stop.wait(wait):
             return
-        drive_time, envelope = said[index]
+        drive_time, envelope = published[index]
         now = wall + int(at * 1e9)
         envelope.message.timestamp.CopyFrom(stamp(now))  # type: ignore[attr-defined]
         name = names[robot]
         if envelope.channel is SCAN:
             moment = time.monotonic()
-            heard.sent[name, now] = (moment, drive_time)
-            heard.said += heard.begin <= moment < heard.end
+            received.sent[name, now] = (moment, drive_time)
+            received.published += received.begin <= moment < received.end
         bus.say(Envelope(envelope.channel, {"site": SITE, "robot": name, "lidar": "front"}, envelope.message))
-        if index + 1 < len(said):
-            later = (said[index + 1][0] - drive_time) * 1e-9
+        if index + 1 < len(published):
+            later = (published[index + 1][0] - drive_time) * 1e-9
             heapq.heappush(due, (at + later, robot, index + 1, origin))

@@ -66,7 +66,7 @@ class Cell:
     named_after_s: list[float] = field(default_factory=list)
     levels_m: list[float] = field(default_factory=list)
     exceeded: int = 0
-    said: Counter[str] = field(default_factory=Counter)
+    published: Counter[str] = field(default_factory=Counter)
 
     def as_json(self) -> dict[str, Any]:
         named = self.named_after_s
@@ -88,7 +88,7 @@ class Cell:
             }
             if self.levels_m
             else None,
-            "said": dict(self.said.most_common(3)),
+            "said": dict(self.published.most_common(3)),
         }
 
 
@@ -117,8 +117,8 @@ class Site:
         for number, window in enumerate(windows):
             other = windows[(number + len(windows) // 2) % len(windows)]
             random = np.random.default_rng(zlib.crc32(f"{name} {number}".encode()))
-            heard = [_copy(e) for e in self.log.between(window)]
-            stretch = fault(Stretch(heard, self.log.between(other), random))
+            received = [_copy(e) for e in self.log.between(window)]
+            stretch = fault(Stretch(received, self.log.between(other), random))
             self._run(name, stretch, cell)
         return cell
 
@@ -128,24 +128,24 @@ class Site:
             if model.channel in tracker.hears:
                 list(tracker.handle(model))
         loop = Loopback([ingest, self.projector, tracker])
-        said, asked, named = list[Envelope](), 0, None
+        published, asked, named = list[Envelope](), 0, None
         loop.start()
         moved_at = self._moved_at(stretch, name)
-        for envelope in stretch.heard:
-            said += loop.hear(envelope)
+        for envelope in stretch.received:
+            published += loop.hear(envelope)
             if envelope.stamp - asked >= HEALTH_EVERY_NS:
                 asked = envelope.stamp
                 for core in (ingest, tracker):
                     condition = core.condition()
                     if condition.status == Health.STATUS_DEGRADED and named is None:
                         named = envelope.stamp
-                        cell.said[_without_numbers(condition.detail)] += 1
-        said += loop.finish()
+                        cell.published[_without_numbers(condition.detail)] += 1
+        published += loop.finish()
         cell.windows += 1
         cell.moving += moved_at is not None
         if named is not None:
             cell.named_after_s.append(max(named - (moved_at or named), 0) / NS)
-        self._judge([e.open(PoseEstimate) for e in said if e.channel is POSE], stretch, cell)
+        self._judge([e.open(PoseEstimate) for e in published if e.channel is POSE], stretch, cell)
 
     def _judge(self, poses: list[PoseEstimate], stretch: Stretch, cell: Cell) -> None:
         for pose in poses:
@@ -169,10 +169,10 @@ class Site:
 
     def _moved_at(self, stretch: Stretch, name: str) -> int | None:
         """When the robot had moved under the fault, by the reference, ns; None where it hardly did."""
-        onset = min(e.stamp for e in stretch.heard if e.channel is SCAN_RAW) + round(
+        onset = min(e.stamp for e in stretch.received if e.channel is SCAN_RAW) + round(
             BEGINS_S.get(name, 0.0) * NS
         )
-        stamps = np.array([e.stamp for e in stretch.heard if e.stamp >= onset])
+        stamps = np.array([e.stamp for e in stretch.received if e.stamp >= onset])
         poses, known = self.truth.at(stamps)
         poses, stamps = poses[known], stamps[known]
         if not len(poses):
@@ -194,11 +194,11 @@ def _without_numbers(detail: str) -> str:
 def show(name: str, fault: str, cell: Cell) -> None:
     after = f"{np.median(cell.named_after_s):6.1f} s" if cell.named_after_s else "       -"
     within = sum(seconds <= 3.0 for seconds in cell.named_after_s)
-    said = cell.said.most_common(1)
+    published = cell.published.most_common(1)
     print(
         f"{name:<11}{fault:<34}{cell.scans:>7}{cell.above_90:>7}{cell.above_99:>7}{cell.right_claims:>7}"
         f"{len(cell.levels_m):>7}{cell.exceeded:>5}{len(cell.named_after_s):>5} of {cell.moving:<3}"
-        f"{within:>4}{after}  {said[0][0] if said else ''}",
+        f"{within:>4}{after}  {published[0][0] if published else ''}",
         flush=True,
     )
 

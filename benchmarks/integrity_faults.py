@@ -30,20 +30,22 @@ JUMP = np.array([3.0, -2.0, 1.0])
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the pipeline hears, and how it is judged.
+    """What the pipeline receives, and how it is judged.
 
     `other`: messages of another stretch of the log, as long. `truth_at`: of a scan's stamp, ns, the
     reference's, where these differ; None: there is no right pose.
     """
 
-    heard: list[Envelope]
+    received: list[Envelope]
     other: list[Envelope]
     random: np.random.Generator
     truth_at: dict[int, int | None] = field(default_factory=dict)
 
-    def saying(self, heard: Sequence[Envelope], truth_at: dict[int, int | None] | None = None) -> "Stretch":
-        """The same, hearing something else, in the order of its stamps."""
-        return Stretch(sorted(heard, key=lambda e: e.stamp), self.other, self.random, truth_at or {})
+    def publishing(
+        self, received: Sequence[Envelope], truth_at: dict[int, int | None] | None = None
+    ) -> "Stretch":
+        """The same, receiving something else, in the order of its stamps."""
+        return Stretch(sorted(received, key=lambda e: e.stamp), self.other, self.random, truth_at or {})
 
 
 Fault = Callable[[Stretch], Stretch]
@@ -53,8 +55,8 @@ def scans_changed(change: Callable[[RawScan, int, Stretch], None]) -> Fault:
     """Each raw scan after `change` of (message, its number, the stretch)."""
 
     def fault(stretch: Stretch) -> Stretch:
-        heard, count = list[Envelope](), 0
-        for original in stretch.heard:
+        received, count = list[Envelope](), 0
+        for original in stretch.received:
             envelope = original
             if envelope.channel is SCAN_RAW:
                 message = RawScan()
@@ -62,8 +64,8 @@ def scans_changed(change: Callable[[RawScan, int, Stretch], None]) -> Fault:
                 change(message, count, stretch)
                 count += 1
                 envelope = Envelope(SCAN_RAW, envelope.address, message)
-            heard.append(envelope)
-        return stretch.saying(heard)
+            received.append(envelope)
+        return stretch.publishing(received)
 
     return fault
 
@@ -72,8 +74,8 @@ def odometry_changed(change: Callable[[Array, float, Stretch], Array]) -> Fault:
     """Each odometry pose after `change` of (pose, seconds since the first, the stretch)."""
 
     def fault(stretch: Stretch) -> Stretch:
-        heard, first = list[Envelope](), min(e.stamp for e in stretch.heard)
-        for original in stretch.heard:
+        received, first = list[Envelope](), min(e.stamp for e in stretch.received)
+        for original in stretch.received:
             envelope = original
             if envelope.channel is ODOMETRY:
                 message = Odometry()
@@ -81,8 +83,8 @@ def odometry_changed(change: Callable[[Array, float, Stretch], Array]) -> Fault:
                 pose = change(from_pose3(message.pose), (envelope.stamp - first) / NS, stretch)
                 message.pose.CopyFrom(to_pose3(pose))
                 envelope = Envelope(ODOMETRY, envelope.address, message)
-            heard.append(envelope)
-        return stretch.saying(heard)
+            received.append(envelope)
+        return stretch.publishing(received)
 
     return fault
 
@@ -103,9 +105,9 @@ def frozen(noise: float, after_s: float = 0.0) -> Fault:
     """One scan of each lidar again and again, from some time on."""
 
     def fault(stretch: Stretch) -> Stretch:
-        first, held = min(e.stamp for e in stretch.heard), dict[str, Array]()
-        heard = list[Envelope]()
-        for original in stretch.heard:
+        first, held = min(e.stamp for e in stretch.received), dict[str, Array]()
+        received = list[Envelope]()
+        for original in stretch.received:
             envelope = original
             if envelope.channel is SCAN_RAW and envelope.stamp - first >= after_s * NS:
                 message = RawScan()
@@ -113,16 +115,16 @@ def frozen(noise: float, after_s: float = 0.0) -> Fault:
                 kept = held.setdefault(envelope.address["lidar"], np.asarray(message.ranges))
                 put(message, kept + noise * stretch.random.standard_normal(len(kept)))
                 envelope = Envelope(SCAN_RAW, envelope.address, message)
-            heard.append(envelope)
-        return stretch.saying(heard)
+            received.append(envelope)
+        return stretch.publishing(received)
 
     return fault
 
 
 def delayed(stretch: Stretch) -> Stretch:
-    by, heard = round(DELAY_S * NS), list[Envelope]()
-    last = max(e.stamp for e in stretch.heard)
-    for original in stretch.heard:
+    by, received = round(DELAY_S * NS), list[Envelope]()
+    last = max(e.stamp for e in stretch.received)
+    for original in stretch.received:
         envelope = original
         if envelope.channel is SCAN_RAW:
             if envelope.stamp + by > last:
@@ -131,8 +133,8 @@ def delayed(stretch: Stretch) -> Stretch:
             message.CopyFrom(envelope.open(RawScan))
             message.timestamp.CopyFrom(stamp(envelope.stamp + by))
             envelope = Envelope(SCAN_RAW, envelope.address, message)
-        heard.append(envelope)
-    return stretch.saying(heard)
+        received.append(envelope)
+    return stretch.publishing(received)
 
 
 def mirror(message: RawScan, _: int, __: Stretch) -> None:
@@ -149,11 +151,11 @@ def mount_off(degrees: float) -> Fault:
 
 def two_robots(stretch: Stretch) -> Stretch:
     """Both stretches at once, as long as both last: no pose is that of the one robot they are taken for."""
-    shift = min(e.stamp for e in stretch.heard) - min(e.stamp for e in stretch.other) + 20_000_000
+    shift = min(e.stamp for e in stretch.received) - min(e.stamp for e in stretch.other) + 20_000_000
     ends = max(e.stamp for e in stretch.other) + shift
-    own_ends = max(e.stamp for e in stretch.heard)
-    truth: dict[int, int | None] = {e.stamp: None for e in stretch.heard if e.stamp <= ends}
-    heard = list(stretch.heard)
+    own_ends = max(e.stamp for e in stretch.received)
+    truth: dict[int, int | None] = {e.stamp: None for e in stretch.received if e.stamp <= ends}
+    received = list(stretch.received)
     for envelope in stretch.other:
         message = type(envelope.message)()
         message.CopyFrom(envelope.message)
@@ -161,8 +163,8 @@ def two_robots(stretch: Stretch) -> Stretch:
         if envelope.channel is SCAN_RAW:
             together = envelope.stamp + shift <= own_ends
             truth[envelope.stamp + shift] = None if together else envelope.stamp
-        heard.append(Envelope(envelope.channel, envelope.address, message))
-    return stretch.saying(heard, truth)
+        received.append(Envelope(envelope.channel, envelope.address, message))
+    return stretch.publishing(received, truth)
 
 
 def from_elsewhere(share: float) -> Fault:
@@ -174,8 +176,8 @@ def from_elsewhere(share: float) -> Fault:
             if envelope.channel is SCAN_RAW:
                 ranges = np.asarray(envelope.open(RawScan).ranges)
                 others.setdefault(envelope.address["lidar"], []).append(ranges)
-        taken, heard = dict[str, int](), list[Envelope]()
-        for original in stretch.heard:
+        taken, received = dict[str, int](), list[Envelope]()
+        for original in stretch.received:
             envelope = original
             if envelope.channel is SCAN_RAW:
                 lidar = envelope.address["lidar"]
@@ -190,25 +192,25 @@ def from_elsewhere(share: float) -> Fault:
                 ranges[:count] = foreign[:count]
                 put(message, ranges)
                 envelope = Envelope(SCAN_RAW, envelope.address, message)
-            heard.append(envelope)
-        return stretch.saying(heard)
+            received.append(envelope)
+        return stretch.publishing(received)
 
     return fault
 
 
 def invented_room(stretch: Stretch) -> Stretch:
     """A robot turns in a room that no map has, and its odometry says so; no pose is right."""
-    first, truth = min(e.stamp for e in stretch.heard), dict[int, int | None]()
-    heard = list[Envelope]()
+    first, truth = min(e.stamp for e in stretch.received), dict[int, int | None]()
+    received = list[Envelope]()
     half = np.array(ROOM_M) / 2.0
     at = np.array([0.15, -0.1]) * ROOM_M
-    for envelope in stretch.heard:
+    for envelope in stretch.received:
         turned = ROOM_TURN * (envelope.stamp - first) / NS
         if envelope.channel is ODOMETRY:
             message = Odometry()
             message.CopyFrom(envelope.open(Odometry))
             message.pose.CopyFrom(to_pose3(np.array([0.0, 0.0, (turned + np.pi) % (2 * np.pi) - np.pi])))
-            heard.append(Envelope(ODOMETRY, envelope.address, message))
+            received.append(Envelope(ODOMETRY, envelope.address, message))
             continue
         scan = RawScan()
         scan.CopyFrom(envelope.open(RawScan))
@@ -220,8 +222,8 @@ def invented_room(stretch: Stretch) -> Stretch:
             reach = ((np.sign(along).T * half - mount[:2]) / along.T).min(axis=1)
         put(scan, reach + NOISE_M * stretch.random.standard_normal(len(angles)))
         truth[envelope.stamp] = None
-        heard.append(Envelope(SCAN_RAW, envelope.address, scan))
-    return stretch.saying(heard, truth)
+        received.append(Envelope(SCAN_RAW, envelope.address, scan))
+    return stretch.publishing(received, truth)
 
 
 def odometry_frozen() -> Fault:

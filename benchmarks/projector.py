@@ -86,13 +86,13 @@ def one_scan(core: ProjectorCore, payload: bytes, watch: Stopwatch) -> Hypothese
     began = time.perf_counter()
     scan = decode(SCAN, payload)
     watch.add("decode", began)
-    said = list(core.handle(Envelope(SCAN, SITE, scan)))
+    published = list(core.handle(Envelope(SCAN, SITE, scan)))
     packing = time.perf_counter()
-    for envelope in said:
+    for envelope in published:
         encode(envelope.message)
     watch.add("encode", packing)
     watch.add("whole", began)
-    return said[0].open(Hypotheses)
+    return published[0].open(Hypotheses)
 
 
 def is_right(message: Hypotheses, truth: np.ndarray) -> list[bool]:
@@ -166,11 +166,11 @@ def memory(core: ProjectorCore, built: Any) -> dict[str, float]:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     grid = floor(options.area)
     built = build_site(grid, Plan(spacing=options.spacing))
-    heard = [(e.channel, e.address, encode(e.message)) for e in models(built)]
+    received = [(e.channel, e.address, encode(e.message)) for e in models(built)]
     warm_up(ProjectorSettings())
     core = ProjectorCore(ProjectorSettings())
     began = time.perf_counter()
-    for channel, address, payload in heard:
+    for channel, address, payload in received:
         core.handle(Envelope(channel, address, decode(channel, payload)))
     start_s = time.perf_counter() - began
     caster = RayCaster.of(grid)

@@ -6,7 +6,8 @@
     .venv/bin/python benchmarks/record.py evaluate --from OUT --commit 1e2d309   # a run made apart
 
 benchmarks.toml says what docs/benchmarks.md shows of each. In other pages a mark `<!--= NAME PLACE UNIT -->`
-to `<!--=-->` holds a figure, and `<!--= table NAME -->` the table [NAME.short]. Long lists, and rows a window
+to `<!--=-->` holds a figure, `<!--= table NAME -->` the table [NAME.short], and `<!--= leaderboard LOG -->`
+that of benchmarks/leaderboard.py. Long lists, and rows a window
 or scan (`per_...`), are not kept.
 """
 
@@ -203,6 +204,10 @@ def _missed(spec: dict[str, Any], figures: Any) -> Iterator[str]:
 def _filled(page: Path, spec: dict[str, Any], kept: dict[str, Any], mark: re.Match[str]) -> str:
     """A mark with its figure or table."""
     kind, *rest = mark["what"].split()
+    if kind == "leaderboard":
+        from leaderboard import table  # which imports this module
+
+        return f"<!--= {mark['what']} -->\n\n{table(rest[0])}\n\n<!--=-->"
     name = rest[0] if kind == "table" else kind
     if name not in kept:
         sys.exit(f"{page}: {mark['what']}: there is no benchmarks/results/{name}.json")

@@ -2,9 +2,9 @@
 
     python benchmarks/recording.py [--robots 50] [--rate 10] [--beams 361] [--seconds 20] [--kills 20]
 
-A recorder process on loopback TCP; raw scans of a simulated robot, which all robots say, each from another
+A recorder process on loopback TCP; raw scans of a simulated robot, which all robots report, each from another
 moment on, with noise of their own and in whole millimetres, as lidars have it. Then recorders that are killed
-at random moments: what is lost is what was said, at 250 Hz, after the last message in the file.
+at random moments: what is lost is what was published, at 250 Hz, after the last message in the file.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def measure(folder: Path, scans: list[RawScan], robots: int, rate: float, second
         try:
             await_health(inbox, READY_S)
             before, began = cpu_s(recorder.pid), time.monotonic()
-            said = publish(bus, scans, robots, rate, seconds)
+            published = publish(bus, scans, robots, rate, seconds)
             took = time.monotonic() - began
             used = cpu_s(recorder.pid) - before
             time.sleep(SETTLE_S)
@@ -88,8 +88,8 @@ def measure(folder: Path, scans: list[RawScan], robots: int, rate: float, second
     payloads = [encode(record.envelope.message) for record in kept]
     dropped = sum(count for name, count in health.counters.items() if name.startswith("dropped_"))
     return {
-        "scans_said": said,
-        "scans_a_second": said / took,
+        "scans_said": published,
+        "scans_a_second": published / took,
         "scans_recorded": len(kept),
         "dropped_by_recorder": dropped,
         "recorder_share_of_a_core": used / took,
@@ -127,8 +127,8 @@ def lost_by_a_kill(folder: Path, after_s: float) -> float:
 
 
 def publish(bus: Bus, scans: list[RawScan], robots: int, rate: float, seconds: float) -> int:
-    """Says a scan of every robot, spread over each period; the number of scans."""
-    period, said = 1.0 / rate, 0
+    """Publishes a scan of every robot, spread over each period; the number of scans."""
+    period, published = 1.0 / rate, 0
     random = np.random.default_rng(1)
     ranges = np.array([scan.ranges for scan in scans])
     began = time.monotonic()
@@ -143,8 +143,8 @@ def publish(bus: Bus, scans: list[RawScan], robots: int, rate: float, seconds: f
             scan.timestamp.CopyFrom(stamp(time.time_ns()))
             address = {"site": SITE, "robot": f"r{robot}", "lidar": "front"}
             bus.say(Envelope(SCAN_RAW, address, scan))
-            said += 1
-    return said
+            published += 1
+    return published
 
 
 def await_health(inbox: Inbox, timeout: float) -> Health:

@@ -8,7 +8,7 @@ from typing import Any
 from eigenscan.workbench.evaluation.metrics import Bin, calibration_error, pooled
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Okabe and Ito's, told apart by the colour-blind too; then again with the next mark."""
+"""Okabe and Ito's, distinguished by the colour-blind too; then again with the next mark."""
 MARKS = "osD^"
 LARGEST = 700.0
 """Area of the largest mark, points squared; areas go by the root of counts: most poses are in one bin."""
@@ -32,9 +32,17 @@ def draw_reliability(path: Path, found: dict[str, Any]) -> None:
     handles = [Line2D([], [], color="black", lw=3.5, label="all logs pooled")]
     for (name, bins), (mark, colour) in zip(diagrams.items(), product(MARKS, COLOURS), strict=False):
         sizes = [LARGEST * math.sqrt(b.count / most) for b in bins]
-        said, right = [b.confidence for b in bins], [b.right for b in bins]
+        published, right = [b.confidence for b in bins], [b.right for b in bins]
         axis.scatter(
-            said, right, sizes, color=colour, marker=mark, alpha=0.75, edgecolor="white", lw=0.8, zorder=3
+            published,
+            right,
+            sizes,
+            color=colour,
+            marker=mark,
+            alpha=0.75,
+            edgecolor="white",
+            lw=0.8,
+            zorder=3,
         )
         label = f"{name}, {_error(bins)}"
         handles.append(Line2D([], [], color=colour, label=label, ls="", marker=mark, markersize=11))

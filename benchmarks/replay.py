@@ -4,7 +4,7 @@
 
 A simulated drive through the demo's building. The pipeline (raw scans and odometry in, poses out) is replayed
 on one core, as fast as it can and at the drive's own pace; each run is judged by SHA-256 over all that the
-cores say. Processor time counts from the first input on, when the models are in place; reading is in it.
+cores report. Processor time counts from the first input on, when the models are in place; reading is in it.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ def main() -> None:
         recording = Path(folder) / "drive.mcap"
         record(recording, Scenario(seconds=given.seconds, lidar=Lidar(beams=given.beams, rate=given.rate)))
         found = survey(recording)
-        said(found, paced=False)  # compiled now
-        runs = [said(found, paced=False) for _ in range(given.times)]
-        paced = [said(found, paced=True) for _ in range(given.paced)]
+        published(found, paced=False)  # compiled now
+        runs = [published(found, paced=False) for _ in range(given.times)]
+        paced = [published(found, paced=True) for _ in range(given.paced)]
     sums = [sums for sums, _ in [*runs, *paced]]
     processor_s = sorted(used for _, used in runs)
     figures = {
@@ -82,8 +82,8 @@ def record(target: Path, scenario: Scenario) -> None:
             writer.write(timed.envelope, timed.time)
 
 
-def said(found: Survey, *, paced: bool) -> tuple[dict[str, str], float]:
-    """SHA-256 of all that is said, by channel; and processor time, s, from the first input on."""
+def published(found: Survey, *, paced: bool) -> tuple[dict[str, str], float]:
+    """SHA-256 of all that is published, by channel; and processor time, s, from the first input on."""
     sums: dict[str, hashlib._Hash] = defaultdict(hashlib.sha256)
     began = 0.0
     events = play(found, PARTS, cast(found, PARTS, {}))

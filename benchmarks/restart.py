@@ -39,7 +39,7 @@ SETTLE_S = 3.0
 
 @dataclass
 class Site:
-    """What is heard, and the processes."""
+    """What is received, and the processes."""
 
     supervisor: Supervisor
     flags: dict[str, list[str]]

@@ -3,8 +3,8 @@
     python benchmarks/ros_bridge.py [--rate 50] [--seconds 20] [--beams 720] [--json OUT]
     chrt -f 10 python benchmarks/ros_bridge.py        # where the machine has other work to do
 
-One process says a ROS message, and hears what the bridge, a process of its own, makes of it; in turn with
-that it says the same bytes straight to itself, over the same links. The difference of the two is what the
+One process sends a ROS message, and receives what the bridge, a process of its own, makes of it; in turn with
+that it sends the same bytes straight to itself, over the same links. The difference of the two is what the
 bridge adds: its own work and one more hop. All on loopback TCP, peers with direct links, as on a robot.
 """
 
@@ -68,8 +68,8 @@ def header(frame: str) -> object:
     return cdr.make("std_msgs/msg/Header", cdr.make("builtin_interfaces/msg/Time", 1_700_000_000, 0), frame)
 
 
-def said(channel: Channel) -> Envelope:
-    """What the tracker says."""
+def published(channel: Channel) -> Envelope:
+    """What the tracker reports."""
     if channel is POSE:
         pose = PoseEstimate(timestamp=stamp(10**18), frame_id="map", state=STATE_LOCALIZED)
         pose.pose.CopyFrom(to_message((1.0, 2.0, 0.5)))
@@ -140,7 +140,7 @@ def run(
         assert endpoint is not None
         return dialect.key(endpoint)
 
-    pose, transform = said(POSE), said(TRANSFORM)
+    pose, transform = published(POSE), published(TRANSFORM)
     ways: dict[str, tuple[str, str, str, bytes]] = {
         "scan": (key(ends.scans[0]), SCAN_RAW.key(SITE), "", laser_scan(beams)),
         "odom": (key(ends.odometry), ODOMETRY.key(SITE), "", odometry()),
@@ -188,13 +188,13 @@ def wait_for_bridge(echo: Echo, payload: bytes) -> None:
 def core_us(name: str, payload: bytes) -> float:
     """us for one message in the core alone: decoding, converting, encoding."""
     core = RosBridgeCore(SETTINGS, SETTINGS.site, SETTINGS.robot)
-    heard = {
+    received = {
         "scan": Envelope(ROS_HEARD, {"endpoint": "%scan"}, BytesValue(value=payload)),
         "odom": Envelope(ROS_HEARD, {"endpoint": "%odom"}, BytesValue(value=payload)),
-        "amcl_pose": said(POSE),
-        "tf": said(TRANSFORM),
+        "amcl_pose": published(POSE),
+        "tf": published(TRANSFORM),
     }[name]
-    return best_us(lambda: [encode(each.message) for each in core.handle(heard)])
+    return best_us(lambda: [encode(each.message) for each in core.handle(received)])
 
 
 def best_us(call: Callable[[], object], repeats: int = 5, count: int = 500) -> float:

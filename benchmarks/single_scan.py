@@ -119,8 +119,8 @@ def ask(core: ProjectorCore, scan: Scan) -> tuple[Hypotheses, float]:
     """Answer and CPU ms."""
     envelope = Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, scan)
     before = time.process_time()
-    said = list(core.handle(envelope))
-    return said[0].open(Hypotheses), (time.process_time() - before) * 1e3
+    published = list(core.handle(envelope))
+    return published[0].open(Hypotheses), (time.process_time() - before) * 1e3
 
 
 def confidence_of(message: Hypotheses) -> float:
@@ -185,8 +185,8 @@ def judge_exhaustive(
         best = poses[best_of_neighbourhoods(poses, np.arange(len(poses)), 0.25, np.deg2rad(5.0), 30)]
         hits.append(bool(is_right(best[:1], sample.truth).any()))
         if is_right(best, sample.truth).any():
-            said = np.array([from_message(h.pose) for h in ask(core, scan)[0].hypotheses]).reshape(-1, 3)
-            listed.append(bool(is_right(said, sample.truth).any()))
+            published = np.array([from_message(h.pose) for h in ask(core, scan)[0].hypotheses]).reshape(-1, 3)
+            listed.append(bool(is_right(published, sample.truth).any()))
     return {
         "exhaustive_top1": np.mean(hits), "exhaustive_listed": len(listed) / len(chosen),
         "listed_where_exhaustive": np.mean(listed), "exhaustive_cpu_ms": np.median(cpu[1:]),

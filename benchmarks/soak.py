@@ -46,10 +46,10 @@ SHARED = ("scan-ingest", "projector", "tracker", "recorder", "mapbuilder")
 
 
 def script(stage: Stage) -> list[Envelope]:
-    """What each robot says: odometry, and scans between."""
-    said = [timed.envelope for timed in stage.messages()]
-    scans = [one for one in said if one.channel is SCAN_RAW][:SCANS]
-    odometries = [one for one in said if one.channel is ODOMETRY][:ODOMETRIES]
+    """What each robot reports: odometry, and scans between."""
+    published = [timed.envelope for timed in stage.messages()]
+    scans = [one for one in published if one.channel is SCAN_RAW][:SCANS]
+    odometries = [one for one in published if one.channel is ODOMETRY][:ODOMETRIES]
     every = len(odometries) // len(scans)
     return [
         one
@@ -58,11 +58,11 @@ def script(stage: Stage) -> list[Envelope]:
     ]
 
 
-def visit(config: Path, name: str, said: list[Envelope]) -> bool:
+def visit(config: Path, name: str, published: list[Envelope]) -> bool:
     """One robot, from its coming to its going; whether it got the pose of its last scan."""
     found = threading.Event()
-    now = time.time_ns() - len(said) * 2_000_000
-    last = now + max(number for number, one in enumerate(said) if one.channel is SCAN_RAW) * 2_000_000
+    now = time.time_ns() - len(published) * 2_000_000
+    last = now + max(number for number, one in enumerate(published) if one.channel is SCAN_RAW) * 2_000_000
 
     def on_pose(sample: zenoh.Sample) -> None:
         pose = POSE.message.FromString(sample.payload.to_bytes())
@@ -75,7 +75,7 @@ def visit(config: Path, name: str, said: list[Envelope]) -> bool:
         bus = Bus(session)
         for channel in (SCAN_RAW, ODOMETRY):
             bus.wait_for_listener(channel.key(address), READY_S)
-        for number, one in enumerate(said):
+        for number, one in enumerate(published):
             one.message.timestamp.CopyFrom(stamp(now + number * 2_000_000))  # type: ignore[attr-defined]
             bus.say(Envelope(one.channel, address, one.message))
             if one.channel is SCAN_RAW:
@@ -84,15 +84,15 @@ def visit(config: Path, name: str, said: list[Envelope]) -> bool:
 
 
 def wait_for_services(config: Path) -> None:
-    """Until each has said how it is, over the router that is there now."""
-    heard: set[str] = set()
+    """Until each has reported how it is, over the router that is there now."""
+    received: set[str] = set()
     with open_session(config) as session:
         everyone = HEALTH.selector({"site": SITE})
-        session.declare_subscriber(everyone, lambda sample: heard.add(str(sample.key_expr).split("/")[2]))
+        session.declare_subscriber(everyone, lambda sample: received.add(str(sample.key_expr).split("/")[2]))
         deadline = time.monotonic() + READY_S
-        while not set(SHARED) <= heard:
+        while not set(SHARED) <= received:
             if time.monotonic() > deadline:
-                raise SystemExit(f"not heard of: {', '.join(sorted(set(SHARED) - heard))}")
+                raise SystemExit(f"not heard of: {', '.join(sorted(set(SHARED) - received))}")
             time.sleep(0.1)
 
 
@@ -127,12 +127,12 @@ def soak(options: argparse.Namespace, folder: Path, supervisor: Supervisor) -> d
         with open_session(config) as session:
             wait_for_models(session, 1)
         wait_for_services(config)
-        said, answered = script(stage), 0
+        published, answered = script(stage), 0
         rows: list[dict[str, Any]] = [{"robots": 0, **sizes(processes)}]
         print_row(rows[0], head=True)
         began, restarted = time.monotonic(), 0
         for number in range(options.robots):
-            answered += visit(config, f"r{number}", said)
+            answered += visit(config, f"r{number}", published)
             # in the first half, so that the growth of the second is the robots' alone
             if (number + 1) * 2 * (options.restarts + 1) // options.robots > restarted < options.restarts:
                 restarted += 1
@@ -154,7 +154,7 @@ def soak(options: argparse.Namespace, folder: Path, supervisor: Supervisor) -> d
     }
     return {
         "robots": options.robots, "answered": answered, "seconds": seconds, "restarts": restarted,
-        "messages": options.robots * len(said), "growth_kb_per_robot": growth,
+        "messages": options.robots * len(published), "growth_kb_per_robot": growth,
         "files_more": {n: rows[-1][n]["files"] - rows[1][n]["files"] for n in processes}, "rows": rows,
     }  # fmt: skip
 

@@ -23,7 +23,7 @@ ROBOT = {"site": "figure", "robot": "r"}
 SIGMA = np.array([0.06, 0.06, 0.02])
 
 
-def heard(time_s: float, poses: np.ndarray, fits: np.ndarray, area: float) -> Envelope:
+def received(time_s: float, poses: np.ndarray, fits: np.ndarray, area: float) -> Envelope:
     """A projector's answer."""
     message = Hypotheses(
         timestamp=stamp(round(time_s * 1e9)),
@@ -59,7 +59,7 @@ def cost(hypotheses: int = 200, scans: int = 300) -> dict[str, float]:
         fits = np.append(25.0, rng.normal(5.0, 3.0, hypotheses - 1))
         messages = [
             odometry(0.025 * scan, truth),
-            heard(0.025 * scan, np.vstack([truth, others]), fits, area=400.0),
+            received(0.025 * scan, np.vstack([truth, others]), fits, area=400.0),
         ]
         before = time.process_time()
         for message in messages:

@@ -49,8 +49,8 @@ def on_sample(sample: zenoh.Sample) -> None:
         return
     lidar = SCAN_RAW.parse(key)
     assert lidar is not None
-    for said in core.handle(Envelope(SCAN_RAW, lidar, message)):
-        answer(said.address, said.open(Scan))
+    for published in core.handle(Envelope(SCAN_RAW, lidar, message)):
+        answer(published.address, published.open(Scan))
 
 
 def answer(address: Mapping[str, str], scan: Scan) -> None:

@@ -126,7 +126,7 @@ def test_a_wrong_recorder_fails_at_that_clause_alone(ended: dict[str, Ended], fa
     check, words = RECORDING_FAULTS[fault]
     run = ended[f"recorder {fault}"]
     assert run.code == 1, run.out + run.err
-    failed = {name: said for name, (result, said) in run.checks.items() if result == "FAILED"}
+    failed = {name: published for name, (result, published) in run.checks.items() if result == "FAILED"}
     assert check in failed, run.out
     assert failed.keys() <= {check, "crash"}, run.out
     assert words in failed[check]
@@ -140,7 +140,7 @@ def test_what_is_wrong_fails_at_that_and_says_so(ended: dict[str, Ended], fault:
     checks, words = FAULTS[fault]
     run = ended[fault]
     assert run.code == 1, run.out + run.err
-    failed = {check: said for check, (result, said) in run.checks.items() if result == "FAILED"}
+    failed = {check: published for check, (result, published) in run.checks.items() if result == "FAILED"}
     assert set(checks) <= set(failed), run.out
     assert any(words in failed[check] for check in checks), run.out
     assert "[docs/contract.md, " in run.out

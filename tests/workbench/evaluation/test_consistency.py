@@ -73,7 +73,7 @@ def followed(truth: Trajectory, first: int, n: int) -> Judged:
     offset, ones = np.array([0.0, 0.2, 0.0]), np.ones(n)
     covariances = np.tile(np.diag([0.01, 0.01, 0.01]), (n, 1, 1))
     claimed, count = ones.astype(np.bool_), np.arange(n)
-    said = Stream(
+    published = Stream(
         truth.stamps[rows],
         truth.poses[rows] + offset,
         count,
@@ -85,7 +85,7 @@ def followed(truth: Trajectory, first: int, n: int) -> Judged:
         ones,
         count,
     )
-    return judge(said, truth)
+    return judge(published, truth)
 
 
 def test_windows_of_one_log_are_tested_along_one_way() -> None:

@@ -16,7 +16,7 @@ from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.evaluation.chosen import SERVICES, PipelineSettings, chosen
-from eigenscan.workbench.evaluation.course import Task, evaluate
+from eigenscan.workbench.evaluation.course import ClaimsTask, Task, evaluate, evaluate_claims
 from eigenscan.workbench.evaluation.report import remarks, show
 from eigenscan.workbench.logs import LogOptions
 from eigenscan.workbench.progress import Bars
@@ -226,6 +226,38 @@ def test_poses_are_the_same_each_time_in_any_number_of_processes_and_whatever_th
     assert texts[0] == texts[1] == texts[2]
     assert results[0]["error"] == results[1]["error"]
     assert results[2]["success_rate"] == 0.0
+
+
+def test_the_pipelines_own_poses_judged_from_their_file_give_the_same_figures(
+    drive: Drive, tmp_path: Path
+) -> None:
+    file = tmp_path / "poses.csv"
+    own = run(replace(drive.task, poses=file))
+    task = ClaimsTask(
+        *(drive.recording, file, None, drive.truth, drive.windows),
+        kidnap=False,
+        offset_s=0.0,
+        limit=None,
+        options=LogOptions(),
+    )
+    with Bars() as bars:
+        judged = evaluate_claims(task, bars)
+    same = (
+        "windows",
+        "success_rate",
+        "false_claim_rate",
+        "false_share_of_claims",
+        "right_claim_rate",
+        "error",
+    )
+    assert [judged[name] for name in same] == [own[name] for name in same]
+    assert judged["calibration"] == own["calibration"]
+    assert judged["to_localize"]["scans"] == own["to_localize"]["scans"]
+    console = Console(file=io.StringIO(), width=110)
+    show(judged, "claims", console)
+    assert isinstance(console.file, io.StringIO)
+    assert "success" in console.file.getvalue()
+    assert "NEES" not in console.file.getvalue()
 
 
 def test_a_reference_of_half_the_log_judges_that_half(drive: Drive, tmp_path: Path) -> None:

@@ -23,15 +23,17 @@ def line(seconds: float) -> Trajectory:
 
 def log(start: int, count: int, odometry: bool = True) -> list[Envelope]:
     rng = np.random.default_rng(start)
-    heard = []
+    received = []
     for index in range(count):
         time = stamp(start + index * PERIOD)
         if odometry:
             pose = to_pose3(rng.uniform(-3, 3, 3))
-            heard.append(Envelope(ODOMETRY, {"site": "s", "robot": "r"}, Odometry(timestamp=time, pose=pose)))
+            received.append(
+                Envelope(ODOMETRY, {"site": "s", "robot": "r"}, Odometry(timestamp=time, pose=pose))
+            )
         scan = RawScan(timestamp=time, ranges=[1.0, 2.0])
-        heard.append(Envelope(SCAN_RAW, {"site": "s", "robot": "r", "lidar": "l"}, scan))
-    return heard
+        received.append(Envelope(SCAN_RAW, {"site": "s", "robot": "r", "lidar": "l"}, scan))
+    return received
 
 
 def stream(stamps: np.ndarray, poses: np.ndarray, localized: list[bool]) -> Stream:
@@ -68,11 +70,11 @@ def test_a_robot_that_never_leaves_its_place_cannot_be_kidnapped() -> None:
 def test_time_and_odometry_go_on_over_the_jump() -> None:
     before, after = log(0, 20), log(500 * NS, 30)
     joined = splice(before, after)
-    stamps = [nanoseconds(e.open(RawScan).timestamp) for e in joined.heard if e.channel == SCAN_RAW]
+    stamps = [nanoseconds(e.open(RawScan).timestamp) for e in joined.received if e.channel == SCAN_RAW]
     np.testing.assert_array_equal(np.diff(stamps), PERIOD)
     assert joined.jump == 20 * PERIOD
     assert joined.moved == 20 * PERIOD - 500 * NS
-    poses = [from_pose3(e.open(Odometry).pose) for e in joined.heard if e.channel == ODOMETRY]
+    poses = [from_pose3(e.open(Odometry).pose) for e in joined.received if e.channel == ODOMETRY]
     np.testing.assert_allclose(poses[20], poses[19], atol=1e-9)
     original = [from_pose3(e.open(Odometry).pose) for e in after if e.channel == ODOMETRY]
     for index in range(20, 49):
@@ -87,14 +89,16 @@ def test_time_and_odometry_go_on_over_the_jump() -> None:
 
 def test_a_log_without_odometry_is_joined_as_well() -> None:
     joined = splice(log(0, 5, odometry=False), log(70 * NS, 5, odometry=False))
-    assert len(joined.heard) == 10
+    assert len(joined.received) == 10
 
 
 def test_what_was_noticed_and_when_it_was_found() -> None:
     # 1 s in the first place, then at 10 s of the reference: old place claimed for 0.3 s, lost, then right
     path = line(30.0)
     joined = splice(log(0, 10), log(10 * NS, 20))
-    stamps = np.array([nanoseconds(e.open(RawScan).timestamp) for e in joined.heard if e.channel == SCAN_RAW])
+    stamps = np.array(
+        [nanoseconds(e.open(RawScan).timestamp) for e in joined.received if e.channel == SCAN_RAW]
+    )
     truth = np.concatenate([np.arange(10) * 0.1, 10 + np.arange(20) * 0.1])
     poses = np.zeros((30, 3))
     poses[:, 0] = truth
@@ -111,7 +115,9 @@ def test_what_was_noticed_and_when_it_was_found() -> None:
 def test_a_kidnap_that_nobody_noticed() -> None:
     path = line(30.0)
     joined = splice(log(0, 10), log(10 * NS, 20))
-    stamps = np.array([nanoseconds(e.open(RawScan).timestamp) for e in joined.heard if e.channel == SCAN_RAW])
+    stamps = np.array(
+        [nanoseconds(e.open(RawScan).timestamp) for e in joined.received if e.channel == SCAN_RAW]
+    )
     poses = np.zeros((30, 3))
     poses[:, 0] = np.arange(30) * 0.1
     found = outcome(stream(stamps, poses, [True] * 30), joined, path)

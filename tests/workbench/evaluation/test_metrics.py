@@ -99,8 +99,8 @@ def test_what_has_no_reference_is_not_judged() -> None:
 
 def test_calibration_error_of_an_honest_and_of_a_boastful_source() -> None:
     rng = np.random.default_rng(1)
-    said = rng.uniform(0, 1, 200_000)
-    honest = calibration_error(calibration(said, rng.uniform(0, 1, 200_000) < said))
+    published = rng.uniform(0, 1, 200_000)
+    honest = calibration_error(calibration(published, rng.uniform(0, 1, 200_000) < published))
     assert honest is not None
     assert honest < 0.01
     assert calibration_error(calibration(np.full(100, 0.9), np.arange(100) < 60)) == pytest.approx(0.3)

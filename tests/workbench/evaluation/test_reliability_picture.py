@@ -16,11 +16,11 @@ BENCHMARKS = ROOT / "benchmarks"
 
 def test_logs_pooled_by_their_bins_are_the_diagram_of_all_their_poses() -> None:
     rng = np.random.default_rng(8)
-    said, right = rng.uniform(0, 1, 900) ** 0.3, rng.uniform(0, 1, 900) < 0.6
-    said[:3] = 1.0
+    published, right = rng.uniform(0, 1, 900) ** 0.3, rng.uniform(0, 1, 900) < 0.6
+    published[:3] = 1.0
     parts = [slice(0, 100), slice(100, 850), slice(850, 900)]
-    merged = pooled([calibration(said[part], right[part]) for part in parts])
-    whole = calibration(said, right)
+    merged = pooled([calibration(published[part], right[part]) for part in parts])
+    whole = calibration(published, right)
     assert [entry.count for entry in merged] == [entry.count for entry in whole]
     for name in ("confidence", "right"):
         np.testing.assert_allclose([vars(e)[name] for e in merged], [vars(e)[name] for e in whole])

@@ -15,7 +15,7 @@ class Echo:
     says: tuple[Channel, ...] = (HYPOTHESES,)
 
     def __init__(self) -> None:
-        self.heard = 0
+        self.received = 0
 
     def start(self) -> Iterable[Envelope]:
         return ()
@@ -26,14 +26,14 @@ class Echo:
     def condition(self) -> Condition:
         return Condition()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        self.heard += 1
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        self.received += 1
         end = time.process_time_ns() + 5_000_000
         while time.process_time_ns() < end:
             pass
-        scan = heard.open(Scan)
+        scan = received.open(Scan)
         answer = Hypotheses(timestamp=scan.timestamp, used_beams=round(sum(scan.ranges)))
-        return [Envelope(HYPOTHESES, {**heard.address, "projector": "0"}, answer)]
+        return [Envelope(HYPOTHESES, {**received.address, "projector": "0"}, answer)]
 
 
 def scan(time_ns: int, ranges: list[float], lidar: str = "a", sequence: int = 0) -> Envelope:
@@ -47,7 +47,7 @@ def test_the_same_scan_at_another_time_has_the_same_answer_at_that_time_and_the_
     (first,) = remembering.handle(scan(10, [1.0, 2.0]))
     assert remembering.owed_ns == 0
     (again,) = remembering.handle(scan(999, [1.0, 2.0], sequence=7))
-    assert core.heard == 1
+    assert core.received == 1
     assert remembering.owed_ns >= 5_000_000
     assert nanoseconds(again.open(Hypotheses).timestamp) == 999
     assert again.open(Hypotheses).used_beams == first.open(Hypotheses).used_beams == 3
@@ -57,9 +57,9 @@ def test_the_same_scan_at_another_time_has_the_same_answer_at_that_time_and_the_
 def test_another_scan_or_another_lidar_is_asked_anew() -> None:
     core = Echo()
     remembering = Remembering(core)
-    for heard in (scan(1, [1.0]), scan(1, [2.0]), scan(1, [1.0], lidar="b")):
-        list(remembering.handle(heard))
-    assert core.heard == 3
+    for received in (scan(1, [1.0]), scan(1, [2.0]), scan(1, [1.0], lidar="b")):
+        list(remembering.handle(received))
+    assert core.received == 3
 
 
 def test_a_core_that_hears_more_than_scans_is_always_asked() -> None:
@@ -68,4 +68,4 @@ def test_a_core_that_hears_more_than_scans_is_always_asked() -> None:
     remembering = Remembering(core)
     for _ in range(2):
         list(remembering.handle(scan(1, [1.0])))
-    assert core.heard == 2
+    assert core.received == 2

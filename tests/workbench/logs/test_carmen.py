@@ -51,13 +51,13 @@ def odom(t: float, x: float = 0.0) -> str:
 
 def read(path: Path, **options: object) -> tuple[list[RawScan], list[Odometry], dict[str, int]]:
     log = open_log(path, LogOptions(**options))  # type: ignore[arg-type]
-    heard = list(log.envelopes())
-    stamps = [envelope.stamp for envelope in heard]
+    received = list(log.envelopes())
+    stamps = [envelope.stamp for envelope in received]
     assert stamps == sorted(stamps)
     assert log.progress == 1.0
     counters = {name: count for name, count in log.counters.items() if count}
-    scans = [e.open(RawScan) for e in heard if e.channel is SCAN_RAW]
-    return scans, [e.open(Odometry) for e in heard if e.channel is ODOMETRY], counters
+    scans = [e.open(RawScan) for e in received if e.channel is SCAN_RAW]
+    return scans, [e.open(Odometry) for e in received if e.channel is ODOMETRY], counters
 
 
 def write(path: Path, *lines: str, end: str = "\n") -> Path:

@@ -34,11 +34,11 @@ def test_a_line_a_scan(
     rows += [[0.1 * k, -90, 45, *(unit * r for r in ranges)] for k, ranges in enumerate(scans, 1)]
     path = tmp_path_factory.mktemp("csv") / "drive.csv"
     path.write_text("\n".join(",".join(map(repr, row)).replace("'", "") for row in rows))
-    heard = _scans(path)
-    assert np.allclose([scan.ranges for scan in heard], scans, rtol=1e-6)
-    assert heard[0].timestamp.ToNanoseconds() == 100_000_000
-    assert math.isclose(heard[0].angle_min, -math.pi / 2)
-    assert math.isclose(heard[0].angle_increment, math.pi / 4)
+    received = _scans(path)
+    assert np.allclose([scan.ranges for scan in received], scans, rtol=1e-6)
+    assert received[0].timestamp.ToNanoseconds() == 100_000_000
+    assert math.isclose(received[0].angle_min, -math.pi / 2)
+    assert math.isclose(received[0].angle_increment, math.pi / 4)
 
 
 @settings(deadline=None, max_examples=50)

@@ -25,12 +25,12 @@ S = 1_000_000_000
 AHEAD = Quaternion(w=1.0)
 
 
-def write(path: Path, said: list[tuple[str, int, Message]]) -> Path:
+def write(path: Path, published: list[tuple[str, int, Message]]) -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         channels: dict[str, int] = {}
-        for topic, time, message in said:
+        for topic, time, message in published:
             if topic not in channels:
                 name = message.DESCRIPTOR.full_name
                 schema = writer.register_schema(name, SchemaEncoding.Protobuf, b"")
@@ -61,22 +61,22 @@ def scan(time: int, **fields: object) -> LaserScan:
 
 
 def test_scans_mounts_and_odometry(tmp_path: Path) -> None:
-    said: list[tuple[str, int, Message]] = []
+    published: list[tuple[str, int, Message]] = []
     for number in range(10):
         time = (number + 1) * S
         pose = Pose(position=Vector3(x=number), orientation=AHEAD)
-        said += [
+        published += [
             ("/tf", time, FrameTransforms(transforms=[mount("base", "laser", 0.25, time)])),
             ("/odometry", time, Odometry(timestamp=stamp(time), body_frame_id="base", pose=pose)),
             ("/scan", time, scan(time)),
         ]
-    log = open_log(write(tmp_path / "a.mcap", said))
-    heard = list(log.envelopes())
-    scans = [e.open(RawScan) for e in heard if e.channel is SCAN_RAW]
-    moved = [from_pose3(e.open(Odometry).pose)[0] for e in heard if e.channel is ODOMETRY]
+    log = open_log(write(tmp_path / "a.mcap", published))
+    received = list(log.envelopes())
+    scans = [e.open(RawScan) for e in received if e.channel is SCAN_RAW]
+    moved = [from_pose3(e.open(Odometry).pose)[0] for e in received if e.channel is ODOMETRY]
     assert len(scans) == 10
     assert moved == list(range(10))
-    assert heard[0].stamp == S
+    assert received[0].stamp == S
     np.testing.assert_allclose(from_message(scans[3].mount), [0.25, 0, 0])
     assert (scans[3].angle_min, scans[3].angle_increment, scans[3].range_max) == (-1.0, 0.5, 0.0)
     assert list(scans[3].ranges) == [1, 2, 3, math.inf, 5]
@@ -84,22 +84,25 @@ def test_scans_mounts_and_odometry(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("single", [True, False])
 def test_odometry_may_be_a_transform(tmp_path: Path, single: bool) -> None:
-    said: list[tuple[str, int, Message]] = []
+    published: list[tuple[str, int, Message]] = []
     for number in range(10):
         time = (number + 1) * S
         items = [mount("odom", "base_link", number, time), mount("base_link", "laser", 0.25, time)]
-        said += [("/tf", time, FrameTransforms(transforms=items))] if not single else []
-        said += [(f"/tf/{item.child_frame_id}", time, item) for item in items] if single else []
-        said.append(("/scan", time, scan(time)))
-    heard = list(open_log(write(tmp_path / "a.mcap", said)).envelopes())
-    moved = [from_pose3(e.open(Odometry).pose)[0] for e in heard if e.channel is ODOMETRY]
+        published += [("/tf", time, FrameTransforms(transforms=items))] if not single else []
+        published += [(f"/tf/{item.child_frame_id}", time, item) for item in items] if single else []
+        published.append(("/scan", time, scan(time)))
+    received = list(open_log(write(tmp_path / "a.mcap", published)).envelopes())
+    moved = [from_pose3(e.open(Odometry).pose)[0] for e in received if e.channel is ODOMETRY]
     assert moved == list(range(10))
-    np.testing.assert_allclose(from_message(heard[1].open(RawScan).mount), [0.25, 0, 0])
+    np.testing.assert_allclose(from_message(received[1].open(RawScan).mount), [0.25, 0, 0])
 
 
 def test_a_scan_away_from_its_frame_is_counted(tmp_path: Path) -> None:
     off = Pose(position=Vector3(x=1.0), orientation=AHEAD)
-    said: list[tuple[str, int, Message]] = [("/scan", S, scan(S)), ("/scan", 2 * S, scan(2 * S, pose=off))]
-    log = open_log(write(tmp_path / "a.mcap", said))
+    published: list[tuple[str, int, Message]] = [
+        ("/scan", S, scan(S)),
+        ("/scan", 2 * S, scan(2 * S, pose=off)),
+    ]
+    log = open_log(write(tmp_path / "a.mcap", published))
     assert sum(e.channel is SCAN_RAW for e in log.envelopes()) == 1
     assert log.counters["undecodable_message"] == 1

@@ -36,15 +36,15 @@ def keys(path: Path, **options: object) -> list[tuple[str, float]]:
 
 
 def test_scans_and_odometry_come_back_as_they_were(tmp_path: Path) -> None:
-    said = [moved(1), scan(1), moved(2), scan(2), scan(2.5, lidar="rear")]
+    published = [moved(1), scan(1), moved(2), scan(2), scan(2.5, lidar="rear")]
     health = Envelope(HEALTH, {"site": "site", "service": "tracker", "instance": "0"}, Health())
     health.message.timestamp.FromNanoseconds(S)  # type: ignore[attr-defined]
-    log = open_log(record(tmp_path / "a.mcap", [*said, health]))
-    heard = list(log.envelopes())
-    assert [(e.key, e.message) for e in heard] == [(e.key, e.message) for e in said]
+    log = open_log(record(tmp_path / "a.mcap", [*published, health]))
+    received = list(log.envelopes())
+    assert [(e.key, e.message) for e in received] == [(e.key, e.message) for e in published]
     assert log.format == "Eigenscan recording"
     # a second time, too
-    assert len(list(log.envelopes())) == len(heard)
+    assert len(list(log.envelopes())) == len(received)
 
 
 def test_what_was_recorded_late_is_put_in_order(tmp_path: Path) -> None:

@@ -165,15 +165,15 @@ def usual(ros1: bool, seconds: int = 3) -> Story:
 
 def read(path: Path, **options: Any) -> tuple[dict[str, list[RawScan]], list[Odometry], dict[str, int]]:
     log = open_log(path, LogOptions(**options))
-    heard = list(log.envelopes())
-    stamps = [envelope.stamp for envelope in heard]
+    received = list(log.envelopes())
+    stamps = [envelope.stamp for envelope in received]
     assert stamps == sorted(stamps)
     assert log.progress == 1.0
     scans: dict[str, list[RawScan]] = {}
-    for envelope in heard:
+    for envelope in received:
         if envelope.channel is SCAN_RAW:
             scans.setdefault(envelope.address["lidar"], []).append(envelope.open(RawScan))
-    moved = [envelope.open(Odometry) for envelope in heard if envelope.channel is ODOMETRY]
+    moved = [envelope.open(Odometry) for envelope in received if envelope.channel is ODOMETRY]
     return scans, moved, {name: count for name, count in log.counters.items() if count}
 
 
@@ -454,10 +454,10 @@ def test_random_damage_never_crashes(tmp_path: Path, container: str) -> None:
             data[place] = rng.integers(256)
         file.write_bytes(bytes(data))
         try:
-            heard = list(open_log(path).envelopes())
+            received = list(open_log(path).envelopes())
         except LogError:
             continue
-        stamps = [envelope.stamp for envelope in heard]
+        stamps = [envelope.stamp for envelope in received]
         assert stamps == sorted(stamps)
-        read_some += bool(heard)
+        read_some += bool(received)
     assert read_some > 2

@@ -70,8 +70,8 @@ def drive(models: Sequence[Envelope], scenario: Scenario, tracker: TrackerSettin
     logged = []
     for timed in stage.messages():
         logged.append(timed)
-        logged += [Timed(timed.time + LATENCY_NS, said) for said in loop.hear(timed.envelope)]
-    logged += [Timed(timed.time + LATENCY_NS, said) for said in loop.finish()]
+        logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.hear(timed.envelope)]
+    logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.finish()]
     logged[5:5] = [Timed(logged[5].time, model) for model in models]
     return logged
 

@@ -35,8 +35,8 @@ class Wrong:
         self.hears, self.says = core.hears, core.says
         self._count = 0
 
-    def _pass(self, said: Iterable[Envelope]) -> Iterator[Envelope]:
-        for envelope in said:
+    def _pass(self, published: Iterable[Envelope]) -> Iterator[Envelope]:
+        for envelope in published:
             self._count += envelope.channel is self._channel
             if envelope.channel is self._channel and self._count > SPOILT:
                 yield from self._spoil(envelope)
@@ -46,8 +46,8 @@ class Wrong:
     def start(self) -> Iterable[Envelope]:
         return self._pass(self._core.start())
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        return self._pass(self._core.handle(heard))
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        return self._pass(self._core.handle(received))
 
     def finish(self) -> Iterable[Envelope]:
         return self._pass(self._core.finish())
@@ -129,23 +129,23 @@ def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> N
         raise ArithmeticError("spoilt")
 
     outcome = replayed(recording, TRACKER, POSE, failing)
-    said = outcome.comparison.counts[POSE]
-    assert (said.same, said.missing) == (SPOILT, said.recorded - SPOILT)
+    published = outcome.comparison.counts[POSE]
+    assert (published.same, published.missing) == (SPOILT, published.recorded - SPOILT)
     (note,) = outcome.notes
-    assert f"failed on {said.missing} messages; first, ArithmeticError on site/robot/robot/" in note
+    assert f"failed on {published.missing} messages; first, ArithmeticError on site/robot/robot/" in note
 
 
 def test_what_was_said_before_a_failure_counts() -> None:
     class Half:
         hears, says = (SCAN,), (HYPOTHESES,)
 
-        def handle(self, heard: Envelope) -> Iterator[Envelope]:
-            yield Envelope(HYPOTHESES, {**heard.address, "projector": "p"}, Hypotheses())
+        def handle(self, received: Envelope) -> Iterator[Envelope]:
+            yield Envelope(HYPOTHESES, {**received.address, "projector": "p"}, Hypotheses())
             raise KeyError("gone")
 
     instance = Instance(PROJECTOR, "p", "*", "", Half())  # type: ignore[arg-type]
-    said = Loopback([instance]).hear(Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, Scan()))
-    assert [envelope.channel for envelope in said] == [HYPOTHESES]
+    published = Loopback([instance]).hear(Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, Scan()))
+    assert [envelope.channel for envelope in published] == [HYPOTHESES]
     assert instance.faults == ["KeyError on s/robot/r/scan/l: 'gone'"]
 
 

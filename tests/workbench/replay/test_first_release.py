@@ -77,9 +77,11 @@ def test_it_replays_into_the_services_of_today(service: str, eigenscan: Command,
     assert "settings as recorded" in ended.out
     if service not in ("tracker", "pipeline"):
         return
-    poses = [one for one in said(out, POSE) if isinstance(one, PoseEstimate)]
+    poses = [one for one in published(out, POSE) if isinstance(one, PoseEstimate)]
     assert len(poses) == SCANS
-    truth = {nanoseconds(one.timestamp): one for one in said(DEPOT, TRUTH) if isinstance(one, PoseInFrame)}
+    truth = {
+        nanoseconds(one.timestamp): one for one in published(DEPOT, TRUTH) if isinstance(one, PoseInFrame)
+    }
     claimed = [pose for pose in poses if pose.state == STATE_LOCALIZED]
     assert len(claimed) >= SCANS // 2
     for pose in claimed:
@@ -88,5 +90,5 @@ def test_it_replays_into_the_services_of_today(service: str, eigenscan: Command,
         assert abs(math.remainder(pose.pose.theta - theta, math.tau)) < WRONG_RAD
 
 
-def said(path: Path, channel: Channel) -> list[object]:
+def published(path: Path, channel: Channel) -> list[object]:
     return [record.envelope.message for record in read(path) if record.envelope.channel is channel]

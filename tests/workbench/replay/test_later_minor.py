@@ -68,10 +68,10 @@ def renamed(payload: bytes, names: dict[str, str]) -> bytes:
     return payload
 
 
-def said(core: Core, heard: list[Envelope], payload: Callable[[Message], bytes]) -> Iterator[bytes]:
+def published(core: Core, received: list[Envelope], payload: Callable[[Message], bytes]) -> Iterator[bytes]:
     """What a core answers to messages that come as these bytes; not what it hands on unread, as stamps."""
     answers = list[Envelope]()
-    for one in heard:
+    for one in received:
         message = decode(one.channel, payload(one.message), encoding(one.channel))
         answers += core.handle(Envelope(one.channel, one.address, message))
     for each in [*answers, *core.finish()]:
@@ -87,12 +87,12 @@ def traffic() -> list[Envelope]:
 @pytest.mark.parametrize("service", CORES)
 def test_fields_of_a_later_version_change_no_answer(service: str, traffic: list[Envelope]) -> None:
     core, other = CORES[service](), CORES[service]()
-    heard = [one for one in traffic if one.channel in core.hears]
-    assert all(LATER in later(one.message) for one in heard)
-    today = list(said(core, heard, encode))
+    received = [one for one in traffic if one.channel in core.hears]
+    assert all(LATER in later(one.message) for one in received)
+    today = list(published(core, received, encode))
     assert len(today) >= 20
     names = versions_of_later(traffic)
-    answers = list(said(other, heard, lambda message: renamed(later(message), names)))
+    answers = list(published(other, received, lambda message: renamed(later(message), names)))
     back = {new: old for old, new in names.items()}
     assert [renamed(answer, back) for answer in answers] == today
     condition = other.condition()
@@ -109,6 +109,6 @@ def test_an_unknown_status_counts_as_unspecified(traffic: list[Envelope]) -> Non
             return encode(message)
 
         core = CORES["tracker"]()
-        return list(said(core, [one for one in traffic if one.channel in core.hears], changed))
+        return list(published(core, [one for one in traffic if one.channel in core.hears], changed))
 
     assert with_status(99) == with_status(Hypotheses.STATUS_UNSPECIFIED)

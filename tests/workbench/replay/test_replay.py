@@ -34,7 +34,7 @@ from rerun.chunk import RrdReader
 
 from tests.workbench.replay.conftest import SECONDS, Command, Run, changed, drive
 
-TRACKER_SAYS = (POSE, TRACKS, TRANSFORM)
+TRACKER_PUBLISHES = (POSE, TRACKS, TRANSFORM)
 
 
 def only(messages: Sequence[Timed], *channels: Channel) -> list[Timed]:
@@ -60,20 +60,20 @@ def with_message(timed: Timed, **fields: object) -> Timed:
 
 
 @pytest.mark.parametrize(
-    ("service", "said"),
+    ("service", "published"),
     [
         ("scan-ingest", (SCAN, SCAN_MOTION)),
         ("projector", (HYPOTHESES, OBSTACLES)),
-        ("tracker", TRACKER_SAYS),
-        ("pipeline", (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, *TRACKER_SAYS)),
+        ("tracker", TRACKER_PUBLISHES),
+        ("pipeline", (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, *TRACKER_PUBLISHES)),
     ],
 )
 def test_a_run_replays_to_the_same_bits(
-    run: Run, recording: Path, eigenscan: Command, service: str, said: tuple[Channel, ...]
+    run: Run, recording: Path, eigenscan: Command, service: str, published: tuple[Channel, ...]
 ) -> None:
     ended = eigenscan("replay", recording, "--service", service, "--compare", "--strict")
     assert ended.code == 0, ended.out + ended.err
-    assert f"the same: {len(only(run.messages, *said))} messages the same to the last bit" in ended.out
+    assert f"the same: {len(only(run.messages, *published))} messages the same to the last bit" in ended.out
     assert "settings as recorded" in ended.out
 
 
@@ -198,12 +198,12 @@ def test_hypotheses_that_arrive_later_give_the_same_poses(
 
 
 def test_too_few_answers_are_no_proof(run: Run, eigenscan: Command, tmp_path: Path) -> None:
-    silent = run.write(tmp_path / "silent.mcap", without(run.messages, *TRACKER_SAYS))
+    silent = run.write(tmp_path / "silent.mcap", without(run.messages, *TRACKER_PUBLISHES))
     ended = eigenscan("replay", silent, "--service", "tracker", "--compare")
     assert ended.code == 1
     assert "only 0 messages to compare" in ended.err
     last = {id(timed) for timed in only(run.messages, POSE, TRACKS)[-12:]}
-    some = [t for t in run.messages if id(t) in last or t.envelope.channel not in TRACKER_SAYS]
+    some = [t for t in run.messages if id(t) in last or t.envelope.channel not in TRACKER_PUBLISHES]
     ended = eigenscan("replay", run.write(tmp_path / "tail.mcap", some), "--service", "tracker", "--compare")
     assert ended.code == 1
     assert f"pose: only 6 of {len(only(run.messages, POSE))} messages are in the recording" in ended.err
@@ -244,7 +244,10 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
         health(text, heard_odometry=300, dropped_odometry=7),
         health(text, heard_odometry=4),
         health(
-            text.replace("}", ', "trust": 0.5}'), heard_odometry=5, dropped_odometry=3, odometry_came_late=2
+            text.replace("}", ', "trust": 0.5}'),
+            heard_odometry=5,
+            dropped_odometry=3,
+            odometry_came_late=2,
         ),
     ]
     messages = [
@@ -263,11 +266,11 @@ def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp
 def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
     count = len(only(run.messages, ODOMETRY))
     command = ("--service", "tracker", "--compare")
-    for heard, is_noted in ((count, False), (count + 1, True)):
-        told = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=heard))
-        file = run.write(tmp_path / f"{heard}.mcap", [*run.messages, told])
+    for received, is_noted in ((count, False), (count + 1, True)):
+        told = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=received))
+        file = run.write(tmp_path / f"{received}.mcap", [*run.messages, told])
         ended = eigenscan("replay", file, *command)
-        noted = f"note: tracker t had received {heard} odometry, the recording holds {count}" in ended.out
+        noted = f"note: tracker t had received {received} odometry, the recording holds {count}" in ended.out
         assert noted is is_noted, ended.out
 
 
@@ -282,8 +285,8 @@ def test_an_instance_hears_only_its_robots(run: Run, eigenscan: Command, tmp_pat
     path = run.write(tmp_path / "a.mcap", [Timed(messages[0].time, health(text)), *messages])
     ended = eigenscan("replay", path, "--service", "tracker", "--compare", "--strict")
     assert ended.code == 0, ended.out
-    said = len(only(run.messages, *TRACKER_SAYS))
-    assert f"the same: {said} messages" in ended.out
+    published = len(only(run.messages, *TRACKER_PUBLISHES))
+    assert f"the same: {published} messages" in ended.out
     assert "outside: " not in ended.out
 
 
@@ -306,9 +309,9 @@ def test_what_is_said_now_can_be_kept(run: Run, recording: Path, eigenscan: Comm
     other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(trust=0.6))
     kept = [encode(record.envelope.message) for record in read(out) if record.envelope.channel is POSE]
     assert kept == [encode(timed.envelope.message) for timed in only(other, POSE)]
-    said = {timed.envelope.channel for timed in only(other, *TRACKER_SAYS)}
+    published = {timed.envelope.channel for timed in only(other, *TRACKER_PUBLISHES)}
     taken = {ODOMETRY, SCAN_MOTION, HYPOTHESES, MODEL_SET}
-    assert {record.envelope.channel for record in read(out)} == taken | said
+    assert {record.envelope.channel for record in read(out)} == taken | published
 
 
 def test_a_file_that_was_cut_is_replayed_as_far_as_it_goes(

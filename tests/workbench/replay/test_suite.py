@@ -94,9 +94,9 @@ def test_an_update_accepts_and_then_holds(run: Run, folder: Path, eigenscan: Com
     reference = folder / "raw.reference.mcap"
     inputs = {record.envelope.channel for record in read(raw)}
     answers = [encode(t.envelope.message) for t in run.messages if t.envelope.channel is POSE]
-    said = list(read(reference))
-    assert [encode(r.envelope.message) for r in said if r.envelope.channel is POSE] == answers
-    assert not inputs & {record.envelope.channel for record in said}
+    published = list(read(reference))
+    assert [encode(r.envelope.message) for r in published if r.envelope.channel is POSE] == answers
+    assert not inputs & {record.envelope.channel for record in published}
     before = reference.read_bytes()
     ended = eigenscan("replay-test", folder)
     assert ended.code == 0, ended.out
@@ -135,17 +135,17 @@ def test_an_update_of_one_service_leaves_the_others(folder: Path, eigenscan: Com
     assert "1 different and 0 bad of 3 tests" in ended.err
     assert eigenscan("replay-test", folder, "--update", "--service", "tracker").code == 0
     assert eigenscan("replay-test", folder).code == 0
-    assert sorted(said(reference)) == sorted(said_in(before, folder))
+    assert sorted(published(reference)) == sorted(published_in(before, folder))
 
 
-def said(path: Path) -> list[tuple[str, bytes]]:
+def published(path: Path) -> list[tuple[str, bytes]]:
     return [(record.envelope.key, encode(record.envelope.message)) for record in read(path)]
 
 
-def said_in(content: bytes, folder: Path) -> list[tuple[str, bytes]]:
+def published_in(content: bytes, folder: Path) -> list[tuple[str, bytes]]:
     path = folder.with_suffix(".mcap")
     path.write_bytes(content)
-    return said(path)
+    return published(path)
 
 
 def alter(reference: Path) -> None:

@@ -67,13 +67,13 @@ def test_the_recording_holds_what_the_truth_file_says(tmp_path: Path) -> None:
               "--seconds", 5, "--rate", 7, "--beams", 90, "--fov", 360)  # fmt: skip
     truth = np.loadtxt(tmp_path / "r.tum")
     records = [record.envelope for record in read(tmp_path / "r.mcap")]
-    said = [record.open(PoseInFrame) for record in records if record.channel is TRUTH]
+    published = [record.open(PoseInFrame) for record in records if record.channel is TRUTH]
     scans = [record.open(RawScan) for record in records if record.channel is SCAN_RAW]
-    assert len(scans) == len(said) == len(truth) == 35
+    assert len(scans) == len(published) == len(truth) == 35
     np.testing.assert_allclose([nanoseconds(scan.timestamp) * 1e-9 for scan in scans], truth[:, 0])
     headings = 2 * np.arctan2(truth[:, 6], truth[:, 7])
     expected = compose(np.zeros(3), np.column_stack([truth[:, 1:3], headings]))
-    np.testing.assert_allclose([from_pose3(pose.pose) for pose in said], expected, atol=2e-6)
+    np.testing.assert_allclose([from_pose3(pose.pose) for pose in published], expected, atol=2e-6)
     assert len(scans[0].ranges) == 90
     assert scans[0].angle_increment * 90 == pytest.approx(2 * np.pi)
     assert read_map(tmp_path / "m.yaml").version == office().render().version
@@ -127,8 +127,8 @@ def test_kidnap_is_in_the_truth_and_not_in_the_odometry(stage: Stage) -> None:
 def test_without_noise_odometry_is_the_drive(stage: Stage) -> None:
     still = OdometryNoise(distance=0.0, heading_travel=0.0, heading_turn=0.0, scale=0.0)
     poses = stage.poses[: int(stage.jumps[0])]
-    said = odometry(poses, np.empty(0, dtype=np.int64), still, np.random.default_rng(0))
-    np.testing.assert_allclose(said, compose(inverse(poses[0]), poses), atol=1e-9)
+    published = odometry(poses, np.empty(0, dtype=np.int64), still, np.random.default_rng(0))
+    np.testing.assert_allclose(published, compose(inverse(poses[0]), poses), atol=1e-9)
 
 
 @pytest.mark.parametrize("ticks", [400, 4000])

@@ -20,6 +20,7 @@ KINDS = {
     "mapbuilder": "eigenscan.mapbuilder.options:MapbuilderOptions",
     "recorder": "eigenscan.recorder.options:RecorderOptions",
     "ros-bridge": "eigenscan.ros_bridge.options:RosBridgeOptions",
+    "vda5050-bridge": "eigenscan.vda5050.options:Vda5050Options",
     "router": "eigenscan.runtime.router:RouterSettings",
 }
 """Where what each service can be told is."""

@@ -19,7 +19,7 @@ from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.model_pb2 import RegionModel as RegionModelMessage
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from eigenscan.workbench.conformance.hearing import Heard
+from eigenscan.workbench.conformance.hearing import Received
 from eigenscan.workbench.conformance.vectors import Vectors
 from eigenscan.workbench.replay.fields import differences
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -45,15 +45,15 @@ Verdict = tuple[list[str], str]
 M = TypeVar("M")
 
 
-def scan_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
+def scan_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
     """Canonical scans, field by field, but for the base frame's name, which is a setting; and their count."""
-    said = {(one.key, one.stamp): one.message for one in heard if one.channel is SCAN}
-    faults, compared = list(_miscounted(heard)), 0
+    published = {(one.key, one.stamp): one.message for one in received if one.channel is SCAN}
+    faults, compared = list(_miscounted(received)), 0
     # the reference also tells of scan motion, which another program may find otherwise
     reference = [one for one in vectors.reference if one.channel is SCAN]
     for expected in reference:
         want = expected.open(Scan)
-        got = said.get((expected.key, nanoseconds(want.timestamp)))
+        got = published.get((expected.key, nanoseconds(want.timestamp)))
         if not isinstance(got, Scan):
             continue
         compared += 1
@@ -67,10 +67,10 @@ def scan_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
     return faults, f"{compared} scans of {len({e.key for e in reference})} lidars as the reference"
 
 
-def _miscounted(heard: Sequence[Heard]) -> Iterator[str]:
+def _miscounted(received: Sequence[Received]) -> Iterator[str]:
     """Where `sequence` does not count the scans of a lidar from 0."""
     counts: Counter[str] = Counter()
-    for one in heard:
+    for one in received:
         if isinstance(one.message, Scan):
             if one.message.sequence != counts[one.key]:
                 yield f"{one.key}: scan number {counts[one.key]} has sequence {one.message.sequence}"
@@ -78,9 +78,9 @@ def _miscounted(heard: Sequence[Heard]) -> Iterator[str]:
             counts[one.key] += 1
 
 
-def projection_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
+def projection_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
     """The best hypothesis of each scan that the reference is sure of."""
-    said = {one.stamp: one.message for one in heard if one.channel is HYPOTHESES}
+    published = {one.stamp: one.message for one in received if one.channel is HYPOTHESES}
     truth = _truth(vectors)
     faults, missed, compared = [], [], 0
     for expected in vectors.reference:
@@ -88,7 +88,7 @@ def projection_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
             continue
         want = expected.open(Hypotheses)
         stamp = nanoseconds(want.timestamp)
-        got = said.get(stamp)
+        got = published.get(stamp)
         if not isinstance(got, Hypotheses):
             continue
         compared += 1
@@ -109,9 +109,9 @@ def projection_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
     return faults, f"{compared - len(missed)} of {compared} scans found where the reference has them"
 
 
-def pose_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
+def pose_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
     """The poses that are claimed, and that they are claimed."""
-    said = {one.stamp: one.message for one in heard if one.channel is POSE}
+    published = {one.stamp: one.message for one in received if one.channel is POSE}
     truth = _truth(vectors)
     faults, claimed, compared = [], 0, 0
     for expected in vectors.reference:
@@ -119,7 +119,7 @@ def pose_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
             continue
         want = expected.open(PoseEstimate)
         stamp = nanoseconds(want.timestamp)
-        got = said.get(stamp)
+        got = published.get(stamp)
         if not isinstance(got, PoseEstimate):
             continue
         is_claimed = got.state == STATE_LOCALIZED
@@ -135,11 +135,11 @@ def pose_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
     return faults, f"{claimed} of {compared} poses claimed, all where the reference has them"
 
 
-def model_numbers(heard: Sequence[Heard], vectors: Vectors) -> Verdict:
+def model_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
     """Versions by content, the map as given, panoramas as rays through the map give them."""
-    grids = _messages(heard, MAP, Grid)
-    sets = _messages(heard, MODEL_SET, ModelSet)
-    models = {m.version: m for m in _messages(heard, MODEL, RegionModelMessage)}
+    grids = _messages(received, MAP, Grid)
+    sets = _messages(received, MODEL_SET, ModelSet)
+    models = {m.version: m for m in _messages(received, MODEL, RegionModelMessage)}
     if not (grids and sets and models):
         return ["a map, models and a set are needed to compare"], ""
     grid, announced = from_message(grids[-1]), sets[-1]
@@ -192,8 +192,8 @@ def _share_seen(model: RegionModel, caster: RayCaster) -> float:
     return float(same.mean())
 
 
-def _messages(heard: Iterable[Heard], channel: Channel, kind: type[M]) -> list[M]:
-    return [one.message for one in heard if one.channel is channel and isinstance(one.message, kind)]
+def _messages(received: Iterable[Received], channel: Channel, kind: type[M]) -> list[M]:
+    return [one.message for one in received if one.channel is channel and isinstance(one.message, kind)]
 
 
 def _truth(vectors: Vectors) -> dict[int, Pose2]:

@@ -27,5 +27,5 @@ def check(name: str, clause: str, problems: Sequence[str], words: str) -> Check:
 
 
 def skipped(name: str, clause: str, why: str) -> Check:
-    """A check that says nothing of this service."""
+    """A check that shows nothing of this service."""
     return Check(name, clause, SKIPPED, why)

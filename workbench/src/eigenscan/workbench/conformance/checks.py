@@ -34,7 +34,7 @@ def judge(seen: Observed, latency_s: float, patience: float = 1.0) -> list[Check
         ]
     checks = [*_presence(seen, patience), *(one for part in _PARTS for one in part(seen))]
     checks += [_latency(seen, latency_s), _stops(seen, patience)]
-    if seen.heard:
+    if seen.received:
         return checks
     return [
         skipped(one.name, one.clause, "it publishes nothing") if one.result == PASSED else one
@@ -53,7 +53,7 @@ def _presence(seen: Observed, patience: float) -> Iterator[Check]:
         held = f", only {', '.join(others)}" if others else ""
         lives = f"; {seen.ended_early}" if seen.ended_early else ""
         yield Check("presence", clause, FAILED, f"no liveliness token on {key}{held}{lives}")
-    told = [one for one in seen.heard if one.channel is HEALTH]
+    told = [one for one in seen.received if one.channel is HEALTH]
     if not told:
         yield Check("health", "Health", FAILED, "it never publishes eigenscan.Health")
         return
@@ -81,19 +81,19 @@ def _answers(seen: Observed) -> Iterator[Check]:
     if not seen.asked:
         yield Check("answers", clause, FAILED, "it was gone before it was asked anything")
         return
-    said = Counter(
+    published = Counter(
         (one.channel, one.stamp, one.address.get("lidar", ""))
-        for one in seen.heard
+        for one in seen.received
         if one.channel in profile.answers
     )
     missing, twice = [], []
     for due in sorted(seen.wanted, key=lambda one: one[1:]):
         channel, stamp, lidar = due
         where = f"{channel.name} {lidar} of {stamp / 1e9:.3f}"
-        if not said[due]:
+        if not published[due]:
             missing.append(f"no {where}")
-        elif said[due] > 1:
-            twice.append(f"{said[due]} {where}")
+        elif published[due] > 1:
+            twice.append(f"{published[due]} {where}")
     if missing:
         twice.insert(0, f"{len(missing)} of {len(seen.wanted)} answers are missing, the first: {missing[0]}")
     yield check("answers", clause, twice, f"one answer each to {len(seen.asked)} {profile.asks.name}")
@@ -103,7 +103,7 @@ def _answers(seen: Observed) -> Iterator[Check]:
 def _disorder(seen: Observed) -> Iterator[str]:
     asked = {stamp for _, stamp in seen.asked}
     stamps = defaultdict(list)
-    for one in seen.heard:
+    for one in seen.received:
         if one.channel in seen.profile.answers and one.stamp in asked:
             stamps[one.key].append(one.stamp)
     for key, order in stamps.items():
@@ -115,7 +115,7 @@ def _disorder(seen: Observed) -> Iterator[str]:
 def _values(seen: Observed) -> Iterator[Check]:
     problems = [
         f"{one.key} of {one.stamp / 1e9:.3f}: {fault}"
-        for one in seen.heard
+        for one in seen.received
         if one.message is not None
         for fault in faults(one.message)
     ]
@@ -132,7 +132,7 @@ def _models(seen: Observed) -> Iterator[Check]:
         return
     versions = [
         one.message.model_version
-        for one in seen.heard
+        for one in seen.received
         if one.channel is HYPOTHESES and isinstance(one.message, Hypotheses)
     ]
     problems = []
@@ -149,9 +149,9 @@ def _models(seen: Observed) -> Iterator[Check]:
 
 def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
     site = seen.address["site"]
-    said = {
+    published = {
         one.key: encode(one.message)
-        for one in seen.heard
+        for one in seen.received
         if one.message is not None and one.channel in seen.profile.says
     }
     problems = []
@@ -161,7 +161,7 @@ def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
             problems.append(f"no liveliness token on {start}{{session}}")
         if not any(one is channel for one, _ in seen.joined.values()):
             problems.append(f"who comes late gets no {channel.name}: is it answered by a queryable?")
-    for key, payload in said.items():
+    for key, payload in published.items():
         if key in seen.joined and seen.joined[key][1] != payload:
             problems.append(f"{key}: a late subscriber receives another message")
     return check(name, clause, problems, f"who comes late gets the same {len(seen.joined)} messages")
@@ -176,7 +176,7 @@ def _bad_input(seen: Observed) -> Iterator[Check]:
     if seen.ended_early:
         yield Check("recovers", clause, FAILED, "it is gone")
         return
-    answered = {one.stamp for one in seen.heard if one.channel in seen.profile.answers}
+    answered = {one.stamp for one in seen.received if one.channel in seen.profile.answers}
     left = [stamp for _, stamp in seen.asked_again if stamp not in answered]
     silent = [f"{len(left)} of {len(seen.asked_again)} {_asked(seen)} after the nonsense get no answer"]
     words = f"answers the {len(seen.asked_again)} {_asked(seen)} after that"
@@ -206,7 +206,7 @@ def _asked(seen: Observed) -> str:
 def _numbers(seen: Observed) -> Iterator[Check]:
     if seen.profile.numbers is None:
         return
-    problems, words = seen.profile.numbers(seen.heard, seen.vectors)
+    problems, words = seen.profile.numbers(seen.received, seen.vectors)
     if not problems and words.startswith("0 "):
         problems = ["none of its answers can be compared with the reference"]
     yield check("numbers", "Time, frames, numbers", problems, words)
@@ -221,7 +221,7 @@ def _latency(seen: Observed, limit_s: float) -> Check:
         asked.setdefault(stamp, at)
     took = [
         one.at - asked[one.stamp]
-        for one in seen.heard
+        for one in seen.received
         if one.channel in seen.profile.answers and one.stamp in asked
     ]
     if not took:

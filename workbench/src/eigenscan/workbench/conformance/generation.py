@@ -1,6 +1,6 @@
 """Makes the vectors: `python -m eigenscan.workbench.conformance.generation FOLDER`.
 
-A wing of the demo's building, a drive through it, and what our own services say of both. The same code on the
+A wing of the demo's building, a drive through it, and what our services make of both. The same code on the
 same machine makes the same bytes; so a changed vector is a changed contract, simulator or service.
 """
 
@@ -86,7 +86,7 @@ def generate(folder: Path) -> None:
 def _answered(
     messages: Iterator[Timed], cores: Sequence[Core], models: Sequence[Envelope]
 ) -> Iterator[Timed]:
-    """The drive and all that the cores say of it, but what no vector needs."""
+    """The drive and all that the cores report of it, but what no vector needs."""
     loop = Loopback(cores)
     loop.start()
     for model in models:

@@ -17,7 +17,7 @@ from google.protobuf.message import Message
 
 
 @dataclass(frozen=True)
-class Heard:
+class Received:
     """One sample. `channel` is None for a foreign key, `message` for what does not decode."""
 
     key: str
@@ -40,22 +40,22 @@ class Heard:
 
 
 class Ear:
-    """Hears a whole site but for what this process says itself. Safe to use from any thread."""
+    """Receives a whole site but for what this process reports itself. Safe to use from any thread."""
 
     def __init__(self, session: zenoh.Session, site: str) -> None:
         self._news = threading.Condition()
         self._own = str(session.zid())
-        self._heard: list[Heard] = []
+        self._received: list[Received] = []
         self._tokens: dict[str, tuple[float, float | None]] = {}
         self._declared = [
             session.declare_subscriber(f"{site}/**", self._on_sample, allowed_origin=zenoh.Locality.REMOTE),
             session.liveliness().declare_subscriber(f"{site}/*/**", self._on_token, history=True),
         ]
 
-    def heard(self) -> list[Heard]:
+    def received(self) -> list[Received]:
         """All samples so far, in order of arrival."""
         with self._news:
-            return list(self._heard)
+            return list(self._received)
 
     def tokens(self) -> dict[str, tuple[float, float | None]]:
         """Liveliness tokens by key: when each appeared, and when it went (monotonic s)."""
@@ -64,13 +64,13 @@ class Ear:
 
     def health(self) -> Health | None:
         """The newest word on itself."""
-        for one in reversed(self.heard()):
+        for one in reversed(self.received()):
             if one.channel is HEALTH and isinstance(one.message, Health):
                 return one.message
         return None
 
     def wait_for(self, holds: Callable[[], bool], timeout: float) -> bool:
-        """Waits until something heard makes it so; False after `timeout` seconds."""
+        """Waits until something received makes it so; False after `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while not holds():
             rest = deadline - time.monotonic()
@@ -89,7 +89,7 @@ class Ear:
                 message = decode(found[0], sample.payload.to_bytes(), encoding)
             except ContractError as error:
                 fault = str(error)
-        heard = Heard(
+        received = Received(
             key,
             encoding,
             str(sample.priority).rpartition(".")[2],
@@ -102,12 +102,12 @@ class Ear:
             at,
         )
         with self._news:
-            self._heard.append(heard)
+            self._received.append(received)
             self._news.notify_all()
 
     def _on_token(self, token: Any) -> None:
         key, now = str(token.key_expr), time.monotonic()
-        if key.endswith(self._own):  # that of the models which this session says
+        if key.endswith(self._own):  # that of the models which this session reports
             return
         with self._news:
             if token.kind == zenoh.SampleKind.PUT:

@@ -28,10 +28,10 @@ from eigenscan.workbench.conformance.agreement import (
     projection_numbers,
     scan_numbers,
 )
-from eigenscan.workbench.conformance.hearing import Heard
+from eigenscan.workbench.conformance.hearing import Received
 from eigenscan.workbench.conformance.vectors import DRIVE, LIDARS, Vectors
 
-Numbers = Callable[[Sequence[Heard], Vectors], tuple[list[str], str]]
+Numbers = Callable[[Sequence[Received], Vectors], tuple[list[str], str]]
 """What does not agree with the reference, and what was compared, in words."""
 
 
@@ -51,7 +51,7 @@ class Profile:
     reference: tuple[Channel, ...]
     """Channels that its numbers are compared with."""
     numbers: Numbers | None
-    """None for what says nothing that could be compared."""
+    """None for what shows nothing that could be compared."""
     records: bool = False
     """Whether it keeps all that it receives in files."""
 

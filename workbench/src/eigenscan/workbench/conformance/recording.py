@@ -1,4 +1,4 @@
-"""Whether a recorder kept what was said, in the form that the contract's page asks for."""
+"""Whether a recorder kept what was published, in the form that the contract's page asks for."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ CLOCK_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class Said:
-    """A message that the recorder could hear, and when it was said, ns since the epoch."""
+class Published:
+    """A message that the recorder could receive, and when it was published, ns since the epoch."""
 
     envelope: Envelope
     at: int
 
 
-def judge_whole(folder: Path, said: Sequence[Said]) -> list[Check]:
+def judge_whole(folder: Path, published: Sequence[Published]) -> list[Check]:
     """What a recorder left that was ended as it should be."""
     try:
         files = _read(folder)
@@ -40,25 +40,35 @@ def judge_whole(folder: Path, said: Sequence[Said]) -> list[Check]:
     if not files:
         return [Check("recording", CLAUSE, FAILED, f"no .mcap in {folder}, where {{recording}} points")]
     whole = [raw for raws in files.values() for raw in raws]
-    latched = [one for one in said if one.envelope.channel.qos.latched]
+    latched = [one for one in published if one.envelope.channel.qos.latched]
     open_ended = [f"{path.name} was not closed: it has no index" for path in files if not is_complete(path)]
     return [
         check("recording", CLAUSE, open_ended, f"{len(whole)} messages in {len(files)} closed files"),
         check(
             "kept",
             CLAUSE,
-            list(_lost(whole, said)),
-            f"all {len(said)} messages that were published, in order",
+            list(_lost(whole, published)),
+            f"all {len(published)} messages that were published, in order",
         ),
-        check("form", CLAUSE, list(_malformed(whole, said)), "key, schema, descriptors and contract version"),
-        check("times", CLAUSE, list(_untimely(whole, said)), "stamps as publish times, arrival as log times"),
+        check(
+            "form",
+            CLAUSE,
+            list(_malformed(whole, published)),
+            "key, schema, descriptors and contract version",
+        ),
+        check(
+            "times",
+            CLAUSE,
+            list(_untimely(whole, published)),
+            "stamps as publish times, arrival as log times",
+        ),
         _rotation(files, latched),
     ]
 
 
-def judge_killed(folder: Path, said: Sequence[Said], killed: int, patience: float = 1.0) -> Check:
+def judge_killed(folder: Path, published: Sequence[Published], killed: int, patience: float = 1.0) -> Check:
     """What a recorder left that was killed at `killed`, ns since the epoch; `patience` extends LOST_S."""
-    due = [one for one in said if one.at < killed - LOST_S * patience * 1e9]
+    due = [one for one in published if one.at < killed - LOST_S * patience * 1e9]
     try:
         whole = [raw for raws in _read(folder).values() for raw in raws]
     except RecordingError as error:
@@ -75,13 +85,13 @@ def _read(folder: Path) -> dict[Path, list[Raw]]:
     return found
 
 
-def _lost(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
-    """Keys of which not all is there, in the order in which it was said; others may lie in between."""
+def _lost(whole: Sequence[Raw], published: Sequence[Published]) -> Iterator[str]:
+    """Keys of which not all is there, in the order in which it was published; others may lie in between."""
     kept: dict[str, list[Raw]] = defaultdict(list)
     for raw in whole:
         kept[raw[1].topic].append(raw)
     wanted: dict[str, list[Envelope]] = defaultdict(list)
-    for one in said:
+    for one in published:
         wanted[one.envelope.key].append(one.envelope)
     for key, envelopes in wanted.items():
         payloads = iter([_payload(envelopes[0].channel, raw[2].data) for raw in kept[key]])
@@ -99,8 +109,8 @@ def _payload(channel: Channel, data: bytes) -> bytes:
         return data
 
 
-def _malformed(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
-    channels = {one.envelope.key: one.envelope.channel for one in said}
+def _malformed(whole: Sequence[Raw], published: Sequence[Published]) -> Iterator[str]:
+    channels = {one.envelope.key: one.envelope.channel for one in published}
     seen = set()
     for schema, channel, _ in whole:
         own = channels.get(channel.topic)
@@ -124,9 +134,9 @@ def _described(data: bytes) -> set[str]:
     return {f"{file.package}.{message.name}" for file in files for message in file.message_type}
 
 
-def _untimely(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
-    channels: Mapping[str, Channel] = {one.envelope.key: one.envelope.channel for one in said}
-    first, last = said[0].at - CLOCK_NS, said[-1].at + 60 * CLOCK_NS
+def _untimely(whole: Sequence[Raw], published: Sequence[Published]) -> Iterator[str]:
+    channels: Mapping[str, Channel] = {one.envelope.key: one.envelope.channel for one in published}
+    first, last = published[0].at - CLOCK_NS, published[-1].at + 60 * CLOCK_NS
     for _, channel, message in whole:
         own = channels.get(channel.topic)
         if own is None or own.qos.latched:
@@ -140,15 +150,15 @@ def _untimely(whole: Sequence[Raw], said: Sequence[Said]) -> Iterator[str]:
             return
 
 
-def _rotation(files: Mapping[Path, Sequence[Raw]], latched: Sequence[Said]) -> Check:
+def _rotation(files: Mapping[Path, Sequence[Raw]], latched: Sequence[Published]) -> Check:
     name, keys = "rotation", {one.envelope.key for one in latched}
     if len(files) < 2:
         return skipped(name, CLAUSE, "one file: its command asks for no rotation that this run would reach")
-    problems, heard = [], set[str]()  # a file may begin before all of them have come
+    problems, received = [], set[str]()  # a file may begin before all of them have come
     for path, raws in files.items():
         first = {raw[1].topic for raw in raws[: len(keys)]}
-        if missing := heard - first:
+        if missing := received - first:
             problems.append(f"{path.name} does not begin with {min(missing)}")
-        heard |= keys & {raw[1].topic for raw in raws}
+        received |= keys & {raw[1].topic for raw in raws}
     words = f"each of {len(files) - 1} further files begins with map and models"
     return check(name, CLAUSE, problems, words)

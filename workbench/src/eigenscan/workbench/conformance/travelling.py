@@ -1,4 +1,4 @@
-"""How what a candidate says travels: keys, encodings, quality of service."""
+"""How what a candidate reports travels: keys, encodings, quality of service."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from eigenscan.schemas.channels import HEALTH, Channel
 from eigenscan.schemas.wire import encoding
 from eigenscan.workbench.conformance.check import Check, check
-from eigenscan.workbench.conformance.hearing import Heard
+from eigenscan.workbench.conformance.hearing import Received
 from eigenscan.workbench.conformance.trial import Observed
 
 
@@ -17,7 +17,7 @@ def travelling(seen: Observed) -> Iterator[Check]:
     keys: list[str] = []
     schemas: list[str] = []
     qos: list[str] = []
-    for one in _first_of_each_key(seen.heard):
+    for one in _first_of_each_key(seen.received):
         address = {name: one.address[name] for name in ("site", "robot") if name in one.address}
         if one.channel is None:
             keys.append(f"{one.key} is no key of the contract")
@@ -27,7 +27,7 @@ def travelling(seen: Observed) -> Iterator[Check]:
             keys.append(f"{one.key}: is not of the robot or site that it serves")
         else:
             qos += _qos_faults(one, one.channel)
-    for one in seen.heard:
+    for one in seen.received:
         if one.channel in says and one.channel is not None:
             wanted = encoding(one.channel)
             if one.message is None:
@@ -35,22 +35,22 @@ def travelling(seen: Observed) -> Iterator[Check]:
             elif one.encoding != wanted:
                 schemas.append(f"{one.key}: encoding {one.encoding!r}, the contract has {wanted!r}")
     count, spoken = (
-        len(seen.heard),
-        {one.channel.name for one in seen.heard if one.channel in says and one.channel},
+        len(seen.received),
+        {one.channel.name for one in seen.received if one.channel in says and one.channel},
     )
     yield check("keys", "Keys", keys, f"{count} samples on {', '.join(sorted(spoken))}")
     yield check("schema", "Samples", schemas, f"{count} samples decode and name their schema")
     yield check("qos", "Quality of service", qos, "priority, congestion control and express as in the table")
 
 
-def _first_of_each_key(heard: Sequence[Heard]) -> list[Heard]:
-    found: dict[tuple[str, str, bool, bool], Heard] = {}
-    for one in heard:
+def _first_of_each_key(received: Sequence[Received]) -> list[Received]:
+    found: dict[tuple[str, str, bool, bool], Received] = {}
+    for one in received:
         found.setdefault((one.key, one.priority, one.block, one.express), one)
     return list(found.values())
 
 
-def _qos_faults(one: Heard, channel: Channel) -> Iterator[str]:
+def _qos_faults(one: Received, channel: Channel) -> Iterator[str]:
     qos = channel.qos
     for name, got, want in (
         ("priority", one.priority, qos.priority.name),

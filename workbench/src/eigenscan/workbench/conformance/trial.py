@@ -1,4 +1,4 @@
-"""One run of a candidate: started late, played a drive, fed nonsense, played the rest, told to stop."""
+"""One run of a candidate: started late, played a drive, fed nonsense, played the rest, asked to stop."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from eigenscan.schemas.wire import decode
 from eigenscan.workbench.conformance.bad_input import bad_samples
 from eigenscan.workbench.conformance.candidate import Candidate
 from eigenscan.workbench.conformance.check import Check
-from eigenscan.workbench.conformance.hearing import Ear, Heard, alive_key
+from eigenscan.workbench.conformance.hearing import Ear, Received, alive_key
 from eigenscan.workbench.conformance.profiles import Profile
-from eigenscan.workbench.conformance.recording import LOST_S, Said
+from eigenscan.workbench.conformance.recording import LOST_S, Published
 from eigenscan.workbench.conformance.vectors import Vectors
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Timed
@@ -58,10 +58,10 @@ class Observed:
     vectors: Vectors
     address: dict[str, str]
     instance: str
-    heard: list[Heard] = field(default_factory=list)
+    received: list[Received] = field(default_factory=list)
     tokens: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     asked: dict[tuple[str, int], float] = field(default_factory=dict)
-    """When what wants an answer was said: monotonic s by lidar and stamp."""
+    """When what wants an answer was published: monotonic s by lidar and stamp."""
     asked_again: set[tuple[str, int]] = field(default_factory=set)
     """Those of them that came after the nonsense."""
     started_at: float = 0.0
@@ -76,8 +76,8 @@ class Observed:
     """Version of the set of models that was published while it ran."""
     joined: dict[str, tuple[Channel, bytes]] = field(default_factory=dict)
     """What one who came late got of latched channels, by key."""
-    said: list[Said] = field(default_factory=list)
-    """What it could hear, but for nonsense."""
+    published: list[Published] = field(default_factory=list)
+    """What it could receive, but for nonsense."""
     kept: list[Check] = field(default_factory=list)
     """Of a recorder: what is found in its files."""
     stopped: tuple[int | None, float] | None = None
@@ -107,10 +107,10 @@ class Trial:
         self._token_s = TOKEN_S * terms.patience
 
     def prepare(self) -> None:
-        """Says what a late joiner has to fetch."""
+        """Publishes what a late joiner has to fetch."""
         self._bus.offer(self._seen.profile.latched, self._seen.address)
         for envelope in self._seen.vectors.latched:
-            self._say(envelope)
+            self._publish(envelope)
 
     def run(self, candidate: Candidate) -> Observed:
         """Everything, from the candidate's start to its end."""
@@ -120,7 +120,7 @@ class Trial:
         self._await_start(candidate)
         if seen.profile.records and candidate.lives:
             self._play(before, candidate, "the first part of the drive")
-            self._say_nonsense(candidate)
+            self._publish_nonsense(candidate)
             self._play(after, candidate, "the rest of the drive")
             time.sleep(TAKEN_IN_S * self._terms.patience)
         elif seen.profile.asks is None:
@@ -128,8 +128,8 @@ class Trial:
         elif candidate.lives:
             self._play(before, candidate, "the first part of the drive")
             if candidate.lives:
-                self._say_nonsense(candidate)
-                self._say_other_set()
+                self._publish_nonsense(candidate)
+                self._publish_other_set()
                 self._play(after, candidate, "the rest of the drive")
         if candidate.lives:
             seen.stopped = candidate.terminate(self._terms.patience)
@@ -140,16 +140,22 @@ class Trial:
             )
         elif not seen.ended_early:
             seen.ended_early = candidate.obituary
-        seen.heard, seen.tokens, seen.last_lines = self._ear.heard(), self._ear.tokens(), candidate.last_lines
+        seen.received, seen.tokens, seen.last_lines = (
+            self._ear.received(),
+            self._ear.tokens(),
+            candidate.last_lines,
+        )
         if not seen.profile.records:
             self._bus.close()
         return seen
 
     def kill(self, candidate: Candidate) -> int:
         """Plays a drive to a recorder that was started anew, and kills it; when, ns since the epoch."""
-        known = len(self._ear.heard())
-        self._ear.wait_for(lambda: len(self._ear.heard()) > known or not candidate.lives, self._terms.start_s)
-        self._seen.said = []
+        known = len(self._ear.received())
+        self._ear.wait_for(
+            lambda: len(self._ear.received()) > known or not candidate.lives, self._terms.start_s
+        )
+        self._seen.published = []
         self._play(self._seen.vectors.parts(FIRST_SHARE)[0], candidate, "the drive before a kill")
         time.sleep(LOST_S * (self._terms.patience - 1.0))
         candidate.kill()
@@ -193,10 +199,10 @@ class Trial:
             if seen.undecodable:
                 seen.asked_again.add(question)
         self._newest[envelope.key] = envelope
-        self._say(envelope)
+        self._publish(envelope)
 
-    def _say(self, envelope: Envelope) -> None:
-        self._seen.said.append(Said(envelope, time.time_ns()))
+    def _publish(self, envelope: Envelope) -> None:
+        self._seen.published.append(Published(envelope, time.time_ns()))
         self._bus.say(envelope)
 
     def _settle(self, candidate: Candidate) -> None:
@@ -206,14 +212,14 @@ class Trial:
         while (
             candidate.lives and time.monotonic() - quiet_since < self._terms.settle_s * self._terms.patience
         ):
-            heard = [one for one in self._ear.heard() if one.channel is not HEALTH]
-            if wanted <= {(one.channel, one.stamp, one.address.get("lidar", "")) for one in heard}:
+            received = [one for one in self._ear.received() if one.channel is not HEALTH]
+            if wanted <= {(one.channel, one.stamp, one.address.get("lidar", "")) for one in received}:
                 return
-            if len(heard) != counted:
-                counted, quiet_since = len(heard), time.monotonic()
+            if len(received) != counted:
+                counted, quiet_since = len(received), time.monotonic()
             time.sleep(0.05)
 
-    def _say_nonsense(self, candidate: Candidate) -> None:
+    def _publish_nonsense(self, candidate: Candidate) -> None:
         """All bad samples, one by one; then waits until those that it has to count are counted."""
         seen = self._seen
         seen.counted_before = self._counted()
@@ -239,7 +245,7 @@ class Trial:
         health = self._ear.health()
         return health.counters.get("undecodable", 0) if health else 0
 
-    def _say_other_set(self) -> None:
+    def _publish_other_set(self) -> None:
         """The same models as a set of another version, in another order."""
         for envelope in self._seen.vectors.latched:
             if envelope.channel is MODEL_SET:
@@ -252,7 +258,7 @@ class Trial:
                 time.sleep(1.0)
 
     def _join_late(self) -> None:
-        """Hears latched channels as one that comes when all is published."""
+        """Receives latched channels as one that comes when all is published."""
         inbox, channels = Inbox(), self._seen.profile.says
         with Bus(open_session(self._others)) as late:
             late.listen(channels, {"site": self._site}, inbox)

@@ -40,16 +40,16 @@ class Vectors:
 
 def load(file: str, hears: Iterable[Channel], says: Iterable[Channel], address: dict[str, str]) -> Vectors:
     """The vectors in `file` for a service with these channels, under other names of site and robot."""
-    heard, said = set(hears), set(says)
+    received, published = set(hears), set(says)
     latched, inputs, reference = [], [], []
     for record in read(folder() / file):
         own = record.envelope
         names = {name: value for name, value in address.items() if name in own.channel.fields}
         envelope = Envelope(own.channel, {**own.address, **names}, own.message)
-        if own.channel in said:
+        if own.channel in published:
             reference.append(envelope)
-        elif own.channel in heard and own.channel.qos.latched:
+        elif own.channel in received and own.channel.qos.latched:
             latched.append(envelope)
-        elif own.channel in heard:
+        elif own.channel in received:
             inputs.append(Timed(record.log_time, envelope))
     return Vectors(tuple(latched), tuple(inputs), tuple(reference))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
+from eigenscan.workbench.evaluation.claims import judge_claims, read_claims, restamped, save_runs
 from eigenscan.workbench.evaluation.doubt import Walls
 from eigenscan.workbench.evaluation.figures import Figures, finite, windows_figures
 from eigenscan.workbench.evaluation.log import Log, read_log
@@ -86,16 +87,65 @@ def evaluate(task: Task, bars: Bars) -> Figures:
         return finite({"reference": source} | figures | {"faults": faults})
 
 
+@dataclass(frozen=True)
+class ClaimsTask:
+    """Claims of any program that are to be judged, and by what; or only the runs that it needs."""
+
+    log: Path
+    poses: Path | None
+    """CSV or TUM of what was claimed."""
+    runs: Path | None
+    """Folder to write the runs to."""
+    reference: Path | None
+    windows: Path | None
+    kidnap: bool
+    offset_s: float
+    limit: int | None
+    options: LogOptions
+
+
+def evaluate_claims(task: ClaimsTask, bars: Bars) -> Figures:
+    """Figures of claims, without those of the pipeline; or how many runs were written.
+
+    Raises EvaluationError or LogError for bad input.
+    """
+    claims = read_claims(task.poses) if task.poses else []
+    reference = (
+        read_trajectory(task.reference, task.offset_s)
+        if task.reference
+        else recorded_truth(task.log, task.options.robot)
+    )
+    if reference is None:
+        raise EvaluationError(f"{task.log}: has no reference in it: give --ground-truth REF.tum")
+    windows = read_windows(task.windows, task.offset_s) if task.windows else None
+    log = read_log(task.log, task.options, bars.start_share("log"))
+    reference, claims = reference.restamped(log.logged), restamped(claims, log.logged)
+    _check_overlap(task, log, reference)
+    asked = windows if windows is not None else plan_windows(log.scans, reference)
+    chosen = thin(judgeable(log, reference, asked), task.limit)
+    if not chosen:
+        raise _no_window(task, log, reference)
+    if task.runs:
+        return {
+            "runs": [str(file) for file in save_runs(task.runs, log, chosen, reference, kidnap=task.kidnap)]
+        }
+    assert task.poses is not None
+    figures = judge_claims(task.poses, claims, log, chosen, reference, kidnap=task.kidnap)
+    source = str(task.reference) if task.reference else RECORDED
+    return finite(
+        {"reference": source, "poses": str(task.poses)}
+        | figures
+        | {"windows_left_out": len(asked) - len(chosen), "single_scan": None, "peak_rss_mb": None}
+        | {"map_m2": None, "model": None, "log": _log_figures(log), "faults": []}
+    )
+
+
 def _figures(
     task: Task, bench: Bench, built: Built, asked: Sequence[Window], times: Sequence[int]
 ) -> Figures:
-    windows = thin(judgeable(bench, asked), task.limit)
+    windows = thin(judgeable(bench.log, bench.reference, asked), task.limit)
     if not windows and "windows" not in task.skip:
-        raise EvaluationError(
-            f"{task.windows or task.log}: no window holds 3 scans with a reference: check its stamps against "
-            f"{task.reference or 'the reference'} "
-            f"({_span(bench.reference.stamps)}) and the log ({_span(bench.log.scans)})"
-        )
+        raise _no_window(task, bench.log, bench.reference)
     figures = windows_figures([], []) | {"cpu_ms_per_scan": {"median": None, "p99": None}, "per_window": []}
     if "windows" not in task.skip:
         figures = global_localization(bench, windows, task.poses)
@@ -113,17 +163,28 @@ def _figures(
         "peak_rss_mb": peak,
         "map_m2": built.map_m2,
         "model": built.figures | {"memory_mb": weight},
-        "log": {
-            "scans": len(bench.log.scans),
-            "lidars": bench.log.lidars,
-            "odometry": bench.log.odometry,
-            "is_cut": bench.log.is_cut,
-            "span_s": float((bench.log.scans.max() - bench.log.scans.min()) / NS),
-        },
+        "log": _log_figures(bench.log),
     }
 
 
-def _check_overlap(task: Task, log: Log, reference: Trajectory) -> None:
+def _log_figures(log: Log) -> Figures:
+    return {
+        "scans": len(log.scans),
+        "lidars": log.lidars,
+        "odometry": log.odometry,
+        "is_cut": log.is_cut,
+        "span_s": float((log.scans.max() - log.scans.min()) / NS),
+    }
+
+
+def _no_window(task: Task | ClaimsTask, log: Log, reference: Trajectory) -> EvaluationError:
+    return EvaluationError(
+        f"{task.windows or task.log}: no window holds 3 scans with a reference: check its stamps against "
+        f"{task.reference or 'the reference'} ({_span(reference.stamps)}) and the log ({_span(log.scans)})"
+    )
+
+
+def _check_overlap(task: Task | ClaimsTask, log: Log, reference: Trajectory) -> None:
     """Raises EvaluationError where no scan has a reference."""
     if not reference.at(log.scans)[1].any():
         raise EvaluationError(

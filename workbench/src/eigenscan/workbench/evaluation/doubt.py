@@ -1,7 +1,7 @@
 """Claims that differ from the reference where the scan speaks for the claim.
 
 A reference made by SLAM has errors of its own. Such a claim still counts as false; it is listed beside, so
-that a reader can tell the two apart.
+that a reader can distinguish the two.
 """
 
 from __future__ import annotations

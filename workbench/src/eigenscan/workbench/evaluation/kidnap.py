@@ -48,7 +48,7 @@ def plan(windows: Sequence[Window], reference: Trajectory) -> list[Plan]:
 class Splice:
     """A log with a jump: messages in order, the jump's stamp, and what later stamps were moved by, ns."""
 
-    heard: list[Envelope]
+    received: list[Envelope]
     jump: int
     moved: int
 

@@ -21,7 +21,7 @@ WARM_UP = 200
 
 
 @dataclass(frozen=True)
-class Heard:
+class Received:
     """One message and its own stamp, ns."""
 
     stamp: int
@@ -32,15 +32,15 @@ class Log:
     """All scans and odometry of a log; every lidar counts."""
 
     def __init__(
-        self, heard: list[Heard], logged: Mapping[int, int] | None = None, *, is_cut: bool = False
+        self, received: list[Received], logged: Mapping[int, int] | None = None, *, is_cut: bool = False
     ) -> None:
-        self._heard = heard
+        self._received = received
         self.is_cut = is_cut
         """Whether the file breaks off, or is damaged from some place on."""
         self.logged = logged or {}
         """Stamp as logged, ns, of each scan that was given another one, by that one."""
-        self._stamps = np.asarray([h.stamp for h in heard], dtype=np.int64)
-        self._is_scan = np.asarray([h.envelope.channel == SCAN_RAW for h in heard], dtype=np.bool_)
+        self._stamps = np.asarray([h.stamp for h in received], dtype=np.int64)
+        self._is_scan = np.asarray([h.envelope.channel == SCAN_RAW for h in received], dtype=np.bool_)
 
     @property
     def scans(self) -> NDArray[np.int64]:
@@ -50,7 +50,7 @@ class Log:
     @property
     def lidars(self) -> list[str]:
         """Names of the lidars."""
-        return sorted({h.envelope.address["lidar"] for h in self._heard if h.envelope.channel == SCAN_RAW})
+        return sorted({h.envelope.address["lidar"] for h in self._received if h.envelope.channel == SCAN_RAW})
 
     @property
     def odometry(self) -> int:
@@ -60,45 +60,45 @@ class Log:
     @property
     def whole(self) -> list[Envelope]:
         """All of it, in the log's order."""
-        return [heard.envelope for heard in self._heard]
+        return [received.envelope for received in self._received]
 
     @property
     def beginning(self) -> list[Envelope]:
         """The first messages: enough to warm up on."""
-        return [heard.envelope for heard in self._heard[:WARM_UP]]
+        return [received.envelope for received in self._received[:WARM_UP]]
 
     def between(self, window: Window) -> list[Envelope]:
         """What is stamped within a window, in the log's order."""
         inside = (self._stamps >= window.start) & (self._stamps <= window.end)
-        return [self._heard[index].envelope for index in np.flatnonzero(inside)]
+        return [self._received[index].envelope for index in np.flatnonzero(inside)]
 
     def scan_stamps(self, window: Window) -> NDArray[np.int64]:
         """Stamps of the scans within a window, ns, increasing."""
         stamps = np.sort(self.scans)
         return stamps[np.searchsorted(stamps, window.start) : np.searchsorted(stamps, window.end, "right")]
 
-    def nearest_scan(self, stamp: int, within_s: float) -> Heard | None:
+    def nearest_scan(self, stamp: int, within_s: float) -> Received | None:
         """The scan whose stamp is nearest; None where there is none `within_s` seconds around."""
         distance = np.where(self._is_scan, np.abs(self._stamps - stamp), np.iinfo(np.int64).max)
         index = int(np.argmin(distance)) if len(distance) else 0
-        return self._heard[index] if len(distance) and distance[index] <= within_s * NS else None
+        return self._received[index] if len(distance) and distance[index] <= within_s * NS else None
 
     @staticmethod
     def canonical(raw: Envelope) -> Scan | None:
         """What scan-ingest makes of one raw scan; None where it sets it aside."""
         core = ScanIngestCore(ScanIngestSettings())
-        said = [*core.handle(raw), *core.finish()]
-        return next((envelope.open(Scan) for envelope in said if envelope.channel == SCAN), None)
+        published = [*core.handle(raw), *core.finish()]
+        return next((envelope.open(Scan) for envelope in published if envelope.channel == SCAN), None)
 
 
 def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) -> Log:
     """Reads whatever `eigenscan import` reads; `moved` receives how far it is, 0..1. Raises LogError."""
     opened = open_log(path, options)
-    heard = []
+    received = []
     for envelope in opened.envelopes():
         if envelope.channel in (SCAN_RAW, ODOMETRY):
-            heard.append(Heard(envelope.stamp, envelope))
+            received.append(Received(envelope.stamp, envelope))
             moved(opened.progress)
     moved(1.0)
     is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))
-    return Log(heard, opened.logged, is_cut=is_cut)
+    return Log(received, opened.logged, is_cut=is_cut)

@@ -31,12 +31,12 @@ Summary = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Stream:
-    """The poses of one run, a row for each, in the order in which they were said.
+    """The poses of one run, a row for each, in the order in which they were published.
 
     `stamps` ns; `poses` (n, 3) in the map frame; `states` as in the contract; `localized`: the state was
     LOCALIZED; `tracked`: a pose was given at all; `confidence` 0..1; `covariances` (n, 3, 3); `nis`: the
     track's normalised innovation squared, NaN where the scan gave it no hypothesis; `cpu_s`: process time of
-    the whole pipeline from the start until the pose was said; `scans`: how many the log has before the
+    the whole pipeline from the start until the pose was published; `scans`: how many the log has before the
     pose's own.
     """
 
@@ -165,9 +165,9 @@ def pooled(diagrams: list[list[Bin]]) -> list[Bin]:
         inside = [b for bins in diagrams for b in bins if min(int(b.confidence * BINS), BINS - 1) == index]
         count = sum(b.count for b in inside)
         if count:
-            said = sum(b.count * b.confidence for b in inside) / count
+            published = sum(b.count * b.confidence for b in inside) / count
             right = sum(b.count * b.right for b in inside) / count
-            merged.append(Bin(count, said, right))
+            merged.append(Bin(count, published, right))
     return merged
 
 
@@ -196,17 +196,24 @@ def seconds(stamps: NDArray[np.int64], since: int) -> Floats:
     return (stamps - since) / NS
 
 
-POSE_COLUMNS = ("window", "time_ns", "x", "y", "theta", "state", "confidence")
+POSE_COLUMNS = ("window", "stamp", "x", "y", "heading", "confidence", "localized", "state")
 
 
 def write_poses(path: Path, streams: Sequence[Stream]) -> None:
-    """Writes a row for each pose; m, rad, numbers exact to the last bit; `window` counts from 0."""
+    """Writes a row for each pose, as `evaluate --poses` reads it; s, m, rad, exact; `window` counts from 0.
+
+    `confidence` is empty where no track gave the pose.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(POSE_COLUMNS)
-        for number, said in enumerate(streams):
-            rows = zip(said.stamps, said.poses, said.states, said.confidence, strict=True)
-            for stamp, pose, state, confidence in rows:
+        for number, stream in enumerate(streams):
+            for row in range(len(stream)):
+                seconds_, rest = divmod(int(stream.stamps[row]), NS)
+                confidence = repr(float(stream.confidence[row])) if stream.tracked[row] else ""
                 table.writerow(
-                    [number, int(stamp), *map(repr, pose.tolist()), int(state), repr(float(confidence))]
+                    [
+                        *(number, f"{seconds_}.{rest:09d}", *map(repr, stream.poses[row].tolist())),
+                        *(confidence, int(stream.localized[row]), int(stream.states[row])),
+                    ]
                 )

@@ -31,10 +31,10 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
     told: dict[str, dict[int, Pose]] = {}
     with suppress(RecordingError):  # it breaks off: what came before counts
         for record in read(path):
-            heard = record.envelope
-            if heard.channel == TRUTH:
-                poses = told.setdefault(heard.address["robot"], {})
-                poses[heard.stamp] = from_pose3(heard.open(PoseInFrame).pose)
+            received = record.envelope
+            if received.channel == TRUTH:
+                poses = told.setdefault(received.address["robot"], {})
+                poses[received.stamp] = from_pose3(received.open(PoseInFrame).pose)
     # one robot alone is judged under any name, as its scans are
     poses = told.get(robot) or (next(iter(told.values())) if len(told) == 1 else {})
     return _trajectory(poses) if poses else None

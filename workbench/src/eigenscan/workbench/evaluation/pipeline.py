@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from eigenscan.geometry.pose import covariance_from_message, from_message
@@ -56,9 +58,13 @@ class Run:
 
 @dataclass(frozen=True)
 class Answer:
-    """What one scan alone gave: base poses (n, 3), most likely first, and the process time, ms."""
+    """What one scan alone gave: base poses (n, 3), most likely first, and the process time, ms.
+
+    `covariances` (n, 3, 3) in m^2, m rad, rad^2.
+    """
 
     poses: NDArray[np.float64]
+    covariances: NDArray[np.float64]
     log_likelihoods: NDArray[np.float64]
     cpu_ms: float
 
@@ -73,6 +79,8 @@ class Pipeline:
     def __init__(self, models: Sequence[Envelope], settings: PipelineSettings | None = None) -> None:
         self._models = list(models)
         self._settings = settings or PipelineSettings()
+        # a pose is judged beside its tracks
+        self._tracker = self._settings.tracker.model_copy(update={"tracks_hz": inf})
         self._projector = ProjectorCore(self._settings.projector)
         self._teach(self._projector)
         self._remembering = Remembering(self._projector)
@@ -84,22 +92,22 @@ class Pipeline:
 
     def _cold(self) -> tuple[Loopback, TrackerCore]:
         """The whole pipeline, knowing the map and nothing of the pose; and its tracker."""
-        ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._settings.tracker)
+        ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._tracker)
         self._teach(tracker)
         return Loopback([ingest, self._remembering, tracker]), tracker
 
-    def warm_up(self, heard: Iterable[Envelope]) -> None:
-        """Hears a few messages before the clock counts: what is compiled late is compiled now."""
-        self.run(heard)
+    def warm_up(self, received: Iterable[Envelope]) -> None:
+        """Receives a few messages before the clock counts: what is compiled late is compiled now."""
+        self.run(received)
         self._remembering.forget()
 
-    def run(self, heard: Iterable[Envelope]) -> Run:
-        """Hears raw scans and odometry in the order given, from a cold start."""
+    def run(self, received: Iterable[Envelope]) -> Run:
+        """Receives raw scans and odometry in the order given, from a cold start."""
         loop, tracker = self._cold()
-        said, cpu_ms, scans, published = list[_Said](), list[float](), list[int](), list[Envelope]()
+        said, cpu_ms, scans, published = list[_Published](), list[float](), list[int](), list[Envelope]()
         spent = at_last_scan = 0
         loop.start()
-        for envelope in heard:
+        for envelope in received:
             before, owed = time.process_time_ns(), self._remembering.owed_ns
             answers = loop.hear(envelope)
             spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
@@ -113,11 +121,12 @@ class Pipeline:
         said += _poses(rest, spent)
         condition = tracker.condition()
         fault = condition.detail if condition.status == Health.STATUS_DEGRADED else ""
-        stream = _stream(said, np.sort(np.asarray(scans, dtype=np.int64)))
-        return Run(stream, np.asarray(cpu_ms), explained_at_claims([*published, *rest]), fault)
+        published += rest
+        stream = _stream(said, _nis(said, published), np.sort(np.asarray(scans, dtype=np.int64)))
+        return Run(stream, np.asarray(cpu_ms), explained_at_claims(published), fault)
 
     def answer(self, scan: Envelope) -> Answer:
-        """Hears one raw scan: no odometry, no tracking, no prior."""
+        """Receives one raw scan: no odometry, no tracking, no prior."""
         loop = Loopback([ScanIngestCore(self._settings.ingest), self._projector])
         before = time.process_time_ns()
         said = [*loop.hear(scan), *loop.finish()]
@@ -130,34 +139,42 @@ class Pipeline:
         ]
         return Answer(
             np.asarray([from_message(h.pose) for h in listed], dtype=np.float64).reshape(-1, 3),
+            np.asarray([covariance_from_message(h.covariance) for h in listed]).reshape(-1, 3, 3),
             np.asarray([h.log_likelihood for h in listed], dtype=np.float64),
             cpu_ms,
         )
 
 
 @dataclass(frozen=True)
-class _Said:
-    """A pose, its track's normalised innovation squared, and the process time, s, until it was said."""
+class _Published:
+    """A pose, and the process time, s, until it was published."""
 
     estimate: PoseEstimate
-    nis: float
     cpu_s: float
 
 
-def _poses(envelopes: Sequence[Envelope], spent: int) -> list[_Said]:
-    poses = [e.open(PoseEstimate) for e in envelopes if e.channel == POSE]
-    tracks = [e.open(Tracks) for e in envelopes if e.channel == TRACKS]
-    return [
-        _Said(pose, _nis(pose.track_id, beside), spent / 1e9)
-        for pose, beside in zip(poses, tracks, strict=True)
-    ]
+def _poses(envelopes: Sequence[Envelope], spent: int) -> list[_Published]:
+    return [_Published(e.open(PoseEstimate), spent / 1e9) for e in envelopes if e.channel == POSE]
 
 
-def _nis(track: int, tracks: Tracks) -> float:
-    return next((t.nis for t in tracks.tracks if t.id == track and t.HasField("nis")), np.nan)
+def _nis(said: Sequence[_Published], published: Sequence[Envelope]) -> NDArray[np.float64]:
+    """Normalised innovation squared (n,) of each pose's track, by the tracks of its stamp; NaN: it has none.
+
+    Two lidars may share a stamp: their tracks come in the order of their poses.
+    """
+    tracks: dict[int, deque[Tracks]] = defaultdict(deque)
+    for envelope in published:
+        if envelope.channel == TRACKS:
+            tracks[envelope.stamp].append(envelope.open(Tracks))
+    found = []
+    for each in said:
+        beside = tracks[nanoseconds(each.estimate.timestamp)].popleft().tracks
+        own = (t.nis for t in beside if t.id == each.estimate.track_id and t.HasField("nis"))
+        found.append(next(own, np.nan))
+    return np.asarray(found, dtype=np.float64)
 
 
-def _stream(said: list[_Said], scans: NDArray[np.int64]) -> Stream:
+def _stream(said: list[_Published], nis: NDArray[np.float64], scans: NDArray[np.int64]) -> Stream:
     estimates = [each.estimate for each in said]
     stamps = np.asarray([nanoseconds(e.timestamp) for e in estimates], dtype=np.int64)
     states = np.asarray([e.state for e in estimates], dtype=np.int64)
@@ -171,7 +188,7 @@ def _stream(said: list[_Said], scans: NDArray[np.int64]) -> Stream:
         covariances=np.asarray(
             [covariance_from_message(e.covariance) for e in estimates], dtype=np.float64
         ).reshape(-1, 3, 3),
-        nis=np.asarray([each.nis for each in said], dtype=np.float64),
+        nis=nis,
         cpu_s=np.asarray([each.cpu_s for each in said], dtype=np.float64),
         scans=np.searchsorted(scans, stamps),
     )

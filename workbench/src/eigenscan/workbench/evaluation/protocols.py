@@ -65,12 +65,10 @@ class Bench:
     """Of the map, to tell where the reference is in doubt."""
 
 
-def judgeable(bench: Bench, windows: Iterable[Window]) -> list[Window]:
+def judgeable(log: Log, reference: Trajectory, windows: Iterable[Window]) -> list[Window]:
     """The windows that hold enough scans with a reference."""
     return [
-        window
-        for window in windows
-        if np.count_nonzero(bench.reference.at(bench.log.scan_stamps(window))[1]) >= AT_LEAST
+        window for window in windows if np.count_nonzero(reference.at(log.scan_stamps(window))[1]) >= AT_LEAST
     ]
 
 
@@ -119,7 +117,7 @@ def kidnapping(bench: Bench, windows: Sequence[Window]) -> Figures:
             splices.append(splice(before, after))
     advance = bench.progress("kidnaps", len(splices))
     outcomes = []
-    for spliced, run in zip(splices, bench.workers.runs(s.heard for s in splices), strict=True):
+    for spliced, run in zip(splices, bench.workers.runs(s.received for s in splices), strict=True):
         outcomes.append(outcome(run.stream, spliced, bench.reference))
         advance()
     return kidnap_figures(outcomes)

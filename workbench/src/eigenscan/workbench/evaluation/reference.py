@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.geometry.circle import difference, wrap
+from eigenscan.geometry.gridmap import FARTHEST_M
 from numpy.typing import ArrayLike, NDArray
 
 NS = 1_000_000_000
@@ -82,10 +83,14 @@ class Trajectory:
         return self.stamps[kept], np.asarray(way)
 
 
+LATEST_S = 4_000_000_000
+"""Stamps before and after the epoch, s, at most: the year 2096."""
+
+
 def nanoseconds_of(text: str) -> int:
     """Nanoseconds of a decimal number of seconds, without the rounding of a float."""
     value = Decimal(text)
-    if not value.is_finite():
+    if not value.is_finite() or value.adjusted() > 10 or abs(value) > LATEST_S:
         raise InvalidOperation
     return int((value * NS).to_integral_value())
 
@@ -106,8 +111,8 @@ def read_trajectory(path: Path, offset_s: float = 0.0) -> Trajectory:
                 raise ValueError
             stamp = nanoseconds_of(fields[0])
             x, y, _, qx, qy, qz, qw = (float(field) for field in fields[1:])
-            theta = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-            if not np.isfinite([x, y, theta]).all() or qx == qy == qz == qw == 0.0:
+            theta = np.arctan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
+            if not max(abs(x), abs(y)) <= FARTHEST_M or not np.isfinite(theta) or qx == qy == qz == qw == 0.0:
                 raise ValueError
         except (ValueError, InvalidOperation):
             raise EvaluationError(

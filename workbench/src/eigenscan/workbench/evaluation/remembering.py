@@ -25,7 +25,7 @@ KEPT = 5000
 class _Answer:
     """Hypotheses as (address, bytes), and the process time, ns, that they took."""
 
-    said: tuple[tuple[dict[str, str], bytes], ...]
+    published: tuple[tuple[dict[str, str], bytes], ...]
     cpu_ns: int
 
 
@@ -56,25 +56,25 @@ class Remembering:
         """The core's own."""
         return self._core.condition()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The core's answer; of a scan that was answered before, its hypotheses alone."""
-        if heard.channel != SCAN or not self._pure:
-            return self._core.handle(heard)
-        scan = heard.open(Scan)
-        key = (heard.key, _without_time(scan))
+        if received.channel != SCAN or not self._pure:
+            return self._core.handle(received)
+        scan = received.open(Scan)
+        key = (received.key, _without_time(scan))
         known = self._known.get(key)
         if known is not None:
             self._known.move_to_end(key)
             self.owed_ns += known.cpu_ns
-            return [_at_the_time_of(scan, *one) for one in known.said]
+            return [_at_the_time_of(scan, *one) for one in known.published]
         before = time.process_time_ns()
-        said = list(self._core.handle(heard))
+        published = list(self._core.handle(received))
         took = time.process_time_ns() - before
-        hypotheses = tuple((dict(e.address), encode(e.message)) for e in said if e.channel == HYPOTHESES)
+        hypotheses = tuple((dict(e.address), encode(e.message)) for e in published if e.channel == HYPOTHESES)
         self._known[key] = _Answer(hypotheses, took)
         if len(self._known) > KEPT:
             self._known.popitem(last=False)
-        return said
+        return published
 
 
 def _without_time(scan: Scan) -> bytes:

@@ -109,12 +109,12 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
     if not own:  # an estimate is not normally distributed about itself
         consistency = f["normalised_error_squared"]["consistency"]
         lines.append(("normalised error squared (NEES)", _consistency(consistency)))
-    lines += [
+    lines.append(
         (
             "normalised innovation squared (NIS)",
             _consistency(f["normalised_innovation_squared"]["consistency"]),
-        ),
-    ]
+        )
+    )
     if f["kidnap"]:
         kidnap = f["kidnap"]
         lines += [
@@ -142,18 +142,20 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
                 ("exhaustive, first is right", right),
                 ("exhaustive, CPU ms", _pair(single["exhaustive_cpu_ms"], "p99")),
             ]
-    model = f["model"]
-    memory = "" if model["memory_mb"] is None else f", {_number(model['memory_mb'])} MB in memory"
-    return [
-        *lines,
+    lines += [
         ("CPU a scan, ms", _pair(f["cpu_ms_per_scan"], "p99")),
         ("peak memory, MB", _number(f["peak_rss_mb"])),
         ("map, m²", _number(f["map_m2"])),
-        (
-            "model",
-            f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire{memory}",
-        ),
     ]
+    if f["model"]:
+        lines.append(("model", _model(f["model"])))
+    # what a table of poses cannot have
+    return [line for line in lines if "poses" not in f or not line[1].startswith(("-", "mean -"))]
+
+
+def _model(model: Figures) -> str:
+    memory = "" if model["memory_mb"] is None else f", {_number(model['memory_mb'])} MB in memory"
+    return f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire{memory}"
 
 
 def _explains(found: Figures) -> str:

@@ -26,14 +26,14 @@ class Worker:
     """One warm pipeline."""
 
     def __init__(self, models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
-        """Hears `warm_up` once: what is compiled late is compiled before the clock counts."""
+        """Receives `warm_up` once: what is compiled late is compiled before the clock counts."""
         numba.set_num_threads(1)
         self._pipeline = Pipeline(list(unpack(models)), settings)
         self._pipeline.warm_up(unpack(warm_up))
 
-    def run(self, heard: Packed) -> Run:
+    def run(self, received: Packed) -> Run:
         """One cold run over a stretch of the log."""
-        return self._pipeline.run(unpack(heard))
+        return self._pipeline.run(unpack(received))
 
     def answer(self, scan: Packed) -> Answer:
         """The answer to one raw scan."""

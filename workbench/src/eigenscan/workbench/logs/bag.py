@@ -51,9 +51,9 @@ class Bag(Protocol):
 
 def kind_of(name: str) -> str:
     """A type's name as ROS 2 writes it; the old tf/tfMessage is the same as tf2_msgs/TFMessage."""
-    package, _, message = name.partition("/")
+    package, _, message = (name or "").partition("/")  # a damaged bag may have none
     message = message.removeprefix("msg/")
-    return TRANSFORMS if name.startswith("tf/") else f"{package}/msg/{message}"
+    return TRANSFORMS if package == "tf" else f"{package}/msg/{message}"
 
 
 @cache

@@ -52,14 +52,14 @@ class _Samples:
 
     scans: list[NDArray[np.float64]] = field(default_factory=list)
     every: int = 1
-    heard: int = 0
+    received: int = 0
 
     def note(self, line: Line) -> None:
         """Takes a scan's ranges, if it is its turn."""
-        if self.heard % self.every == 0:
+        if self.received % self.every == 0:
             with suppress(LineError):
                 self.scans.append(line.ranges())
-        self.heard += 1
+        self.received += 1
         if len(self.scans) > SAMPLES:
             self.scans = self.scans[::2]
             self.every *= 2
@@ -97,7 +97,7 @@ class _Survey:
         return min((limit for limit in told if limit > 0.0), default=0.0)
 
     def mount(self, kind: str) -> NDArray[np.float64]:
-        """Median of the mounts where they agree; else (a corrected log) what the parameters say."""
+        """Median of the mounts where they agree; else (a corrected log) what the parameters state."""
         place = "front" if LIDAR_OF[kind] == "front" else "rear"
         known = self.parameters.get
         stated = [known(f"robot_{place}laser_{name}", 0.0) for name in ("offset", "side_offset")]

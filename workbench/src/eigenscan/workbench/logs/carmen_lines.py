@@ -63,7 +63,7 @@ class Line:
             raise LineError("garbage_line") from error
 
     def mount(self) -> NDArray[np.float64] | None:
-        """Pose (3,) of the sensor in the robot's frame, m and rad, where the line tells."""
+        """Pose (3,) of the sensor in the robot's frame, m and rad, where the line states."""
         if self.laser is None or self.odometry is None:
             return None
         return between(self.odometry, self.laser)
@@ -98,8 +98,8 @@ def _floats(words: list[str]) -> NDArray[np.float64]:
 
 def _stamp(word: str) -> int:
     value = float(word)
-    # protobuf's timestamps end with the year 9999
-    if not 0.0 <= value < 2.5e11:
+    # the year 2096: 64 bits of nanoseconds end not long after
+    if not 0.0 <= value < 4e9:
         raise LineError("absurd_stamp")
     # exact to the last digit, as a float is not
     exact = Decimal(word)

@@ -51,6 +51,8 @@ class _Columns:
     def read(cls, path: Path, names: list[str]) -> _Columns:
         """Raises LogError naming the column that is missing."""
         places = {name.strip(): place for place, name in enumerate(names)}
+        if len(places) < len(names):
+            raise LogError(f"{path}: line 1: two columns have the same name: give each its own")
         for name, unit in RANGES.items():
             beams = list[int]()
             while f"{name}_{len(beams)}" in places:
@@ -114,6 +116,10 @@ class _Line:
         return LogError(f"{self.columns.path}: line {self.number}, column {name}: {what}")
 
 
+LATEST_S = 4_000_000_000
+"""Stamps before and after the epoch, s, at most: the year 2096."""
+
+
 @dataclass
 class CsvLog:
     """A CSV of scans; see the module."""
@@ -137,6 +143,8 @@ class CsvLog:
         for (time, lidar), group in groupby(self._lines(), lambda line: (line.value(TIME), _lidar(line))):
             lines = list(group)
             seen.add(lidar)
+            if not abs(time) <= LATEST_S:
+                raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
             if all(lines[0].text(name) for name in ODOMETRY):
                 x, y, heading = (lines[0].value(name) for name in ODOMETRY)
@@ -177,7 +185,7 @@ class CsvLog:
         size = max(self.path.stat().st_size, 1)
         with self.path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
             rows = csv.reader(file)
-            columns = _Columns.read(self.path, next(rows))
+            columns = _Columns.read(self.path, next(self._rows(rows)))
             read = 0  # csv reads ahead, so the file does not tell its place
             for cells in self._rows(rows):
                 read += sum(map(len, cells)) + len(cells)

@@ -79,7 +79,7 @@ def raw_scan(options: LogOptions, lidar: str, time: int, mount: ArrayLike, **fie
 
 
 def place(options: LogOptions, lidar: str, message: RawScan) -> None:
-    """Gives `message` the mount that the options tell for its lidar."""
+    """Gives `message` the mount that the options state for its lidar."""
     given = options.mounts.get(lidar)
     if given is not None:
         message.mount.CopyFrom(to_message((given.x, given.y, given.yaw)))

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+from eigenscan.runtime.recording.files import refuse_bombs
+from eigenscan.workbench.logs.log import LogError
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema, Statistics
@@ -39,6 +41,13 @@ class McapFile:
         self.profile, self._indexed, self._total = "", False, 0
         self._size = max(path.stat().st_size, 1)
         with path.open("rb") as file:
+            try:
+                refuse_bombs(file)
+            except ValueError as error:
+                raise LogError(f"{path}: is no readable MCAP: {error}") from error
+            except DAMAGE:  # cut within a chunk's head
+                pass
+            file.seek(0)
             try:
                 reader = make_reader(file)
                 self.profile = reader.get_header().profile

@@ -125,7 +125,7 @@ def _chunk(header: Header, data: bytes) -> Iterator[tuple[Header, bytes]]:
     if compression == b"bz2":
         data = bz2.BZ2Decompressor().decompress(data)
     elif compression == b"lz4":
-        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+        from lz4.frame import LZ4FrameDecompressor
 
         try:
             data = LZ4FrameDecompressor().decompress(data)

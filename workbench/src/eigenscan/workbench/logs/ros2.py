@@ -10,10 +10,26 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from eigenscan.geometry.gridmap import MOST_NESTED, nesting
 from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
 from eigenscan.workbench.logs.foxglove import FOXGLOVE
 from eigenscan.workbench.logs.log import LogError
 from eigenscan.workbench.logs.mcap_messages import McapFile
+
+MOST_METADATA_BYTES = 300_000
+"""A thousand topics."""
+_REFUSED = (
+    FileNotFoundError,
+    AssertionError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    MemoryError,
+    RecursionError,
+)
+"""What the library raises over damaged files and metadata, beside its own error."""
 
 
 class Ros2Bag:
@@ -25,6 +41,7 @@ class Ros2Bag:
         self.path = path
         self.counters: Counter[str] = Counter()
         self.progress = 0.0
+        _check_metadata(path / "metadata.yaml")
 
     def topics(self) -> dict[str, str]:
         """Types by topic."""
@@ -34,7 +51,7 @@ class Ros2Bag:
         try:
             with Reader(self.path) as reader:
                 found = {connection.topic: connection.msgtype for connection in reader.connections}
-        except (ReaderError, FileNotFoundError, AssertionError, ValueError, apsw.Error):
+        except (*_REFUSED, ReaderError, apsw.Error):
             found = {topic: kind for file in self._files() for topic, kind in _tables(file).values()}
             if not found:
                 raise LogError(f"{self.path}: holds no readable ROS 2 bag: record it again") from None
@@ -58,7 +75,7 @@ class Ros2Bag:
                     given += 1
                     self.progress = min(given / total, 1.0)
                     yield connection.topic, connection.msgtype, time, data
-        except (ReaderError, FileNotFoundError, AssertionError, ValueError, apsw.Error):
+        except (*_REFUSED, ReaderError, apsw.Error):
             self.counters["truncated_file"] += 1
             if not given:
                 for file in self._files():
@@ -79,7 +96,7 @@ def _query(path: Path, text: str) -> Iterator[tuple[Any, ...]]:
     """Rows, up to the first damage."""
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
-            # else a file that is shorter than its header says is refused as a whole
+            # else a file that is shorter than its header states is refused as a whole
             base.execute("PRAGMA writable_schema=ON")
             yield from base.execute(text)
     except sqlite3.Error:
@@ -96,6 +113,15 @@ def _salvage(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str, in
     for number, time, data in _query(path, "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"):
         if number in known:
             yield *known[number], time, data
+
+
+def _check_metadata(path: Path) -> None:
+    """Raises LogError for a file that no recorder writes, for which a reader of YAML takes minutes."""
+    if not path.is_file():
+        return
+    too_long = path.stat().st_size > MOST_METADATA_BYTES
+    if too_long or nesting(path.read_text(encoding="utf-8", errors="replace")) > MOST_NESTED:
+        raise LogError(f"{path}: is no bag's metadata: delete it, the bag is read without it")
 
 
 class McapBag:

@@ -56,7 +56,7 @@ class Survey:
     frames: dict[str, str] = field(default_factory=dict)  # by lidar topic
     spans: dict[str, int] = field(default_factory=dict)  # deg, field of view by lidar topic
     offsets: dict[str, int | None] = field(default_factory=dict)  # as in Plan; None: no stamp
-    # odometry frame, and offset as above, by the frame that transforms say moves in it
+    # odometry frame, and offset as above, by the frame that transforms state moves in it
     moves: dict[str, tuple[str, int | None]] = field(default_factory=dict)
     moved: str | None = None  # the frame that Odometry says it moves
 
@@ -79,7 +79,7 @@ class Survey:
         body = message.message
         if hasattr(body, "transforms"):
             for item in body.transforms:
-                self._hear_transform(item, message.time)
+                self._receive_transform(item, message.time)
         elif message.topic not in self.offsets:
             self.offsets[message.topic] = _offset(body.header, message.time)
             if hasattr(body, "ranges"):
@@ -96,7 +96,7 @@ class Survey:
         moves = base in self.moves if odometry is None else odometry in self.offsets
         return moves and all(self.tree.between(base, frame) is not None for frame in self.frames.values())
 
-    def _hear_transform(self, item: Any, recorded: int) -> None:
+    def _receive_transform(self, item: Any, recorded: int) -> None:
         move, turn = item.transform.translation, item.transform.rotation
         parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
         self.tree.hear(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))

@@ -33,7 +33,7 @@ class Scans:
     """
 
     sweeps: list[Sweep]
-    heard: int
+    received: int
     reasons: Mapping[str, int]
     logged: Mapping[int, int]
 
@@ -85,7 +85,9 @@ def read_scans(
         if envelope.channel is ODOMETRY:
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
-            scans += [said.open(Scan) for said in ingest.handle(envelope) if said.channel is SCAN]
+            scans += [
+                published.open(Scan) for published in ingest.handle(envelope) if published.channel is SCAN
+            ]
     moved(1.0)
     counters = ingest.condition().counters
     reasons = {
@@ -93,16 +95,16 @@ def read_scans(
         for name, count in counters.items()
         if name.startswith("set_aside_")
     }
-    heard = counters["heard"]
+    received = counters["heard"]
     if not scans:
         raise LogError(
-            f"{path}: none of its {heard} scans can be used "
+            f"{path}: none of its {received} scans can be used "
             f"({', '.join(sorted(reasons))}): check the topic with --lidar-topic"
         )
     stamps = np.array([nanoseconds(scan.timestamp) for scan in scans], dtype=np.int64)
     known = odometry_at(steps if with_odometry else (), stamps)
     sweeps = [_sweep(scan, place) for scan, place in zip(scans, known, strict=True)]
-    return Scans(sweeps, heard, Counter(reasons), dict(opened.logged))
+    return Scans(sweeps, received, Counter(reasons), dict(opened.logged))
 
 
 def odometry_at(

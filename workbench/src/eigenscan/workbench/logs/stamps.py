@@ -5,7 +5,7 @@ Where the stamps of each kind of line increase, they are trusted, and the kinds 
 Otherwise, or where the kinds disagree by seconds, the order of the lines is trusted: the longest
 increasing subsequence of stamps is kept as logged, so that true gaps stay, and every other line is put
 between its neighbours by its number. A clock that was set back goes on at the log's usual pace.
-Stamps of which hardly any are in order tell nothing: each line is then a lone step later. Nor is a step of
+Stamps of which hardly any are in order show nothing: each line is then a lone step later. Nor is a step of
 years a gap: such a line, at 0 or by a clock that was not set yet, goes with its neighbours.
 
 A reference trajectory that was made from such a log may have the stamps as logged: a log tells which ones

@@ -1,1 +1,1 @@
-"""Playback: a recording said again on Zenoh, with pause and seek, under other names and stamps."""
+"""Playback: a recording published again on Zenoh, with pause and seek, under other names and stamps."""

@@ -1,4 +1,4 @@
-"""Who says a recording again: under which names, with which stamps, and how many at once."""
+"""Who publishes a recording again: under which names, with which stamps, and how many at once."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Cast:
 
     def _copy(self, robot: int, timed: Timed) -> Timed:
         delay = self._delay(robot)
-        said = self._named(Timed(timed.time + delay, timed.envelope), f"r-{robot:03d}")
-        return Timed(said.time, shifted(said.envelope, delay)) if delay else said
+        published = self._named(Timed(timed.time + delay, timed.envelope), f"r-{robot:03d}")
+        return Timed(published.time, shifted(published.envelope, delay)) if delay else published
 
     def _named(self, timed: Timed, robot: str | None) -> Timed:
         own = timed.envelope

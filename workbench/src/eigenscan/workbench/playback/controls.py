@@ -28,7 +28,7 @@ class Do(Enum):
     PAUSE = "pause"
     PLAY = "play"
     STEP = "step"
-    """Says one message, and stays paused."""
+    """Publishes one message, and stays paused."""
     SKIP = "skip"
     """Goes on some seconds later, or earlier."""
     SEEK = "seek"
@@ -99,13 +99,13 @@ class Script:
 
     def __init__(self, lines: TextIO) -> None:
         self._lines = lines
-        self._said: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._published: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, name="script", daemon=True).start()
 
     def wait(self, seconds: float | None) -> Command | None:
         """As Controls. Raises UsageError for a line that is no command."""
         try:
-            line = self._said.get(timeout=None if seconds is None else max(0.0, seconds))
+            line = self._published.get(timeout=None if seconds is None else max(0.0, seconds))
         except queue.Empty:
             return None
         return _command(line)
@@ -113,8 +113,8 @@ class Script:
     def _listen(self) -> None:
         for line in self._lines:
             if line.strip():
-                self._said.put(line)
-        self._said.put(Do.PLAY.value)
+                self._published.put(line)
+        self._published.put(Do.PLAY.value)
 
 
 def _command(line: str) -> Command:

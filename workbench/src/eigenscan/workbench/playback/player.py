@@ -39,7 +39,7 @@ class Player:
         clock: Callable[[], int] | None = None,
     ) -> None:
         """With `clock`, ns since the epoch, stamps are shifted to the present."""
-        self._score, self._say, self._controls, self._moved = score, say, controls, moved
+        self._score, self._publish, self._controls, self._moved = score, say, controls, moved
         self._metronome, self._clock = Metronome(speed), clock
         self._paused = self._stepping = False
         self._at = score.begin
@@ -48,7 +48,7 @@ class Player:
         self._looked_at = 0.0
 
     def play(self) -> None:
-        """Plays to the end, or until it is told to end."""
+        """Plays to the end, or until it is asked to end."""
         begin: int | None = self._score.begin
         while begin is not None:
             self._start_anew()
@@ -67,7 +67,7 @@ class Player:
                 if target is not None:
                     return target
             self._stepping = False
-            self._say(self._stamped(timed))
+            self._publish(self._stamped(timed))
             self._go_to(timed.time)
         return None
 
@@ -112,7 +112,7 @@ class Player:
         self._shift = None
 
     def _stamped(self, timed: Timed) -> Envelope:
-        """The message as it is said. Shifted stamps never go back, also where the playback does."""
+        """The message as it is published. Shifted stamps never go back, also where the playback does."""
         if self._clock is None:
             return timed.envelope
         if self._shift is None:

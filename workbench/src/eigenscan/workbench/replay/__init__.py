@@ -1,1 +1,1 @@
-"""Process replay: the real cores hear what was recorded, and must say what was recorded."""
+"""Process replay: the real cores receive what was recorded, and must publish what was recorded."""

@@ -1,4 +1,4 @@
-"""The instances that a recording heard, as cores with the settings they had."""
+"""The instances that a recording received, as cores with the settings they had."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class Instance:
         """As its core."""
         return self.core.start()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        """What the core says until it fails, where it does; nothing for robots that are not its own."""
-        if "robot" in heard.address and not holds(self.robots, heard.address["robot"]):
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        """What the core reports until it fails, where it does; nothing for robots that are not its own."""
+        if "robot" in received.address and not holds(self.robots, received.address["robot"]):
             return
         try:
-            yield from self.core.handle(heard)
+            yield from self.core.handle(received)
         except Exception as error:
-            self.faults.append(f"{type(error).__name__} on {heard.key}: {error}")
+            self.faults.append(f"{type(error).__name__} on {received.key}: {error}")
 
     def finish(self) -> Iterable[Envelope]:
         """As its core."""
@@ -60,7 +60,7 @@ class Instance:
 
 
 def cast(survey: Survey, services: tuple[Service, ...], changes: Changes) -> list[Instance]:
-    """A core for each instance that the recording heard, from the sensor on.
+    """A core for each instance that the recording received, from the sensor on.
 
     Where it tells of none, one that serves every robot. Raises UsageError for settings that do not hold.
     """
@@ -107,7 +107,7 @@ def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, ob
         return {"robot": EVERY}, "default settings, for the recording does not have them"
     try:
         values = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise UsageError(f"{survey.path}: settings of {service.name} are no JSON: {error}") from error
     if not isinstance(values, dict):
         raise UsageError(f"{survey.path}: settings of {service.name} are no JSON object")

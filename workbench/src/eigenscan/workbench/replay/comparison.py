@@ -1,4 +1,4 @@
-"""What was said and what is said now: matched by key and stamp, judged by bytes, then by fields."""
+"""What was published and what is published now: matched by key and stamp, judged by bytes, then by fields."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Counts:
     """Not the same bytes, but the same within tolerances and but for ignored fields."""
     different: int = 0
     missing: int = 0
-    """Recorded, and not said again."""
+    """Recorded, and not published again."""
     extra: int = 0
     """Said, and not recorded."""
     outside: int = 0
@@ -47,7 +47,7 @@ class Counts:
 
     @property
     def compared(self) -> int:
-        """Messages that both sides say."""
+        """Messages that both sides report."""
         return self.same + self.within + self.different
 
     @property
@@ -82,7 +82,7 @@ class Comparison:
 
     def take(self, event: Event) -> None:
         """Takes what was or is published; inputs are left alone."""
-        if event.side is Side.HEARD:
+        if event.side is Side.RECEIVED:
             return
         envelope, count = event.envelope, self.counts[event.envelope.channel]
         count.recorded += event.side is Side.RECORDED
@@ -122,7 +122,7 @@ class Comparison:
 
     @property
     def problems(self) -> list[str]:
-        """Why this says nothing, or not that all is well; empty where it is equal."""
+        """Why this shows nothing, or not that all is well; empty where it is equal."""
         judged = self.judged
         compared = sum(count.compared for count in judged.values())
         lone = sum(count.missing + count.extra for count in judged.values())
@@ -136,8 +136,10 @@ class Comparison:
                 counts = f"{count.different} different, {count.missing} missing, {count.extra} too many"
                 found.append(f"{channel.name}: {counts}")
             elif count.outside > count.compared:
-                said = count.compared + count.outside
-                found.append(f"{channel.name}: only {count.compared} of {said} messages are in the recording")
+                published = count.compared + count.outside
+                found.append(
+                    f"{channel.name}: only {count.compared} of {published} messages are in the recording"
+                )
         return found
 
     def _is_outside(self, key: str, stamp: int) -> bool:

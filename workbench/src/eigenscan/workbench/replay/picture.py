@@ -1,4 +1,4 @@
-"""Both sides of a difference in one Rerun file: what was said, and what is said now, on one map."""
+"""Both sides of a difference in one Rerun file: what was published, and what is published now, on one map."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ POSE_M, HYPOTHESIS_M = 1.4, 0.7
 
 
 def draw(target: Path, events: Iterable[Event], latched: Iterable[Envelope], first: int, report: str) -> None:
-    """Draws what both sides say within AROUND_NS of the stamp `first`, ns; raises OSError for the file."""
+    """Draws what both sides report within AROUND_NS of the stamp `first`, ns; raises OSError for the file."""
     target.open("wb").close()  # Rerun itself only logs that it cannot write
     stream = rr.RecordingStream("eigenscan replay")
     stream.save(str(target))
@@ -66,33 +66,35 @@ class _Picture:
             POSE: self._draw_pose,
         }
 
-    def draw(self, side: Side, said: Envelope) -> None:
+    def draw(self, side: Side, published: Envelope) -> None:
         """Draws what has a picture."""
-        drawn_by = self._drawn_by.get(said.channel)
+        drawn_by = self._drawn_by.get(published.channel)
         if drawn_by:
-            drawn_by(side, said)
+            drawn_by(side, published)
 
-    def _draw_scan(self, side: Side, said: Envelope) -> None:
-        points = lift(scan_points(said.open(Scan), np.zeros(3)), 0.0)
-        place = f"scan/{side.value}/{said.address['robot']}/{said.address['lidar']}"
+    def _draw_scan(self, side: Side, published: Envelope) -> None:
+        points = lift(scan_points(published.open(Scan), np.zeros(3)), 0.0)
+        place = f"scan/{side.value}/{published.address['robot']}/{published.address['lidar']}"
         radius = rr.Radius.ui_points(WIDTHS[side])
-        self.canvas.draw(said.stamp, place, rr.Points3D(points, colors=[COLOURS[side]], radii=radius))
+        self.canvas.draw(published.stamp, place, rr.Points3D(points, colors=[COLOURS[side]], radii=radius))
 
-    def _draw_hypotheses(self, side: Side, said: Envelope) -> None:
-        poses = np.array([from_message(one.pose) for one in said.open(Hypotheses).hypotheses]).reshape(-1, 3)
+    def _draw_hypotheses(self, side: Side, published: Envelope) -> None:
+        poses = np.array([from_message(one.pose) for one in published.open(Hypotheses).hypotheses]).reshape(
+            -1, 3
+        )
         strips = list(arrows(poses[are_places(poses)], HYPOTHESIS_M, 0.05))
-        self._draw_lines(side, said, f"hypotheses/{said.address['lidar']}", strips)
+        self._draw_lines(side, published, f"hypotheses/{published.address['lidar']}", strips)
 
-    def _draw_tracks(self, side: Side, said: Envelope) -> None:
-        ways = [[(p.x, p.y) for p in (*one.history, one.pose)] for one in said.open(Tracks).tracks]
-        self._draw_lines(side, said, "tracks", [lift(way, 0.03) for way in ways if is_place(way)])
+    def _draw_tracks(self, side: Side, published: Envelope) -> None:
+        ways = [[(p.x, p.y) for p in (*one.history, one.pose)] for one in published.open(Tracks).tracks]
+        self._draw_lines(side, published, "tracks", [lift(way, 0.03) for way in ways if is_place(way)])
 
-    def _draw_pose(self, side: Side, said: Envelope) -> None:
-        message, robot = said.open(PoseEstimate), said.address["robot"]
+    def _draw_pose(self, side: Side, published: Envelope) -> None:
+        message, robot = published.open(PoseEstimate), published.address["robot"]
         pose = from_message(message.pose)
         strips = list(arrows(pose, POSE_M, 0.1)) if message.track_id and is_place(pose) else []
-        self._draw_lines(side, said, "pose", strips)
-        stamp = said.stamp
+        self._draw_lines(side, published, "pose", strips)
+        stamp = published.stamp
         path = f"confidence/{robot}/{side.value}"
         self.canvas.style(path, lambda: (rr.SeriesLines(colors=[COLOURS[side]], names=[side.value]),))
         self.canvas.draw(stamp, path, rr.Scalars(message.confidence))
@@ -103,10 +105,10 @@ class _Picture:
             apart = math.dist((message.pose.x, message.pose.y), (other[1].pose.x, other[1].pose.y))
             self.canvas.draw(stamp, f"apart/{robot}", rr.Scalars(apart))
 
-    def _draw_lines(self, side: Side, said: Envelope, what: str, strips: list[Array32]) -> None:
-        place = f"world/{said.address['robot']}/{side.value}/{what}"
+    def _draw_lines(self, side: Side, published: Envelope, what: str, strips: list[Array32]) -> None:
+        place = f"world/{published.address['robot']}/{side.value}/{what}"
         lines = rr.LineStrips3D(strips, colors=[COLOURS[side]], radii=rr.Radius.ui_points(WIDTHS[side]))
-        self.canvas.draw(said.stamp, place, lines)
+        self.canvas.draw(published.stamp, place, lines)
 
 
 def _difference_first(report: str) -> str:

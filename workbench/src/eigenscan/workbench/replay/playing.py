@@ -13,7 +13,7 @@ from eigenscan.schemas.channels import MODEL, ODOMETRY, RELOCATION, SCAN_MOTION
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.workbench.replay.casting import Instance
-from eigenscan.workbench.replay.services import Service, heard_by, said_by
+from eigenscan.workbench.replay.services import Service, published_by, received_by
 from eigenscan.workbench.replay.survey import Survey
 
 DISPENSABLE = (ODOMETRY, RELOCATION, SCAN_MOTION)
@@ -23,7 +23,7 @@ DISPENSABLE = (ODOMETRY, RELOCATION, SCAN_MOTION)
 class Side(Enum):
     """Who an event comes from."""
 
-    HEARD = "heard"
+    RECEIVED = "heard"
     RECORDED = "recorded"
     REPLAYED = "replayed"
 
@@ -46,30 +46,30 @@ def play(
 ) -> Iterator[Event]:
     """All events, in order of the recording's log time; `moved` receives it.
 
-    Maps and models come first, for a recorder may hear them late; `models` stand for those of the recording.
+    Maps and models come first, a recorder may receive them late; `models` stand for those of the recording.
     Each answer follows what it answers.
     Raises UsageError where the cores lack what they need.
     """
-    said = said_by(services)
-    heard = heard_by(instances, said)
+    published = published_by(services)
+    received = received_by(instances, published)
     _check(survey, services)
     loop = Loopback(instances)
     yield from _replayed(survey.begin, loop.start())
-    early = {key: envelope for key, envelope in survey.latched.items() if envelope.channel in heard}
+    early = {key: envelope for key, envelope in survey.latched.items() if envelope.channel in received}
     first = models or early.values()
-    wanted = [envelope for envelope in first if envelope.channel in heard]
-    for envelope in sorted(wanted, key=lambda one: heard.index(one.channel)):
-        yield Event(Side.HEARD, survey.begin, envelope)
+    wanted = [envelope for envelope in first if envelope.channel in received]
+    for envelope in sorted(wanted, key=lambda one: received.index(one.channel)):
+        yield Event(Side.RECEIVED, survey.begin, envelope)
         yield from _replayed(survey.begin, loop.hear(envelope))
     _check_ready(survey, instances)
-    theirs, own = {channel.name for channel in said}, {channel.name for channel in heard}
+    theirs, own = {channel.name for channel in published}, {channel.name for channel in received}
     for record in read(survey.path):
         envelope = record.envelope
         moved(record.log_time)
         if envelope.channel.name in theirs:
             yield Event(Side.RECORDED, record.log_time, envelope)
         elif envelope.channel.name in own and not _is_early(envelope, early, models):
-            yield Event(Side.HEARD, record.log_time, envelope)
+            yield Event(Side.RECEIVED, record.log_time, envelope)
             yield from _replayed(record.log_time, loop.hear(envelope))
     yield from _replayed(survey.end, loop.finish())
 
@@ -79,8 +79,8 @@ def _is_early(envelope: Envelope, early: dict[str, Envelope], models: Sequence[E
     return envelope.channel.qos.latched and (bool(models) or early.pop(envelope.key, None) is not None)
 
 
-def _replayed(time: int, said: Iterable[Envelope]) -> Iterator[Event]:
-    return (Event(Side.REPLAYED, time, envelope) for envelope in said)
+def _replayed(time: int, published: Iterable[Envelope]) -> Iterator[Event]:
+    return (Event(Side.REPLAYED, time, envelope) for envelope in published)
 
 
 def _check(survey: Survey, services: tuple[Service, ...]) -> None:

@@ -64,7 +64,7 @@ def open_beside(recording: Path) -> Reference | None:
 
 
 def write_beside(recording: Path, parts: Mapping[str, Iterable[Event]]) -> int:
-    """Makes what is said in the events of each choice of services the reference; the number of messages.
+    """Makes what is published in the events of each choice of services the reference; the number of messages.
 
     The old one stays until all is done.
     """

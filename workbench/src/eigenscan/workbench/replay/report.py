@@ -40,7 +40,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
         "notes": outcome.notes,
         "recording_s": outcome.survey.seconds,
         "took_s": outcome.took_s,
-        "heard": {channel.name: count for channel, count in outcome.heard.items() if count},
+        "heard": {channel.name: count for channel, count in outcome.received.items() if count},
         "channels": {
             channel.name: vars(count) | {"judged": channel in outcome.comparison.judged}
             for channel, count in outcome.comparison.counts.items()
@@ -74,8 +74,8 @@ def _lines(outcome: Outcome) -> Iterator[str]:
         told = outcome.survey.told.get((instance.service.name, instance.name))
         then = f", recorded with version {told.version}" if told and told.version else ""
         yield f"{instance.service.name} {instance.name}: {instance.source}{then}"
-    heard = ", ".join(f"{count} {channel.name}" for channel, count in outcome.heard.items() if count)
-    yield f"heard {heard}; {pace(outcome)}"
+    received = ", ".join(f"{count} {channel.name}" for channel, count in outcome.received.items() if count)
+    yield f"heard {received}; {pace(outcome)}"
     yield from (f"note: {note}" for note in outcome.notes)
     yield from _table(outcome.comparison)
     first = outcome.comparison.first

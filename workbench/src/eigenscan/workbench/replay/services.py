@@ -47,7 +47,7 @@ PARTS: tuple[Service, ...] = (SCAN_INGEST, PROJECTOR, TRACKER)
 
 PIPELINE = "pipeline"
 CHOICES: dict[str, tuple[Service, ...]] = {part.name: (part,) for part in PARTS} | {PIPELINE: PARTS}
-"""What `--service` takes; `pipeline` is all of them in a row, each hearing what the one before says."""
+"""What `--service` takes; `pipeline` is all of them in a row, each receiving what the last one publishes."""
 
 ARRIVAL: dict[Channel, str] = {
     TRANSFORM: "one follows each odometry sample, and rests on the newest pose that was there by then: "
@@ -56,12 +56,12 @@ ARRIVAL: dict[Channel, str] = {
 """What is not judged of a recording over Zenoh, and why. The poses that a transform rests on are judged."""
 
 
-def said_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:
+def published_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:
     """Channels that these services speak on."""
     return tuple(channel for service in services for channel in service.says)
 
 
-def heard_by(cores: Sequence[Core], said: tuple[Channel, ...]) -> tuple[Channel, ...]:
-    """Channels that must come from the recording: what the cores hear, by their settings, but do not say."""
-    channels = (channel for core in cores for channel in core.hears if channel not in said)
+def received_by(cores: Sequence[Core], published: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Channels that must come from the recording: the cores receive, but do not publish them."""
+    channels = (channel for core in cores for channel in core.hears if channel not in published)
     return tuple(dict.fromkeys(channels))

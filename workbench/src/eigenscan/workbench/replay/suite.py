@@ -16,7 +16,7 @@ from eigenscan.workbench.replay.comparison import Terms
 from eigenscan.workbench.replay.playing import Event, Side, play
 from eigenscan.workbench.replay.reference import SUFFIX, Reference, open_beside, write_beside
 from eigenscan.workbench.replay.report import report, summary
-from eigenscan.workbench.replay.services import ARRIVAL, CHOICES, PIPELINE, said_by
+from eigenscan.workbench.replay.services import ARRIVAL, CHOICES, PIPELINE, published_by
 from eigenscan.workbench.replay.survey import Survey, survey
 from eigenscan.workbench.replay.trial import Trial, picture, picture_beside, run
 
@@ -85,7 +85,7 @@ def judge(recording: Path, plan: Plan) -> Iterator[Case]:
 
 
 def update(recording: Path, plan: Plan) -> Case:
-    """Makes what the cores say now the reference of a recording."""
+    """Makes what the cores report now the reference of a recording."""
     try:
         found = survey(recording)
         choices = plan.choices or _spoken(found) or (PIPELINE,)
@@ -104,9 +104,15 @@ def _kept(recording: Path, choices: tuple[str, ...]) -> dict[str, Iterable[Event
         present = open_beside(recording)
     except ValueError:  # of another recording, or damaged: it is made anew
         return {}
-    anew = {channel for choice in choices for channel in said_by(CHOICES[choice])}
-    others = [name for name in present.choices if anew.isdisjoint(said_by(CHOICES[name]))] if present else []
-    return {name: present.words(Side.REPLAYED, said_by(CHOICES[name])) for name in others} if present else {}
+    anew = {channel for choice in choices for channel in published_by(CHOICES[choice])}
+    others = (
+        [name for name in present.choices if anew.isdisjoint(published_by(CHOICES[name]))] if present else []
+    )
+    return (
+        {name: present.words(Side.REPLAYED, published_by(CHOICES[name])) for name in others}
+        if present
+        else {}
+    )
 
 
 def _choices(found: Survey, reference: Reference | None, plan: Plan) -> tuple[str, ...]:
@@ -155,12 +161,14 @@ def junit(cases: Sequence[Case], name: str = "eigenscan replay-test") -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def run_all(files: Sequence[Path], plan: Plan, said: Callable[[Case], None], jobs: int = 1) -> list[Case]:
+def run_all(
+    files: Sequence[Path], plan: Plan, published: Callable[[Case], None], jobs: int = 1
+) -> list[Case]:
     """The cases of all files, `jobs` files at a time; `said` receives each in the order of the files."""
     cases = []
     for found in _judged(files, plan, min(jobs, len(files))):
         for case in found:
-            said(case)
+            published(case)
             cases.append(case)
     return cases
 

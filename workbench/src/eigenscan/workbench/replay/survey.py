@@ -13,7 +13,7 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import Tracks
-from eigenscan.workbench.replay.services import PARTS, said_by
+from eigenscan.workbench.replay.services import PARTS, published_by
 
 
 @dataclass
@@ -28,9 +28,9 @@ class Told:
 
     def hear(self, health: Health) -> None:
         """Takes its next word."""
-        heard = {name: count for name, count in health.counters.items() if name != "waiting"}
-        self.restarts += any(count > heard.get(name, 0) for name, count in self.counters.items())
-        self.version, self.counters = health.package_version, heard
+        received = {name: count for name, count in health.counters.items() if name != "waiting"}
+        self.restarts += any(count > received.get(name, 0) for name, count in self.counters.items())
+        self.version, self.counters = health.package_version, received
         self.settings = self.settings or health.settings
         self.settings_changed |= health.settings not in ("", self.settings)
 
@@ -86,7 +86,7 @@ class Survey:
             self.told.setdefault((health.service, health.instance), Told()).hear(health)
         if channel.qos.latched:
             self.latched.setdefault(key, envelope)
-        if channel in _SAID:
+        if channel in _PUBLISHED:
             stamp = envelope.stamp
             first, last = self.spans.get(key, (stamp, stamp))
             self.spans[key] = min(first, stamp), max(last, stamp)
@@ -107,7 +107,7 @@ class Survey:
                 self.remembered["tracker"] = f"its first track here is {age:.1f} s old"
 
 
-_SAID = said_by(PARTS)
+_PUBLISHED = published_by(PARTS)
 
 
 def survey(path: Path) -> Survey:

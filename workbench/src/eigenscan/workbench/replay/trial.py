@@ -15,7 +15,7 @@ from eigenscan.workbench.replay.casting import Changes, Instance, cast
 from eigenscan.workbench.replay.comparison import Comparison, Terms
 from eigenscan.workbench.replay.playing import Event, Side, play
 from eigenscan.workbench.replay.reference import Reference
-from eigenscan.workbench.replay.services import Service, said_by
+from eigenscan.workbench.replay.services import Service, published_by
 from eigenscan.workbench.replay.survey import Survey
 
 
@@ -41,7 +41,7 @@ class Outcome:
     survey: Survey
     instances: list[Instance]
     comparison: Comparison
-    heard: Counter[Channel]
+    received: Counter[Channel]
     took_s: float
 
     @property
@@ -55,21 +55,21 @@ def run(trial: Trial, survey: Survey, moved: Callable[[int], None] = lambda _tim
     before = time.perf_counter()
     instances = cast(survey, trial.services, trial.changes)
     spans = trial.reference.spans if trial.reference else survey.spans
-    comparison = Comparison(said_by(trial.services), spans, trial.terms)
-    heard = Counter[Channel]()
+    comparison = Comparison(published_by(trial.services), spans, trial.terms)
+    received = Counter[Channel]()
     events = _events(trial, survey, instances, moved)
     for event in _written(trial.out, events) if trial.out else events:
-        heard[event.envelope.channel] += event.side is Side.HEARD
+        received[event.envelope.channel] += event.side is Side.RECEIVED
         comparison.take(event)
     comparison.finish()
-    return Outcome(survey, instances, comparison, heard, time.perf_counter() - before)
+    return Outcome(survey, instances, comparison, received, time.perf_counter() - before)
 
 
 def _events(
     trial: Trial, survey: Survey, instances: Sequence[Instance], moved: Callable[[int], None]
 ) -> Iterator[Event]:
     events = play(survey, trial.services, instances, trial.models, moved)
-    return _beside(trial.reference, said_by(trial.services), events) if trial.reference else events
+    return _beside(trial.reference, published_by(trial.services), events) if trial.reference else events
 
 
 def picture_beside(recording: Path, choice: str) -> Path:
@@ -144,10 +144,10 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
                 "here it may be in time, and answers differ from there on"
             )
         for each in instance.hears:
-            heard, held = told.counters.get(f"heard_{each.name}", 0) if told else 0, survey.counts[each]
-            if not each.qos.latched and heard > held:
+            received, held = told.counters.get(f"heard_{each.name}", 0) if told else 0, survey.counts[each]
+            if not each.qos.latched and received > held:
                 yield (
-                    f"{name} had received {heard} {each.name}, the recording holds {held}: "
+                    f"{name} had received {received} {each.name}, the recording holds {held}: "
                     "what the recorder missed cannot be replayed, and answers may differ for it"
                 )
         if instance.faults:

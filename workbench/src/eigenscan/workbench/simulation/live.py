@@ -45,7 +45,7 @@ def publish(
     speed: float = 1.0,
     stop: threading.Event | None = None,
 ) -> None:
-    """Says each message when its time has come, `speed` times faster than real; until `stop` is set."""
+    """Publishes each message when its time has come, `speed` times faster than real; until `stop` is set."""
     stopped, metronome = stop or threading.Event(), Metronome(speed)
     for timed in messages:
         rest = metronome.rest(timed.time)

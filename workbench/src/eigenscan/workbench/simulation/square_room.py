@@ -146,14 +146,14 @@ def drive(
             range_max=RANGE_MAX_M,
             ranges=ranges.tolist(),
         )
-        said = [
+        published = [
             *loop.hear(
                 Envelope(ODOMETRY, ROBOT, Odometry(timestamp=at, frame_id="odom", pose=to_pose3(driven)))
             ),
             *loop.hear(Envelope(SCAN_RAW, {**ROBOT, "lidar": "front"}, scan)),
         ]
-        (listed,) = (each.open(Hypotheses) for each in said if each.channel is HYPOTHESES)
-        (tracks,) = (each.open(Tracks) for each in said if each.channel is TRACKS)
+        (listed,) = (each.open(Hypotheses) for each in published if each.channel is HYPOTHESES)
+        (tracks,) = (each.open(Tracks) for each in published if each.channel is TRACKS)
         yield Moment(number, truth, listed, tracks)
         step = np.array([STEP_M, 0.0, TURN_RAD * np.cos(2.0 * np.pi * number / OBSERVATIONS)])
         truth, driven = compose(truth, step), compose(driven, step)

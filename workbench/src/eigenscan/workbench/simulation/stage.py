@@ -139,10 +139,10 @@ class Stage:
         scans = set(self.scan_ticks.tolist())
         for tick, time in enumerate(self.times.tolist()):
             if tick % ODOMETRY_EVERY == 0:
-                yield Timed(time, self._say_odometry(tick, time))
+                yield Timed(time, self._publish_odometry(tick, time))
             if tick in scans:
-                yield Timed(time, self._say_truth(tick, time))
-                yield Timed(time, self._say_scan(tick, time, random))
+                yield Timed(time, self._publish_truth(tick, time))
+                yield Timed(time, self._publish_scan(tick, time, random))
 
     @property
     def keys(self) -> list[str]:
@@ -154,7 +154,7 @@ class Stage:
         scenario = self.scenario
         return {"site": scenario.site, "robot": scenario.robot, "lidar": scenario.lidar_name}
 
-    def _say_odometry(self, tick: int, time: int) -> Envelope:
+    def _publish_odometry(self, tick: int, time: int) -> Envelope:
         message = Odometry(
             timestamp=stamp(time),
             frame_id="odom",
@@ -163,11 +163,11 @@ class Stage:
         )
         return Envelope(ODOMETRY, self._address, message)
 
-    def _say_truth(self, tick: int, time: int) -> Envelope:
+    def _publish_truth(self, tick: int, time: int) -> Envelope:
         message = PoseInFrame(timestamp=stamp(time), frame_id="map", pose=to_pose3(self.poses[tick]))
         return Envelope(TRUTH, self._address, message)
 
-    def _say_scan(self, tick: int, time: int, random: np.random.Generator) -> Envelope:
+    def _publish_scan(self, tick: int, time: int, random: np.random.Generator) -> Envelope:
         lidar, pose = self.scenario.lidar, self.poses[tick]
         people = self.people_at(time)
         message = RawScan(

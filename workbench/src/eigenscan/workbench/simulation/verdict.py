@@ -30,6 +30,7 @@ class Sighting:
     truth: Array  # (3,)
     claimed: bool  # the state was LOCALIZED
     confidence: float
+    candidates: int = 0  # tracks in play
 
     @property
     def error_m(self) -> float:
@@ -59,6 +60,7 @@ class Stretch:
     confidence: float
     claims: int
     wrong_claims: int
+    candidates: int = 0  # most tracks in play until then
 
     @property
     def found(self) -> bool:
@@ -79,6 +81,7 @@ def judge(sightings: Sequence[Sighting], start: float, end: float) -> Stretch:
     claims = [sighting for sighting in own if sighting.claimed]
     tail = _right_to_the_end(claims)
     settled = len(tail) >= ENOUGH and end - tail[-1].time <= SILENCE_S
+    searching = [sighting for sighting in own if not tail or sighting.time < tail[0].time]
     honest = next((sighting for sighting in own if sighting.right or not sighting.claimed), None)
     return Stretch(
         found_after=tail[0].time - start if settled else None,
@@ -89,6 +92,7 @@ def judge(sightings: Sequence[Sighting], start: float, end: float) -> Stretch:
         confidence=_median([sighting.confidence for sighting in tail]),
         claims=len(claims),
         wrong_claims=sum(not sighting.right for sighting in claims),
+        candidates=max((sighting.candidates for sighting in searching), default=0),
     )
 
 

@@ -1,0 +1,274 @@
+"""Rides in a lift over stacked maps: how soon the floor is right, and how often a wrong one is claimed.
+
+    .venv/bin/python benchmarks/lifts.py [--rides 100] [--first 0] [--kind unlike] [--json OUT]
+    .venv/bin/python benchmarks/lifts.py --maps intel/map.yaml fr079/map.yaml [--rides 100]
+
+A robot drives 2.5 m to the cabin, turns around in it while it sees its walls alone, and drives out on another
+floor, through scan-ingest, projector and tracker as they are on a robot. Kinds of stack: `unlike` (two floors
+with nothing in common, the robot gets out anywhere), `refurnished` (one plan twice, each with half of its
+furniture; the lift is at the same place) and `alike` (one and the same floor twice). With `--maps` the floors
+are real maps of one cell size. A ride counts if a pose was claimed on the first floor; on floors that are
+alike none must be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.eigenspace.floors import floor_of
+from eigenscan.geometry.gridmap import GridMap, read_map, to_message
+from eigenscan.geometry.pose import compose, from_message, to_pose3
+from eigenscan.geometry.raycast import RayCaster
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.core import announce_models
+from eigenscan.mapbuilder.floors import name_by_floor, stack
+from eigenscan.mapbuilder.site import Plan, build_site, lay_out
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas.channels import MAP, MODEL_SET, ODOMETRY, POSE, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.simulation.world import office
+from floors import floor, poses
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ADDRESS = {"site": "s", "robot": "r", "lidar": "front"}
+RATE_HZ, STEP_M = 10, 0.1
+WAY_M, TURN_SCANS = 2.5, 25
+"""To the cabin and out of it; scans in it."""
+CABIN_M = 0.8
+"""Half a cabin's width."""
+BEAMS, FIELD_RAD, REACH_M, NOISE_M, PEOPLE = 541, np.radians(270.0), 25.0, 0.01, 0.05
+BEARINGS = np.linspace(-0.5 * FIELD_RAD, 0.5 * FIELD_RAD, BEAMS)
+ROOM_M = 0.5
+"""More than the way that must be free ahead."""
+RIGHT_M = 0.5
+SOON_S = 1.0
+
+
+@dataclass(frozen=True)
+class Ride:
+    """What was claimed of the floor after the doors opened; times and ways since then."""
+
+    number: int
+    claimed_before: bool
+    right_after_s: float | None
+    """From when on a pose on the right floor was claimed."""
+    wrong_floor_m: float
+    """Driven while a wrong floor was claimed."""
+    wrong_floor_scans: int
+    wrong_place_scans: int
+    claimed_scans: int
+
+
+@dataclass
+class Building:
+    """Floors by name, and a projector that knows them."""
+
+    floors: dict[str, GridMap]
+    same_place: bool
+
+    def __post_init__(self) -> None:
+        grid, floors = stack(list(self.floors.items()))
+        plan = Plan()
+        built = build_site(grid, plan, layout=name_by_floor(lay_out(grid, plan), floors))
+        site = replace(built, floors=floors)
+        self.parts = {each.name: each for each in floors}
+        self.casters = {name: RayCaster.of(own) for name, own in self.floors.items()}
+        self.models = list(announce_models(site, "s"))
+        self.projector = ProjectorCore(ProjectorSettings())
+        for said in (Envelope(MAP, {"site": "s"}, to_message(grid, site.frame_id)), *self.models):
+            self.projector.handle(said)
+
+    def ride(self, number: int) -> Ride:
+        """One ride, always the same by its number."""
+        rng = np.random.default_rng(number)
+        names = list(self.floors)
+        begin, end = (names[i] for i in rng.permutation(len(names))[:2])
+        out = self._exit(end, rng, begin if self.same_place else None)
+        into = out if self.same_place else self._exit(begin, rng)
+        tracker = TrackerCore(TrackerSettings())
+        for said in self.models:
+            if said.channel == MODEL_SET:
+                tracker.handle(said)
+        loop = Loopback([ScanIngestCore(ScanIngestSettings()), self.projector, tracker])
+        robot = _Robot(loop, rng)
+        before: list[PoseEstimate] = []
+        for ahead in np.arange(WAY_M, STEP_M, -STEP_M):
+            at = compose(compose(into, [ahead, 0.0, 0.0]), [0.0, 0.0, np.pi])
+            before += robot.see(self._scan(begin, at), [STEP_M, 0.0, 0.0])
+        for turned in np.linspace(-np.pi, 0.0, TURN_SCANS):
+            square = CABIN_M / np.maximum(
+                np.abs(np.cos(BEARINGS + turned)), np.abs(np.sin(BEARINGS + turned))
+            )
+            robot.see(square, [0.0, 0.0, np.pi / (TURN_SCANS - 1)])
+        after = [
+            (step, [self._judge(end, compose(out, [STEP_M * step, 0.0, 0.0]), one) for one in said])
+            for step in range(round(WAY_M / STEP_M))
+            for said in [
+                robot.see(self._scan(end, compose(out, [STEP_M * step, 0.0, 0.0])), [STEP_M, 0.0, 0.0])
+            ]
+        ]
+        return _told(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
+
+    def _exit(self, name: str, rng: np.random.Generator, other: str | None = None) -> Array:
+        """A pose (3,) in a floor's own frame with a free way ahead; on floor `other` too."""
+        for pose in poses(self.floors[name], 400, int(rng.integers(1 << 30)), clearance=0.4):
+            if all(self._clear(each, pose) for each in (name, other) if each):
+                return np.asarray(pose)
+        raise SystemExit(f"{name}: nowhere a free way of {WAY_M} m")
+
+    def _clear(self, name: str, pose: Array) -> bool:
+        fan = np.radians([-8.0, 0.0, 8.0])
+        return bool(self.casters[name].cast(pose, fan, REACH_M)[0].min() > WAY_M + ROOM_M)
+
+    def _scan(self, name: str, pose: Array) -> Array:
+        return np.asarray(self.casters[name].cast(pose, BEARINGS, REACH_M)[0], dtype=np.float64)
+
+    def _judge(self, name: str, truth: Array, estimate: PoseEstimate) -> str:
+        """What a pose is worth: "", "right", "wrong place" or "wrong floor"."""
+        if estimate.state != STATE_LOCALIZED:
+            return ""
+        pose = from_message(estimate.pose)
+        on = floor_of(self.parts.values(), pose)
+        if on is None or on.name != name or estimate.floor != name:
+            return "wrong floor"
+        off = from_message(estimate.floor_pose) - truth
+        return "right" if np.hypot(off[0], off[1]) <= RIGHT_M else "wrong place"
+
+
+class _Robot:
+    """Gives scans and odometry to the pipeline; odometry drifts by 2 % and 1 degree a metre."""
+
+    def __init__(self, loop: Loopback, rng: np.random.Generator) -> None:
+        self._loop, self._rng = loop, rng
+        self._odometry, self._at = np.zeros(3), 1_000_000_000
+        loop.start()
+
+    def see(self, ranges: Array, step: Sequence[float]) -> list[PoseEstimate]:
+        """Poses that follow from one scan, taken after the robot moved by `step` (3,)."""
+        self._at += 1_000_000_000 // RATE_HZ
+        moved = np.asarray(step) * [1.02, 1.0, 1.0]
+        self._odometry = compose(self._odometry, moved + np.array([0.0, 0.0, self._rng.normal(0.0, 0.005)]))
+        odometry = Odometry(timestamp=stamp(self._at), pose=to_pose3(self._odometry))
+        said = self._loop.hear(Envelope(ODOMETRY, ADDRESS, odometry))
+        said += self._loop.hear(Envelope(SCAN_RAW, ADDRESS, self._raw(ranges)))
+        return [one.open(PoseEstimate) for one in said if one.channel == POSE]
+
+    def _raw(self, ranges: Array) -> RawScan:
+        seen = ranges + self._rng.normal(0.0, NOISE_M, BEAMS)
+        hidden = 0
+        while hidden < PEOPLE * BEAMS:
+            away, begin = self._rng.uniform(0.6, 3.0), int(self._rng.integers(BEAMS))
+            legs = slice(begin, begin + max(1, round(0.15 / away / (BEARINGS[1] - BEARINGS[0]))))
+            seen[legs] = np.minimum(seen[legs], away)
+            hidden += legs.stop - legs.start
+        return RawScan(
+            timestamp=stamp(self._at),
+            angle_min=BEARINGS[0],
+            angle_increment=BEARINGS[1] - BEARINGS[0],
+            range_min=0.05,
+            range_max=REACH_M,
+            ranges=np.maximum(seen, 0.05).tolist(),
+        )
+
+
+def _told(number: int, claimed_before: bool, after: list[tuple[int, list[str]]]) -> Ride:
+    verdicts = [(step, one) for step, each in after for one in each]
+    wrong = [step for step, one in verdicts if one == "wrong floor"]
+    right = [step for step, one in verdicts if one == "right"]
+    last_wrong = max(wrong, default=-1)
+    since = next((step for step in right if step > last_wrong), None)
+    return Ride(
+        number,
+        claimed_before,
+        None if since is None else since / RATE_HZ,
+        (last_wrong + 1) * STEP_M,
+        len(wrong),
+        sum(one == "wrong place" for _, one in verdicts),
+        sum(one != "" for _, one in verdicts),
+    )
+
+
+def buildings(kind: str) -> Building:
+    """The stack of a kind."""
+    if kind == "unlike":
+        return Building({"ground": floor(300.0, seed=5), "first": floor(300.0, seed=6)}, same_place=False)
+    plan = office()
+    pieces = plan.furniture
+    if kind == "refurnished":
+        first, second = (replace(plan, furniture=tuple(pieces[i::2])) for i in range(2))
+        return Building({"ground": first.render(), "first": second.render()}, same_place=True)
+    return Building({"ground": plan.render(), "first": plan.render()}, same_place=True)
+
+
+def real(paths: Sequence[Path]) -> Building:
+    """Real maps, one floor each."""
+    return Building({path.parent.name or path.stem: read_map(path) for path in paths}, same_place=False)
+
+
+def summary(kind: str, rides: Sequence[Ride]) -> dict[str, Any]:
+    """Shares of the rides that count."""
+    counted = [one for one in rides if one.claimed_before] if kind != "alike" else list(rides)
+    soon = [one for one in counted if one.right_after_s is not None and one.right_after_s <= SOON_S]
+    wrong = [one for one in counted if one.wrong_floor_scans]
+    ways = Counter(round(one.wrong_floor_m, 1) for one in wrong)
+    return {
+        "kind": kind,
+        "rides": len(rides),
+        "counted": len(counted),
+        "right_within_1s": len(soon) / max(len(counted), 1),
+        "right_in_the_end": sum(one.right_after_s is not None for one in counted) / max(len(counted), 1),
+        "rides_with_wrong_floor": len(wrong),
+        "wrong_floor_m": dict(sorted(ways.items())),
+        "rides_with_wrong_place": sum(one.wrong_place_scans > 0 for one in counted),
+        "rides_with_a_claim": sum(one.claimed_scans > 0 for one in counted),
+        "wrong_rides": [one.number for one in wrong][:20],
+    }
+
+
+def main() -> None:
+    """Prints a line for each kind of stack."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rides", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="number of the first ride")
+    parser.add_argument("--kind", action="append", choices=("unlike", "refurnished", "alike"))
+    parser.add_argument("--maps", type=Path, nargs="+", help="map_server yaml files, the floors")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    told: list[dict[str, Any]] = []
+    for kind, building in _chosen(arguments):
+        rides = [
+            building.ride(number) for number in range(arguments.first, arguments.first + arguments.rides)
+        ]
+        told.append(summary(kind, rides) | {"each": [asdict(one) for one in rides]})
+        print({key: value for key, value in told[-1].items() if key != "each"}, flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
+
+
+def _chosen(arguments: argparse.Namespace) -> Iterator[tuple[str, Building]]:
+    if arguments.maps:
+        yield "real", real(arguments.maps)
+        return
+    for kind in arguments.kind or ("unlike", "refurnished", "alike"):
+        yield kind, buildings(kind)
+
+
+if __name__ == "__main__":
+    main()
