@@ -185,7 +185,7 @@ def test_a_process_of_its_own_ends_as_it_does_here(typed: str) -> None:
     here = eigenscan(*words, COLUMNS="80")
     assert process.returncode == here.returncode
     assert process.stdout == here.stdout
-    last = [said.stderr.strip().rpartition("\n")[2] for said in (process, here)]
+    last = [published.stderr.strip().rpartition("\n")[2] for published in (process, here)]
     assert last[0] == last[1]
 
 
@@ -208,12 +208,12 @@ def test_live_simulation_keeps_the_pace(tmp_path: Path) -> None:
     from eigenscan.workbench.simulation.world import office
 
     stage = Stage(office().render(), Scenario(seconds=1.0, people=0))
-    said: list[str] = []
+    published: list[str] = []
     begun = time.monotonic()
-    publish(stage.messages(), lambda envelope: said.append(envelope.channel.name), speed=2.0)
+    publish(stage.messages(), lambda envelope: published.append(envelope.channel.name), speed=2.0)
     # never ahead of the clock; how late is the machine's affair
     assert time.monotonic() - begun >= 0.49
-    assert said.count("scan_raw") == 10
+    assert published.count("scan_raw") == 10
 
 
 def test_a_command_mistyped_is_told_the_one_that_was_meant() -> None:

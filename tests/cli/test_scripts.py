@@ -101,8 +101,8 @@ def test_ctrl_c_is_130(tmp_path: Path) -> None:
 def test_the_shell_completes(tmp_path: Path, typed: str, word: int, offered: str) -> None:
     shell = {"_EIGENSCAN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(word)}
     command = [str(Path(sys.executable).with_name("eigenscan"))]
-    said = subprocess.run(command, env=os.environ | shell, capture_output=True, text=True, check=False)
-    assert said.stdout.split() == [offered]
+    published = subprocess.run(command, env=os.environ | shell, capture_output=True, text=True, check=False)
+    assert published.stdout.split() == [offered]
 
 
 def test_every_heading_of_the_help_is_of_commands_that_there_are(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ class View:
 
     def __init__(self, pose: PoseEstimate) -> None:
         self.site, self.model_version = "s", ""
-        self.robots = {"r1": Robot("r1", pose=pose, heard_at=time.monotonic())}
+        self.robots = {"r1": Robot("r1", pose=pose, received_at=time.monotonic())}
 
     def robot_names(self) -> list[str]:
         return [*self.robots]
@@ -39,3 +39,12 @@ def test_a_place_is_told_on_its_floor(floor: str, place: str) -> None:
     (row,) = rows(view)  # type: ignore[arg-type]
     assert row["floor"] == floor
     assert (row["floor_x"], row["floor_y"]) == ((1.5, 2.5) if floor else (None, None))
+
+
+def test_a_robots_name_does_not_turn_the_line_around() -> None:
+    view = View(PoseEstimate(state=STATE_LOCALIZED))
+    view.robots = {"r\u202e1[b]": Robot("r\u202e1[b]", received_at=time.monotonic())}
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(table(view))  # type: ignore[arg-type]
+    assert "r?1[b]" in shown.get()

@@ -56,6 +56,24 @@ def test_most_single_scans_are_found_first(localizer: Localizer, drive: Path) ->
     assert np.mean((errors < (0.3, 0.1)).all(axis=1)) > 0.7
 
 
+def test_probabilities_sum_to_one_and_what_is_known_leaves_out_the_rest(
+    localizer: Localizer, drive: Path
+) -> None:
+    scan, _ = read_log(drive / "drive.mcap")[20]
+    found = localizer.localize(scan)
+    assert found.probabilities.sum() + found.none_probability == pytest.approx(1.0, abs=1e-6)
+    there = STAGE.pose_at(scan.stamp)
+    near = localizer.localize(scan, near=there, radius=0.4, turn=0.3)
+    assert len(near.poses)
+    assert (np.hypot(*(near.poses[:, :2] - there[:2]).T) <= 0.4).all()
+    with pytest.raises(ValueError, match="radius"):
+        localizer.localize(scan, near=there)
+    with pytest.raises(ValueError, match=r"near of shape \(2,\)"):
+        localizer.localize(scan, near=(1.0, 2.0), radius=1.0)
+    with pytest.raises(ValueError, match="floor: 'attic'"):
+        localizer.localize(scan, floor="attic")
+
+
 def test_a_drive_is_tracked(localizer: Localizer, drive: Path) -> None:
     last: Estimate | None = None
     for scan, odometry in read_log(drive / "drive.mcap"):

@@ -70,7 +70,16 @@ def test_headless_demo_finds_the_robot_twice_and_leaves_nothing_running(tmp_path
     assert _all_gone(seen)
     assert "found itself again" in output
     assert "http" not in output
-    for what in ("first pose", "kidnap at 12 s", "error", "confidence", "demo.mcap", "demo.rrd", "map.yaml"):
+    for what in (
+        "lost for",
+        "candidates",
+        "kidnap at 12 s",
+        "error",
+        "confidence",
+        "demo.mcap",
+        "demo.rrd",
+        "map.yaml",
+    ):
         assert what in output
     _recording_holds_the_way_of_the_data(tmp_path / "out/demo.mcap")
 
@@ -123,9 +132,9 @@ def test_with_a_viewer_it_prints_one_link_that_works_until_it_is_ended(tmp_path:
         (tmp_path / "said").open("w") as file,
         subprocess.Popen(command, stdout=file, env=environment) as process,
     ):
-        said = tmp_path / "said"
-        assert _eventually(lambda: "until Ctrl-C" in said.read_text(), PATIENCE_S), said.read_text()
-        links = [word for word in said.read_text().split() if word.startswith("http")]
+        published = tmp_path / "said"
+        assert _eventually(lambda: "until Ctrl-C" in published.read_text(), PATIENCE_S), published.read_text()
+        links = [word for word in published.read_text().split() if word.startswith("http")]
         assert len(links) == 1
         with urlopen(links[0], timeout=PATIENCE_S) as page:
             assert page.status == 200
@@ -134,8 +143,8 @@ def test_with_a_viewer_it_prints_one_link_that_works_until_it_is_ended(tmp_path:
         process.send_signal(signal.SIGINT)
         process.wait(PATIENCE_S)
     assert _all_gone(children)
-    assert process.returncode == 0, said.read_text()
-    assert "found itself again" in said.read_text()
+    assert process.returncode == 0, published.read_text()
+    assert "found itself again" in published.read_text()
 
 
 def test_a_folder_that_holds_a_demo_is_not_overwritten(tmp_path: Path) -> None:

@@ -8,14 +8,14 @@ from eigenscan.cli.launch.network import open_hub
 from eigenscan.runtime.session import open_session
 
 
-def _hears(listener: zenoh.Session, speaker: zenoh.Session, seconds: float) -> bool:
-    heard: list[str] = []
-    with listener.declare_subscriber("trial/**", lambda sample: heard.append(str(sample.key_expr))):
+def _receives(listener: zenoh.Session, speaker: zenoh.Session, seconds: float) -> bool:
+    received: list[str] = []
+    with listener.declare_subscriber("trial/**", lambda sample: received.append(str(sample.key_expr))):
         deadline = time.monotonic() + seconds
-        while not heard and time.monotonic() < deadline:
+        while not received and time.monotonic() < deadline:
             speaker.put("trial/word", b"")
             time.sleep(0.02)
-    return bool(heard)
+    return bool(received)
 
 
 def test_members_meet_each_other_and_strangers_stay_outside(tmp_path: Path) -> None:
@@ -24,12 +24,12 @@ def test_members_meet_each_other_and_strangers_stay_outside(tmp_path: Path) -> N
     first, second = open_session(members), open_session(members)
     stranger = open_session(other_members)
     try:
-        assert _hears(first, second, 120.0)
-        assert _hears(hub, first, 120.0)
-        assert _hears(other_hub, stranger, 120.0)
-        assert not _hears(first, stranger, 1.0)
+        assert _receives(first, second, 120.0)
+        assert _receives(hub, first, 120.0)
+        assert _receives(other_hub, stranger, 120.0)
+        assert not _receives(first, stranger, 1.0)
         hub.close()
-        assert _hears(second, first, 120.0)
+        assert _receives(second, first, 120.0)
     finally:
         for session in (first, second, stranger, hub, other_hub):
             session.close()

@@ -25,14 +25,15 @@ pytestmark = pytest.mark.slow
 EIGENSCAN = [sys.executable, "-m", "eigenscan.cli.main"]
 
 
-def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -> None:
+@pytest.mark.parametrize("way", [[], ["--together"]], ids=["separate", "together"])
+def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], tmp_path: Path) -> None:
     grid = office().render()
     write_map(grid, tmp_path / "map.yaml")
     site = f"test-{uuid4().hex}"
     stage = Stage(grid, Scenario(seconds=6.0, people=0, site=site, robot="r17"))
     session, zenoh = open_hub(tmp_path / "net")
     command = [*EIGENSCAN, "run", "--map", str(tmp_path / "map.yaml"), "--robot", "r17", "--site", site,
-               "--zenoh", str(zenoh), "--no-viewer", "--out", str(tmp_path / "out")]  # fmt: skip
+               "--zenoh", str(zenoh), "--no-viewer", "--out", str(tmp_path / "out"), *way]  # fmt: skip
     launch = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     with FleetView(session, site) as view, launch as process:
         deadline = time.monotonic() + 480.0
@@ -48,6 +49,7 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(tmp_path: Path) -
             poses += view.update()
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
+        assert len(children) == (1 if way else 5)
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=240)
     assert any(pose.state == STATE_LOCALIZED for pose in poses)

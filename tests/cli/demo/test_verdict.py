@@ -1,10 +1,13 @@
 """Found means: the claims are right, from some scan on to the end."""
 
 import math
+import socket
+from dataclasses import replace
 
 import numpy as np
+import psutil
 import pytest
-from eigenscan.cli.demonstration.show import summarize
+from eigenscan.cli.demonstration.show import data_port, is_watched, summarize
 from eigenscan.workbench.simulation.verdict import Sighting, judge
 
 
@@ -92,3 +95,27 @@ def test_the_summary_says_in_one_line_why_it_failed() -> None:
     assert len(failed) == 1
     assert "all 30 poses that it claimed were wrong" in failed[0]
     assert "before the kidnap (it claimed no pose)" in summarize(judge([], 0.0, 1.0), good, 3.0, [])
+
+
+def test_the_candidates_are_the_most_until_the_robot_is_found() -> None:
+    sightings = [
+        replace(seen, candidates=number)
+        for seen, number in zip(
+            _stretch((7, 9.0, False), (23, 0.1, True)), [3, 14, *[2] * 5, *[20] * 23], strict=True
+        )
+    ]
+    stretch = judge(sightings, 0.0, 3.0)
+    assert stretch.candidates == 14
+    text = summarize(stretch, judge(_stretch((30, 0.1, True)), 0.0, 3.0), 3.0, [])
+    assert "lost for 0.7 s, 14 candidates, found after 8 scans" in text
+    assert "noticed at once; found with the first scan" in text
+
+
+def test_a_viewer_is_there_once_somebody_is_connected_to_its_data() -> None:
+    link = "http://127.0.0.1:9090/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A1234%2Fproxy"
+    assert data_port(link) == 1234
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert not is_watched(psutil.Process(), port)
+        with socket.create_connection(("127.0.0.1", port)), server.accept()[0]:
+            assert is_watched(psutil.Process(), port)

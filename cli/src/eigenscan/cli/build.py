@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, print_rows, write_figures
 from eigenscan.runtime.errors import FailedError, UsageError
 
 if TYPE_CHECKING:
@@ -270,5 +270,5 @@ def _summarize(
         "models": str(folder),
         "picture": str(folder / PICTURE),
     }
-    say(rows, json_file)
+    print_rows(rows, json_file)
     write_figures(figures, json_file)

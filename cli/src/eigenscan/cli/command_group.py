@@ -37,7 +37,7 @@ def _typed_wrongly(error: Exception) -> str:
     return text[:1].lower() + text[1:]
 
 
-def _told(error: Exception, command: str, is_known: bool) -> tuple[str, int] | None:
+def _described(error: Exception, command: str, is_known: bool) -> tuple[str, int] | None:
     """What is said of an error of `command`, and the exit code; None for Typer's own exit, abort and help."""
     if type(error).__module__.startswith("typer."):
         mistake = _typed_wrongly(error)
@@ -180,10 +180,10 @@ def lazy_group(
                     raise
                 names = [ctx.info_name] if ctx.parent else []
                 command = " ".join(["eigenscan", *filter(None, names), ctx.invoked_subcommand or "?"])
-                told = _told(error, command, ctx.invoked_subcommand in commands)
-                if told is None:
+                described = _described(error, command, ctx.invoked_subcommand in commands)
+                if described is None:
                     raise
-                line, exit_code = told
+                line, exit_code = described
                 typer.echo(line, err=True)
                 raise typer.Exit(exit_code) from None
 

@@ -64,21 +64,21 @@ def conform(
     with tempfile.TemporaryDirectory() as place:
         session, others = open_hub(Path(place), patience)
         (endpoint,) = json.loads(others.read_text(encoding="utf-8"))["connect"]["endpoints"]
-        told = {"zenoh": str(others), "endpoint": endpoint, **address, "instance": seen.instance}
+        places = {"zenoh": str(others), "endpoint": endpoint, **address, "instance": seen.instance}
         if profile.records:
-            told["recording"] = str(Path(place) / "ended")
+            places["recording"] = str(Path(place) / "ended")
         elif profile.asks is None:
-            told["map"] = str(vectors.folder() / vectors.MAP_FILE)
+            places["map"] = str(vectors.folder() / vectors.MAP_FILE)
         trial = Trial(session, others, seen, Terms(start, speed=speed, patience=patience))
         trial.prepare()
-        with Candidate(command, told, Path(place) / "log.txt") as candidate:
+        with Candidate(command, places, Path(place) / "log.txt") as candidate:
             trial.run(candidate)
         if profile.records:
-            seen.kept = judge_whole(Path(place) / "ended", seen.said)
-            again = told | {"recording": str(Path(place) / "killed")}
+            seen.kept = judge_whole(Path(place) / "ended", seen.published)
+            again = places | {"recording": str(Path(place) / "killed")}
             with Candidate(command, again, Path(place) / "killed.txt") as candidate:
                 killed = trial.kill(candidate)
-            seen.kept.append(judge_killed(Path(place) / "killed", seen.said, killed, patience))
+            seen.kept.append(judge_killed(Path(place) / "killed", seen.published, killed, patience))
     checks = judge(seen, latency, patience)
     if wants_words(json_file):
         typer.echo(report(seen, checks))

@@ -44,7 +44,7 @@ def demo(
     from eigenscan.cli.demonstration.show import Demonstration
     from eigenscan.geometry.gridmap import read_map
     from eigenscan.workbench.simulation.stage import Scenario
-    from eigenscan.workbench.simulation.world import SQUARE_ROOM, office
+    from eigenscan.workbench.simulation.world import STORE, office
 
     map_file = optional("MAP", map_file, map_option)
     folder = out or Path("out") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
@@ -55,7 +55,7 @@ def demo(
         kidnap=seconds / 2,
         seed=seed,
         people=people,
-        kidnap_to=None if map_file else SQUARE_ROOM,
+        kidnap_to=None if map_file else STORE,
         site=f"demo-{time.time_ns():x}",
     )
     grid = read_map(map_file) if map_file else office().render()

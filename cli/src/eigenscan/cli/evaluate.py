@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.cli.former import positional
+from eigenscan.cli.former import optional, positional
 from eigenscan.cli.settings import Changes, Method, SettingsFile
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
@@ -47,7 +47,22 @@ def evaluate(
     ] = False,
     json_file: JsonFile = None,
     poses: Annotated[
-        Path | None, typer.Option(help="write every pose of every window here, CSV; exact to the last bit")
+        Path | None,
+        typer.Option(
+            help="judge these instead: CSV stamp,x,y,heading[,confidence,window], or TUM, of any program"
+        ),
+    ] = None,
+    save_poses: Annotated[
+        Path | None,
+        typer.Option(
+            help="write every pose of every window here, as --poses reads it", rich_help_panel="Details"
+        ),
+    ] = None,
+    save_runs: Annotated[
+        Path | None,
+        typer.Option(
+            help="only write the log of each window here, for another program", rich_help_panel="Details"
+        ),
     ] = None,
     spacing: Annotated[
         float | None,
@@ -72,7 +87,9 @@ def evaluate(
         list[str] | None,
         typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
     ] = None,
-    odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
+    odometry: Annotated[
+        str | None, typer.Option("--odometry-topic", help="topic of the odometry", rich_help_panel="Details")
+    ] = None,
     robot: Annotated[
         str, typer.Option(help="robot to judge, in a recording of several", rich_help_panel="Details")
     ] = DEFAULT_ROBOT,
@@ -90,6 +107,7 @@ def evaluate(
     The pipeline never sees the reference. Without one, the report shows agreement: cold starts are compared
     with the log played as a whole. That shows how soon and how often a pose is claimed, not how accurate it
     is. The exit code does not depend on the figures.
+    With --poses, any program's poses are judged by the same protocols; no MAP is needed (docs/comparison.md).
     --set, --settings and --method change the settings of scan-ingest, projector, tracker and mapbuilder
     (docs/settings.md); the first wins. --method paper runs the paper's own pipeline.
     If a log lacks mounts: eigenscan import --mount, then evaluate the MCAP.
@@ -100,8 +118,11 @@ def evaluate(
       eigenscan evaluate LOG.bag MAP.yaml --ground-truth REF.tum
       eigenscan evaluate LOG.clf.gz MAP.yaml --ground-truth REF.tum --kidnap --json OUT.json
       eigenscan evaluate LOG.bag MAP.yaml --method paper --set tracker.localized_above=0.95
+      eigenscan evaluate LOG.bag --ground-truth REF.tum --poses CLAIMS.csv
     """  # noqa: D301 - \b keeps the lines apart in --help
-    log, map_file = positional("LOG", log, log_option), positional("MAP", map_file, map_option)
+    log = positional("LOG", log, log_option)
+    claims_only = poses is not None or save_runs is not None
+    map_file = (optional if claims_only else positional)("MAP", map_file, map_option)
     unknown = sorted(set(skip or ()) - set(PARTS))
     if unknown:
         raise UsageError(f"--skip {unknown[0]}: there are {', '.join(PARTS)}")
@@ -111,13 +132,32 @@ def evaluate(
     one_thread()
     from eigenscan.runtime.choices import Choices
     from eigenscan.workbench.evaluation.chosen import SERVICES, chosen
-    from eigenscan.workbench.evaluation.course import Task
+    from eigenscan.workbench.evaluation.course import ClaimsTask, Task, evaluate_claims
     from eigenscan.workbench.evaluation.course import evaluate as run
     from eigenscan.workbench.evaluation.report import show
     from eigenscan.workbench.logs import LogOptions
     from eigenscan.workbench.progress import Bars
     from rich.console import Console
 
+    options = LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry)
+    console = Console(width=None if sys.stdout.isatty() else 110)
+    if map_file is None or claims_only:
+        claims = ClaimsTask(
+            *(log, poses, save_runs, ground_truth, windows),
+            kidnap=kidnap,
+            offset_s=reference_offset,
+            limit=limit,
+            options=options,
+        )
+        prepare(json_file)
+        with Bars() as bars:
+            figures = evaluate_claims(claims, bars)
+        write_figures(figures, json_file)
+        if wants_words(json_file) and save_runs:
+            typer.echo(f"{save_runs}: {len(figures['runs'])} runs")
+        elif wants_words(json_file):
+            show(figures, f"{poses} on {log}", console)
+        return
     task = Task(
         log=log,
         map=map_file,
@@ -129,11 +169,11 @@ def evaluate(
         offset_s=reference_offset,
         limit=limit,
         jobs=jobs,
-        poses=poses,
-        options=LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry),
+        poses=save_poses,
+        options=options,
         settings=chosen(Choices.of(method, settings_file, changes or (), SERVICES), spacing),
     )
-    for file in (json_file, poses):
+    for file in (json_file, save_poses):
         prepare(file)
     with Bars() as bars:
         figures = run(task, bars)
@@ -141,4 +181,4 @@ def evaluate(
         typer.echo(f"{log}: breaks off, or is damaged: judged as far as it can be read", err=True)
     write_figures(figures, json_file)
     if wants_words(json_file):
-        show(figures, f"{log} on {map_file}", Console(width=None if sys.stdout.isatty() else 110))
+        show(figures, f"{log} on {map_file}", console)

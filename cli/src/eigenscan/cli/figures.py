@@ -52,7 +52,7 @@ class Events:
     def __init__(self, file: IO[str] | None) -> None:
         self._file = file
 
-    def tell(self, event: str, **values: Any) -> None:
+    def write(self, event: str, **values: Any) -> None:
         """Writes `event` and what belongs to it; finite numbers only."""
         if self._file is not None:
             line = json.dumps({"event": event, **values}, allow_nan=False, ensure_ascii=False)
@@ -69,7 +69,7 @@ def events(target: Path | None) -> Iterator[Events]:
         yield Events(file)
 
 
-def say(rows: dict[str, str], target: Path | None) -> None:
+def print_rows(rows: dict[str, str], target: Path | None) -> None:
     """Prints names and values, a line each, where standard output is for people."""
     if wants_words(target):
         for name, value in rows.items():

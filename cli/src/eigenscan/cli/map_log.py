@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from eigenscan.cli.figures import JsonFile, prepare, say, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, print_rows, write_figures
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
@@ -87,7 +87,7 @@ def map_log(
 def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float, json_file: Path | None) -> None:
     odometry = sum(sweep.odometry is not None for sweep in scans.sweeps)
     rows = {
-        "scans": f"{len(mapped.numbers)} of {scans.heard} in the map, {odometry} with odometry",
+        "scans": f"{len(mapped.numbers)} of {scans.received} in the map, {odometry} with odometry",
         "way": f"{mapped.way:.0f} m in {scans.seconds:.0f} s",
         "keyframes": f"{mapped.keyframes}, {mapped.closures} edges close loops, {mapped.rejected} rejected",
         "free area": f"{mapped.grid.free_area:.0f} m²",
@@ -96,9 +96,9 @@ def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float, json_
         "trajectory": str(target.with_suffix(".tum")),
         "picture": str(target.with_suffix(".png")),
     }
-    say(rows, json_file)
+    print_rows(rows, json_file)
     figures = {
-        "scans_heard": scans.heard,
+        "scans_heard": scans.received,
         "scans_in_map": len(mapped.numbers),
         "scans_with_odometry": odometry,
         "way_m": mapped.way,

@@ -1,4 +1,4 @@
-"""Moments as people say them: of a recording, or of the past."""
+"""Moments as people write them: of a recording, or of the past."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Moment:
     of_day: bool = False
 
     def __str__(self) -> str:
-        """As `--help` tells a default."""
+        """As `--help` shows a default."""
         return f"{self.seconds:g}"
 
     def after(self, begin: int) -> float:
@@ -68,7 +68,7 @@ INSTANT = "<ago, hh:mm or date>"
 
 
 def instant(text: str, now: int) -> int:
-    """A moment in the past, ns since the epoch, by the clock that says `now`.
+    """A moment in the past, ns since the epoch, by the clock that shows `now`.
 
     `15m`: so long ago (s, m, h, d); `03:12` or `03:12:30`: the last time that it was that, UTC;
     `2026-01-31T03:12`: ISO 8601, UTC where it names no zone; `now`. Raises typer's error for anything else.

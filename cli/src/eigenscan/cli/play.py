@@ -114,23 +114,28 @@ def play(
     clock = time.time_ns if stamps is Stamps.NOW else None
     with Bus(open_session(zenoh)) as bus:
         bus.offer(selection.latched, first.address)
-        heard = bus.wait_for_listener(first.key, wait)
-        if wait and not heard:
+        received = bus.wait_for_listener(first.key, wait)
+        if wait and not received:
             raise FailedError(
                 f"nobody subscribes to {first.key} within {wait:g} s: start eigenscan run, or check "
                 "--site, --robot and --zenoh; --wait 0 plays without one"
             )
-        said: Counter[str] = Counter()
+        published: Counter[str] = Counter()
 
-        def say(envelope: Envelope) -> None:
+        def publish(envelope: Envelope) -> None:
             bus.say(envelope)
-            said[envelope.channel.name] += 1
+            published[envelope.channel.name] += 1
 
         before = time.monotonic()
-        with controls(scripted=commands) as told, _progress(score, told.hint) as moved:
-            Player(score, say, told, moved, speed, clock).play()
+        with controls(scripted=commands) as given, _progress(score, given.hint) as moved:
+            Player(score, publish, given, moved, speed, clock).play()
         took = time.monotonic() - before
-    figures = {"recording": str(file), "heard_by_somebody": heard, "played": dict(said), "took_s": took}
+    figures = {
+        "recording": str(file),
+        "heard_by_somebody": received,
+        "played": dict(published),
+        "took_s": took,
+    }
     write_figures(figures, json_file)
 
 

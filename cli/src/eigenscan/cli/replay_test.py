@@ -56,7 +56,7 @@ def replay_test(
     files = suite.recordings(folder)
     plan = suite.Plan(tuple(service or ()), tolerant, least)
 
-    def say(case: suite.Case) -> None:
+    def show_case(case: suite.Case) -> None:
         if not wants_words(json_file):
             return
         typer.echo(f"{case.result:9}  {case.recording.name}  {case.choice}: {case.line}")
@@ -67,9 +67,9 @@ def replay_test(
         cases = []
         for path in files:
             cases.append(suite.update(path, plan))
-            say(cases[-1])
+            show_case(cases[-1])
     else:
-        cases = suite.run_all(files, plan, say, jobs or len(os.sched_getaffinity(0)))
+        cases = suite.run_all(files, plan, show_case, jobs or len(os.sched_getaffinity(0)))
     if junit_file:
         junit_file.write_text(suite.junit(cases), encoding="utf-8")
     write_figures([{**vars(case), "recording": str(case.recording)} for case in cases], json_file)

@@ -50,6 +50,14 @@ def run(
     ros2_router: Annotated[
         str, typer.Option(help="with --ros2: where the robot's rmw_zenohd or DDS bridge listens")
     ] = "tcp/localhost:7447",
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together",
+            help="all services in one process: less CPU time and memory",
+            rich_help_panel="Details",
+        ),
+    ] = False,
     viewer: Annotated[bool, typer.Option(help="serve the live web viewer on this machine")] = True,
     out: Annotated[
         Path | None,
@@ -83,7 +91,7 @@ def run(
     if map_option is not None or (map_or_model is None and ros2 is None):
         map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
     _check_listen(listen or [], insecure, zenoh)
-    told = _told(method, settings_file, changes or [])
+    chosen = _flags(method, settings_file, changes or [])
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
 
@@ -91,20 +99,20 @@ def run(
     ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
     if map_or_model is None and ros2_flags:
         map_or_model = _take_map(ros2_flags, folder / "map.yaml")
-        ros2_flags += ["--map", ""]  # the robot says its map itself
+        ros2_flags += ["--map", ""]  # the robot reports its map itself
     assert map_or_model is not None
     flags, mcap = _model_flags(map_or_model, method), folder / "mcap"
     pipeline = Pipeline(
         site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or (),
-        told=told,
+        flags=chosen, together=together,
     )  # fmt: skip
     prepare(json_file)
-    with events(json_file) as said:
-        attend(pipeline, folder, said, to_stderr=not wants_words(json_file))
+    with events(json_file) as written:
+        attend(pipeline, folder, written, to_stderr=not wants_words(json_file))
 
 
-def _told(method: str, file: Path | None, changes: list[str]) -> dict[str, list[str]]:
-    """What each service is told of the chosen settings. Raises SettingsError."""
+def _flags(method: str, file: Path | None, changes: list[str]) -> dict[str, list[str]]:
+    """The chosen settings as flags of each service. Raises SettingsError."""
     from eigenscan.cli.launch.supervision import SERVICES
     from eigenscan.runtime.choices import Choices
     from eigenscan.workbench.settings_page import settings_of

@@ -65,7 +65,7 @@ def view(
     from eigenscan.recorder.web_viewer import free_port
 
     prepare(json_file)
-    if is_opened:  # a port that is taken is told before a long recording is drawn
+    if is_opened:  # a port that is taken is an error before a long recording is drawn
         port = free_port("--port", HOST, port)
     from tempfile import TemporaryDirectory
 

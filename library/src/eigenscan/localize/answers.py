@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from eigenscan.geometry.pose import Array, covariance_from_message, from_message
 from eigenscan.localize.scan import Scan
-from eigenscan.schemas import hypotheses_pb2, tracking_pb2
+from eigenscan.schemas import tracking_pb2
+from eigenscan.schemas.localize_pb2 import LocalizeReply
 
 State = Literal["lost", "ambiguous", "localized"]
 
@@ -24,13 +25,17 @@ class Hypotheses:
 
     `poses` (n, 3): the robot's base in the map frame, m, m, rad; `covariances` (n, 3, 3) of each, given that
     it is the right one; `log_likelihoods` (n,): ln p(scan | pose) / p(scan | a place that the map lacks), so
-    that differences are log odds and 0 is no better than chance.
+    that differences are log odds and 0 is no better than chance. `probabilities` (n,) and `none_probability`,
+    of a place that is not listed or not on the map, sum to 1: before the scan, the robot is as likely off the
+    map as on it.
     """
 
     poses: Array
     covariances: Array
     log_likelihoods: Array
     scan: Scan
+    probabilities: Array
+    none_probability: float
 
     def __repr__(self) -> str:
         if not len(self.poses):
@@ -40,14 +45,16 @@ class Hypotheses:
         return f"<Hypotheses: {len(self.poses)}, {best}{second}>"
 
     @classmethod
-    def of(cls, message: hypotheses_pb2.Hypotheses, scan: Scan) -> Hypotheses:
+    def of(cls, message: LocalizeReply, scan: Scan) -> Hypotheses:
         """The same as the contract's message."""
-        listed = message.hypotheses
+        listed = message.candidates
         return cls(
             np.array([from_message(h.pose) for h in listed]).reshape(-1, 3),
             np.array([covariance_from_message(h.covariance) for h in listed]).reshape(-1, 3, 3),
             np.array([h.log_likelihood for h in listed], dtype=np.float64),
             scan,
+            np.array([h.probability for h in listed], dtype=np.float64),
+            message.none_probability,
         )
 
 

@@ -13,21 +13,24 @@ from eigenscan.eigenspace.floors import floor_of
 from eigenscan.eigenspace.folder import SiteModel, read_models
 from eigenscan.geometry.gridmap import GridMap, to_message
 from eigenscan.geometry.plans import PlanOptions, read_plan
+from eigenscan.geometry.pose import to_message as pose_message
 from eigenscan.geometry.pose import to_pose3
 from eigenscan.localize.answers import Estimate, Hypotheses
 from eigenscan.localize.scan import Scan, ScanError
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
+from eigenscan.projector.channels import LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas import hypotheses_pb2
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, ODOMETRY, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.extra import needs
+from eigenscan.schemas.localize_pb2 import LocalizeQuery, LocalizeReply
 from eigenscan.schemas.methods import of_service
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from google.protobuf.wrappers_pb2 import StringValue
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
@@ -60,7 +63,7 @@ class Localizer:
         self._method = method
         settings = ProjectorSettings.model_validate(of_service(method, "projector"))
         self._projector = ProjectorCore(settings)
-        self._projector_hears(site)
+        self._projector_receives(site)
         self._tracker: TrackerCore | None = None
         self._newest: int | None = None
 
@@ -97,10 +100,31 @@ class Localizer:
         plan = MapbuilderSettings.model_validate(of_service(method, "mapbuilder")).plan
         return cls(build_site(grid, replace(plan, threads=os.cpu_count() or 1)), method)
 
-    def localize(self, scan: Scan) -> Hypotheses:
-        """Where `scan` may have been taken, by itself. Raises ScanError where it cannot be used."""
+    def localize(
+        self,
+        scan: Scan,
+        near: ArrayLike | None = None,
+        radius: float = 0.0,
+        turn: float = 0.0,
+        floor: str = "",
+        region: str = "",
+    ) -> Hypotheses:
+        """Where `scan` may have been taken, by itself, as a query on {site}/localize answers.
+
+        The robot's base may be known to be within `radius`, m, of the pose `near` (3,), m, m, rad in the map
+        frame, with a heading within `turn`, rad, of its own (0: any); on `floor` (then `near` is in that
+        floor's own frame); in `region`. Raises ScanError where the scan cannot be used, and ValueError naming
+        another argument that cannot.
+        """
         _be_a_scan(scan)
-        return Hypotheses.of(self._answer(scan).open(hypotheses_pb2.Hypotheses), scan)
+        scan.canonical()
+        asked = LocalizeQuery(scan=scan.raw(), radius=radius, turn=turn, floor=floor, region=region)
+        if near is not None:
+            asked.near.CopyFrom(pose_message(_pose(near, "near")))
+        (published,) = self._projector.handle(Envelope(LOCALIZE_ASKED, {"query": "1"}, asked))
+        if published.channel is LOCALIZE_REFUSED:
+            raise ValueError(published.open(StringValue).value)
+        return Hypotheses.of(published.open(LocalizeReply), scan)
 
     def track(self, scan: Scan, odometry: ArrayLike | None = None) -> Estimate:
         """Where the robot is by `scan` and all before it; `scan.time` must increase.
@@ -109,7 +133,7 @@ class Localizer:
         robot may have gone anywhere within its greatest speed. Raises ScanError where it cannot be used.
         """
         _be_a_scan(scan)
-        pose = None if odometry is None else _pose(odometry)
+        pose = None if odometry is None else _pose(odometry, "odometry")
         if self._newest is not None and scan.stamp <= self._newest:
             raise ScanError(f"time = {scan.time}: must be after that of the scan before")
         found = self._answer(scan)
@@ -119,8 +143,8 @@ class Localizer:
             message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(pose))
             list(tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
         # nothing else comes that hypotheses could wait for
-        said = [*tracker.handle(found), *tracker.finish()]
-        (estimate,) = (each.open(PoseEstimate) for each in said if each.channel is POSE)
+        published = [*tracker.handle(found), *tracker.finish()]
+        (estimate,) = (each.open(PoseEstimate) for each in published if each.channel is POSE)
         return Estimate.of(estimate)
 
     def floor(self, pose: ArrayLike) -> tuple[str, NDArray[np.float64]] | None:
@@ -142,14 +166,14 @@ class Localizer:
 
         return draw(self.site.grid, found, axes)
 
-    def _projector_hears(self, site: SiteModel) -> None:
+    def _projector_receives(self, site: SiteModel) -> None:
         grid = Envelope(MAP, {"site": DEFAULT_SITE}, to_message(site.grid, site.frame_id))
-        for said in (grid, *announce_models(site, DEFAULT_SITE)):
-            list(self._projector.handle(said))
+        for published in (grid, *announce_models(site, DEFAULT_SITE)):
+            list(self._projector.handle(published))
 
     def _answer(self, scan: Scan) -> Envelope:
-        said = list(self._projector.handle(scan.canonical()))
-        found = [each for each in said if each.channel is HYPOTHESES]
+        published = list(self._projector.handle(scan.canonical()))
+        found = [each for each in published if each.channel is HYPOTHESES]
         if not found:
             raise ScanError(f"the projector set the scan aside: {self._projector.condition().detail}")
         return found[0]
@@ -172,9 +196,9 @@ def _be_a_scan(scan: Scan) -> None:
         )
 
 
-def _pose(odometry: ArrayLike) -> NDArray[np.float64]:
+def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:
     """The pose (3,). Raises ValueError where it is none."""
-    pose = np.asarray(odometry, np.float64)
+    pose = np.asarray(given, np.float64)
     if pose.shape != (3,):
-        raise ValueError(f"odometry of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
+        raise ValueError(f"{name} of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
     return pose

@@ -83,22 +83,25 @@ class Scan:
         """`time` in ns."""
         return round(self.time * 1e9)
 
-    def canonical(self) -> Envelope:
-        """The scan as the contract has it. Raises ScanError where it cannot be used."""
-        ranges = self._row()
-        raw = RawScan(
+    def raw(self) -> RawScan:
+        """The scan as a driver publishes it."""
+        return RawScan(
             timestamp=stamp(self.stamp),
             mount=to_message(self.mount),
             angle_min=self.angle_min,
             angle_increment=self.angle_increment,
             range_min=self.range_min,
             range_max=self.range_max,
-            ranges=ranges.tolist(),
+            ranges=self._row().tolist(),
         )
+
+    def canonical(self) -> Envelope:
+        """The scan as the contract has it. Raises ScanError where it cannot be used."""
+        raw = self.raw()
         ingest = ScanIngestCore(ScanIngestSettings())
         address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": "lidar"}
-        for said in ingest.handle(Envelope(SCAN_RAW, address, raw)):
-            return said
+        for published in ingest.handle(Envelope(SCAN_RAW, address, raw)):
+            return published
         (reason,) = (name for name in ingest.condition().counters if name.startswith(_SET_ASIDE))
         words = reason.removeprefix(_SET_ASIDE).replace("_", " ")
-        raise ScanError(f"scan of {len(ranges)} beams cannot be used: {words}")
+        raise ScanError(f"scan of {len(raw.ranges)} beams cannot be used: {words}")

@@ -7,8 +7,12 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
+import psutil
+import zenoh
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.screen import StatusLine, error_text, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
@@ -16,13 +20,25 @@ from eigenscan.cli.launch.supervision import Supervisor
 from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.pose import from_message
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.stop_event import StopEvent
+from eigenscan.schemas.channels import TRACKS
 from eigenscan.schemas.envelope import nanoseconds
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
+from eigenscan.schemas.wire import decode
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.verdict import Sighting, Stretch, judge
 
+OPEN_S = 30.0
+"""So long the robot waits for somebody to open the viewer."""
+LOADED_S = 4.0
+"""What a browser takes from the connection to the first picture."""
+IN_PLAY = 0.01
+"""Probability from which a track is a candidate, as in the viewer."""
+AT_ONCE_S = 0.15
+"""A kidnap that the next scan shows is noticed at once."""
 LAST_WORDS_S = 5.0
 """What the pipeline gets to answer the last scan."""
 
@@ -47,8 +63,10 @@ class Demonstration:
         self._stop = StopEvent()
         self._line = StatusLine(to_stderr)
         self.figures: dict[str, object] = {}
-        self._told: int | None = None
+        self._shown: int | None = None
         self._carried = False
+        self._tracks = Inbox()
+        self._candidates: dict[float, int] = {}
 
     def run(self) -> bool:
         """Runs to the end; True where the robot was found, and found again after the kidnap.
@@ -77,10 +95,12 @@ class Demonstration:
                 viewer=self._viewer,
             )
             pipeline.start(supervisor)
-            if not wait_until_ready(supervisor, view, self._line, self._stop):
+            if not wait_until_ready(supervisor, pipeline.services, view, self._line, self._stop):
                 return self._ended_early()
+            stack.callback(self._bus_of(session).close)
             if link := viewer_link(supervisor):
-                self._line.say(f"watch it here: {link}")
+                self._line.keep(f"watch it here: {link}")
+                self._wait_for_viewer(supervisor, link)
             sightings = self._play(view, supervisor)
             if self._stop.stopping:
                 return self._ended_early()
@@ -90,8 +110,34 @@ class Demonstration:
                 self._stay(supervisor)
             return found
 
+    def _bus_of(self, session: zenoh.Session) -> Bus:
+        """A bus whose inbox gets the tracks."""
+        bus = Bus(session)
+        bus.listen([TRACKS], {"site": self._stage.scenario.site}, self._tracks)
+        return bus
+
+    def _wait_for_viewer(self, supervisor: Supervisor, link: str) -> None:
+        """Returns once a browser shows the viewer, or after OPEN_S."""
+        recorder = psutil.Process(supervisor.children["recorder"].process.pid)
+        port, deadline = data_port(link), time.monotonic() + OPEN_S
+        self._line.keep(f"open it now: the robot starts when it is open, or in {OPEN_S:.0f} s")
+        while not self._stop.stopping and time.monotonic() < deadline:
+            supervisor.check()
+            if is_watched(recorder, port):
+                self._stop.wait(LOADED_S)
+                return
+            self._stop.wait(0.2)
+
+    def _count_candidates(self) -> None:
+        """Takes in the tracks that came."""
+        while (arrival := self._tracks.take(0.0)) is not None:
+            message = decode(arrival.channel, arrival.payload)
+            if isinstance(message, Tracks):
+                number = sum(track.probability >= IN_PLAY for track in message.tracks)
+                self._candidates[self._time(nanoseconds(message.timestamp))] = number
+
     def _ended_early(self) -> bool:
-        self._line.say("ended before the robot was found again")
+        self._line.keep("ended before the robot was found again")
         return False
 
     def _play(self, view: FleetView, supervisor: Supervisor) -> list[Sighting]:
@@ -107,9 +153,10 @@ class Demonstration:
             try:
                 while not self._stop.stopping:
                     supervisor.check()
+                    self._count_candidates()
                     for estimate in view.update():
                         sightings.append(self._sighting(estimate))
-                        self._tell(estimate.state, sightings[-1])
+                        self._report(estimate.state, sightings[-1])
                     if robot.done():
                         robot.result()
                         answered = sightings and sightings[-1].time >= last_scan - 1e-6
@@ -143,48 +190,59 @@ class Demonstration:
         stage = self._stage
         return stage.scenario.seconds if stage.kidnap_time is None else self._time(stage.kidnap_time)
 
-    def _tell(self, state: int, seen: Sighting) -> None:
+    def _report(self, state: int, seen: Sighting) -> None:
         if seen.time >= self._kidnap and not self._carried:
             self._carried = True
-            self._line.say(f"{self._kidnap:5.1f} s  the robot is carried elsewhere; its wheels do not turn")
+            self._line.keep(
+                f"{self._kidnap:5.1f} s  kidnapped: carried to another room, its wheels do not turn"
+            )
         error = f"  error {error_text(seen.error_m, seen.error_rad)}" if seen.claimed else ""
         text = f"{seen.time:5.1f} s  {state_name(state):<9}  confidence {seen.confidence:.2f}{error}"
-        if state != self._told:
-            self._told = state
-            self._line.say(text)
+        if state != self._shown:
+            self._shown = state
+            self._line.keep(text)
         self._line.show(text)
 
     def _conclude(self, sightings: list[Sighting]) -> bool:
         """Prints the summary."""
+        self._count_candidates()
+        sightings = [replace(each, candidates=self._candidates.get(each.time, 0)) for each in sightings]
         before = judge(sightings, 0.0, self._kidnap)
         after = judge(sightings, self._kidnap, self._stage.scenario.seconds)
         files = [path for path in sorted(self._folder.iterdir()) if not path.name.startswith("zenoh")]
-        self._line.say(summarize(before, after, self._kidnap, files))
+        self._line.keep(summarize(before, after, self._kidnap, files))
         found = before.found and after.found
         self.figures = {"found": found, "before": before.figures, "after": after.figures}
         return found
 
     def _stay(self, supervisor: Supervisor) -> None:
-        self._line.say("the viewer stays until Ctrl-C")
+        self._line.keep("the viewer stays until Ctrl-C")
         while not self._stop.stopping:
             supervisor.check()
             self._line.show("viewer up; Ctrl-C ends it")
             self._stop.wait(1.0)
 
 
+def data_port(link: str) -> int:
+    """The port that the viewer behind `link` takes its data from."""
+    source = parse_qs(urlsplit(link).query)["url"][0]
+    return urlsplit(source.removeprefix("rerun+")).port or 0
+
+
+def is_watched(process: psutil.Process, port: int) -> bool:
+    """Whether somebody is connected to `port` of `process`."""
+    connections = process.net_connections("tcp")
+    return any(each.status == psutil.CONN_ESTABLISHED and each.laddr.port == port for each in connections)
+
+
 def summarize(before: Stretch, after: Stretch, kidnap: float, files: Sequence[Path]) -> str:
     """Text over the stretches before and after the kidnap at `kidnap` s, and the files written."""
     rows = [
-        ("first pose", _found(before)),
-        ("error", _accuracy(before)),
-        (f"kidnap at {kidnap:.0f} s", _noticed(after)),
-        ("found again", _found(after)),
-        ("error", _accuracy(after)),
-        (
-            "claims",
-            f"{before.claims} before the kidnap, {before.wrong_claims} of them wrong; "
-            f"{after.claims} after it, {after.wrong_claims} wrong",
-        ),
+        ("start", _search(before)),
+        ("then", _accuracy(before)),
+        (f"kidnap at {kidnap:.0f} s", f"{_noticed(after)}; {_search(after)}"),
+        ("then", _accuracy(after)),
+        ("claims", f"{before.claims + after.claims}, {before.wrong_claims + after.wrong_claims} wrong"),
     ]
     rows += [("files" if not number else "", _file(path)) for number, path in enumerate(files)]
     lines = [f"  {name:<16}{text}" for name, text in rows]
@@ -193,7 +251,7 @@ def summarize(before: Stretch, after: Stretch, kidnap: float, files: Sequence[Pa
 
 def _headline(before: Stretch, after: Stretch) -> str:
     if before.found and after.found:
-        return "The robot found itself, was carried away, and found itself again."
+        return "The robot found itself, was carried to another room, and found itself again."
     if not before.found:
         return f"FAILED: the robot did not find itself before the kidnap ({_why(before)})."
     return f"FAILED: the robot did not find itself again after the kidnap ({_why(after)})."
@@ -207,20 +265,30 @@ def _why(stretch: Stretch) -> str:
     return f"{stretch.wrong_claims} of {stretch.claims} claimed poses were wrong, and the end was not right"
 
 
-def _found(stretch: Stretch) -> str:
+def _search(stretch: Stretch) -> str:
     if stretch.found_after is None:
-        return "never"
-    return f"after {stretch.found_after:.1f} s, {stretch.scans} scans"
+        return "never found"
+    if stretch.scans <= 1:
+        return "found with the first scan"
+    return (
+        f"lost for {stretch.found_after:.1f} s, {stretch.candidates} candidates, "
+        f"found after {stretch.scans} scans"
+    )
 
 
 def _noticed(stretch: Stretch) -> str:
-    return "not noticed" if stretch.noticed_after is None else f"noticed after {stretch.noticed_after:.1f} s"
+    if stretch.noticed_after is None:
+        return "not noticed"
+    if stretch.noticed_after < AT_ONCE_S:
+        return "noticed at once"
+    return f"noticed after {stretch.noticed_after:.1f} s"
 
 
 def _accuracy(stretch: Stretch) -> str:
     if not stretch.found:
         return "-"
-    return f"{error_text(stretch.error_m, stretch.error_rad)} (median), confidence {stretch.confidence:.2f}"
+    error = error_text(stretch.error_m, stretch.error_rad)
+    return f"error {error} (median), confidence {stretch.confidence:.2f}"
 
 
 def _file(path: Path) -> str:

@@ -74,8 +74,8 @@ def fetch(
     if wants_words(json_file):
         for one in fetched:
             state = "" if one.part.closed else ", still being written there"
-            told = f"{utc(one.part.begin_ns)} to {utc(one.part.end_ns)}, {one.part.size / 1e6:.1f} MB{state}"
-            typer.echo(f"{one.path}: {told}" + ("" if one.bytes_moved else ", was here"))
+            span = f"{utc(one.part.begin_ns)} to {utc(one.part.end_ns)}, {one.part.size / 1e6:.1f} MB{state}"
+            typer.echo(f"{one.path}: {span}" + ("" if one.bytes_moved else ", was here"))
     write_figures(
         {
             "robot": robot,

@@ -1,4 +1,4 @@
-"""`eigenscan fleet metrics`: what robots and services say over Zenoh, for Prometheus, from one place."""
+"""`eigenscan fleet metrics`: what robots and services report over Zenoh, for Prometheus, from one place."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def _word(pose: tuple[float, float, float] | None, sigma: float) -> Relocation:
 
 
 def _serving(view: FleetView, robot: str) -> list[Service]:
-    """Its trackers that are there and have said how they are."""
+    """Its trackers that are there and have reported how they are."""
     return [
         each
         for each in view.serving(robot)
@@ -100,26 +100,26 @@ def _taken_up(view: FleetView, robot: str) -> int:
 
 def _is_sure(view: FleetView, robot: str, since: float) -> bool:
     seen = view.robots.get(robot)
-    return bool(seen and seen.pose and seen.heard_at > since and seen.pose.state == STATE_LOCALIZED)
+    return bool(seen and seen.pose and seen.received_at > since and seen.pose.state == STATE_LOCALIZED)
 
 
 def _outcome(
-    view: FleetView, robot: str, told: tuple[float, float, float] | None, since: float
+    view: FleetView, robot: str, given: tuple[float, float, float] | None, since: float
 ) -> dict[str, Any]:
-    """What the robot says of itself since it took the word up."""
+    """What the robot reports of itself since it took the word up."""
     from eigenscan.cli.launch.screen import state_name
 
     found: dict[str, Any] = {"robot": robot, "taken_up": True, "state": "unknown"}
     seen = view.robots.get(robot)
-    if seen is None or seen.pose is None or seen.heard_at <= since:
+    if seen is None or seen.pose is None or seen.received_at <= since:
         return found
     pose = seen.pose
     found |= {"state": state_name(pose.state), "confidence": round(pose.confidence, 3)}
     if pose.state == STATE_LOCALIZED:
         found |= {"x": round(pose.pose.x, 3), "y": round(pose.pose.y, 3)}
         found["theta_deg"] = round(math.degrees(pose.pose.theta), 1)
-        if told is not None:
-            found["away_m"] = round(math.hypot(pose.pose.x - told[0], pose.pose.y - told[1]), 2)
+        if given is not None:
+            found["away_m"] = round(math.hypot(pose.pose.x - given[0], pose.pose.y - given[1]), 2)
     return found
 
 

@@ -92,7 +92,7 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
             "x": round(pose.pose.x, 3),
             "y": round(pose.pose.y, 3),
             "model": pose.model_version,
-            "pose_age_s": round(now - robot.heard_at, 2),
+            "pose_age_s": round(now - robot.received_at, 2),
         }
         if pose.floor:
             row |= {
@@ -141,13 +141,24 @@ def _cells(row: dict[str, Any], newest: str) -> list[str]:
     drops = f"[yellow]{row['drops']}[/]" if row["drops"] else "0"
     clock = "" if offset is None else (f"[red]{offset:+.0f} s[/]" if abs(offset) > OLD_S else "ok")
     confidence = "" if row["confidence"] is None else f"{row['confidence']:.2f}"
-    return [row["robot"], state, confidence, place, age_text(age), model, _services(row), drops, clock]
+    return [
+        escape(printable(row["robot"])),
+        state,
+        confidence,
+        place,
+        age_text(age),
+        model,
+        _services(row),
+        drops,
+        clock,
+    ]
 
 
 _COLOURS = {"localized": "green", "ambiguous": "yellow"}
 
 
 def _services(row: dict[str, Any]) -> str:
+    """In words; only services of known names serve a robot."""
     from eigenscan.fleet.view import ROBOT_SERVICES
 
     troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]

@@ -30,11 +30,11 @@ OLD_S = 2.0
 """A pose older than this is not shown as where the robot is: 20 scans of a 10 Hz lidar have not come."""
 
 EVERY_S = 1.0
-"""A pose is told as an event so often."""
+"""A pose is an event so often."""
 
 
-def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = False) -> None:
-    """Runs the services until SIGINT or SIGTERM; logs go to `folder`, events to `told`.
+def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool = False) -> None:
+    """Runs the services until SIGINT or SIGTERM; logs go to `folder`, events to `events`.
 
     Raises ChildDiedError where one of them ends by itself.
     """
@@ -47,28 +47,28 @@ def attend(pipeline: Pipeline, folder: Path, told: Events, *, to_stderr: bool = 
         _refuse_second(session, pipeline)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
         pipeline.start(supervisor)
-        if not wait_until_ready(supervisor, view, line, stop):
+        if not wait_until_ready(supervisor, pipeline.services, view, line, stop):
             return
-        line.say(
+        line.keep(
             f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r} at {_where(pipeline)}; "
             "Ctrl-C ends all"
         )
         link = viewer_link(supervisor)
         if link:
-            line.say(f"watch it here: {link}")
-        told.tell("ready", site=pipeline.site, robot=pipeline.robot, viewer=link, folder=str(folder))
-        teller = _Teller(told)
+            line.keep(f"watch it here: {link}")
+        events.write("ready", site=pipeline.site, robot=pipeline.robot, viewer=link, folder=str(folder))
+        pose_events = _PoseEvents(events)
         newest: PoseEstimate | None = None
-        heard_at = 0.0
+        received_at = 0.0
         while not stop.stopping:
             supervisor.check()
             for pose in view.update():
-                newest, heard_at = pose, time.monotonic()
-                teller.hear(pose)
-            line.show(pose_text(newest, time.monotonic() - heard_at, _lacking(view)))
+                newest, received_at = pose, time.monotonic()
+                pose_events.receive(pose)
+            line.show(pose_text(newest, time.monotonic() - received_at, _lacking(view)))
             stop.wait(0.2)
-        told.tell("ended", folder=str(folder))
-        line.say(f"ended; recording and logs are in {folder}")
+        events.write("ended", folder=str(folder))
+        line.keep(f"ended; recording and logs are in {folder}")
 
 
 def _open(pipeline: Pipeline) -> zenoh.Session:
@@ -103,19 +103,19 @@ def _refuse_second(session: zenoh.Session, pipeline: Pipeline) -> None:
         )
 
 
-class _Teller:
+class _PoseEvents:
     """Poses as events: each change of state, and one pose a second."""
 
-    def __init__(self, told: Events) -> None:
-        self._told, self._state, self._due = told, -1, 0.0
+    def __init__(self, events: Events) -> None:
+        self._events, self._state, self._due = events, -1, 0.0
 
-    def hear(self, pose: PoseEstimate) -> None:
+    def receive(self, pose: PoseEstimate) -> None:
         """Tells of the pose where it is due."""
         changed, now = pose.state != self._state, time.monotonic()
         if not changed and now < self._due:
             return
         self._state, self._due = pose.state, now + EVERY_S
-        self._told.tell(
+        self._events.write(
             "state" if changed else "pose",
             stamp_ns=nanoseconds(pose.timestamp),
             state=state_name(pose.state),
@@ -127,7 +127,7 @@ class _Teller:
 
 
 def _lacking(view: FleetView) -> list[str]:
-    """What services say they lack."""
+    """What services report they lack."""
     return [
         f"{each.name}: {each.health.detail}"
         for _, each in sorted(view.services.items())

@@ -35,16 +35,18 @@ class StatusLine:
         if self.console.is_terminal:
             self._status.update(escape(printable(text)))
         elif time.monotonic() >= self._due:
-            self.say(text)
+            self.keep(text)
 
-    def say(self, text: str) -> None:
+    def keep(self, text: str) -> None:
         """Prints a line that stays."""
         self._due = time.monotonic() + QUIET_PERIOD_S
         self.console.print(printable(text), markup=False, soft_wrap=True)
 
 
 def state_name(state: int) -> str:
-    """`localized`, `ambiguous` or `lost`."""
+    """`localized`, `ambiguous` or `lost`; `unknown` for what this build does not know."""
+    if state not in State.values():
+        return "unknown"
     return State.Name(state).removeprefix("STATE_").lower()
 
 

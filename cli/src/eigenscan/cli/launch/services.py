@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.cli.launch.screen import StatusLine
-from eigenscan.cli.launch.supervision import ROS_BRIDGE, SERVICES, Supervisor
+from eigenscan.cli.launch.supervision import NODES, SERVICES, Supervisor
+from eigenscan.cli.launch.together import BETWEEN, TOGETHER, TOGETHER_MODULE
 from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.stop_event import StopEvent
@@ -23,7 +24,7 @@ AWAIT_MODEL = ("mapbuilder", "projector")
 
 @dataclass(frozen=True)
 class Pipeline:
-    """What the services of one robot are told."""
+    """Flags of one robot's services."""
 
     site: str
     robot: str
@@ -34,7 +35,8 @@ class Pipeline:
     viewer: bool
     ros2_flags: Sequence[str] | None = None  # the ROS bridge's; None: without one
     listen: Sequence[str] = ()  # endpoints for other machines
-    told: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
+    flags: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
+    together: bool = False  # in one process
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it receives everything."""
@@ -46,17 +48,25 @@ class Pipeline:
             recorder += ["--rrd", str(self.rrd)]
         if self.viewer:
             recorder += ["--viewer-port", "0", "--data-port", "0"]
-        flags = {"recorder": recorder, "mapbuilder": list(self.model_flags)}
-        for name in sorted(SERVICES, key=lambda name: name != "recorder"):
-            told = self.told.get(name, ())
-            supervisor.start(name, SERVICES[name], [*shared, *flags.get(name, []), *told])
+        own = {"recorder": recorder, "mapbuilder": list(self.model_flags)}
         if self.ros2_flags is not None:
-            told = self.told.get("ros-bridge", ())
-            supervisor.start("ros-bridge", ROS_BRIDGE, [*shared, *self.ros2_flags, *told])
+            own["ros-bridge"] = list(self.ros2_flags)
+        flags = {name: [*shared, *own.get(name, []), *self.flags.get(name, ())] for name in self.services}
+        if self.together:
+            groups = [word for name, given in flags.items() for word in (BETWEEN, name, *given)]
+            supervisor.start(TOGETHER, TOGETHER_MODULE, groups[1:])
+            return
+        for name in sorted(flags, key=lambda name: name != "recorder"):
+            supervisor.start(name, NODES[name], flags[name])
+
+    @property
+    def services(self) -> list[str]:
+        """Names of what runs, whatever the processes."""
+        return [name for name in NODES if name in SERVICES or self.ros2_flags is not None]
 
 
 def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
-    """What is still to come before `services` work: names, with what they say they lack."""
+    """What is still to come before `services` work: names, with what their health says they lack."""
     found = []
     for service in services:
         health = view.health(service)
@@ -67,8 +77,10 @@ def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
     return found
 
 
-def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, stop: StopEvent) -> bool:
-    """Waits until every service is there and has its model; False where the end was asked for.
+def wait_until_ready(
+    supervisor: Supervisor, services: Iterable[str], view: FleetView, line: StatusLine, stop: StopEvent
+) -> bool:
+    """Waits until every one of `services` is there and has its model; False where the end was asked for.
 
     Raises ChildDiedError, or FailedError where it takes longer than READY_S.
     """
@@ -76,7 +88,7 @@ def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, 
     while not stop.stopping:
         supervisor.check()
         view.update()
-        missing = lacking(view, supervisor.children)
+        missing = lacking(view, services)
         if not missing:
             return True
         if time.monotonic() > deadline:
@@ -88,6 +100,7 @@ def wait_until_ready(supervisor: Supervisor, view: FleetView, line: StatusLine, 
 
 def viewer_link(supervisor: Supervisor) -> str | None:
     """The link that the recorder printed, if it serves a viewer."""
-    log = supervisor.children["recorder"].log.read_text(encoding="utf-8", errors="replace")
+    child = supervisor.children.get("recorder") or supervisor.children[TOGETHER]
+    log = child.log.read_text(encoding="utf-8", errors="replace")
     lines = [line for line in log.splitlines() if line.startswith("viewer: ")]
     return lines[-1].removeprefix("viewer: ").strip() if lines else None

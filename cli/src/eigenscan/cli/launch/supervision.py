@@ -24,6 +24,7 @@ SERVICES = {
 """Name of each service and the module that runs it."""
 ROS_BRIDGE = "eigenscan.ros_bridge.node"
 """The module of the one that only robots with ROS 2 need."""
+NODES = {**SERVICES, "ros-bridge": ROS_BRIDGE}
 
 STOP_SETTING, STOP_S = "EIGENSCAN_STOP_S", 2.0
 """What a child gives itself to end; of twice as long nothing is left to hope for, and it is killed."""
