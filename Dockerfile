@@ -76,7 +76,8 @@ FROM numeric AS robot-recorder
 COPY --from=own /own/recorder /opt/own
 ENTRYPOINT ["eigenscan-recorder"]
 
-# the whole command but for what draws: a simulated robot, or docker run --entrypoint eigenscan IMAGE evaluate ...
+# the whole command but for what draws: a simulated robot, or docker run --entrypoint eigenscan IMAGE evaluate ...,
+# or a robot's services in one process: --entrypoint eigenscan-together
 FROM numeric AS simulator
 COPY --from=own /own/simulator /opt/own
 HEALTHCHECK NONE

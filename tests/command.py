@@ -23,8 +23,8 @@ def eigenscan(
     with chdir(cwd or Path.cwd()), _environment_kept():
         result = CliRunner().invoke(app, words, env=environment, prog_name="eigenscan")
     error = "" if isinstance(result.exception, SystemExit) or result.exc_info is None else result.exc_info
-    said = "".join(traceback.format_exception(*error)) if error and result.exception else ""
-    return subprocess.CompletedProcess(words, result.exit_code, result.stdout, result.stderr + said)
+    published = "".join(traceback.format_exception(*error)) if error and result.exception else ""
+    return subprocess.CompletedProcess(words, result.exit_code, result.stdout, result.stderr + published)
 
 
 @contextmanager

@@ -96,9 +96,9 @@ def moments(folder: Path, before: Window, after: Window) -> tuple[GridMap, list[
 
 
 def _run(loop: Loopback, joined: Splice, reference: Trajectory) -> Iterator[Moment]:
-    start, scans = joined.heard[0].stamp, dict[int, NDArray[np.float64]]()
+    start, scans = joined.received[0].stamp, dict[int, NDArray[np.float64]]()
     tracks, hypotheses = Tracks(), np.zeros((0, 3))
-    for envelope in joined.heard:
+    for envelope in joined.received:
         for answer in loop.hear(envelope):
             if answer.channel == SCANS:
                 scans[answer.stamp] = _points(answer.open(scan_pb2.Scan))

@@ -39,7 +39,7 @@ instance = os.environ.get("EIGENSCAN_INSTANCE") or ("0" if robot == "*" else rob
 
 
 class Projector:
-    """Hears scans and models, says hypotheses and health."""
+    """Receives scans and models, publishes hypotheses and health."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
@@ -62,7 +62,7 @@ class Projector:
         self._declared.append(session.liveliness().declare_token(alive))
 
     def _follow(self, channel: str, keys: str) -> None:
-        """Hears a latched channel: what comes, and what each of its holders has kept."""
+        """Receives a latched channel: what comes, and what each of its holders has kept."""
 
         def on_token(token: zenoh.Sample) -> None:
             if token.kind == zenoh.SampleKind.PUT:
@@ -135,7 +135,7 @@ class Projector:
             self._counts["scan_malformed"] += 1
             return
         announced, regions, building = self._models.whole
-        said = Hypotheses(
+        published = Hypotheses(
             timestamp=scan.timestamp,
             frame_id=announced.frame_id,
             model_version=announced.version,
@@ -144,16 +144,21 @@ class Projector:
             status=Hypotheses.STATUS_UNUSABLE_SCAN,
         )
         with np.errstate(invalid="ignore"):
-            is_usable = (ranges > 0.0).sum() == (~np.isnan(ranges)).sum() and said.used_beams >= LEAST_BEAMS
+            is_usable = (ranges > 0.0).sum() == (
+                ~np.isnan(ranges)
+            ).sum() and published.used_beams >= LEAST_BEAMS
         if is_usable:
             found = locate(building, bearings, ranges)
-            said.status = Hypotheses.STATUS_OK
-            said.hypotheses.extend(listed(found, mount, regions))
-            said.unlisted_log_likelihood = min(0.0, float(found.log_likelihoods[-1]))
+            published.status = Hypotheses.STATUS_OK
+            published.hypotheses.extend(listed(found, mount, regions))
+            published.unlisted_log_likelihood = min(0.0, float(found.log_likelihoods[-1]))
         lidar = key.rpartition("/")[2]
         name = key.split("/")[2]
-        self._say(
-            f"{site}/robot/{name}/hypotheses/{lidar}/{instance}", said, zenoh.Priority.REAL_TIME, express=True
+        self._publish(
+            f"{site}/robot/{name}/hypotheses/{lidar}/{instance}",
+            published,
+            zenoh.Priority.REAL_TIME,
+            express=True,
         )
         self._counts["said_hypotheses"] += 1
 
@@ -170,9 +175,9 @@ class Projector:
             settings=json.dumps({"site": site, "robot": robot, "instance": instance}),
         )
         health.timestamp.FromNanoseconds(time.time_ns())
-        self._say(f"{site}/health/projector/{instance}", health, zenoh.Priority.BACKGROUND, express=False)
+        self._publish(f"{site}/health/projector/{instance}", health, zenoh.Priority.BACKGROUND, express=False)
 
-    def _say(self, key: str, message: Message, priority: zenoh.Priority, express: bool) -> None:
+    def _publish(self, key: str, message: Message, priority: zenoh.Priority, express: bool) -> None:
         payload = message.SerializeToString()
         self._session.put(
             key, payload, encoding=zenoh.Encoding(encoding(type(message))), priority=priority, express=express

@@ -1,4 +1,4 @@
-"""The map and models that were heard, until a set of them is whole (docs/contract.md, "Models")."""
+"""The map and models that were received, until a set of them is whole (docs/contract.md, "Models")."""
 
 from __future__ import annotations
 

@@ -158,22 +158,22 @@ def operator(fleet: Fleet) -> Iterator[zenoh.Session]:
 
 
 @pytest.fixture(scope="module")
-def heard(fleet: Fleet) -> Iterator[Counter[str]]:
+def received(fleet: Fleet) -> Iterator[Counter[str]]:
     """How often which channel of which robot came to the operator, and claims that it is localized."""
-    heard: Counter[str] = Counter()
+    received: Counter[str] = Counter()
 
     def on_sample(sample: zenoh.Sample) -> None:
         found = find(str(sample.key_expr))
         name = found[0].name if found else str(sample.key_expr)
-        heard[name] += 1
+        received[name] += 1
         if found and found[0] is POSE:
             claim = PoseEstimate.FromString(sample.payload.to_bytes()).state == STATE_LOCALIZED
-            heard[f"{found[1]['robot']} pose"] += 1
-            heard[f"{found[1]['robot']} localized"] += claim
+            received[f"{found[1]['robot']} pose"] += 1
+            received[f"{found[1]['robot']} localized"] += claim
 
     with operator(fleet) as session:
         session.declare_subscriber(f"{SITE}/**", on_sample)
-        yield heard
+        yield received
 
 
 def test_all_become_healthy_and_none_has_rights_it_does_not_need(fleet: Fleet) -> None:
@@ -197,45 +197,45 @@ def test_all_become_healthy_and_none_has_rights_it_does_not_need(fleet: Fleet) -
         assert not host["PortBindings"], service
 
 
-def test_the_site_hears_where_each_robot_is(fleet: Fleet, heard: Counter[str]) -> None:
+def test_the_site_hears_where_each_robot_is(fleet: Fleet, received: Counter[str]) -> None:
     for robot in ROBOTS:
         claims = f"{robot} localized"
-        until(lambda: heard[claims] > 10, PATIENCE_S, lambda: f"{claims}: {heard}\n{fleet.log()}")  # noqa: B023
+        until(lambda: received[claims] > 10, PATIENCE_S, lambda: f"{claims}: {received}\n{fleet.log()}")  # noqa: B023
 
 
-def test_what_stays_on_the_robot_does_not_come(fleet: Fleet, heard: Counter[str]) -> None:
+def test_what_stays_on_the_robot_does_not_come(fleet: Fleet, received: Counter[str]) -> None:
     # a new fleet sends scans as well: the site keeps its map true by them
     crossing = {SCAN.name} | {channel.name for channel in CHANNELS if channel.qos.air_hz > 0}
-    until(lambda: heard["tracks"] > 3 and heard["health"] > 3, PATIENCE_S, lambda: str(heard))
-    names = {name for name in heard if " " not in name}
+    until(lambda: received["tracks"] > 3 and received["health"] > 3, PATIENCE_S, lambda: str(received))
+    names = {name for name in received if " " not in name}
     assert names <= crossing
     assert names >= {"pose", "tracks", "health"}
 
 
-def until_quiet(heard: Counter[str], what: str) -> None:
+def until_quiet(received: Counter[str], what: str) -> None:
     """Waits until no more of that comes: what was under way has arrived."""
-    newest, since = heard[what], time.monotonic()
+    newest, since = received[what], time.monotonic()
 
     def is_quiet() -> bool:
         nonlocal newest, since
-        if heard[what] != newest:
-            newest, since = heard[what], time.monotonic()
+        if received[what] != newest:
+            newest, since = received[what], time.monotonic()
         return time.monotonic() - since > QUIET_S
 
-    until(is_quiet, PATIENCE_S, lambda: f"{what} goes on: {heard}")
+    until(is_quiet, PATIENCE_S, lambda: f"{what} goes on: {received}")
 
 
-def test_a_robot_that_is_cut_off_goes_on_and_comes_back(fleet: Fleet, heard: Counter[str]) -> None:
+def test_a_robot_that_is_cut_off_goes_on_and_comes_back(fleet: Fleet, received: Counter[str]) -> None:
     docker("network", "disconnect", fleet.name, fleet.machine("r17"))
-    until_quiet(heard, "r17 pose")
-    before, at_site = fleet.poses("r17"), heard["r17 pose"]
+    until_quiet(received, "r17 pose")
+    before, at_site = fleet.poses("r17"), received["r17 pose"]
     until(lambda: fleet.poses("r17") > before + 20, PATIENCE_S, lambda: "no pose without the site")
-    assert heard["r17 pose"] == at_site
+    assert received["r17 pose"] == at_site
     docker("network", "connect", "--alias", "r17", fleet.name, fleet.machine("r17"))
-    until(lambda: heard["r17 pose"] > at_site + 10, PATIENCE_S, lambda: f"r17 is not back: {heard}")
+    until(lambda: received["r17 pose"] > at_site + 10, PATIENCE_S, lambda: f"r17 is not back: {received}")
 
 
-def test_a_stolen_robot_is_out_and_the_rest_come_back(fleet: Fleet, heard: Counter[str]) -> None:
+def test_a_stolen_robot_is_out_and_the_rest_come_back(fleet: Fleet, received: Counter[str]) -> None:
     fleet.own(os.getuid())
     (fleet.folder / "robots/r18").rename(fleet.folder / "robots/kept")
     shutil.copytree(fleet.folder / "robots/kept", fleet.folder / "robots/r18")
@@ -245,13 +245,13 @@ def test_a_stolen_robot_is_out_and_the_rest_come_back(fleet: Fleet, heard: Count
     fleet.own(USER)
     router = fleet.container("site", "site-router")
     until(lambda: docker("inspect", "-f", "{{.RestartCount}}", router).strip() != "0", PATIENCE_S, fleet.log)
-    begun = heard["r17 pose"]
-    until(lambda: heard["r17 pose"] > begun + 10, PATIENCE_S, lambda: f"r17 is not back: {heard}")
-    out = heard["r18 pose"]
-    said, still = fleet.poses("r18"), heard["r17 pose"]
-    until(lambda: heard["r17 pose"] > still + 30, PATIENCE_S, lambda: "r17 is gone")
-    assert fleet.poses("r18") > said
-    assert heard["r18 pose"] == out
+    begun = received["r17 pose"]
+    until(lambda: received["r17 pose"] > begun + 10, PATIENCE_S, lambda: f"r17 is not back: {received}")
+    out = received["r18 pose"]
+    published, still = fleet.poses("r18"), received["r17 pose"]
+    until(lambda: received["r17 pose"] > still + 30, PATIENCE_S, lambda: "r17 is gone")
+    assert fleet.poses("r18") > published
+    assert received["r18 pose"] == out
 
 
 def test_no_secret_is_in_an_image_or_a_log(fleet: Fleet) -> None:

@@ -180,11 +180,13 @@ def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
 
 
 def test_ros_2_hears_of_the_pose(stack: Stack, client: Path) -> None:
-    heard: list[bytes] = []
+    received: list[bytes] = []
     with open_session(client) as session:
-        session.declare_subscriber("0/amcl_pose/**", lambda sample: heard.append(sample.payload.to_bytes()))
-        until(lambda: bool(heard), PATIENCE_S, lambda: "no /amcl_pose")
-    assert cdr.decode(cdr.POSE_WITH_COVARIANCE, heard[-1]).header.frame_id == "map"
+        session.declare_subscriber(
+            "0/amcl_pose/**", lambda sample: received.append(sample.payload.to_bytes())
+        )
+        until(lambda: bool(received), PATIENCE_S, lambda: "no /amcl_pose")
+    assert cdr.decode(cdr.POSE_WITH_COVARIANCE, received[-1]).header.frame_id == "map"
 
 
 def test_no_message_comes_twice_by_two_ways(stack: Stack, bus: Bus) -> None:
@@ -203,13 +205,13 @@ def test_no_message_comes_twice_by_two_ways(stack: Stack, bus: Bus) -> None:
 def test_every_service_tells_its_health_at_the_site(stack: Stack, bus: Bus) -> None:
     inbox = Inbox()
     bus.listen([HEALTH], {"site": stack.site}, inbox)
-    heard: set[str] = set()
+    received: set[str] = set()
     end = time.monotonic() + PATIENCE_S
-    while heard != set(SERVICES) - {"simulator"}:
-        assert time.monotonic() < end, heard
+    while received != set(SERVICES) - {"simulator"}:
+        assert time.monotonic() < end, received
         arrival = inbox.take(1.0)
         if arrival is not None:
-            heard.add((HEALTH.parse(arrival.key) or {})["service"])
+            received.add((HEALTH.parse(arrival.key) or {})["service"])
 
 
 COUNT_POSES = """

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tests.machines.air import Link
-from tests.machines.site import TERM, Fleet, Heard
+from tests.machines.site import TERM, Fleet, Received
 
 WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
 AIR_PERIOD_S = 0.16
@@ -29,22 +29,26 @@ def measure(fleet: Fleet, robot: str, link: Link, seconds: float) -> dict[str, A
     passed = fleet.air.links[robot].passed_bytes
     time.sleep(seconds)
     # on a busy machine poses come in bursts, of which one counts
-    said_by = fleet.machines[robot].ear
-    said_by.wait_for(lambda: len(_apart(said_by.poses[robot], begin)) >= LEAST, f"{LEAST} poses of {robot}")
+    published_by = fleet.machines[robot].ear
+    published_by.wait_for(
+        lambda: len(_apart(published_by.poses[robot], begin)) >= LEAST, f"{LEAST} poses of {robot}"
+    )
     end = time.monotonic()
     bytes_per_s = (fleet.air.links[robot].passed_bytes - passed) / (end - begin)
     time.sleep(LATE_S)
-    arrivals = {heard.stamp: heard.at for heard in fleet.site.ear.poses[robot]}
-    said = [heard for heard in _apart(said_by.poses[robot], begin) if heard.at < end]
-    late = np.array([arrivals[heard.stamp] - heard.at for heard in said if heard.stamp in arrivals])
+    arrivals = {received.stamp: received.at for received in fleet.site.ear.poses[robot]}
+    published = [received for received in _apart(published_by.poses[robot], begin) if received.at < end]
+    late = np.array(
+        [arrivals[received.stamp] - received.at for received in published if received.stamp in arrivals]
+    )
     ages = [at for at in sorted(arrivals.values()) if begin < at < end + LATE_S]
     fleet.air.links[robot] = Link()
     return {
         "loss": link.loss,
         "delay_ms": link.delay_s * 1e3,
         "jitter_ms": link.jitter_s * 1e3,
-        "said": len(said),
-        "arrived": len(late) / len(said),
+        "said": len(published),
+        "arrived": len(late) / len(published),
         "median_ms": float(np.median(late) * 1e3),
         "p99_ms": float(np.quantile(late, 0.99) * 1e3),
         "longest_silence_s": max((b - a for a, b in pairwise(ages)), default=float("inf")),
@@ -54,27 +58,29 @@ def measure(fleet: Fleet, robot: str, link: Link, seconds: float) -> dict[str, A
     }
 
 
-def _apart(poses: Sequence[Heard], begin: float) -> list[Heard]:
+def _apart(poses: Sequence[Received], begin: float) -> list[Received]:
     """Those since then that the air's limit cannot hold back."""
     return [
-        heard for before, heard in pairwise(poses) if heard.at > begin and heard.at - before.at > AIR_PERIOD_S
+        received
+        for before, received in pairwise(poses)
+        if received.at > begin and received.at - before.at > AIR_PERIOD_S
     ]
 
 
 def longest_gap(fleet: Fleet, robot: str, begin: float, end: float) -> float:
     """Of claims on the robot that came one after the other, in or around that time, by their stamps, s."""
-    claims = [heard for heard in fleet.machines[robot].ear.poses[robot] if heard.is_claim]
+    claims = [received for received in fleet.machines[robot].ear.poses[robot] if received.is_claim]
     return max((b.stamp - a.stamp) * 1e-9 for a, b in pairwise(claims) if a.at < end and b.at > begin)
 
 
 def wrong_claims(fleet: Fleet, robot: str, since: float = 0.0) -> int:
     """Claims made on the robot that are more than 0.5 m or 10 degrees from the truth."""
     stage, wrong = fleet.drivers[robot].stage, 0
-    for heard in fleet.machines[robot].ear.poses[robot]:
-        if not heard.is_claim or heard.at < since:
+    for received in fleet.machines[robot].ear.poses[robot]:
+        if not received.is_claim or received.at < since:
             continue
-        x, y, heading = stage.pose_at(heard.stamp)
-        pose = heard.pose.pose
+        x, y, heading = stage.pose_at(received.stamp)
+        pose = received.pose.pose
         turned = abs(math.remainder(pose.theta - heading, math.tau))
         wrong += math.hypot(pose.x - x, pose.y - y) > WRONG_M or turned > WRONG_RAD
     return wrong
@@ -109,4 +115,6 @@ def await_version(fleet: Fleet, robot: str, version: str) -> float:
     ear.wait_for(
         lambda: ear.poses[robot][-1].pose.model_version.startswith(version), f"{robot} to work with {version}"
     )
-    return next(heard.at for heard in ear.poses[robot] if heard.pose.model_version.startswith(version))
+    return next(
+        received.at for received in ear.poses[robot] if received.pose.model_version.startswith(version)
+    )

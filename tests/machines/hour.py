@@ -26,7 +26,7 @@ from tests.machines.bad_air import (
     renew_models,
     wrong_claims,
 )
-from tests.machines.site import KILL, PATIENCE_S, SERVICES, SITE, TERM, Fleet, Heard, fleet
+from tests.machines.site import KILL, PATIENCE_S, SERVICES, SITE, TERM, Fleet, Received, fleet
 
 UNDER_WAY_S = 0.5
 """From a robot to the site."""
@@ -110,8 +110,8 @@ class Hour:
         """Waits until all that the site had heard before that moment is on the disk."""
 
         def missing() -> set[tuple[str, int]]:
-            heard = self._arrived().items()
-            due = {key for key, at in heard if self.began < at < before and not self._is_lost(at)}
+            received = self._arrived().items()
+            due = {key for key, at in received if self.began < at < before and not self._is_lost(at)}
             return due - self._recorded()
 
         self._until_none(missing, "heard, but not recorded")
@@ -191,8 +191,8 @@ class Hour:
                     pass
             self._await_recorder(Health.STATUS_DEGRADED)
             time.sleep(seconds)
-            _, said = site.ear.health["recorder", "site"]
-            self.disk = {"detail": said.detail, "counters": dict(said.counters)}
+            _, published = site.ear.health["recorder", "site"]
+            self.disk = {"detail": published.detail, "counters": dict(published.counters)}
             ballast.unlink()
             self._await_recorder(Health.STATUS_OK)
         self.disk["files"] = {path.name: path.stat().st_size for path in self.fleet.recordings.glob("*.mcap")}
@@ -217,14 +217,15 @@ class Hour:
                 robot: longest_gap(self.fleet, robot, begin, end) for robot in self.fleet.robots
             }
             event.unrecorded = sum(
-                self._is_within(heard, event) and key not in recorded for key, heard in self._said()
+                self._is_within(received, event) and key not in recorded
+                for key, received in self._published()
             )
-        said = [
+        published = [
             key
-            for key, heard in self._said()
-            if heard.at < ended - UNDER_WAY_S and not self._is_excused(key[0], heard)
+            for key, received in self._published()
+            if received.at < ended - UNDER_WAY_S and not self._is_excused(key[0], received)
         ]
-        heard_at_site = [
+        received_at_site = [
             key for key, at in arrived.items() if self.began < at < ended and not self._is_lost(at)
         ]
         return {
@@ -234,14 +235,14 @@ class Hour:
             "claims": sum(len(self._claims(robot)) for robot in self.fleet.robots),
             "wrong": {robot: wrong_claims(self.fleet, robot) for robot in self.fleet.robots},
             # outside the events that may lose some
-            "said": len(said),
-            "undelivered": sum(key not in arrived for key in said),
+            "said": len(published),
+            "undelivered": sum(key not in arrived for key in published),
             "longest_undelivered": max(
-                _longest_row([key not in arrived for key in said if key[0] == robot])
+                _longest_row([key not in arrived for key in published if key[0] == robot])
                 for robot in self.fleet.robots
             ),
-            "heard_at_site": len(heard_at_site),
-            "unrecorded": sum(key not in recorded for key in heard_at_site),
+            "heard_at_site": len(received_at_site),
+            "unrecorded": sum(key not in recorded for key in received_at_site),
             "events": [
                 asdict(event) | {"beyond_s": {robot: event.beyond_s(robot) for robot in event.unlocalized_s}}
                 for event in self.events
@@ -252,29 +253,33 @@ class Hour:
             "status": {"whole": self.whole, "cut": self.cut, "cut_s": self.cut_s},
         }
 
-    def _poses(self, robot: str) -> list[Heard]:
+    def _poses(self, robot: str) -> list[Received]:
         return self.fleet.machines[robot].ear.poses[robot]
 
-    def _claims(self, robot: str) -> list[Heard]:
-        return [heard for heard in self._poses(robot) if heard.is_claim]
+    def _claims(self, robot: str) -> list[Received]:
+        return [received for received in self._poses(robot) if received.is_claim]
 
-    def _said(self) -> Iterator[tuple[tuple[str, int], Heard]]:
+    def _published(self) -> Iterator[tuple[tuple[str, int], Received]]:
         """Poses that the robots said, but those that the air's limit may hold back."""
         for robot in self.fleet.robots:
-            for before, heard in pairwise(self._poses(robot)):
-                if heard.at > self.began and heard.at - before.at > AIR_PERIOD_S:
-                    yield (robot, heard.stamp), heard
+            for before, received in pairwise(self._poses(robot)):
+                if received.at > self.began and received.at - before.at > AIR_PERIOD_S:
+                    yield (robot, received.stamp), received
 
     def _arrived(self) -> dict[tuple[str, int], float]:
         """When the site heard the pose of which robot and stamp, monotonic, s."""
         ear = self.fleet.site.ear
-        return {(robot, one.stamp): one.at for robot, said in list(ear.poses.items()) for one in list(said)}
+        return {
+            (robot, one.stamp): one.at
+            for robot, published in list(ear.poses.items())
+            for one in list(published)
+        }
 
-    def _is_within(self, heard: Heard, event: Event) -> bool:
-        return event.at_s - UNDER_WAY_S < heard.at - self.began < event.until_s
+    def _is_within(self, received: Received, event: Event) -> bool:
+        return event.at_s - UNDER_WAY_S < received.at - self.began < event.until_s
 
-    def _is_excused(self, robot: str, heard: Heard) -> bool:
-        return any(robot in event.loses and self._is_within(heard, event) for event in self.events)
+    def _is_excused(self, robot: str, received: Received) -> bool:
+        return any(robot in event.loses and self._is_within(received, event) for event in self.events)
 
     def _is_lost(self, at: float) -> bool:
         """Whether the recorder, or its way to the site's router, was taken when the site heard something."""

@@ -45,7 +45,7 @@ SETTINGS = "\n[mapbuilder]\nstep = 1.0\n"
 
 
 @dataclass(frozen=True)
-class Heard:
+class Received:
     """A pose and when it came, monotonic, s."""
 
     at: float
@@ -64,7 +64,7 @@ class Ear:
     """The poses of each robot, and the newest health of each service, as one machine hears them."""
 
     def __init__(self, session: zenoh.Session) -> None:
-        self.poses: dict[str, list[Heard]] = {}
+        self.poses: dict[str, list[Received]] = {}
         self.health: dict[tuple[str, str], tuple[float, Health]] = {}
         self.status: list[tuple[float, str, str, int, str]] = []
         """When which service of which instance was how, and why: each change."""
@@ -82,7 +82,7 @@ class Ear:
         with self._news:
             if channel is POSE:
                 pose = PoseEstimate.FromString(sample.payload.to_bytes())
-                self.poses.setdefault(address["robot"], []).append(Heard(now, pose))
+                self.poses.setdefault(address["robot"], []).append(Received(now, pose))
             else:
                 health = Health.FromString(sample.payload.to_bytes())
                 name = address["service"], address["instance"]
@@ -97,8 +97,10 @@ class Ear:
 
     def claims_since(self, robot: str, moment: float) -> int:
         """How many came since then."""
-        said = self.poses.get(robot, [])
-        return sum(1 for heard in reversed(said[-100:]) if heard.at >= moment and heard.is_claim)
+        published = self.poses.get(robot, [])
+        return sum(
+            1 for received in reversed(published[-100:]) if received.at >= moment and received.is_claim
+        )
 
 
 @dataclass
@@ -184,9 +186,9 @@ class Driver:
 
     def _drive(self) -> None:
         self.stage.epoch = time.time_ns() + self.offset_ns
-        publish(self.stage.messages(), self._say, 1.0, self._stop)
+        publish(self.stage.messages(), self._publish, 1.0, self._stop)
 
-    def _say(self, envelope: Envelope) -> None:
+    def _publish(self, envelope: Envelope) -> None:
         if envelope.channel is not TRUTH:
             self._bus.say(envelope)
 

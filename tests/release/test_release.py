@@ -1,5 +1,6 @@
 """What would be published: built, installed in a clean environment, and used."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ from email.message import Message
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.environment import ROOT
 
@@ -31,7 +33,9 @@ def workspace(tmp_path: Path) -> Path:
         "services/*/LICENSE",
         "services/*/pyproject.toml",
     )
-    for path in [path for part in (*parts, "CHANGELOG.md", "tools/release") for path in ROOT.glob(part)]:
+    for path in [
+        path for part in (*parts, "CHANGELOG.md", "CITATION.cff", "tools/release") for path in ROOT.glob(part)
+    ]:
         file = path.relative_to(ROOT)
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, tmp_path / file)
@@ -108,6 +112,7 @@ def test_one_command_sets_the_version_everywhere(workspace: Path) -> None:
     assert _release(workspace, "check").returncode == 0
     cli = tomllib.loads((workspace / "cli/pyproject.toml").read_text())["project"]
     assert cli["version"] == "1.2.3"
+    assert yaml.safe_load((workspace / "CITATION.cff").read_text())["version"] == "1.2.3"
     siblings = [need for need in cli["dependencies"] if need.startswith("eigenscan-")]
     assert len(siblings) > 5
     assert all(need.endswith("==1.2.3") for need in siblings)
@@ -124,6 +129,23 @@ def test_a_part_that_differs_is_named_with_the_fix(workspace: Path, old: str, ne
     assert len(result.stderr.strip().splitlines()) == 1
     assert "eigenspace/pyproject.toml" in result.stderr
     assert "tools/release set" in result.stderr
+
+
+def test_a_citation_of_another_version_is_named(workspace: Path) -> None:
+    file = workspace / "CITATION.cff"
+    file.write_text(file.read_text().replace("\nversion: ", "\nversion: 9"))
+    result = _release(workspace, "check")
+    assert result.returncode == 1
+    assert "CITATION.cff" in result.stderr
+
+
+def test_a_development_container_has_the_oldest_python_and_sets_itself_up() -> None:
+    made = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())
+    oldest = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"]
+    assert made["image"].startswith(f"python:{oldest.removeprefix('>=')}-")
+    command, target = made["postCreateCommand"].split()
+    assert command == "make"
+    assert f"\n{target}:" in (ROOT / "Makefile").read_text()
 
 
 def test_a_version_that_is_none_changes_nothing(workspace: Path) -> None:

@@ -59,7 +59,7 @@ def eventually(what: Callable[[], T], about: str, seen: object = "") -> T:
 class Ear:
     """Everything of a site that its own keys carry, in order of arrival."""
 
-    heard: list[Envelope] = field(default_factory=list)
+    received: list[Envelope] = field(default_factory=list)
     news: threading.Condition = field(default_factory=threading.Condition)
 
     def on_sample(self, sample: zenoh.Sample) -> None:
@@ -71,20 +71,22 @@ class Ear:
         except ValueError:
             return
         with self.news:
-            self.heard.append(Envelope(found[0], found[1], message))
+            self.received.append(Envelope(found[0], found[1], message))
             self.news.notify_all()
 
     def wait_for(self, what: Callable[[list[Envelope]], T], about: str) -> T:
         """What `what` makes of all that was heard, as soon as it is true."""
         with self.news:
-            result = self.news.wait_for(lambda: what(self.heard), PATIENCE_S)
+            result = self.news.wait_for(lambda: what(self.received), PATIENCE_S)
         assert result, f"waited {PATIENCE_S:.0f} s in vain for {about}"
         return result
 
     def of(self, channel: object, message: type[T]) -> list[T]:
         """The messages of one channel so far."""
         with self.news:
-            return [e.message for e in self.heard if e.channel is channel and isinstance(e.message, message)]
+            return [
+                e.message for e in self.received if e.channel is channel and isinstance(e.message, message)
+            ]
 
     def health(self, service: str) -> Health | None:
         """The newest word of a service on itself."""
@@ -92,7 +94,7 @@ class Ear:
             return next(
                 (
                     e.open(Health)
-                    for e in reversed(self.heard)
+                    for e in reversed(self.received)
                     if e.channel is HEALTH and e.address["service"] == service
                 ),
                 None,
@@ -128,7 +130,7 @@ class House:
         return [str(PROGRAMS / str(program[0])), *map(str, (*program[1:], *own, *flags))]
 
     def _words(self, service: str) -> int:
-        return sum(e.channel is HEALTH and e.address["service"] == service for e in self.ear.heard)
+        return sum(e.channel is HEALTH and e.address["service"] == service for e in self.ear.received)
 
     def until(self, service: str, holds: Callable[[Health], bool], about: str) -> Health:
         """The first word of a service on itself that `holds`."""

@@ -29,7 +29,7 @@ class Robot:
         self._stop = threading.Event()
         self._bus = Bus(open_session(config))
         self._thread = threading.Thread(
-            target=publish, args=(self.stage.messages(), self._say, 1.0, self._stop)
+            target=publish, args=(self.stage.messages(), self._publish, 1.0, self._stop)
         )
 
     def write_map(self, folder: Path) -> Path:
@@ -37,7 +37,7 @@ class Robot:
         write_map(self.stage.grid, folder / "map.yaml")
         return folder / "map.yaml"
 
-    def _say(self, envelope: Envelope) -> None:
+    def _publish(self, envelope: Envelope) -> None:
         if envelope.channel is not ODOMETRY or self.odometry.is_set():
             self._bus.say(envelope)
 

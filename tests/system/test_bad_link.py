@@ -83,8 +83,8 @@ def more_claims(ear: Ear, count: int, about: str) -> None:
     ear.wait_for(lambda _: len(claims(ear, since)) >= count, about)
 
 
-def size_of(said: list[Envelope]) -> int:
-    return sum(envelope.message.ByteSize() for envelope in said if envelope.channel is MODEL)
+def size_of(published: list[Envelope]) -> int:
+    return sum(envelope.message.ByteSize() for envelope in published if envelope.channel is MODEL)
 
 
 def test_a_robot_without_its_site_goes_on_and_catches_up(house: House, link: BadLink) -> None:
@@ -108,7 +108,7 @@ def test_a_robot_without_its_site_goes_on_and_catches_up(house: House, link: Bad
         more_claims(machine.ear, 5, "poses on the robot after a restart without the site")
         back = time.time_ns()
         house.kill("mapbuilder")
-        before = len(house.ear.heard)
+        before = len(house.ear.received)
         house.start("mapbuilder", "--map", map_file, "--step", "1.0", "--spacing", "0.6")
         silence = cut + int((LEASE_S + 2.0) * 1e9)
         machine.ear.wait_for(lambda _: claims(machine.ear, silence), "poses on the robot, long into the cut")
@@ -123,7 +123,7 @@ def test_a_robot_without_its_site_goes_on_and_catches_up(house: House, link: Bad
             lambda _: any(pose.model_version != first for pose in claims(machine.ear, back)), "the new models"
         )
         more_claims(house.ear, 5, "poses at the site again")
-        new = size_of(house.ear.heard[before:])
+        new = size_of(house.ear.received[before:])
         assert new < link.down_bytes < 2 * new, "each model came once"
 
         link.cut()

@@ -65,12 +65,12 @@ def drive(stage: Stage, models: list[Envelope], step_s: float) -> tuple[list[Cla
         projector.handle(model)
     cores: list[Core] = [ScanIngestCore(ScanIngestSettings()), projector, TrackerCore(TrackerSettings())]
     pipeline, claims, off, first = Loopback(cores), list[Claim](), 0, 0
-    for said in stage.messages():
-        envelope = said.envelope
+    for published in stage.messages():
+        envelope = published.envelope
         if envelope.channel not in (SCAN_RAW, ODOMETRY):
             continue
-        first = first or said.time
-        off = int(step_s * 1e9) if said.time - first >= STEP_AT_S * 1e9 else 0
+        first = first or published.time
+        off = int(step_s * 1e9) if published.time - first >= STEP_AT_S * 1e9 else 0
         own = nanoseconds(envelope.message.timestamp)  # type: ignore[attr-defined]
         envelope.message.timestamp.CopyFrom(stamp(own + off))  # type: ignore[attr-defined]
         for one in pipeline.hear(envelope):
@@ -82,7 +82,7 @@ def drive(stage: Stage, models: list[Envelope], step_s: float) -> tuple[list[Cla
                     then = min(times, key=lambda time, now=own: abs(time - now))  # type: ignore[misc]
                     x, y, _ = stage.pose_at(then)
                     error = float(np.hypot(pose.pose.x - x, pose.pose.y - y))
-                    claims.append(Claim((said.time - first) * 1e-9, error))
+                    claims.append(Claim((published.time - first) * 1e-9, error))
     counters: dict[str, int] = {}
     for core in cores:
         counters |= core.condition().counters

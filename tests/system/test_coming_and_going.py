@@ -26,17 +26,19 @@ some 15 of compiled code may be loaded late. What a robot's models took would be
 SERVICES = ("scan-ingest", "projector", "tracker", "recorder")
 
 
-def visit(house: House, name: str, said: list[Envelope]) -> None:
+def visit(house: House, name: str, published: list[Envelope]) -> None:
     """A robot with a session of its own that says a little and leaves."""
     bus = Bus(open_session(house.config))
     bus.announce(house.site, "driver", name)
     raw = SCAN_RAW.key({"site": house.site, "robot": name, "lidar": "front"})
     assert bus.wait_for_listener(raw, PATIENCE_S)
-    for envelope in said:
+    for envelope in published:
         envelope.message.timestamp.CopyFrom(stamp(time.time_ns()))  # type: ignore[attr-defined]
         bus.say(Envelope(envelope.channel, {**envelope.address, "robot": name}, envelope.message))
     house.ear.wait_for(
-        lambda heard: any(e.channel is SCAN and e.address["robot"] == name for e in reversed(heard[-200:])),
+        lambda received: any(
+            e.channel is SCAN and e.address["robot"] == name for e in reversed(received[-200:])
+        ),
         f"a scan of {name}",
     )
     bus.close()
@@ -49,12 +51,12 @@ def test_robots_that_are_gone_cost_nothing(house: House, tmp_path: Path) -> None
     for service in ("scan-ingest", "projector", "tracker"):
         house.start(service, "--robot", "*")
     house.until("projector", lambda health: health.status == 1, "has its models")
-    said = [
+    published = [
         timed.envelope
         for timed in islice(robot.stage.messages(), 40)
         if timed.envelope.channel in (SCAN_RAW, ODOMETRY)
     ]
-    assert sum(envelope.channel is SCAN_RAW for envelope in said) >= 2
+    assert sum(envelope.channel is SCAN_RAW for envelope in published) >= 2
     processes = {name: psutil.Process(house.running[name].pid) for name in SERVICES}
 
     def held() -> dict[str, tuple[int, float]]:
@@ -64,10 +66,10 @@ def test_robots_that_are_gone_cost_nothing(house: House, tmp_path: Path) -> None
         return {name: (one.num_fds(), one.memory_info().rss / 1e6) for name, one in every.items()}
 
     for number in range(FIRST):
-        visit(house, f"r{number}", said)
+        visit(house, f"r{number}", published)
     before = held()
     for number in range(FIRST, ALL):
-        visit(house, f"r{number}", said)
+        visit(house, f"r{number}", published)
     after = held()
     # all of them were served
     lidars = house.until("scan-ingest", lambda health: health.counters["lidars"] >= ALL, "all lidars")

@@ -142,15 +142,15 @@ def speaking(
 @pytest.fixture
 def stranger(house: House) -> Iterator[dict[str, Any]]:
     """A projector of another release, a minute behind, that drops scans; what it says can be changed."""
-    said: dict[str, Any] = {"status": Health.STATUS_OK, "detail": ""}
+    published: dict[str, Any] = {"status": Health.STATUS_OK, "detail": ""}
 
     def words(number: int) -> dict[str, Any]:
         behind = stamp(time.time_ns() - 60_000_000_000)
         counters = {f"dropped_{SCAN.name}": 3 * number, "undecodable": number}
-        return {"timestamp": behind, "counters": counters, **said}
+        return {"timestamp": behind, "counters": counters, **published}
 
     with speaking(house, "projector", "old", 99, words):
-        yield said
+        yield published
 
 
 def test_another_release_a_wrong_clock_and_drops_are_named(house: House, stranger: dict[str, Any]) -> None:
@@ -162,13 +162,13 @@ def test_another_release_a_wrong_clock_and_drops_are_named(house: House, strange
         "could not decode .*",
         "is too slow: drops scan, .*",
     ]
-    said: list[str] = []
+    published: list[str] = []
 
     def finds() -> bool:
-        said[:] = [what for where, what in complaints(house) if where == "projector old"]
-        return len(said) == len(wanted) and all(map(re.fullmatch, wanted, said))
+        published[:] = [what for where, what in complaints(house) if where == "projector old"]
+        return len(published) == len(wanted) and all(map(re.fullmatch, wanted, published))
 
-    eventually(finds, "doctor to find all of it", said)
+    eventually(finds, "doctor to find all of it", published)
 
 
 def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(house: House) -> None:

@@ -49,7 +49,7 @@ def test_every_service_ends_in_good_order_when_told_to(drive: Drive, models: Pat
     start_all(house, models)
     for scan in scans_of(drive, 5):
         say(house, SCAN_RAW, scan, lidar="front")
-    house.ear.wait_for(lambda heard: any(e.channel is HYPOTHESES for e in heard), "hypotheses")
+    house.ear.wait_for(lambda received: any(e.channel is HYPOTHESES for e in received), "hypotheses")
     for service in ORDER:
         assert house.terminate(service) == 0, f"{service}\n{house.log(service)}"
         assert "unfinished=False" in house.log(service) or '"unfinished": false' in house.log(service)
@@ -66,7 +66,7 @@ def test_a_projector_that_comes_last_gets_the_models_and_answers(
     (version,) = {message.version for message in house.ear.of(MODEL_SET, ModelSet)}
     house.start("scan-ingest")
     say(house, SCAN_RAW, scans_of(drive, 1)[0], lidar="front")
-    house.ear.wait_for(lambda heard: any(e.channel is HYPOTHESES for e in heard), "hypotheses")
+    house.ear.wait_for(lambda received: any(e.channel is HYPOTHESES for e in received), "hypotheses")
     (answer,) = house.ear.of(HYPOTHESES, Hypotheses)
     assert answer.model_version == version
     assert answer.hypotheses
@@ -152,8 +152,8 @@ def wrong(claims: list[PoseEstimate]) -> list[PoseEstimate]:
 
 
 def last_pose(house: House) -> int:
-    said = house.ear.of(POSE, PoseEstimate)
-    return max((nanoseconds(pose.timestamp) for pose in said), default=0)
+    published = house.ear.of(POSE, PoseEstimate)
+    return max((nanoseconds(pose.timestamp) for pose in published), default=0)
 
 
 @pytest.mark.dataset

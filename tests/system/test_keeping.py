@@ -4,6 +4,7 @@ import itertools
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -64,16 +65,20 @@ def drive(house: House, scans: list[int], stop: threading.Event) -> None:
                             return
 
 
-def tell(house: House, messages: list[Envelope], heard: int) -> int:
+def _has_received(poses: int) -> Callable[[Health], bool]:
+    return lambda health: health.counters["heard_pose"] >= poses
+
+
+def tell(house: House, messages: list[Envelope], received: int) -> int:
     """As fast as the mapbuilder hears, who has heard so many poses; gives how many it has then."""
     with Bus(open_session(house.config)) as bus:
         for first in range(0, len(messages), AT_ONCE):
             part = messages[first : first + AT_ONCE]
             for envelope in part:
                 bus.say(envelope)
-            heard += sum(envelope.channel is POSE for envelope in part)
-            house.until("mapbuilder", lambda health: health.counters["heard_pose"] >= heard, "has heard all")  # noqa: B023
-    return heard
+            received += sum(envelope.channel is POSE for envelope in part)
+            house.until("mapbuilder", _has_received(received), "has received all")
+    return received
 
 
 def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
@@ -85,9 +90,9 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
     # of the visit that runs only what was saved is kept; the one before must be
     house.kill("mapbuilder")
     house.start("mapbuilder", "--model", model)
-    heard = 0
+    received = 0
     for number in range(2, 6):
-        heard = tell(house, patrol(house, number), heard)
+        received = tell(house, patrol(house, number), received)
     health = house.until("mapbuilder", lambda health: "proposed as" in health.detail, "proposes a version")
     assert health.status == Health.STATUS_OK
     assert f"eigenscan models accept {model}" in health.detail

@@ -34,8 +34,8 @@ def test_a_restarted_tracker_begins_at_the_last_pose_unless_that_is_old(house: H
         house.until("tracker", lambda health: health.counters["relocated"] == 1, "began at the last pose")
         house.ear.wait_for(lambda _: len(sure(1)) >= known + 5, "claims again")
     (word,) = house.ear.of(RELOCATION, Relocation)
-    heard = [envelope.message for envelope in house.ear.heard]
-    *_, last = (pose for pose in sure(1) if heard.index(pose) < heard.index(word))
+    received = [envelope.message for envelope in house.ear.received]
+    *_, last = (pose for pose in sure(1) if received.index(pose) < received.index(word))
     assert abs(nanoseconds(last.timestamp) - nanoseconds(word.timestamp)) < 2_000_000_000
     true = robot.stage.pose_at(nanoseconds(word.timestamp))
     assert abs(word.pose.x - true[0]) < 0.5

@@ -47,15 +47,15 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def odometry(heard: Sequence[Envelope]) -> list[int]:
+def odometry(received: Sequence[Envelope]) -> list[int]:
     """Ticks of the recording that were said, in order of arrival."""
-    stamps = [nanoseconds(e.open(Odometry).timestamp) for e in heard if e.channel is ODOMETRY]
+    stamps = [nanoseconds(e.open(Odometry).timestamp) for e in received if e.channel is ODOMETRY]
     return [(stamp - START) * RATE_HZ // S for stamp in stamps]
 
 
-def ahead(heard: Sequence[Envelope]) -> int | None:
+def ahead(received: Sequence[Envelope]) -> int | None:
     """Which message is the first that does not follow on the one before it."""
-    ticks = odometry(heard)
+    ticks = odometry(received)
     return next((k for k in range(1, len(ticks)) if ticks[k] != ticks[k - 1] + 1), None)
 
 
@@ -96,24 +96,24 @@ def desk(recording: Path, house: House) -> Iterator[Desk]:
 
 def test_keys_of_a_terminal_pause_step_and_seek(desk: Desk, house: House) -> None:
     before = termios.tcgetattr(desk.terminal)
-    house.ear.wait_for(lambda heard: len(odometry(heard)) >= 3, "the first odometry")
+    house.ear.wait_for(lambda received: len(odometry(received)) >= 3, "the first odometry")
     desk.press(" ")
     desk.read_until("paused")
     desk.press(f"..{RIGHT}.")
-    house.ear.wait_for(lambda heard: ahead(heard) is not None, "a message after a skip")
-    place = ahead(house.ear.heard)
+    house.ear.wait_for(lambda received: ahead(received) is not None, "a message after a skip")
+    place = ahead(house.ear.received)
     assert place is not None
-    ticks = odometry(house.ear.heard)
+    ticks = odometry(house.ear.received)
     assert place >= 5
     assert ticks[:place] == list(range(place))
     assert 5 * RATE_HZ <= ticks[place] - ticks[place - 1] <= 5 * RATE_HZ + 1
     desk.press(f"{LEFT}.")
-    house.ear.wait_for(lambda heard: len(odometry(heard)) > place + 1, "a message after a skip back")
-    *before_it, back = odometry(house.ear.heard)
+    house.ear.wait_for(lambda received: len(odometry(received)) > place + 1, "a message after a skip back")
+    *before_it, back = odometry(house.ear.received)
     assert before_it == ticks  # each step is one message
     assert 4 * RATE_HZ <= ticks[place] - back <= 5 * RATE_HZ
     desk.press(" ")
-    house.ear.wait_for(lambda heard: len(odometry(heard)) > place + 4, "it goes on")
+    house.ear.wait_for(lambda received: len(odometry(received)) > place + 4, "it goes on")
     desk.press("q")
     assert desk.process.wait(PATIENCE_S) == 0
     assert termios.tcgetattr(desk.terminal) == before
@@ -132,8 +132,8 @@ def test_words_on_standard_input_do_the_same(recording: Path, house: House) -> N
     lines = "pause\nstep\nstep\nseek 15\nstep\nskip -5\nstep\nend\n"
     done = replay(recording, house, "--commands", "--only", "odometry", lines=lines)
     assert done.returncode == 0, done.stderr
-    house.ear.wait_for(lambda heard: 10 * RATE_HZ in odometry(heard), "the last step")
-    *before, fifteen, ten = odometry(house.ear.heard)
+    house.ear.wait_for(lambda received: 10 * RATE_HZ in odometry(received), "the last step")
+    *before, fifteen, ten = odometry(house.ear.received)
     assert len(before) >= 2
     assert before == list(range(len(before)))
     assert (fifteen, ten) == (15 * RATE_HZ, 10 * RATE_HZ)
@@ -142,7 +142,7 @@ def test_words_on_standard_input_do_the_same(recording: Path, house: House) -> N
 def test_where_the_words_end_it_plays_on(recording: Path, house: House) -> None:
     done = replay(recording, house, "--commands", "--speed", 10, "--only", "odometry", lines="pause\n")
     assert done.returncode == 0, done.stderr
-    house.ear.wait_for(lambda heard: len(odometry(heard)) == LENGTH_S * RATE_HZ, "all of it")
+    house.ear.wait_for(lambda received: len(odometry(received)) == LENGTH_S * RATE_HZ, "all of it")
 
 
 def test_a_word_that_is_no_command_is_named(recording: Path, house: House) -> None:
@@ -157,9 +157,9 @@ def test_shifted_stamps_are_of_now_and_never_go_back(recording: Path, house: Hou
     done = replay(recording, house, "--commands", "--stamps", "now", "--to", 5, lines=lines)
     assert done.returncode == 0, done.stderr
     wanted = 2 * (RATE_HZ + 1)  # from 3 s on
-    house.ear.wait_for(lambda heard: len(heard) >= wanted, "all of it")
+    house.ear.wait_for(lambda received: len(received) >= wanted, "all of it")
     after = time.time_ns() + 5 * S
-    stamps = [e.stamp for e in house.ear.heard]
+    stamps = [e.stamp for e in house.ear.received]
     assert stamps == sorted(set(stamps))
     assert before <= stamps[0]
     assert stamps[-1] <= after
@@ -171,17 +171,17 @@ def test_one_robot_becomes_many_each_with_stamps_of_its_own(recording: Path, hou
     done = replay(recording, house, "--robots", 3, "--speed", 20, "--all")
     assert done.returncode == 0, done.stderr
     per_robot = LENGTH_S * (RATE_HZ + 1)
-    house.ear.wait_for(lambda heard: len(heard) >= 3 * per_robot + 1, "all of them")
-    robots = [e for e in house.ear.heard if "robot" in e.address]
+    house.ear.wait_for(lambda received: len(received) >= 3 * per_robot + 1, "all of them")
+    robots = [e for e in house.ear.received if "robot" in e.address]
     assert {e.address["robot"] for e in robots} == {"r-001", "r-002", "r-003"}
-    assert sum(e.channel is MODEL_SET for e in house.ear.heard) == 1
-    said = {}
+    assert sum(e.channel is MODEL_SET for e in house.ear.received) == 1
+    published = {}
     for number in (1, 2, 3):
         own = [e for e in robots if e.address["robot"] == f"r-{number:03d}"]
         assert len(own) == per_robot
         late = (number - 1) * S // 3
-        said[number] = [(e.channel.name, e.stamp - late) for e in own]
-    assert sorted(said[1]) == sorted(said[2]) == sorted(said[3])
+        published[number] = [(e.channel.name, e.stamp - late) for e in own]
+    assert sorted(published[1]) == sorted(published[2]) == sorted(published[3])
 
 
 @pytest.fixture(scope="module")
@@ -200,8 +200,8 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_of_several_robots_is_chosen(two: Path, house: House, flags: tuple[str, ...]) -> None:
     done = replay(two, house, *flags)
     assert done.returncode == 0, done.stderr
-    house.ear.wait_for(lambda heard: len(heard) >= 10, "what b said")
-    assert [e.key for e in house.ear.heard] == [f"{house.site}/robot/b/odom"] * 10
+    house.ear.wait_for(lambda received: len(received) >= 10, "what b said")
+    assert [e.key for e in house.ear.received] == [f"{house.site}/robot/b/odom"] * 10
 
 
 @pytest.mark.parametrize(

@@ -19,18 +19,18 @@ def test_a_stretch_of_a_recording_is_said_as_it_was(drive: Drive, house: House) 
     wanted = [e for e in drive.envelopes if 2.0 <= (e.stamp - start) * 1e-9 <= 8.0]
     assert len(wanted) > 20
     house.replay(drive.recording, "--from", 2, "--to", 8, "--speed", 20)
-    house.ear.wait_for(lambda heard: len(heard) >= len(wanted), "all that was recorded")
+    house.ear.wait_for(lambda received: len(received) >= len(wanted), "all that was recorded")
     for channel in (SCAN_RAW, ODOMETRY):
-        heard = [encode(e.message) for e in house.ear.heard if e.channel is channel]
-        assert heard == [encode(e.message) for e in wanted if e.channel is channel]
-    assert {e.address["site"] for e in house.ear.heard} == {house.site}
+        received = [encode(e.message) for e in house.ear.received if e.channel is channel]
+        assert received == [encode(e.message) for e in wanted if e.channel is channel]
+    assert {e.address["site"] for e in house.ear.received} == {house.site}
 
 
 @pytest.mark.dataset
 def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> None:
     house.replay(drive.recording, "--to", 3, "--speed", 20, "--only", "odometry", "--robot", "r9")
-    house.ear.wait_for(lambda heard: len(heard) >= 10, "odometry")
-    assert {(e.channel.name, e.address["robot"]) for e in house.ear.heard} == {("odometry", "r9")}
+    house.ear.wait_for(lambda received: len(received) >= 10, "odometry")
+    assert {(e.channel.name, e.address["robot"]) for e in house.ear.received} == {("odometry", "r9")}
 
 
 @pytest.mark.dataset

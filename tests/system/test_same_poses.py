@@ -10,16 +10,17 @@ from eigenscan.schemas.channels import POSE, SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.workbench.evaluation.reference import nanoseconds_of
 
 from tests.environment import PROGRAMS
 from tests.system.house import INTEL, SPACING, Drive, House
 
 pytestmark = pytest.mark.slow
 
-Said = dict[int, tuple[float, float, float, int]]
+Published = dict[int, tuple[float, float, float, int]]
 
 
-def evaluated(drive: Drive, folder: Path) -> Said:
+def evaluated(drive: Drive, folder: Path) -> Published:
     """What `eigenscan evaluate` says for one window over the whole recording."""
     windows, poses = folder / "windows.csv", folder / "poses.csv"
     first, last = (drive.envelopes[i].stamp for i in (0, -1))
@@ -27,7 +28,7 @@ def evaluated(drive: Drive, folder: Path) -> Said:
     subprocess.run(
         [
             *(PROGRAMS / "eigenscan", "evaluate", "--log", drive.recording, "--map", drive.map),
-            *("--ground-truth", INTEL / "log.tum", "--windows", windows, "--poses", poses),
+            *("--ground-truth", INTEL / "log.tum", "--windows", windows, "--save-poses", poses),
             *("--skip", "single-scans", "--skip", "memory", "--spacing", str(SPACING)),
         ],
         check=True,
@@ -35,12 +36,15 @@ def evaluated(drive: Drive, folder: Path) -> Said:
     with poses.open() as file:
         rows = list(csv.DictReader(file))
     return {
-        int(row["time_ns"]): (float(row["x"]), float(row["y"]), float(row["theta"]), int(row["state"]))
+        nanoseconds_of(row["stamp"]): (
+            *(float(row["x"]), float(row["y"]), float(row["heading"])),
+            int(row["state"]),
+        )
         for row in rows
     }
 
 
-def said(estimates: list[PoseEstimate]) -> Said:
+def published(estimates: list[PoseEstimate]) -> Published:
     return {nanoseconds(e.timestamp): (e.pose.x, e.pose.y, e.pose.theta, e.state) for e in estimates}
 
 
@@ -69,10 +73,12 @@ def test_processes_and_one_process_agree_pose_for_pose(drive: Drive, house: Hous
     for service in ("scan-ingest", "projector", "tracker", "mapbuilder", "recorder"):
         assert house.terminate(service) == 0
 
-    heard = said([r.envelope.open(PoseEstimate) for r in read(recording) if r.envelope.channel is POSE])
-    assert heard.keys() == expected.keys()
+    received = published(
+        [r.envelope.open(PoseEstimate) for r in read(recording) if r.envelope.channel is POSE]
+    )
+    assert received.keys() == expected.keys()
     different = {
-        stamp: (heard[stamp], expected[stamp]) for stamp in expected if heard[stamp] != expected[stamp]
+        stamp: (received[stamp], expected[stamp]) for stamp in expected if received[stamp] != expected[stamp]
     }
     assert not different
-    assert said(house.ear.of(POSE, PoseEstimate)) == heard
+    assert published(house.ear.of(POSE, PoseEstimate)) == received

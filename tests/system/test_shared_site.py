@@ -20,10 +20,10 @@ PARTS = 2
 GROUPS = ("r-001,r-002", "*-003,*4")
 
 
-def ready_projectors(heard: list[Envelope]) -> bool:
+def ready_projectors(received: list[Envelope]) -> bool:
     ok = {
         e.address["instance"]
-        for e in heard
+        for e in received
         if e.channel is HEALTH
         and e.address["service"] == "projector"
         and e.open(Health).status == Health.STATUS_OK
@@ -41,8 +41,8 @@ def test_two_half_projectors_localize_a_robot(drive: Drive, models: Path, house:
     house.ear.wait_for(ready_projectors, "both projectors to have their models")
     house.replay(drive.recording, "--speed", 2)
 
-    def localized(heard: list[Envelope]) -> list[PoseEstimate]:
-        poses = [e.open(PoseEstimate) for e in heard if e.channel is POSE]
+    def localized(received: list[Envelope]) -> list[PoseEstimate]:
+        poses = [e.open(PoseEstimate) for e in received if e.channel is POSE]
         sure = [pose for pose in poses if pose.state == STATE_LOCALIZED]
         return sure if len(sure) > 20 else []
 
@@ -52,14 +52,14 @@ def test_two_half_projectors_localize_a_robot(drive: Drive, models: Path, house:
     assert np.mean(away < 0.5) > 0.9
 
     # each answered on its own key, and only of its own regions
-    said: dict[str, set[str]] = {}
-    for envelope in house.ear.heard:
+    published: dict[str, set[str]] = {}
+    for envelope in house.ear.received:
         if envelope.channel is HYPOTHESES:
             regions = {p.region for p in envelope.open(Hypotheses).projections}
-            said.setdefault(envelope.address["projector"], set()).update(regions)
-    assert sorted(said) == ["robot-1of2", "robot-2of2"]
-    assert not said["robot-1of2"] & said["robot-2of2"]
-    assert all(said.values())
+            published.setdefault(envelope.address["projector"], set()).update(regions)
+    assert sorted(published) == ["robot-1of2", "robot-2of2"]
+    assert not published["robot-1of2"] & published["robot-2of2"]
+    assert all(published.values())
 
 
 @pytest.mark.dataset
@@ -71,17 +71,17 @@ def test_each_group_of_robots_has_services_of_its_own(drive: Drive, models: Path
     house.ear.wait_for(ready_projectors, "both projectors to have their models")
     house.replay(drive.recording, "--robots", 4, "--stamps", "now", "--to", 6)
 
-    def localized(heard: list[Envelope]) -> bool:
+    def localized(received: list[Envelope]) -> bool:
         sure = {
             e.address["robot"]
-            for e in heard
+            for e in received
             if e.channel is POSE and e.open(PoseEstimate).state == STATE_LOCALIZED
         }
         return sure == {f"r-00{n}" for n in (1, 2, 3, 4)}
 
     house.ear.wait_for(localized, "four localized robots")
     answered = {
-        (e.address["robot"], e.address["projector"]) for e in house.ear.heard if e.channel is HYPOTHESES
+        (e.address["robot"], e.address["projector"]) for e in house.ear.received if e.channel is HYPOTHESES
     }
     assert answered == {
         ("r-001", "r-001,r-002"),
@@ -92,7 +92,7 @@ def test_each_group_of_robots_has_services_of_its_own(drive: Drive, models: Path
     # one tracker a robot: nobody says a pose twice
     poses = [
         (e.address["robot"], nanoseconds(e.open(PoseEstimate).timestamp))
-        for e in house.ear.heard
+        for e in house.ear.received
         if e.channel is POSE
     ]
     assert len(poses) == len(set(poses))

@@ -135,10 +135,10 @@ def bare(tmp_path: Path) -> Path:
     return folder
 
 
-def await_right_pose(said: IO[str], truth: Callable[[float], Array]) -> None:
+def await_right_pose(published: IO[str], truth: Callable[[float], Array]) -> None:
     """Reads lines of state, pose and confidence until the stranger is localized, and right."""
     began, deadline = 0.0, time.monotonic() + PATIENCE_S
-    for line in said:
+    for line in published:
         assert time.monotonic() < deadline, "no claimed pose"
         began = began or time.monotonic()
         state, x, y, _, confidence = line.split()
@@ -193,13 +193,13 @@ def test_a_driver_in_rust_finds_the_robot(site: Site, tmp_path: Path) -> None:
         assert driver.stdin
         assert driver.stdout
 
-        def feed(said: IO[str]) -> None:
+        def feed(published: IO[str]) -> None:
             begin = time.time_ns()
-            with suppress(BrokenPipeError), said:
-                print("lidar", *lidar, file=said, flush=True)
+            with suppress(BrokenPipeError), published:
+                print("lidar", *lidar, file=published, flush=True)
                 for kind, after, value in measured:
                     time.sleep(max(begin + after - time.time_ns(), 0) * 1e-9)
-                    print(kind, begin + after, *value, file=said, flush=True)
+                    print(kind, begin + after, *value, file=published, flush=True)
 
         feeding = threading.Thread(target=feed, args=(driver.stdin,))
         feeding.start()

@@ -60,7 +60,7 @@ def example(house: House, instance: str) -> Iterator[subprocess.Popen[bytes]]:
         process = subprocess.Popen([sys.executable, EXAMPLE], stdout=log, stderr=log, env=environment)
     try:
         house.ear.wait_for(
-            lambda heard: any(is_ready(one, instance) for one in heard),
+            lambda received: any(is_ready(one, instance) for one in received),
             f"the example\n{house.log('example')}",
         )
         yield process
@@ -113,7 +113,7 @@ def test_with_another_projector_the_pipeline_localizes(house: House, stage: Stag
         house.ear.wait_for(lambda _: len(house.ear.of(SCAN_RAW, SCAN_RAW.message)) == scans, "all scans")
         house.ear.wait_for(lambda _: len(house.ear.of(POSE, PoseEstimate)) >= scans - 1, "poses")
         assert process.poll() is None, house.log("example")
-    assert {e.address["projector"] for e in house.ear.heard if e.channel is HYPOTHESES} == {"another"}
+    assert {e.address["projector"] for e in house.ear.received if e.channel is HYPOTHESES} == {"another"}
     assert not wrong(claims(house), stage)
     assert len(claims(house)) >= 0.8 * scans
 
@@ -128,7 +128,9 @@ def test_a_rolling_swap_loses_nothing_and_claims_nothing_wrong(house: House, sta
     try:
         with example(house, "new"):
             house.ear.wait_for(
-                lambda heard: any(e.channel is HYPOTHESES and e.address["projector"] == "new" for e in heard),
+                lambda received: any(
+                    e.channel is HYPOTHESES and e.address["projector"] == "new" for e in received
+                ),
                 "the new one's hypotheses",
             )
             assert house.terminate("projector") == 0
