@@ -90,7 +90,8 @@ def _recording_holds_the_way_of_the_data(path: Path) -> None:
     for quiet in (RELOCATION, LIDAR_KIND, SPACE):  # nobody clicks, and the model has this lidar's space
         assert counts.pop(quiet.name) == 0
     assert all(counts.values()), counts
-    assert counts[SCAN_RAW.name] == counts[SCAN.name] == 240
+    for live in (SCAN_RAW, SCAN):  # not blocking: Zenoh drops one rather than wait, on a machine that stalls
+        assert 0.98 * 240 <= counts[live.name] <= 240
     assert counts[MODEL_SET.name] == 1
     poses = [record.open(PoseEstimate) for record in records if record.channel is POSE]
     assert any(pose.state == STATE_LOCALIZED for pose in poses)

@@ -59,7 +59,7 @@ class Inbox:
         self._orders: dict[str, deque[int]] = {}  # of the samples that wait, by key
         self._next = 0
         self._most_bytes, self._bytes = most_bytes, 0
-        self._closed = False
+        self._closed = self._discards = False
         self._ready = ready or threading.Condition()
         self.on_put: Callable[[], None] | None = None
         """Called after each sample, in its thread; then no other thread is woken."""
@@ -96,7 +96,7 @@ class Inbox:
         """
         with self._ready:
             self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
-            if not self._waiting or self._closed:
+            if not self._waiting or self._discards:
                 return None
             arrival = next(iter(self._waiting.values()))
             orders = self._orders[arrival.key]
@@ -138,10 +138,10 @@ class Inbox:
         with self._ready:
             self._dropped[reason] += 1
 
-    def close(self) -> None:
-        """Wakes the waiting thread; nothing is given out any more."""
+    def close(self, *, discard: bool = True) -> None:
+        """Wakes the waiting thread. Nothing more is given out; without `discard`, what waits still is."""
         with self._ready:
-            self._closed = True
+            self._closed, self._discards = True, discard
             self._ready.notify_all()
 
     @property

@@ -43,9 +43,10 @@ S = TypeVar("S", bound=ServiceSettings)
 T = TypeVar("T")
 
 HEALTH_PERIOD_S = 1.0
-STOP_CORE, CLOSE, STOP_ALL = 0.5, 0.35, 0.95
-"""Shares of `stop_s`: what the core gets to end its present message and publish what it holds back; what the
-session gets to close, where a neighbour may be slow to take a large answer; when it is ended by force."""
+STOP_CORE, DRAIN, CLOSE, STOP_ALL = 0.5, 0.25, 0.35, 0.95
+"""Shares of `stop_s`: what the core gets to end its present message and publish what it holds back; how much
+of that a service for a whole site spends on messages that still wait; what the session gets to close, where
+a neighbour may be slow to take a large answer; when it is ended by force."""
 WHOLE_SITE_SLACK = 16
 """A service for a whole site may fall behind so many times farther, while a disk is busy, before it drops."""
 EXIT_SETTINGS = 2
@@ -57,7 +58,8 @@ class Service(Generic[S]):
     """What the shell needs to know of a service.
 
     `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
-    receives keys of the site that are not of the contract, to count them, and drops later than others.
+    receives keys of the site that are not of the contract, to count them, drops later than others, and
+    handles what still waits when it is stopped.
     `make_port`: carries those channels of the core that are not of the contract. `prompt`: the core takes
     each message in the thread that brings it; for one that has done with it in well under a millisecond.
     `attend` is given the session once it is open. `quick`: the core needs milliseconds for a message, so that
@@ -166,7 +168,7 @@ class Node:
         stop_s = self.settings.stop_s
         faulthandler.dump_traceback_later(STOP_ALL * stop_s, exit=True)
         try:
-            self.inbox.close()
+            self.inbox.close(discard=not self.service.whole_site)
             core.join(STOP_CORE * stop_s)
             closed = self.close(CLOSE * stop_s)
         finally:
@@ -265,6 +267,7 @@ class Node:
             self._counters,
             self.ends,
             prompt=self.service.prompt,
+            drain_s=DRAIN * settings.stop_s if self.service.whole_site else 0.0,
         )
         work.begin()
         self._log.info("ready", site=settings.site, robot=settings.robot)

@@ -35,11 +35,14 @@ class Work:
         stop: Stopping,
         *,
         prompt: bool = False,
+        drain_s: float = 0.0,
     ) -> None:
         """`keep` receives latched samples; `stop` ends the work, and is set where its condition changes.
 
-        `prompt`: takes each message in the thread that brings it.
+        `prompt`: takes each message in the thread that brings it. `drain_s`: seconds for what still waits
+        when the work is stopped.
         """
+        self._drain_s = drain_s
         self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
         self._monitor, self._counters, self._stop, self._prompt = monitor, counters, stop, prompt
         self._due, self._tick_due = 0.0, (0.0 if TICK in core.hears else math.inf)
@@ -62,6 +65,9 @@ class Work:
                 self._inbox.wait_until_closed(CONDITION_PERIOD_S)
             elif arrival := self._inbox.take(CONDITION_PERIOD_S):
                 self._handle(arrival)
+        end = time.monotonic() + self._drain_s
+        while time.monotonic() < end and self.step():
+            pass
         self.finish()
 
     def step(self) -> bool:
