@@ -91,6 +91,34 @@ def test_what_is_typed_wrongly_takes_one_line(typed: str, place: str, part: str)
     _expect_one_line(result, place, part, f"see eigenscan {place} --help")
 
 
+@pytest.mark.parametrize(
+    ("typed", "place", "part"),
+    [
+        ("evaluate map.yaml drive.csv", "evaluate", "map.yaml: is a map, no log: give the log first"),
+        ("evaluate drive.csv map.yaml", "evaluate", "drive.csv: the first line must name the columns"),
+        ("build map.yaml -o out", "build", "map.yaml: image map.pgm is missing"),
+        ("view map.yaml", "view", "map.yaml: is no readable recording: no MCAP; eigenscan import"),
+        ("view drive.csv --layout operater", "view", "'operater' is not one of 'operator'"),
+        ("fleet status --zenoh none.json5", "fleet status", "none.json5: no such Zenoh configuration"),
+        ("fleet fetch r1 --from 15", "fleet fetch", "--from 15: give how long ago (15m, 2h)"),
+        ("simulate --seconds soon -o a.mcap", "simulate", "'--seconds': must be a valid number: see"),
+    ],
+)
+def test_a_usual_mistake_names_the_file_or_option_and_the_fix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str, place: str, part: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("map.yaml").write_text("image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    Path("drive.csv").write_text("time,x\n1,2\n")
+    _expect_one_line(eigenscan(*typed.split()), place, part)
+
+
+def test_an_unknown_option_before_the_command_takes_one_line() -> None:
+    result = eigenscan("--hlep")
+    assert result.returncode == 2
+    assert result.stderr == "eigenscan: no such option: --hlep, did you mean --help?: see eigenscan --help\n"
+
+
 def test_a_missing_argument_is_named() -> None:
     _expect_one_line(eigenscan("evaluate", "--map", "map.yaml"), "evaluate", "LOG is missing", "--help")
     _expect_one_line(eigenscan("evaluate", "a", "b", "--log", "c"), "evaluate", "LOG is given twice")
@@ -118,7 +146,7 @@ def test_short_help_has_twelve_options_at_most_and_help_all_has_the_rest() -> No
 @pytest.mark.parametrize(
     ("typed", "part"),
     [
-        ("--method papre", "there are default, paper"),
+        ("--method papre", "choose one of default, paper"),
         ("--set tracker.trust", "give SERVICE.SETTING=VALUE"),
         ("--set trakcer.trust=1", "did you mean tracker?"),
         ("--set tracker.trst=1", "did you mean trust?"),

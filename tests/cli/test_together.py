@@ -16,7 +16,7 @@ def test_groups_are_told_apart_and_brought_into_the_order_of_the_pipeline() -> N
 
 
 def test_an_unknown_name_is_told() -> None:
-    with pytest.raises(SettingsError, match="'traker'; there are scan-ingest"):
+    with pytest.raises(SettingsError, match="'traker'; choose one of scan-ingest"):
         groups(["traker"])
 
 

@@ -7,13 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-import typer
 from eigenscan.cli.moment import instant
 from eigenscan.fleet import fetch as fetching
 from eigenscan.fleet.fetch import Ask, fetch, missing_bytes, parts_within
 from eigenscan.recorder.files import Files
 from eigenscan.recorder.uploads import Uploads
-from eigenscan.runtime.errors import FailedError
+from eigenscan.runtime.errors import FailedError, UsageError
 from eigenscan.runtime.recording import RecordingWriter, is_complete, read
 from eigenscan.schemas.channels import MOST_RECORDED_BYTES, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
@@ -269,11 +268,11 @@ NOW = int(datetime(2026, 1, 31, 3, 15, tzinfo=UTC).timestamp()) * S
         ("2026-01-30 04:00:01", (30, 4, 0, 1)),
     ],
 )
-def test_a_time_as_people_say_it(text: str, then: tuple[int, int, int, int]) -> None:
-    assert instant(text, NOW) == int(datetime(2026, 1, *then, tzinfo=UTC).timestamp()) * S
+def test_times_as_people_write_them(text: str, then: tuple[int, int, int, int]) -> None:
+    assert instant("--from", text, NOW) == int(datetime(2026, 1, *then, tzinfo=UTC).timestamp()) * S
 
 
 @pytest.mark.parametrize("text", ["", "yesterday", "25:00", "15", "-15m", "2026-13-01"])
-def test_what_is_no_time_is_told_how_to_say_one(text: str) -> None:
-    with pytest.raises(typer.BadParameter, match="15m"):
-        instant(text, NOW)
+def test_a_bad_time_is_answered_with_the_option_and_the_forms(text: str) -> None:
+    with pytest.raises(UsageError, match=r"--from .*15m"):
+        instant("--from", text, NOW)

@@ -84,7 +84,7 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
         ({"occupied_thresh": "high"}, "occupied_thresh"),
         ({"negate": "maybe"}, "negate = 'maybe': give 0 or 1"),
         ({"free_thresh": 0.7}, "free_thresh = 0.7 is above occupied_thresh = 0.65"),
-        ({"image": "none.pgm"}, "none.pgm cannot be read"),
+        ({"image": "none.pgm"}, "none.pgm is missing: correct"),
         ({"negate": 1, "free_thresh": 0.0}, "no free cell"),
     ],
 )

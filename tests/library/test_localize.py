@@ -243,7 +243,7 @@ def test_the_papers_method(drive: Path) -> None:
     # section 7: the grid's spacing is the standard deviation of a pose
     assert found.covariances[0][0, 0] == pytest.approx(0.25, rel=0.01)
     assert localizer.track(scan, odometry).pose.shape == (3,)
-    with pytest.raises(ValueError, match="method 'papre': there are default, paper"):
+    with pytest.raises(ValueError, match="method 'papre': choose one of default, paper"):
         Localizer(localizer.site, method="papre")
     usual = Localizer.from_map(drive / "map.yaml").site
     with pytest.raises(ValueError, match="hold 16 components of ring: give the map, or build them with"):

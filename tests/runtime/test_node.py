@@ -355,11 +355,11 @@ def test_a_fault_of_the_user_is_one_line_and_code_2(
     try:
         cases: list[tuple[list[object], Any, str]] = [
             (["--broken"], net.hub, "eigenscan-tiny: maps/office.yaml: resolution: must be given"),
-            ([], broken, f"eigenscan-tiny: {broken}: is no Zenoh configuration: "),
+            ([], broken, f"eigenscan-tiny: {broken}: is no Zenoh configuration (JSON5): "),
             (
                 [],
                 tmp_path / "none.json5",
-                f"eigenscan-tiny: {tmp_path / 'none.json5'}: is no Zenoh configuration: ",
+                f"eigenscan-tiny: {tmp_path / 'none.json5'}: no such Zenoh configuration: ",
             ),
             ([], net.hub, f"eigenscan-tiny: {net.hub}: no Zenoh session: "),
             (["--start-s", "soon"], net.hub, "eigenscan-tiny: --start-s = 'soon': "),

@@ -72,7 +72,7 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
         house.start(service)
     where, site = "robot robot", f"site {house.site}"
     no_map = (site, "no mapbuilder: who starts now gets no model")
-    until_it_finds(house, no_map, (where, "no scans come"))
+    until_it_finds(house, no_map, (where, "no scans arrive"))
     with robot:
         eventually(lambda: (where, "projector: no model") in complaints(house), "a word on the model")
         house.start("mapbuilder", "--map", map_file, "--step", "1.0")
@@ -107,7 +107,7 @@ def test_a_dead_router_is_named(house: House, tmp_path: Path) -> None:
 
 
 def test_an_empty_site_is_named(house: House) -> None:
-    until_it_finds(house, (f"site {house.site}", "nobody is there"))
+    until_it_finds(house, (f"site {house.site}", "no service of this site is reachable"))
 
 
 @contextmanager
@@ -189,7 +189,7 @@ def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(hou
 
             stack.enter_context(speaking(house, service, instance, CONTRACT_VERSION, words))
         wanted = [
-            ("robot a-1", "has tracker a-+ and a-1: each disturbs the other"),
+            ("robot a-1", "has tracker a-+ and a-1: both publish on the same keys"),
             ("robot a-1", "no projector searches part 2/3 of the site"),
             ("robot b-2", "no tracker"),
         ]

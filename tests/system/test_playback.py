@@ -148,7 +148,7 @@ def test_where_the_words_end_it_plays_on(recording: Path, house: House) -> None:
 def test_a_word_that_is_no_command_is_named(recording: Path, house: House) -> None:
     done = replay(recording, house, "--commands", lines="seek soon\n")
     assert done.returncode == 2
-    assert "'seek soon' is no command; there are toggle, pause" in done.stderr
+    assert "'seek soon' is no command; choose one of toggle, pause" in done.stderr
 
 
 def test_shifted_stamps_are_of_now_and_never_go_back(recording: Path, house: House) -> None:

@@ -57,7 +57,7 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
 
         code, found, error = tell(house, "lost", "--anew", "--seconds", 8)
         assert (code, found) == (1, {})
-        assert "lost: nobody tracks it" in error
+        assert "lost: no tracker of it" in error
         assert "robot" in error.rpartition(":")[2]
 
 

@@ -37,7 +37,7 @@ def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> Non
 @pytest.mark.parametrize(
     ("flags", "named"),
     [
-        (["--only", "nothing"], "--only nothing: there are scan_raw"),
+        (["--only", "nothing"], "--only nothing: choose one of scan_raw"),
         (["--from", "5", "--to", "4"], "--to 4: must be after --from 5"),
         (["--from", "5000"], "nothing to play"),
     ],

@@ -115,7 +115,7 @@ def test_what_is_wrong_names_the_fix(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_text("rubbish")
     for path, options, words in (
         (dxf, PlanOptions(), "--metres-per-unit"),
-        (dxf, PlanOptions(1.0, ("WAND",)), "no wall on the layer WAND: there are DOORS, WALLS"),
+        (dxf, PlanOptions(1.0, ("WAND",)), "no wall on the layer WAND: choose one of DOORS, WALLS"),
         (dxf, PlanOptions(1000.0), "too large"),
         (dxf, PlanOptions(0.01), "enclose nothing"),
         (svg, PlanOptions(), "--metres-per-unit"),

@@ -164,7 +164,7 @@ def test_what_is_right_otherwise_fails_at_nothing_else(ended: dict[str, Ended]) 
         (
             ("nothing", "--", "true"),
             2,
-            "nothing: there are scan-ingest, projector, tracker, mapbuilder, recorder",
+            "nothing: choose one of scan-ingest, projector, tracker, mapbuilder, recorder",
         ),
         (("tracker", "--", "no-such-program"), 2, "no-such-program: is no program that can be started"),
         (("tracker", "--", "false"), 1, "does not conform to tracker: presence"),

@@ -156,7 +156,7 @@ def test_kidnaps_are_judged_by_the_runs_that_were_saved(tmp_path: Path) -> None:
 
 
 def test_runs_that_are_not_there_and_stamps_of_another_log_are_refused() -> None:
-    with pytest.raises(EvaluationError, match="window window-7: there are window-0 to window-1"):
+    with pytest.raises(EvaluationError, match="window window-7: choose one of window-0 to window-1"):
         judged(claims(0, 20, run="window-7"))
     with pytest.raises(EvaluationError, match="no stamp within a window"):
         judged(claims(55, 60))

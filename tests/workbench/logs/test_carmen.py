@@ -238,7 +238,7 @@ def test_markers_that_scatter_are_found_in_a_short_log(tmp_path: Path, markers: 
 
 def test_a_lidar_that_is_not_there_is_named(tmp_path: Path) -> None:
     log = open_log(write(tmp_path / "a.log", flaser(1.0)), LogOptions(lidars=("rear",)))
-    with pytest.raises(LogError, match=r"a\.log: no lidar rear: there are front"):
+    with pytest.raises(LogError, match=r"a\.log: no lidar rear: choose one of front"):
         list(log.envelopes())
 
 

@@ -90,7 +90,7 @@ def test_a_mount_of_a_lidar_that_is_not_there_is_told(tmp_path: Path) -> None:
     log = log_of(tmp_path / "a.clf")
     code, _, err = run(log, "-o", tmp_path / "a.mcap", "--mount", "rear=1,0,180")
     assert code == 2
-    assert "--mount rear=…: no lidar that is taken has this name: there are front" in err
+    assert "--mount rear=…: no lidar that is taken has this name: choose one of front" in err
     assert not list(tmp_path.glob("*.mcap*"))
 
 

@@ -375,13 +375,16 @@ def test_what_a_service_needs_is_named(run: Run, eigenscan: Command, tmp_path: P
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--service", "nobody", "--compare"), "--service nobody: there are scan-ingest"),
+        (("--service", "nobody", "--compare"), "--service nobody: choose one of scan-ingest"),
         (("--compare",), "missing option '--service'"),
         (("--service", "tracker"), "give --compare, --out FILE, or both"),
         (("--service", "tracker", "--compare", "--from", 2), "no such option: --from"),
         (("--service", "tracker", "--compare", "--set", "trust"), "--set trust: give SETTING=VALUE"),
         (("--service", "tracker", "--compare", "--set", "trust=high"), "tracker: trust = 'high'"),
-        (("--service", "tracker", "--compare", "--set", "trrust=1"), "tracker: trrust = '1': there are"),
+        (
+            ("--service", "tracker", "--compare", "--set", "trrust=1"),
+            "tracker: trrust = '1': unknown, did you mean trust?",
+        ),
         (
             ("--service", "tracker", "--compare", "--set", "projector.published=1"),
             "projector: is not replayed",

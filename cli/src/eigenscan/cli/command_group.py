@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import typing
 from collections.abc import Mapping, Sequence
@@ -12,39 +11,41 @@ from typing import Any
 import typer
 from eigenscan.cli.former import current
 from eigenscan.runtime.errors import FailedError, by_users, one_line
+from eigenscan.runtime.settings import nearest, plain
 from typer.core import TyperCommand, TyperGroup
 
 EXIT_FAILED = 1
 """It ran, and failed."""
 
 EXIT_USAGE = 2
-"""It was asked in a wrong way, or given bad input."""
+"""Wrong usage, or bad input."""
 
 
 _MISTYPED: Any = typer.BadParameter.__mro__[1]
-"""Typer's own error for what was typed wrongly, which it does not export."""
+"""Typer's error for a mistake in the command line, which it does not export."""
 
 
 def _typed_wrongly(error: Exception) -> str:
-    """What was wrong with the command line, in one line; empty where nothing was."""
+    """A mistake in the command line, in one line; empty for other errors."""
     if not isinstance(error, _MISTYPED) or type(error).__name__ == "NoArgsIsHelpError":
         return ""
-    text = " ".join(str(error.format_message()).split()).rstrip(".")
-    if near := getattr(error, "possibilities", None):
-        typed = getattr(error, "option_name", "")
-        nearest = max(near, key=lambda name: difflib.SequenceMatcher(None, typed, name).ratio())
-        text = f"no such option: {typed}; did you mean {nearest}?"
+    text = plain(" ".join(str(error.format_message()).split()).rstrip("."))
+    if (typed := getattr(error, "option_name", None)) and hasattr(error, "possibilities"):
+        text = f"no such option: {typed}{nearest(typed, error.possibilities or ())}"
     return text[:1].lower() + text[1:]
 
 
 def _described(error: Exception, command: str, is_known: bool) -> tuple[str, int] | None:
-    """What is said of an error of `command`, and the exit code; None for Typer's own exit, abort and help."""
+    """The line for an error of `command`, and the exit code; None for Typer's own exit, abort and help."""
     if type(error).__module__.startswith("typer."):
         mistake = _typed_wrongly(error)
         place = command if is_known else command.rpartition(" ")[0]
         return (f"{place}: {mistake}: see {place} --help", EXIT_USAGE) if mistake else None
     if isinstance(error, FailedError):
         return f"{command}: {error}", EXIT_FAILED
+    if "cannot cache function" in str(error):
+        line = f"{command}: compiled code cannot be kept: set NUMBA_CACHE_DIR to a writable folder"
+        return line, EXIT_USAGE
     if by_users(error):
         return f"{command}: {one_line(error)}", EXIT_USAGE
     line = f"{command}: {type(error).__name__}: {one_line(error)}"
@@ -115,7 +116,7 @@ def _load(name: str, place: str) -> Any:
 
 
 def _name_value(parameter: Any) -> None:
-    """Shows what to type for an option, where Typer shows Python's type."""
+    """Names an option's value for people, where Typer shows the Python type."""
     described = getattr(parameter, "type_descriptor", None)
     named = [_VALUES[kind] for kind in _plain(getattr(described, "annotation", None)) if kind in _VALUES]
     if named and parameter.metavar is None and hasattr(parameter, "is_flag"):  # an argument has a name
@@ -160,17 +161,23 @@ def lazy_group(
             if (meant_now := current(args[0], args[1:])) in commands:
                 args = [meant_now, *args[1:]]
             if args[0] not in commands:
-                near = difflib.get_close_matches(args[0], commands, n=1)
-                meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
-                ctx.fail(f"no command {args[0]!r}; {meant}")
+                meant = nearest(args[0], commands) or f": choose one of {', '.join(commands)}"
+                ctx.fail(f"no command {args[0]!r}{meant}")
             return super().resolve_command(ctx, args)
 
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            # people who meet an error add --debug where they are, at the end
+            # people add --debug at the end of the line that failed
             own = args[: args.index("--")] if "--" in args else args
             if "--debug" in own:
                 args = ["--debug", *(each for each in own if each != "--debug"), *args[len(own) :]]
-            return super().parse_args(ctx, args)
+            try:
+                return super().parse_args(ctx, args)
+            except _MISTYPED as error:
+                mistake = "" if ctx.parent else _typed_wrongly(error)
+                if not mistake:
+                    raise
+                typer.echo(f"eigenscan: {mistake}: see eigenscan --help", err=True)
+                raise typer.Exit(EXIT_USAGE) from None
 
         def invoke(self, ctx: Any) -> Any:
             try:

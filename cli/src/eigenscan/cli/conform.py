@@ -57,7 +57,7 @@ def conform(
         prepare(file)
     profile = PROFILES.get(service)
     if profile is None:
-        raise UsageError(f"{service}: there are {', '.join(PROFILES)}")
+        raise UsageError(f"{service}: choose one of {', '.join(PROFILES)}")
     address = {"site": f"conform-{uuid.uuid4().hex[:8]}", "robot": "r1"}
     vector = vectors.load(profile.file, profile.hears, (*profile.says, *profile.reference), address)
     seen = Observed(profile, vector, address, instance="candidate")

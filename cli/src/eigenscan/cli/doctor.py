@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from eigenscan.fleet.diagnosis import Finding
 
 LEAST_FREE_MB = 1000
-"""Of this machine's disk, below which a recorder on it soon ends."""
+"""Free disk below which a recorder on this machine soon ends."""
 
 
 def doctor(
@@ -42,8 +42,9 @@ def doctor(
     if wants_words(json_file):
         for finding in found:
             typer.echo(f"{printable(finding.where)}: {printable(finding.what)}")
-            typer.echo(f"    mend: {printable(finding.mend)}")
-        typer.echo(f"{len(found)} found" if found else f"all is well on site {site}")
+            typer.echo(f"    fix: {printable(finding.mend)}")
+        faults = "1 fault" if len(found) == 1 else f"{len(found)} faults"
+        typer.echo(f"{faults} found" if found else f"all is well on site {site}")
     write_figures([asdict(finding) for finding in found], json_file)
     if found:
         raise typer.Exit(EXIT_FAILED)

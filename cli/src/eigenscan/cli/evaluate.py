@@ -125,7 +125,7 @@ def evaluate(
     map_file = (optional if claims_only else positional)("MAP", map_file, map_option)
     unknown = sorted(set(skip or ()) - set(PARTS))
     if unknown:
-        raise UsageError(f"--skip {unknown[0]}: there are {', '.join(PARTS)}")
+        raise UsageError(f"--skip {unknown[0]}: choose among {', '.join(PARTS)}")
     # before numpy is imported: CPU is process time on one core
     from eigenscan.workbench.one_thread import one_thread
 

@@ -105,7 +105,7 @@ def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
         if unknown:
             there = ", ".join(summary.lidars)
             raise UsageError(
-                f"--mount {unknown[0]}=…: no lidar that is taken has this name: there are {there}"
+                f"--mount {unknown[0]}=…: no lidar that is taken has this name: choose one of {there}"
             )
         part.replace(target)
     finally:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import typer
+from eigenscan.runtime.errors import UsageError
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
 METAVAR = "<s or hh:mm[:ss]>"
@@ -25,7 +26,7 @@ class Moment:
         return f"{self.seconds:g}"
 
     def after(self, begin: int) -> float:
-        """Seconds from `begin` (log time, ns) on; a time of day that is past by then is the next day's."""
+        """Seconds after `begin` (log time, ns); a time of day before `begin` means the next day."""
         if not self.of_day:
             return self.seconds
         start = datetime.fromtimestamp(begin * 1e-9, UTC)
@@ -39,7 +40,7 @@ START = Moment(0.0)
 
 
 def moment(text: str | Moment) -> Moment:
-    """Of an option's value. Raises typer's error for what is neither."""
+    """Reads the value of an option: seconds, or a time of day. Raises typer's error for other texts."""
     if isinstance(text, Moment):
         return text
     clock = _CLOCK.fullmatch(text)
@@ -57,7 +58,7 @@ def moment(text: str | Moment) -> Moment:
 
 
 def span(begin: int, end: int) -> str:
-    """From when to when a recording goes, ns since the epoch, for people."""
+    """Begin and end of a recording (ns since the epoch) as text."""
     first, last = (datetime.fromtimestamp(time * 1e-9, UTC) for time in (begin, end))
     return f"{first:%Y-%m-%d %H:%M:%S} to {last:%H:%M:%S} UTC, {(end - begin) * 1e-9:.1f} s"
 
@@ -67,11 +68,11 @@ _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 INSTANT = "<ago, hh:mm or date>"
 
 
-def instant(text: str, now: int) -> int:
-    """A moment in the past, ns since the epoch, by the clock that shows `now`.
+def instant(option: str, text: str, now: int) -> int:
+    """The value of `option` as a moment in the past, ns since the epoch; `now` is the present, likewise.
 
-    `15m`: so long ago (s, m, h, d); `03:12` or `03:12:30`: the last time that it was that, UTC;
-    `2026-01-31T03:12`: ISO 8601, UTC where it names no zone; `now`. Raises typer's error for anything else.
+    `15m`: 15 minutes ago (s, m, h, d). `03:12` or `03:12:30`: the last such time of day, UTC.
+    `2026-01-31T03:12`: ISO 8601, UTC unless it names a zone. `now`: `now`. Raises UsageError for other texts.
     """
     if text == "now":
         return now
@@ -86,8 +87,8 @@ def instant(text: str, now: int) -> int:
         then = datetime.fromisoformat(text)
         return _ns(then if then.tzinfo else then.replace(tzinfo=UTC))
     except (ValueError, OverflowError, typer.BadParameter):
-        raise typer.BadParameter(
-            f"{text!r}: give how long ago (15m, 2h), a time of day in UTC (03:12), or 2026-01-31T03:12"
+        raise UsageError(
+            f"{option} {text}: give how long ago (15m, 2h), a time of day in UTC (03:12), or 2026-01-31T03:12"
         ) from None
 
 

@@ -42,9 +42,9 @@ def process_replay(
     from eigenscan.workbench.replay.trial import Trial, picture, picture_beside, run
 
     if service not in CHOICES:
-        raise UsageError(f"--service {service}: there are {', '.join(CHOICES)}")
+        raise UsageError(f"--service {service}: choose one of {', '.join(CHOICES)}")
     if not (compare or out):
-        raise UsageError("--service: give --compare, --out FILE, or both")
+        raise UsageError("nothing to do: give --compare, --out FILE, or both")
     found = survey(file)
     if out and out.exists() and out.samefile(file):
         raise UsageError(f"--out {out}: is the recording itself: choose another file")
@@ -95,7 +95,7 @@ def _fields(names: Sequence[str]) -> Iterator[str]:
 
 
 def _changes(given: Sequence[str], service: str) -> dict[str, dict[str, str]]:
-    """`--set` by service and setting; a setting without a service is of the one that is replayed."""
+    """`--set` by service and setting; without a service, a setting belongs to the replayed one."""
     result: dict[str, dict[str, str]] = {}
     for text in given:
         place, equals, value = text.partition("=")
@@ -107,7 +107,7 @@ def _changes(given: Sequence[str], service: str) -> dict[str, dict[str, str]]:
 
 
 def _models(folder: Path, found: Survey) -> list[Envelope]:
-    """The messages of a model folder, for the site of the recording."""
+    """Messages of a model folder, addressed to each site of the recording."""
     from eigenscan.eigenspace.folder import read_models
     from eigenscan.mapbuilder.core import MapbuilderCore
     from eigenscan.mapbuilder.settings import MapbuilderSettings

@@ -48,7 +48,7 @@ def replay_test(
 
     for name in service or ():
         if name not in CHOICES:
-            raise UsageError(f"--service {name}: there are {', '.join(CHOICES)}")
+            raise UsageError(f"--service {name}: choose one of {', '.join(CHOICES)}")
     if update and PIPELINE in (service or ()) and len(service or ()) > 1:
         raise UsageError(f"--update --service {PIPELINE}: alone, for it gives the answers of the others")
     for file in (json_file, junit_file):

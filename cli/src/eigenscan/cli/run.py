@@ -14,7 +14,7 @@ from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 
 MAP_S = 30.0
-"""What a robot's own map may take to come."""
+"""Longest wait for the robot's own map, s."""
 
 
 def run(
@@ -87,7 +87,7 @@ def run(
     """  # noqa: D301 - \b keeps the lines apart in --help
     for name, value in (("--robot", robot), ("--site", site)):
         if not is_chunk(value):
-            raise UsageError(f"{name} {value!r}: is part of every key: no blanks, none of / * $ # ? @")
+            raise UsageError(f"{name} {value!r}: a name has no blanks and none of / * $ # ? @")
     if map_option is not None or (map_or_model is None and ros2 is None):
         map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
     _check_listen(listen or [], insecure, zenoh)
@@ -99,7 +99,7 @@ def run(
     ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
     if map_or_model is None and ros2_flags:
         map_or_model = _take_map(ros2_flags, folder / "map.yaml")
-        ros2_flags += ["--map", ""]  # the robot reports its map itself
+        ros2_flags += ["--map", ""]  # the robot publishes its own map
     assert map_or_model is not None
     flags, mcap = _model_flags(map_or_model, method), folder / "mcap"
     pipeline = Pipeline(
@@ -122,7 +122,7 @@ def _flags(method: str, file: Path | None, changes: list[str]) -> dict[str, list
 
 
 def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None:
-    """Nobody opens a robot to the network by accident."""
+    """Refuses to open a robot to the network by accident."""
     if listen and zenoh:
         raise UsageError(
             f"--listen {listen[0]}: {zenoh} decides that: put the endpoint into its listen.endpoints"
@@ -135,12 +135,12 @@ def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None
 
 
 def _model_flags(map_or_model: Path, method: str) -> list[str]:
-    """The mapbuilder's. What is given is read here as well: that tells at once what is wrong with it."""
+    """The mapbuilder's flags. Reads the map or folder first, so that an error shows at once."""
     from eigenscan.eigenspace.folder import read_models
     from eigenscan.geometry.gridmap import read_map
 
     if not map_or_model.exists():
-        raise UsageError(f"{map_or_model}: is not there: give a map_server yaml or a model folder")
+        raise UsageError(f"{map_or_model}: no such file or folder: give a map_server yaml or a model folder")
     if map_or_model.is_dir():
         read_models(map_or_model).check_method(method)
         return ["--model", str(map_or_model)]
@@ -149,7 +149,7 @@ def _model_flags(map_or_model: Path, method: str) -> list[str]:
 
 
 def _take_map(ros2_flags: list[str], path: Path) -> Path:
-    """Writes the robot's own map to `path`. Raises MapError where it says none."""
+    """Writes the robot's own map to `path`. Raises MapError if the robot publishes none."""
     from eigenscan.geometry.gridmap import write_map
     from eigenscan.ros_bridge.options import RosBridgeOptions
     from eigenscan.ros_bridge.robot_map import take_map
@@ -158,5 +158,5 @@ def _take_map(ros2_flags: list[str], path: Path) -> Path:
     typer.echo(f"waiting for the robot's /map, at most {MAP_S:.0f} s", err=True)
     grid = take_map(load(RosBridgeOptions, "ros-bridge", ros2_flags), MAP_S)
     write_map(grid, path)
-    typer.echo(f"took it: {path}", err=True)
+    typer.echo(f"received the map: {path}", err=True)
     return path

@@ -174,7 +174,7 @@ def _lidar(model: str, fov: float | None, changes: Mapping[str, Any]) -> Lidar:
     from eigenscan.workbench.simulation.lidar import LIDARS
 
     if model not in LIDARS:
-        raise UsageError(f"--lidar {model}: there are {', '.join(LIDARS)}")
+        raise UsageError(f"--lidar {model}: choose one of {', '.join(LIDARS)}")
     lidar = replace(LIDARS[model], **changes)
     # a full turn has as many steps as beams: the last beam does not repeat the first
     if fov is not None:

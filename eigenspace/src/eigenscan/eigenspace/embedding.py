@@ -36,7 +36,7 @@ class Embedding:
     def __post_init__(self) -> None:
         """Raises ValueError for an unknown kind, or a cap that is not positive."""
         if self.kind not in KINDS:
-            raise ValueError(f"embedding = {self.kind!r}: there are {', '.join(KINDS)}")
+            raise ValueError(f"embedding = {self.kind!r}: choose one of {', '.join(KINDS)}")
         if not (np.isfinite(self.cap) and self.cap > 0):
             raise ValueError(f"range cap = {self.cap}: give metres above 0")
 

@@ -1,4 +1,4 @@
-"""What is wrong with a site, by what its services report, and how to mend it."""
+"""Finds faults of a site from its services' reports, and the fix for each."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from eigenscan.schemas.channels import CONTRACT_VERSION
 from eigenscan.schemas.health_pb2 import Health
 
 CLOCK_S = 1.0
-"""A robot's clock may be so far from ours, the way of a message included."""
+"""Largest difference between a robot's clock and ours, with a message's travel time."""
 SILENT_S = 3.0
-"""A service that has not published its health for so long is not well, or its link is down."""
+"""Age of a service's newest health beyond which the service or its link is not well."""
 
 
 _PART = re.compile(r"(\d{1,3})/(\d{1,3})", re.ASCII)
-"""What a projector tells of its share of the site; whatever else stands there is no share."""
+"""A projector's setting `part`: its share of the site, as k/n."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class Finding:
 
 
 def diagnose(view: FleetView, expected: tuple[str, ...] = ()) -> list[Finding]:
-    """All findings on a site that was listened to for some seconds; `expected`: robots that must be there."""
+    """All findings of a view that has listened for some seconds; `expected`: robots that must be there."""
     if not any(service.contracts for service in view.services.values()):
         return [
             Finding(
                 f"site {view.site}",
-                "nobody is there",
-                "start the services, or check --site and --zenoh: both must be as the services have them",
+                "no service of this site is reachable",
+                "start the services, or give the --site and --zenoh that they use",
             )
         ]
     found = [*_of_the_site(view)]
@@ -54,7 +54,7 @@ def _of_the_site(view: FleetView) -> Iterator[Finding]:
     if not builders:
         yield Finding(
             where,
-            "no mapbuilder: who starts now gets no model",
+            "no mapbuilder: a projector that starts now gets no model",
             f"eigenscan-mapbuilder --site {view.site} --model MODEL (made by eigenscan build)",
         )
     elif not view.model_version:
@@ -73,7 +73,9 @@ def _of_a_service(service: Service) -> Iterator[Finding]:
     if not service.contracts or health is None:
         return
     if time.monotonic() - service.received_at > SILENT_S:
-        yield Finding(where, "is there, but silent", "look at its log; its machine or link may be overloaded")
+        yield Finding(
+            where, "is alive, but publishes no health", "see its log; machine or link may be overloaded"
+        )
     offset = service.clock_offset_s or 0.0
     if abs(offset) > CLOCK_S:
         yield Finding(
@@ -82,12 +84,12 @@ def _of_a_service(service: Service) -> Iterator[Finding]:
             "synchronise the machines' clocks (chrony or systemd-timesyncd)",
         )
     if health.status == Health.STATUS_DEGRADED:
-        yield Finding(where, health.detail or "degraded", "see the words beside it and its log")
+        yield Finding(where, health.detail or "degraded", "see its log")
     if lost := service.grew("undecodable"):
         yield Finding(
             where,
             f"could not decode {lost} messages",
-            "another program has another version: see its log for keys",
+            "a sender has another version: its log names the keys",
         )
     for channel, dropped in service.drops.items():
         if service.grew(f"dropped_{channel}"):
@@ -115,7 +117,7 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
     if there["scan-ingest"] and not any(each.grew("heard_scan_raw") for each in there["scan-ingest"]):
         yield Finding(
             where,
-            "no scans come",
+            "no scans arrive",
             f"let the lidar's driver publish on {view.site}/robot/{robot}/scan/raw/LIDAR",
         )
         return
@@ -127,24 +129,24 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
     ):
         yield Finding(
             where,
-            "no odometry comes: it localizes, but slower and less surely",
+            "no odometry arrives: it localizes, but more slowly and less surely",
             f"publish it on {view.site}/robot/{robot}/odom",
         )
     newest, pose = view.model_version, view.robots[robot].pose if robot in view.robots else None
     if newest and pose is not None and pose.model_version != newest:
         yield Finding(
             where,
-            f"works with model {pose.model_version[:8]}, the site's newest is {newest[:8]}",
-            "wait half a minute; if it stays so, check the link and restart its projector",
+            f"uses model {pose.model_version[:8]}, the site's newest is {newest[:8]}",
+            "wait half a minute; if nothing changes, check the link and restart its projector",
         )
 
 
 def _of_sharing(where: str, there: dict[str, list[Service]]) -> Iterator[Finding]:
-    """Two that speak for one robot on the same key, and shares of the site that nobody searches."""
+    """Services that publish for one robot on the same key, and parts of the site without a projector."""
     for name in ("scan-ingest", "tracker"):
         if len(there[name]) > 1:
             both = " and ".join(sorted(service.instance for service in there[name]))
-            yield Finding(where, f"has {name} {both}: each disturbs the other", "end all but one")
+            yield Finding(where, f"has {name} {both}: both publish on the same keys", "end all but one")
     shares: dict[int, set[int]] = {}
     for service in there["projector"]:
         if found := _PART.fullmatch(service.setting("part", "1/1")):

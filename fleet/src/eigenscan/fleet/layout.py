@@ -169,7 +169,7 @@ def configure(folder: Path) -> None:
     if unknown := sorted(set(fleet.robots) - set(members)):
         known = ", ".join(members)
         raise UsageError(
-            f"{folder / 'fleet.toml'}: robots.{unknown[0]}: has no certificate; there are {known}"
+            f"{folder / 'fleet.toml'}: robots.{unknown[0]}: has no certificate; choose one of {known}"
         )
     certified = {role: own for role, own in services(folder).items() if (own / f"{role.value}.crt").exists()}
     for role, own in certified.items():
@@ -220,7 +220,8 @@ def revoke(folder: Path, name: str) -> Path:
     of_service |= {name: folder / "groups" / name / "projector.crt" for name in read(folder).groups}
     held = of_service.get(name, folder / "robots" / name / "robot.crt")
     if not held.exists():
-        raise UsageError(f"{name}: has no certificate; there are {', '.join([*robots(folder), *of_service])}")
+        known = ", ".join([*robots(folder), *of_service])
+        raise UsageError(f"{name}: has no certificate; choose one of {known}")
     kept = folder / "revoked" / f"{common_name(held)}.crt"
     kept.parent.mkdir(exist_ok=True)
     held.rename(kept)

@@ -110,7 +110,7 @@ def read_map(path: Path) -> GridMap:
     except MapError:
         raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # no date, a number of 5,000 digits, ...
-        raise MapError(f"{path}: is no map: give the map_server yaml, which names its image") from error
+        raise MapError(f"{path}: is no map_server yaml: give the yaml that names the image") from error
     if not isinstance(meta, dict):
         raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
     resolution = _number(path, meta, "resolution", None)
@@ -150,10 +150,10 @@ def _plain_yaml(path: Path) -> str:
     if path.exists() and not path.is_file():
         raise MapError(f"{path}: is no file that can be read to its end: give the map_server yaml")
     if path.stat().st_size > _MOST_YAML_BYTES:
-        raise MapError(f"{path}: is too large for a map_server yaml: give the file that names the image")
+        raise MapError(f"{path}: is no map_server yaml (too large): give the yaml that names the image")
     text = path.read_text(encoding="utf-8")
     if nesting(text) > MOST_NESTED:
-        raise MapError(f"{path}: is no map: give the map_server yaml, which names its image")
+        raise MapError(f"{path}: is no map_server yaml: give the yaml that names the image")
     if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):  # a few of them fill the memory
         raise MapError(f"{path}: has a YAML alias (*name): write the value in its place")
     return text
@@ -195,6 +195,8 @@ def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
             )
     except MapError:
         raise
+    except FileNotFoundError as error:
+        raise MapError(f"{path}: image {file} is missing: correct 'image', or put it there") from error
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, *_DAMAGE) as error:
         raise MapError(f"{path}: image {file} cannot be read: {error}") from error
 

@@ -1,4 +1,4 @@
-"""What a user chose for several services at once: a method, a file, and single settings, which win."""
+"""A user's choices for several services at once: a method, a file, and single settings, which win."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class Choices:
     def of(cls, method: str, file: Path | None, changes: Iterable[str], services: Iterable[str]) -> Choices:
         """Choices as typed, `changes` as SERVICE.FIELD=VALUE of `services`.
 
-        Raises SettingsError naming what is not there, and what is.
+        Raises SettingsError that names the unknown part and the known ones.
         """
         if method not in METHODS:
-            raise SettingsError(f"--method {method}: unknown: there are {', '.join(METHODS)}")
+            raise SettingsError(f"--method {method}: unknown: choose one of {', '.join(METHODS)}")
         found: dict[str, dict[str, str]] = {}
         for text in changes:
             place, equals, value = text.partition("=")
@@ -51,21 +51,21 @@ class Choices:
                     f"--set {text}: give SERVICE.SETTING=VALUE, such as tracker.localized_above=0.95"
                 )
             if service not in services:
-                meant = nearest(service, services) or f": there are {', '.join(services)}"
+                meant = nearest(service, services) or f": choose one of {', '.join(services)}"
                 raise SettingsError(f"--set {text}: {service}: unknown{meant}")
             found.setdefault(service, {})[name] = value
         return cls(method, file, found)
 
     def core(self, options: type[ServiceSettings], core: type[Core], service: str) -> Core:
-        """Settings of a service's core alone, without the environment, for who runs no process.
+        """Settings of a service's core alone, without the environment, where no process runs.
 
-        Of the file what is for the process is passed over. Raises SettingsError naming place, field and fix.
+        The file's options of the process are ignored. Raises SettingsError that names place, field and fix.
         """
         given = self._given(options, service, core.model_fields)
         return validated(core, {name: each for name, each in given.items() if name in core.model_fields})
 
     def flags(self, options: type[ServiceSettings], service: str) -> list[str]:
-        """What a service's process is told of these; judged here as well, before it starts."""
+        """These choices as flags of a service's process. Raises SettingsError before it starts."""
         given = self._given(options, service, options.model_fields)
         own = [kind for kind in options.__mro__ if issubclass(kind, BaseModel) and kind is not BaseModel]
         core = next((kind for kind in own if not issubclass(kind, ServiceSettings)), None)
@@ -80,7 +80,7 @@ class Choices:
     def _given(
         self, options: type[ServiceSettings], service: str, changeable: Iterable[str]
     ) -> dict[str, Given]:
-        """By field what is set: by single changes, else by the file, else by the method."""
+        """The chosen value of each field: from a single change, else the file, else the method."""
         given = {
             name: Given(value, f"--method {self.method}: {service}.{name}")
             for name, value in of_service(self.method, service).items()

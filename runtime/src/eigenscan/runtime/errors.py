@@ -6,7 +6,7 @@ from eigenscan.runtime.printable import printable
 
 
 class UsageError(ValueError):
-    """What was asked for cannot be done; the message names the option or file and the fix."""
+    """A request that cannot be done; the message names the option or file and the fix."""
 
 
 class FailedError(RuntimeError):
@@ -24,8 +24,17 @@ def by_users(error: Exception) -> bool:
     return isinstance(error, ValueError) and type(error).__module__.startswith("eigenscan.")
 
 
+_FIXES: dict[type[OSError], str] = {
+    FileNotFoundError: ": check the path",
+    PermissionError: ": change the file's rights, or name another place",
+    IsADirectoryError: ": name a file",
+    NotADirectoryError: ": name a folder",
+}
+
+
 def one_line(error: Exception) -> str:
     """The error in one line that a terminal can show."""
     if isinstance(error, OSError) and error.filename is not None:
-        return printable(f"{error.filename}: {error.strerror}")
+        fix = _FIXES.get(type(error), "")
+        return printable(f"{error.filename}: {error.strerror}{fix}")
     return printable(str(error)) or type(error).__name__

@@ -14,17 +14,20 @@ import zenoh
 from eigenscan.schemas.channels import ContractError
 
 LOG_FILTER = "error,zenoh::net::routing=off,zenoh_transport::unicast::establishment=off"
-"""Of Zenoh's own log, where RUST_LOG says nothing else; its routing takes a neighbour's end for an error, and
-the process that listens on MEETING takes its own attempt to connect there for one."""
+"""Zenoh's own log, unless RUST_LOG is set. Off: its routing reports each neighbour that ends as an error, and
+the process that listens on MEETING reports its own attempt to connect there as one."""
 
 MEETING = "tcp/127.0.0.1:7448"
-"""Where processes of one machine without a configuration meet. Not Zenoh's own 7447: on a robot with ROS 2
-the rmw_zenoh router listens there, on all interfaces, and would let the network in."""
+"""Address at which the processes of one machine find each other when they have no configuration.
+
+Not Zenoh's default port 7447: on a robot with ROS 2, the rmw_zenoh router listens there, on all interfaces,
+and would let the network in."""
 
 URGENT_BATCHES = 16
-"""Zenoh's own 2 are full, and urgent messages dropped, whenever its thread gets no turn for two scans.
+"""Length of the queues for urgent messages, in batches.
 
-A deeper queue makes nobody wait; a longer wait before a drop would, on a link that hangs.
+Zenoh's default, 2, is full as soon as its thread gets no turn for two scans, and then it drops messages.
+A deeper queue delays nothing. A longer wait before a drop would delay senders on a link that hangs.
 """
 _QUEUE_SIZE = "transport/link/tx/queue/size"
 
@@ -32,16 +35,18 @@ _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
 
 def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = ()) -> zenoh.Session:
-    """Session from a JSON5 file; without one a session in `mode` ("peer", "router") for this machine alone.
+    """Opens a session as the JSON5 file configures it; without a file, one for this machine alone.
 
-    `listen`: endpoints where that one may be reached from elsewhere too. Raises ContractError naming the
-    file where it is no Zenoh configuration or no session opens.
+    `mode` ("peer", "router") and `listen` (more endpoints, such as tcp/0.0.0.0:7447) apply without a file.
+    Raises ContractError that names the file if it is no Zenoh configuration, or if no session opens.
     """
     zenoh.init_log_from_env_or(LOG_FILTER)
+    if path and not path.exists():
+        raise ContractError(f"{path}: no such Zenoh configuration: check --zenoh")
     try:
         config = zenoh.Config.from_file(str(path)) if path else _this_machine(mode, listen)
     except zenoh.ZError as error:
-        raise ContractError(f"{path}: is no Zenoh configuration: {_reason(error)}") from error
+        raise ContractError(f"{path}: is no Zenoh configuration (JSON5): {_reason(error)}") from error
     _deepen_urgent_queues(config)
     try:
         return zenoh.open(config)
@@ -53,10 +58,10 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
 
 
 def _this_machine(mode: str, listen: Sequence[str]) -> zenoh.Config:
-    """Loopback only, no multicast: nobody else on the network can join.
+    """Configuration for loopback only, without multicast: no other machine can join.
 
-    The first peer listens on MEETING and the others connect to it, and by gossip to each other. When it ends
-    the others stay connected, and the next one that starts takes its place.
+    The first peer listens on MEETING. The others connect to it, and by gossip to each other. When it ends,
+    the others stay connected, and the next peer that starts listens there.
     """
     endpoints = [MEETING, *listen] if mode == "router" else [MEETING, "tcp/127.0.0.1:0", *listen]
     settings: dict[str, Any] = {
@@ -79,7 +84,7 @@ def _this_machine(mode: str, listen: Sequence[str]) -> zenoh.Config:
 
 
 def open_meanwhile(path: Path | None, mode: str) -> Future[zenoh.Session]:
-    """A session that opens on a thread of its own: neighbours are looked for during half a second."""
+    """Opens a session on its own thread, because Zenoh looks for neighbours for half a second."""
     opening: Future[zenoh.Session] = Future()
 
     def run() -> None:
@@ -93,7 +98,7 @@ def open_meanwhile(path: Path | None, mode: str) -> Future[zenoh.Session]:
 
 
 def _deepen_urgent_queues(config: zenoh.Config) -> None:
-    """Unless the user's file has other sizes than Zenoh's own."""
+    """Sets URGENT_BATCHES, unless the user's file changes the sizes."""
     if json.loads(config.get_json(_QUEUE_SIZE)) == json.loads(zenoh.Config().get_json(_QUEUE_SIZE)):
         for priority in ("real_time", "interactive_high"):
             config.insert_json5(f"{_QUEUE_SIZE}/{priority}", str(URGENT_BATCHES))

@@ -1,9 +1,9 @@
 """Typed settings from flags, environment and a TOML file, in this order of precedence.
 
-A service's settings derive from ServiceSettings. Environment names are `EIGENSCAN_` and the field's
-name in capitals, or `EIGENSCAN_<SERVICE>_<FIELD>` for one service only, which wins; an empty variable
-counts as not set. In the file, top-level keys are those that all services have, and the table
-`[<service>]` holds what is for one of them. Lists and tables are given as JSON in flags and environment.
+A service's settings derive from ServiceSettings. The environment variable of a field is `EIGENSCAN_<FIELD>`,
+or `EIGENSCAN_<SERVICE>_<FIELD>` for one service only, which wins. An empty variable counts as not set. In the
+file, top-level keys apply to all services, and the table `[<service>]` to one. Flags and variables take lists
+and tables as JSON.
 """
 
 from __future__ import annotations
@@ -31,26 +31,25 @@ S = TypeVar("S", bound="ServiceSettings")
 M = TypeVar("M", bound=BaseModel)
 
 _SERVED = frozenset(("site", "robot", "instance"))
-"""Which robots a service serves, and under which name: the keys of its core."""
+"""Settings that form the keys of a service's core."""
 
 
 MOST_SHOWN = 200
 """Characters of a bad value that an error quotes."""
 MOST_DOTS = 500
-"""On one line of a TOML file: a hundred addresses."""
+"""Most dots on one line of a TOML file, enough for a hundred addresses."""
 MOST_TABLE_BYTES = 40_000
-"""Of a settings file: several times those of all services with every setting."""
+"""Largest settings file: several times the size of one with every setting of all services."""
 
 
 class SettingsError(ValueError):
-    """Settings that do not hold; the message names the source, the field and the fix."""
+    """Invalid settings; the message names the source, the field and the fix."""
 
 
 class ServiceSettings(BaseModel):
-    """Settings of every service.
+    """Settings that every service has: how its process runs.
 
-    A service's options derive from its core's settings, which hold what changes an answer, and from this,
-    which holds how the process is run.
+    A service's options derive from this class and from its core's settings, which change its answers.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -108,7 +107,7 @@ class ServiceSettings(BaseModel):
 
     @classmethod
     def answering(cls) -> frozenset[str]:
-        """The fields that answers may depend on: whom it serves, and the settings of its core."""
+        """Names of the settings that may change an answer: the core's, and the robots that it serves."""
         cores = [kind for kind in cls.__mro__ if issubclass(kind, BaseModel)]
         own = [kind.model_fields for kind in cores if not issubclass(kind, ServiceSettings)]
         return _SERVED.union(*own)
@@ -127,7 +126,7 @@ class ServiceSettings(BaseModel):
     @field_validator("robot")
     @classmethod
     def _each_robot_once(cls, value: str) -> str:
-        """Two patterns that fit the same robot would receive each message twice."""
+        """Refuses two patterns that fit the same robot: the service would receive each message twice."""
         pairs = list(itertools.combinations(patterns(value), 2))
         if pairs:
             from zenoh import KeyExpr
@@ -140,16 +139,16 @@ class ServiceSettings(BaseModel):
 
 @dataclass(frozen=True)
 class Given:
-    """A value and the place that gave it, as its user wrote it."""
+    """A value as the user wrote it, and where: a flag, a variable, or a file and key."""
 
     value: Any
     place: str
 
 
 def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
-    """Settings of `service` from `arguments` (default: the command line), environment and file.
+    """Settings of `service` from `arguments` (default: the command line), the environment and the file.
 
-    Raises SettingsError naming source, field and what would be accepted. `--help` prints and exits.
+    Raises SettingsError that names the source, the field and what is accepted. `--help` prints and exits.
     """
     flags = _flags(kind, service, sys.argv[1:] if arguments is None else arguments)
     config = flags.pop("config", None)
@@ -159,11 +158,11 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
 
 
 def validated(kind: type[M], given: Mapping[str, Given]) -> M:
-    """Settings of what was given. Raises SettingsError naming the place, the field and what is accepted."""
+    """Checks values by `kind`. Raises SettingsError that names the source, the field and what is accepted."""
     try:
         return kind.model_validate({name: entry.value for name, entry in given.items()})
     except ValidationError as error:
-        # what could not be derived from a bad value is no fault of its own
+        # a default that derives from a bad value fails too: report only the bad value
         faults = [each for each in error.errors() if each["type"] != "default_factory_not_called"]
         raise SettingsError("; ".join(_explain(fault, given) for fault in faults)) from error
 
@@ -173,14 +172,27 @@ def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
     place = ".".join([given[field].place if field in given else field, *inner])
     if problem["type"] == "missing":
         return f"{place}: must be given"
-    message = problem["msg"].removeprefix("Value error, ")
+    message = plain(problem["msg"])
     if problem["type"] in {"list_type", "dict_type", "tuple_type", "set_type"}:
         message += ', written as JSON such as ["a", "b"]'
     return f"{place} = {repr(problem['input'])[:MOST_SHOWN]}: {message[:MOST_SHOWN]}"
 
 
+def plain(message: str) -> str:
+    """Pydantic's message in our words."""
+    text = message.removeprefix("Value error, ").replace("Input should be", "must be")
+    return text.partition(", unable to parse")[0]
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a mistake in one line, where argparse prints all options first."""
+
+    def error(self, message: str) -> typing.NoReturn:
+        raise SettingsError(f"{message}: see {self.prog} --help")
+
+
 def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> dict[str, Given]:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=f"eigenscan-{service}",
         description=(kind.__doc__ or "").strip(),
         epilog=f"example: eigenscan-{service} --site hospital --robot r17 --metrics-port 9100",
@@ -200,9 +212,14 @@ def _flags(kind: type[ServiceSettings], service: str, arguments: list[str]) -> d
     for given in arguments:
         if hint := gone(kind, given.partition("=")[0].removeprefix("--").replace("-", "_")):
             raise SettingsError(f"{given.partition('=')[0]}: {hint}")
+    values, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        name = unknown[0].partition("=")[0]
+        hint = nearest(name, ["--config", *map(_flag, kind.model_fields)])
+        raise SettingsError(f"{name}: no such option{hint}: see {parser.prog} --help")
     return {
         name: Given(typed(kind, name, value), _flag(name))
-        for name, value in vars(parser.parse_args(arguments)).items()
+        for name, value in vars(values).items()
         if value is not None
     }
 
@@ -228,13 +245,13 @@ def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Given]:
 
 
 def typed(kind: type[ServiceSettings], name: str, text: str) -> Any:
-    """Text as pydantic is to see it: parsed as JSON where the field is no plain value."""
+    """`text` for pydantic: parsed as JSON if the field is a list or a table."""
     annotation = kind.model_fields.get(name)
     if annotation is None or _is_plain(annotation.annotation):
         return text
     try:
         return json.loads(text)
-    except (ValueError, RecursionError):  # no JSON, or numbers and lists that only an attack has
+    except (ValueError, RecursionError):  # not JSON, or hostile JSON
         return text
 
 
@@ -282,9 +299,9 @@ def read_table(
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The content of a TOML file. Raises ValueError or RecursionError where it is none.
+    """The content of a TOML file. Raises ValueError or RecursionError if it is not TOML.
 
-    A key of thousands of parts takes the parser a time of their square: no line of ours has so many dots.
+    The parser's time grows with the square of a key's parts, so a line with very many dots is refused.
     """
     if any(line.count(".") > MOST_DOTS for line in text.splitlines()):
         raise ValueError(f"a line with more than {MOST_DOTS} dots")
@@ -292,12 +309,12 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def gone(kind: type[BaseModel], name: str) -> str:
-    """What took the place of a setting that there once was, in words; empty for any other name."""
+    """For a removed setting, an explanation of what replaced it; empty for any other name."""
     replaced: typing.Mapping[str, str] = getattr(kind, "gone", {})
-    return f"is a setting no more: {replaced[name]}" if name in replaced else ""
+    return f"was removed: {replaced[name]}" if name in replaced else ""
 
 
 def nearest(name: str, known: typing.Iterable[str], prefix: str = "") -> str:
     """A hint for an unknown name: the most similar known one, or nothing."""
-    near = difflib.get_close_matches(name, list(known), n=1)
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.7)
     return f", did you mean {prefix}{near[0]}?" if near else ""

@@ -345,4 +345,4 @@ def by_name(name: str) -> Channel:
         if channel.name == name:
             return channel
     known = ", ".join(channel.name for channel in CHANNELS)
-    raise ContractError(f"no channel {name!r}; there are {known}")
+    raise ContractError(f"no channel {name!r}; choose one of {known}")

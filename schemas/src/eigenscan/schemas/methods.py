@@ -41,5 +41,5 @@ METHODS: Mapping[str, Settings] = MappingProxyType(
 def of_service(method: str, service: str) -> dict[str, Setting]:
     """What a method sets of a service, by field. Raises ValueError for a method that there is not."""
     if method not in METHODS:
-        raise ValueError(f"method {method!r}: there are {', '.join(METHODS)}")
+        raise ValueError(f"method {method!r}: choose one of {', '.join(METHODS)}")
     return dict(METHODS[method].get(service, {}))

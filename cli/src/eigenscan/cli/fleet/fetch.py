@@ -1,4 +1,4 @@
-"""`eigenscan fleet fetch`: a robot's recordings of some time, over the air, when somebody asks for them."""
+"""`eigenscan fleet fetch`: a robot's recordings of some time, over the air, on request."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def fetch(
         typer.Option(
             "--from",
             metavar=INSTANT,
-            help="from when on: how long ago (15m, 2h), a time of day in UTC (03:12), or 2026-01-31T03:12",
+            help="begin: how long ago (15m, 2h), a time of day in UTC (03:12), or 2026-01-31T03:12",
         ),
     ],
-    end: Annotated[str, typer.Option("--to", metavar=INSTANT, help="until when, likewise")] = "now",
+    end: Annotated[str, typer.Option("--to", metavar=INSTANT, help="end, likewise")] = "now",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="folder for the files; out/fetched/ROBOT without it")
     ] = None,
@@ -47,9 +47,9 @@ def fetch(
     if not is_chunk(robot) or "," in robot:
         raise UsageError(f"{robot!r}: is no robot's name; give one robot")
     now = time.time_ns()
-    begin_ns, end_ns = instant(begin, now), instant(end, now)
+    begin_ns, end_ns = instant("--from", begin, now), instant("--to", end, now)
     if begin_ns >= end_ns:
-        raise UsageError(f"--from {begin} --to {end}: must be before --to")
+        raise UsageError(f"--from {begin} --to {end}: --from must be earlier")
     from eigenscan.fleet.fetch import asker, missing_bytes, parts_within, utc
     from eigenscan.fleet.fetch import fetch as fetch_one
     from eigenscan.fleet.view import connect

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from eigenscan.fleet.view import FleetView, Service
 
 TURN_SHARE = math.radians(15.0) / 0.5
-"""rad a m: who clicks half a metre off also aims 15 degrees off."""
+"""rad per m: a click that is half a metre off is also 15 degrees off."""
 
 
 def relocate(
@@ -31,7 +31,7 @@ def relocate(
     sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="wait so long for each answer")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=1.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,
 ) -> None:
     """Set a robot's pose, or restart its search, and wait for its answer.
@@ -48,7 +48,7 @@ def relocate(
     if (pose is None) == (not anew):
         raise UsageError("give either --pose X Y DEG or --anew")
     if pose is not None and not all(map(math.isfinite, pose)):
-        raise UsageError(f"--pose {pose}: is no place: finite numbers")
+        raise UsageError(f"--pose {pose}: give finite numbers")
     if not is_chunk(robot):
         raise UsageError(f"{robot!r}: is no robot's name; give one robot")
     with FleetView(connect(zenoh), site) as view:
@@ -57,7 +57,7 @@ def relocate(
         view.say(Envelope(RELOCATION, {"site": site, "robot": robot}, _word(pose, sigma)))
         if not view.until(lambda: _taken_up(view, robot) > before, seconds):
             raise FailedError(
-                f"{robot} did not take it up within {seconds:.0f} s: its link is down, or --zenoh is not the "
+                f"{robot} did not answer within {seconds:.0f} s: its link is down, or --zenoh is not the "
                 "operator's, or its router and the site's have an older configuration (fleet configure)"
             )
         since = time.monotonic()
@@ -79,7 +79,7 @@ def _word(pose: tuple[float, float, float] | None, sigma: float) -> Relocation:
 
 
 def _serving(view: FleetView, robot: str) -> list[Service]:
-    """Its trackers that are there and have reported how they are."""
+    """The robot's live trackers whose health has arrived."""
     return [
         each
         for each in view.serving(robot)
@@ -90,11 +90,11 @@ def _serving(view: FleetView, robot: str) -> list[Service]:
 def _wait_for_tracker(view: FleetView, robot: str, seconds: float) -> None:
     if not view.until(lambda: bool(_serving(view, robot)), seconds):
         known = ", ".join(view.robot_names()) or "none"
-        raise FailedError(f"{robot}: nobody tracks it on site {view.site}; known robots: {known}")
+        raise FailedError(f"{robot}: no tracker of it on site {view.site}; known robots: {known}")
 
 
 def _taken_up(view: FleetView, robot: str) -> int:
-    """Words that its trackers took up so far, of all their robots."""
+    """Number of relocations that its trackers accepted so far, for all their robots."""
     return sum(each.counter("relocated") for each in _serving(view, robot))
 
 
@@ -106,7 +106,7 @@ def _is_sure(view: FleetView, robot: str, since: float) -> bool:
 def _outcome(
     view: FleetView, robot: str, given: tuple[float, float, float] | None, since: float
 ) -> dict[str, Any]:
-    """What the robot reports of itself since it took the word up."""
+    """The robot's newest pose since it accepted the relocation."""
     from eigenscan.cli.launch.screen import state_name
 
     found: dict[str, Any] = {"robot": robot, "taken_up": True, "state": "unknown"}
@@ -124,11 +124,11 @@ def _outcome(
 
 
 def _words(found: dict[str, Any]) -> str:
-    taken = f"{found['robot']} took it up"
+    taken = f"{found['robot']} accepted it"
     if found["state"] == "unknown":
-        return f"{taken}; no pose since: do its scans come?"
+        return f"{taken}; no pose since then: check its scans with eigenscan doctor"
     if "x" not in found:
-        return f"{taken}, and is {found['state']} so far, confidence {found['confidence']:.2f}"
+        return f"{taken}, and is {found['state']}, confidence {found['confidence']:.2f}"
     place = f"{found['x']:.2f}, {found['y']:.2f}, {found['theta_deg']:.0f} deg"
-    away = f", {found['away_m']:.2f} m from there" if "away_m" in found else ""
+    away = f", {found['away_m']:.2f} m from the given pose" if "away_m" in found else ""
     return f"{taken}, and is localized at {place}{away}, confidence {found['confidence']:.2f}"

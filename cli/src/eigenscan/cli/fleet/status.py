@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 OLD_S = 3.0
-"""What is older than this is shown as old: nobody may act on it."""
+"""Age of a pose, s, beyond which nobody may act on it."""
 REFRESH_S = 0.5
 
 
@@ -110,7 +110,7 @@ def _clock(serving: list[Service]) -> float | None:
 
 
 def table(view: FleetView) -> Table:
-    """The rows for people: what needs a person is red or yellow, and says what it is."""
+    """The rows as a table; red and yellow cells name what needs attention."""
     from rich.table import Table
 
     found = rows(view)
@@ -121,7 +121,7 @@ def table(view: FleetView) -> Table:
     for row in found:
         shown.add_row(*_cells(row, view.model_version))
     if not found:
-        shown.caption = "no robot is there: eigenscan doctor shows why"
+        shown.caption = "no robot answers: eigenscan doctor shows why"
     return shown
 
 
@@ -133,7 +133,7 @@ def _cells(row: dict[str, Any], newest: str) -> list[str]:
     colour = "red" if old or row["state"] in ("lost", "unknown") else _COLOURS.get(row["state"], "yellow")
     state = f"[{colour}]{'was ' if old else ''}{row['state']}[/]"
     place = "" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}"
-    if row["floor"]:  # in the floor's own map, as people know it
+    if row["floor"]:  # in the floor's own map
         place = f"{row['floor_x']:.1f}, {row['floor_y']:.1f} on {escape(printable(row['floor']))}"
     model = printable(row["model"][:8])
     if newest and model and row["model"] != newest:
@@ -158,7 +158,7 @@ _COLOURS = {"localized": "green", "ambiguous": "yellow"}
 
 
 def _services(row: dict[str, Any]) -> str:
-    """In words; only services of known names serve a robot."""
+    """Missing and unwell services, or `ok`."""
     from eigenscan.fleet.view import ROBOT_SERVICES
 
     troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
@@ -167,7 +167,7 @@ def _services(row: dict[str, Any]) -> str:
 
 
 def age_text(seconds: float | None) -> str:
-    """An age as people read it; empty where there is none."""
+    """An age with its unit; empty for None."""
     if seconds is None:
         return ""
     if seconds < 60:

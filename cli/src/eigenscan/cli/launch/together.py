@@ -45,7 +45,7 @@ def groups(words: Sequence[str]) -> list[Group]:
         names = part[0].split(",") if named else list(ON_ROBOT)
         for name in names:
             if name not in NODES:
-                raise SettingsError(f"no service {name!r}; there are {', '.join(NODES)}")
+                raise SettingsError(f"no service {name!r}; choose one of {', '.join(NODES)}")
         found.append((names, part[1:] if named else part))
     return sorted(found, key=lambda group: min(map([*NODES].index, group[0])))
 

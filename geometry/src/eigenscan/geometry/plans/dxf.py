@@ -59,7 +59,7 @@ def _read(path: Path, drawing: Any, metres_per_unit: float | None, layers: Colle
     walls = list(_walls(drawing.modelspace()))
     if missing := sorted(set(layers) - {layer for layer, _ in walls}):
         there = ", ".join(sorted({layer for layer, _ in walls}))
-        raise MapError(f"{path}: no wall on the layer {missing[0]}: there are {there}")
+        raise MapError(f"{path}: no wall on the layer {missing[0]}: choose one of {there}")
     lines, curved = [], MOST_CURVED
     for layer, entity in walls:
         if not layers or layer in layers:

@@ -37,23 +37,23 @@ Raw = tuple[Schema | None, Channel, Message]
 
 
 _OTHER_LOGS = {b"#ROSBAG V": "a ROS 1 bag", b"SQLite format 3\0": "a ROS 2 bag's database"}
-"""How files that people take for recordings begin."""
+"""First bytes of other logs that people take for recordings."""
 
 
 MOST_CHUNK_BYTES = 2**26
-"""That a chunk may inflate to, whatever its size; the recorder's have 256 KiB, or one message."""
+"""Inflated size that any chunk may have. The recorder's chunks have 256 KiB, or one message."""
 MOST_CHUNK_TIMES = 1000
-"""A larger chunk may inflate to so many times its size: a large site's map does to some hundred times."""
+"""Times its own size that a larger chunk may inflate to. A large site's map inflates some hundred times."""
 _CHUNK, _CHUNK_HEAD = 6, struct.Struct("<QQQII")
 _RECORD_HEAD = struct.Struct("<BQ")
 
 
 class RecordingError(ValueError):
-    """A file that is no readable recording; the message names it."""
+    """A file that cannot be read as a recording; the message names it."""
 
 
 class WholeReads:
-    """A file whose reads give all that was asked for; `mcap` takes a cut chunk for a whole one."""
+    """A file whose short reads are errors: `mcap` would accept a cut chunk as whole."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -121,20 +121,24 @@ def parts(path: Path) -> list[Path]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[IO[bytes]]:
-    """The file at `path`. Raises RecordingError where it, or what is read of it, is missing or damaged."""
+    """Opens the file at `path`. Raises RecordingError if it is missing, or what is read of it is damaged."""
     try:
         with path.open("rb") as file:
             _refuse_others(path, file)
             refuse_bombs(file)
             yield file
+    except InvalidMagic as error:
+        raise RecordingError(
+            f"{path}: is no readable recording: no MCAP; eigenscan import makes one of a log"
+        ) from error
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}: check the path") from error
     except DAMAGE as error:
         raise RecordingError(f"{path}: is no readable recording: {error}") from error
 
 
 def _refuse_others(path: Path, file: IO[bytes]) -> None:
-    """Raises RecordingError naming what the file is, where it is a log of another kind."""
+    """Raises RecordingError for a file of another format, with the command that converts it."""
     start = file.read(max(map(len, _OTHER_LOGS)))
     file.seek(0)
     for magic, name in _OTHER_LOGS.items():

@@ -208,7 +208,7 @@ def judge_claims(
     for claim in claims:
         if claim.run not in names:
             raise EvaluationError(
-                f"{path}: window {claim.run}: there are window-0 to window-{len(windows) - 1}"
+                f"{path}: window {claim.run}: choose one of window-0 to window-{len(windows) - 1}"
                 + (f" and kidnap-0 to kidnap-{len(kidnaps) - 1}" if kidnaps else "")
             )
     judged, rows, cpu = [], [], []

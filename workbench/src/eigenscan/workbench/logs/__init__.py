@@ -11,11 +11,14 @@ __all__ = ["Log", "LogError", "LogOptions", "Mount", "open_log"]
 
 Opener = Callable[[Path, LogOptions], Log]
 
+_OF_A_MAP = frozenset((".yaml", ".yml", ".pgm", ".png"))
+"""File name suffixes."""
+
 
 def open_log(path: Path, options: LogOptions | None = None) -> Log:
-    """The log at `path`, a file or a folder, whatever its format; recognized by its content.
+    """Opens the log at `path`, a file or a folder. The content decides the format.
 
-    Raises LogError where it cannot be read or is of no format that is known.
+    Raises LogError if it cannot be read or has an unknown format.
     """
     try:
         opener = _folder(path) if path.is_dir() else _file(path)
@@ -40,6 +43,10 @@ def _file(path: Path) -> Opener:
         return CsvLog
     if looks_like_carmen(path):
         return CarmenLog
+    if path.suffix.lower() in _OF_A_MAP:
+        raise LogError(f"{path}: is a map, no log: give the log first, then the map")
+    if path.suffix.lower() == ".csv" and start:
+        raise LogError(f"{path}: the first line must name the columns, with time_s: see docs/data.md")
     raise _unknown(path, "is of no known format" if start else "is empty")
 
 

@@ -134,7 +134,7 @@ class CarmenLog:
             there = sorted({LIDAR_OF[kind] for kind in survey.kinds if kind in LIDAR_OF})
             what = "no scan line could be read: expected FLASER, ROBOTLASER1 or RAWLASER1 lines"
             if there:
-                what = f"no lidar {self._options.lidars[0]}: there are {', '.join(there)}"
+                what = f"no lidar {self._options.lidars[0]}: choose one of {', '.join(there)}"
             raise LogError(f"{self.path}: {what}")
         logged = np.array(survey.stamps, dtype=np.int64)
         times = repair_stamps(logged, survey.kinds)

@@ -137,13 +137,14 @@ def _check_base(bag: Bag, survey: Survey) -> None:
     """Raises LogError where the base frame that was asked for is in no transform."""
     base, known = survey.options.base_frame, survey.tree.frames()
     if base is not None and base != survey.moved and known and base not in known:
-        raise LogError(f"{bag.path}: no frame {base} in tf: there are {_listed(sorted(known))}")
+        raise LogError(f"{bag.path}: no frame {base} in tf: choose one of {_listed(sorted(known))}")
 
 
 def _choose_odometry(bag: Bag, options: LogOptions, topics: list[str]) -> str | None:
     if options.odometry is not None:
         if options.odometry not in topics:
-            raise LogError(f"{bag.path}: no odometry topic {options.odometry}: there are {_listed(topics)}")
+            known = _listed(topics)
+            raise LogError(f"{bag.path}: no odometry topic {options.odometry}: choose one of {known}")
         return options.odometry
     raw = [topic for topic in topics if not NO_ODOMETRY.search(topic)]
     return min(raw, key=lambda topic: ("odom" not in topic, len(topic), topic), default=None)
@@ -153,7 +154,7 @@ def _choose_lidars(bag: Bag, options: LogOptions, topics: list[str]) -> list[str
     names = lidar_names(topics)
     missing = sorted(set(options.lidars) - set(topics) - set(names.values()))
     if missing or not topics:
-        what = f"no lidar {missing[0]}" if missing else "holds no laser scan"
+        what = f"no lidar {missing[0]}" if missing else "holds no laser scan, or was cut before the first"
         raise LogError(f"{bag.path}: {what}: topics of {LASER_SCAN}: {_listed(topics)}")
     asked = set(options.lidars)
     return [topic for topic in topics if not asked or {topic, names[topic]} & asked]

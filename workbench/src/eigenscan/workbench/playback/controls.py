@@ -124,7 +124,7 @@ def _command(line: str) -> Command:
         (seconds,) = map(float, rest) if do in {Do.SKIP, Do.SEEK} else [0.0]
     except ValueError:
         known = ", ".join(f"{do.value} S" if do in {Do.SKIP, Do.SEEK} else do.value for do in Do)
-        raise UsageError(f"standard input: {line.strip()!r} is no command; there are {known}") from None
+        raise UsageError(f"standard input: {line.strip()!r} is no command; choose one of {known}") from None
     return Command(do, seconds)
 
 

@@ -1,9 +1,10 @@
-"""What of a recording is played."""
+"""Selects the messages of a recording to play."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import zenoh
@@ -13,33 +14,33 @@ from eigenscan.schemas.channels import CHANNELS, Channel, find
 from eigenscan.workbench.simulation.stage import Timed
 
 INPUTS = ("scan_raw", "odometry")
-"""What a pipeline is given; all else is its own answer."""
+"""A pipeline's inputs; it computes all other channels itself."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Messages of `robot` (None: of all) and of the site, on some keys. Times are log times, ns."""
+    """Messages on `keys` of the site and of `robot` (None: all robots). Times are log times, ns."""
 
     file: Path
     keys: frozenset[str]
     robot: str | None
     start: int
-    """Of the recording."""
+    """Begin of the whole recording."""
     begin: int
     end: int
 
     @property
     def robots(self) -> list[str]:
-        """Those whose messages are played."""
+        """Robots whose messages are played."""
         return [self.robot] if self.robot else _robots(self.keys)
 
     @property
     def latched(self) -> list[Channel]:
-        """Channels that are played and that somebody who comes late asks for."""
+        """Played channels that a late subscriber asks for."""
         return [c for c in CHANNELS if c.qos.latched and any(c.parse(key) for key in self.keys)]
 
     def messages(self, begin: int) -> Iterator[Timed]:
-        """From log time `begin` on, after the latched messages from before; to the selection's end."""
+        """The latched messages from before log time `begin`, then all from `begin` to the selection's end."""
         for record in read(self.file, max(begin, self.begin)):
             if record.log_time > self.end:
                 return
@@ -56,8 +57,8 @@ def select(
 ) -> Selection:
     """The messages of `only` (channels or key expressions), between two times in s from the start.
 
-    `robot` chooses one where the recording holds several and one goes by that name.
-    Raises UsageError where that leaves nothing.
+    `robot` selects one robot of a recording that holds several.
+    Raises UsageError if nothing is left.
     """
     if end_s is not None and end_s <= begin_s:
         raise UsageError(f"--to {end_s:g}: must be after --from {begin_s:g}")
@@ -70,7 +71,9 @@ def select(
     begin, end = found.stretch(begin_s, end_s)
     selection = Selection(file, keys, chosen, found.begin, begin, end)
     if begin > found.end or next(selection.messages(begin), None) is None:
-        raise UsageError(f"{file}: nothing to play between --from and --to on {', '.join(only)}")
+        start, length_s = datetime.fromtimestamp(found.begin * 1e-9, UTC), (found.end - found.begin) * 1e-9
+        held = f"it lasts {length_s:.1f} s from {start:%H:%M:%S} UTC"
+        raise UsageError(f"{file}: nothing between --from and --to on {', '.join(only)}: {held}")
     return selection
 
 
@@ -84,7 +87,7 @@ def _keys(found: Contents, only: Sequence[str]) -> Iterator[str]:
             yield from (key for key in found.counts if pattern.intersects(key))
         else:
             raise UsageError(
-                f"--only {name}: there are {', '.join(channels)}, or a key such as site/robot/r1/**"
+                f"--only {name}: choose one of {', '.join(channels)}, or a key such as site/robot/r1/**"
             )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from eigenscan.runtime.errors import UsageError
-from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.runtime.settings import ServiceSettings, nearest, plain
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.group import EVERY, holds
@@ -66,7 +66,7 @@ def cast(survey: Survey, services: tuple[Service, ...], changes: Changes) -> lis
     """
     foreign = sorted(set(changes) - {service.name for service in services})
     if foreign:
-        raise UsageError(f"--set {foreign[0]}: is not replayed; there are {_names(services)}")
+        raise UsageError(f"--set {foreign[0]}: is not replayed; choose one of {_names(services)}")
     return [
         _instance(survey, service, name, changes.get(service.name, {}))
         for service in services
@@ -113,7 +113,7 @@ def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, ob
         raise UsageError(f"{survey.path}: settings of {service.name} are no JSON object")
     unknown = sorted(values.keys() - service.options.model_fields.keys())
     lost = f" without {', '.join(unknown)}, which this version does not know" if unknown else ""
-    # files of earlier versions also tell how the process was run
+    # files of earlier versions also hold options of the process
     answering = service.options.answering()
     return {name: values[name] for name in values if name in answering}, f"settings as recorded{lost}"
 
@@ -122,10 +122,11 @@ def _settings(service: Service, values: Mapping[str, object]) -> ServiceSettings
     known = [name for name in service.options.model_fields if name in service.options.answering()]
     for name in values:
         if name not in known:
-            raise UsageError(f"{service.name}: {name} = {values[name]!r}: there are {', '.join(known)}")
+            hint = nearest(name, known) or f": choose one of {', '.join(known)}"
+            raise UsageError(f"{service.name}: {name} = {values[name]!r}: unknown{hint}")
     try:
         return service.options.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or service.name
-        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {first['msg']}") from error
+        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {plain(first['msg'])}") from error
