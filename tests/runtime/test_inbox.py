@@ -203,3 +203,30 @@ def test_only_sweeps_give_way_before_the_inbox_is_full(channel: Channel) -> None
         found.append(int(arrival.payload))
     assert found == ([49] if channel in (SCAN, SCAN_RAW) else list(range(50)))
     assert inbox.dropped.get(channel.name, 0) == 50 - len(found)
+
+
+def test_samples_that_are_taken_together_wake_nobody() -> None:
+    class Ready(threading.Condition):
+        woken = 0
+
+        def notify(self, n: int = 1) -> None:
+            self.woken += 1
+            super().notify(n)
+
+    for batch_s, woken in ((0.0, 3), (0.05, 0)):
+        ready = Ready()
+        inbox = Inbox(ready=ready, batch_s=batch_s)
+        for number in range(3):
+            inbox.put(MODEL, "s/model/hall", str(number).encode(), "")
+        assert ready.woken == woken
+        assert [int(inbox.take(9.0).payload) for _ in range(3)] == [0, 1, 2]  # type: ignore[union-attr]
+
+
+def test_a_sample_tells_when_it_arrived() -> None:
+    inbox = Inbox(batch_s=0.05)
+    before = time.time_ns()
+    inbox.put(MODEL, "s/model/hall", b"", "")
+    after = time.time_ns()
+    arrival = inbox.take(9.0)
+    assert arrival is not None
+    assert before <= arrival.time <= after

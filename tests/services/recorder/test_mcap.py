@@ -240,6 +240,16 @@ def test_what_is_older_than_the_flush_period_is_readable_while_recording_goes_on
     sink.close()
 
 
+def test_the_log_time_is_that_of_the_arrival_however_late_it_is_written(tmp_path: Path) -> None:
+    sink = McapSink(tmp_path / "a.mcap", "s", lambda: 100 * S, 0.5, {})
+    address = {"site": "s", "robot": "r"}
+    for seconds in (7, 8):
+        sink.write(Envelope(POSE, address, PoseEstimate(timestamp=stamp(3 * S)), arrived=seconds * S))
+    sink.write(Envelope(POSE, address, PoseEstimate(timestamp=stamp(3 * S))))
+    sink.close()
+    assert [record.log_time for _, _, record in contents(tmp_path / "a.mcap")] == [7 * S, 8 * S, 100 * S]
+
+
 def test_no_recording_is_ever_overwritten(tmp_path: Path) -> None:
     clock = Clock()
     for number in (1, 2, 3):

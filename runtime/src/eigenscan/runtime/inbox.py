@@ -34,6 +34,8 @@ class Arrival:
     payload: bytes
     encoding: str
     message: Message | None = None
+    time: int = 0
+    """When it arrived, ns since the epoch by this machine's clock."""
 
 
 class Inbox:
@@ -46,12 +48,15 @@ class Inbox:
         clock: Callable[[], float] = time.monotonic,
         ready: threading.Condition | None = None,
         most_bytes: int = MOST_BYTES,
+        batch_s: float = 0.0,
     ) -> None:
         """`slack` times the channels' depth may wait: for who wants all of it rather than the newest.
 
         Beyond `most_bytes` the oldest go, of whatever key.
         Who has not been through with all that waits for `behind_after_s` of `clock`, in s, is behind.
         `ready`: of several inboxes that one thread empties.
+        `batch_s`: a sample wakes nobody; who empties the inbox looks so often. To wake a thread costs more
+        than to record a message.
         """
         self._slack, self._behind_after_s, self._clock = slack, behind_after_s, clock
         self._through_at = 0.0  # when a sample last found nothing before it
@@ -60,6 +65,7 @@ class Inbox:
         self._next = 0
         self._most_bytes, self._bytes = most_bytes, 0
         self._closed = self._discards = False
+        self._batch_s = batch_s
         self._ready = ready or threading.Condition()
         self.on_put: Callable[[], None] | None = None
         """Called after each sample, in its thread; then no other thread is woken."""
@@ -78,12 +84,12 @@ class Inbox:
             if channel.qos.depth and len(orders) >= self._slack * channel.qos.depth:
                 self._give_way(channel, orders)
             orders.append(self._next)
-            self._waiting[self._next] = Arrival(channel, key, payload, encoding, message)
+            self._waiting[self._next] = Arrival(channel, key, payload, encoding, message, time.time_ns())
             self._next += 1
             if channel.qos.depth:
                 self._bytes += len(payload) + SAMPLE_BYTES
                 self._make_room()
-            if self.on_put is None:
+            if self.on_put is None and not self._batch_s:
                 self._ready.notify()
         if self.on_put is not None:
             self.on_put()
@@ -95,7 +101,11 @@ class Inbox:
         As the oldest decides whose turn it is, no key waits longer for that.
         """
         with self._ready:
-            self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
+            if not self._waiting and not self._closed:
+                if self._batch_s:
+                    self._ready.wait(min(self._batch_s, timeout))
+                else:
+                    self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
             if not self._waiting or self._discards:
                 return None
             arrival = next(iter(self._waiting.values()))

@@ -63,7 +63,8 @@ class Service(Generic[S]):
     `make_port`: carries those channels of the core that are not of the contract. `prompt`: the core takes
     each message in the thread that brings it; for one that has done with it in well under a millisecond.
     `attend` is given the session once it is open. `quick`: the core needs milliseconds for a message, so that
-    several of its kind share a thread where they share a process.
+    several of its kind share a thread where they share a process. `batch_s`: messages wait up to so many
+    seconds and are then handled in a row; for a core whose answers nobody waits for.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Service(Generic[S]):
     prompt: bool = False
     attend: Callable[[S, zenoh.Session], None] | None = None
     quick: bool = False
+    batch_s: float = 0.0
 
 
 def main(service: Service[Any]) -> None:
@@ -149,7 +151,7 @@ class Node:
         )
         slack = WHOLE_SITE_SLACK if service.whole_site else 1
         ready = shared.ready if shared and service.quick else None
-        self.inbox = Inbox(slack, settings.behind_after, ready=ready)
+        self.inbox = Inbox(slack, settings.behind_after, ready=ready, batch_s=service.batch_s)
         self._bus: Bus | None = None
         self._keepsake: LatchedCache | None = None
         self._port: Port = service.make_port(settings) if service.make_port else NoPort()

@@ -118,7 +118,7 @@ class Work:
             message = arrival.message
             if message is None:
                 message = decode(channel, arrival.payload, arrival.encoding)
-            heard = Envelope(channel, address, message)
+            heard = Envelope(channel, address, message, arrival.time)
         except ContractError as error:
             self._counters.set_aside("undecodable", arrival.key, error)
             return

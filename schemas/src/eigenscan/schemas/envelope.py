@@ -21,6 +21,8 @@ class Envelope:
     channel: Channel
     address: Mapping[str, str]
     message: Message
+    arrived: int = field(default=0, compare=False)
+    """ns since the epoch by the receiver's clock; 0: not known."""
 
     @property
     def key(self) -> str:

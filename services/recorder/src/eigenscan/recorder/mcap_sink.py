@@ -75,8 +75,8 @@ class McapSink:
         return self._counts
 
     def write(self, received: Envelope) -> None:
-        """Adds a message: log time is now, publish time the message's own stamp."""
-        now, before = self._clock(), perf_counter()
+        """Adds a message: log time is that of its arrival, publish time the message's own stamp."""
+        now, before = received.arrived or self._clock(), perf_counter()
         if now < self._now:
             self._follow_back(now)
         self._now = now

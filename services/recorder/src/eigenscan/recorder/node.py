@@ -20,6 +20,8 @@ with needs("eigenscan-recorder[node]", SystemExit):
     from eigenscan.schemas.group import is_one
 
 NAME = "recorder"
+BATCH_S = 0.05
+"""s; log times are those of the arrival all the same."""
 _UPLOADS: list[Uploads] = []
 """Held for as long as the process is."""
 
@@ -51,7 +53,7 @@ def _offer_uploads(settings: RecorderOptions, session: zenoh.Session) -> None:
         _UPLOADS[-1].offer(session, settings.site, settings.robot)
 
 
-SERVICE = Service(NAME, RecorderOptions, make_core, whole_site=True, attend=_offer_uploads)
+SERVICE = Service(NAME, RecorderOptions, make_core, whole_site=True, attend=_offer_uploads, batch_s=BATCH_S)
 
 
 def main() -> None:
