@@ -283,3 +283,10 @@ def test_off_the_map_and_deep_in_the_unknown_it_is_dark() -> None:
     points = [[1.5, 1.5], [1.5, 1.05], [1.5, 2.05], [1.5, 2.5], [-1.0, 1.5]]
     # free, in a wall, in a speck's depth of the unknown, deep in it, off the map
     assert caster.in_dark(points).tolist() == [False, False, False, True, True]
+
+
+def test_points_lie_among_the_cells_as_on_the_grid() -> None:
+    grid = GridMap(np.zeros((4, 5), dtype=np.uint8), 0.05, np.array([3.0, -2.0, 0.4]))
+    points = np.random.default_rng(1).normal(size=(3, 7, 2))
+    found = RayCaster.of(grid).to_cells(points)
+    assert np.allclose(found, grid.to_grid(points) + 1.0, rtol=0, atol=1e-12)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from eigenscan.geometry.pose import transform
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.obstacles import find_obstacles
@@ -124,3 +125,42 @@ def test_distance_at_points_is_the_distance_fields() -> None:
     near = direct < REACH - 0.1
     assert near.sum() > 50
     assert np.allclose(WallField.of(field).at(points)[near], direct[near], atol=0.05)
+
+
+def test_they_are_those_of_the_plain_form() -> None:
+    """Beam by beam in numpy, for scans among walls, off the map and without a beam."""
+    grid = _hall()
+    caster, walls = RayCaster.of(grid), WallField.of(DistanceField.of(grid))
+    rng = np.random.default_rng(4)
+    for beams in (0, 1, 90, 361):
+        pose = np.array([*rng.uniform((0.5, 0.5), (11.0, 3.5)), rng.uniform(-np.pi, np.pi)])
+        bearings = np.linspace(-np.pi, np.pi, beams)
+        predicted = caster.cast(pose, bearings, 30.0)[0]
+        ranges = np.where(np.isfinite(predicted), predicted, 8.0).astype(np.float32)
+        ranges *= rng.choice([1.0, 1.02, 0.6], beams).astype(np.float32)
+        ranges[rng.random(beams) < 0.1] = np.inf
+        ranges[rng.random(beams) < 0.1] = np.nan
+        found = find_obstacles(pose, bearings, ranges, predicted, walls, grid)
+        seen = np.isfinite(ranges)
+        r, angle = ranges[seen], bearings[seen]
+        points = np.column_stack([r * np.cos(angle), r * np.sin(angle)])
+        ends, short = transform(pose, points), predicted[seen] - ranges[seen] > 0.2
+        inside = np.isfinite(predicted[seen]) | (grid.at(ends) == FREE)
+        on_it = short & inside & (walls.at(ends) > 0.2)
+        wanted = np.full(beams, 255)
+        wanted[seen] = np.where(on_it, 0, 1)
+        assert found.mask.tolist() == wanted.tolist()
+        assert np.allclose(found.in_sensor, points[on_it], atol=1e-5)
+        assert np.allclose(found.in_map, ends[on_it], atol=1e-5)
+        error = np.full(beams, np.nan, dtype=np.float32)
+        both = seen & np.isfinite(predicted)
+        error[both] = ranges[both] - predicted[both]
+        assert np.array_equal(found.error, error, equal_nan=True)
+        known = error[np.isfinite(error)].astype(np.float64)
+        if not len(known):
+            assert np.isnan(found.error_energy)
+            assert found.confidence == 0.0
+            continue
+        bounded = np.minimum(np.abs(known), 1.0)
+        assert np.isclose(found.error_energy, np.sqrt(np.mean(known**2)), rtol=1e-12)
+        assert np.isclose(found.confidence, np.exp(-0.5 * np.mean(bounded**2) / 0.5**2), rtol=1e-12)

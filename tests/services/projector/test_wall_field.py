@@ -1,8 +1,11 @@
 """The packed field and the fit on it against plain formulas."""
 
+from dataclasses import replace
+
 import numpy as np
+from eigenscan.geometry.circle import difference
 from eigenscan.geometry.distance_field import DistanceField
-from eigenscan.geometry.pose import transform
+from eigenscan.geometry.pose import compose, inverse, transform
 from eigenscan.projector.observation import observe
 from eigenscan.projector.refinement import Schedule, fit
 from eigenscan.projector.wall_field import WallField, unpack
@@ -28,6 +31,15 @@ def test_a_cell_holds_distance_and_slope() -> None:
         assert abs(gy - np.clip(by_row[row, column], -1, 1)) <= 0.5001 / 511
     border = [unpack(word) for word in (*packed.cells[0], *packed.cells[:, -1])]
     assert all(near == np.float32(REACH) and gx == gy == 0 for near, gx, gy in border)
+
+
+def test_poses_lie_in_the_field_as_they_do_in_the_map() -> None:
+    grid = replace(office(), origin=np.array([4.0, -7.0, 0.7]))
+    field = WallField.of(DistanceField.of(grid), 0.1)
+    poses = free_poses(20, 5)
+    found, plain = field.cells_of(poses), compose(inverse(grid.origin), poses)
+    assert np.allclose(found[:, :2], plain[:, :2] / 0.1 + 1.0, rtol=0, atol=1e-12)
+    assert np.allclose(difference(found[:, 2], plain[:, 2]), 0.0, rtol=0, atol=1e-12)
 
 
 def test_a_fit_that_does_not_move_is_the_sum_over_its_points() -> None:

@@ -67,7 +67,8 @@ class GridMap:
         return digest.hexdigest()
 
     @cached_property
-    def _map_in_grid(self) -> NDArray[np.float64]:
+    def map_in_grid(self) -> NDArray[np.float64]:
+        """The map frame's pose (3,) in the grid's."""
         return inverse(self.origin)
 
     def to_grid(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -75,7 +76,7 @@ class GridMap:
 
         Cell (r, c) spans [c, c+1) x [r, r+1).
         """
-        return transform(self._map_in_grid, points) / self.resolution
+        return transform(self.map_in_grid, points) / self.resolution
 
     def to_map(self, grid: ArrayLike) -> NDArray[np.float64]:
         """Continuous (column, row) (..., 2) as map-frame points, m."""

@@ -60,7 +60,10 @@ class RayCaster:
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map-frame points (..., 2), m, as continuous (column, row) of `leap`."""
-        return self.grid.to_grid(points) + 1.0
+        array, grid = np.asarray(points, dtype=np.float64), self.grid
+        cells = _to_cells(grid.map_in_grid, grid.resolution, np.ascontiguousarray(array.reshape(-1, 2)))
+        found: NDArray[np.float64] = cells.reshape(array.shape)
+        return found
 
     def in_dark(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN: rays from there show nothing."""
@@ -147,6 +150,20 @@ def panoramas(
     """RayCaster.panoramas, also straight from a map."""
     caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
     return caster.panoramas(positions, beams, range_max, threads)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _to_cells(
+    map_in_grid: NDArray[np.float64], resolution: float, points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Map-frame points (P, 2) as continuous (column, row) of a grid with one cell around it."""
+    cos, sin = np.cos(map_in_grid[2]), np.sin(map_in_grid[2])
+    out = np.empty(points.shape)
+    for p in range(len(points)):
+        x, y = points[p]
+        out[p, 0] = (cos * x - sin * y + map_in_grid[0]) / resolution + 1.0
+        out[p, 1] = (sin * x + cos * y + map_in_grid[1]) / resolution + 1.0
+    return out
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled

@@ -7,7 +7,6 @@ clear of all that is drawn, and the farther it got the surer: a beam along a wal
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import compose
 from eigenscan.projector.wall_field import WallField, distance_at
 from numba import njit
 from numpy.typing import NDArray
@@ -30,8 +29,15 @@ def leaving(field: WallField, positions: Array, entered: Singles, until: float) 
     turn = entered.shape[1]
     poses = np.column_stack([positions, np.zeros(len(positions))])
     out = np.full(entered.shape, np.inf, dtype=np.float32)
-    local = np.ascontiguousarray(compose(field.map_in_field, poses))
-    _leaving(field.cells, field.cell, local, np.arange(turn) * (2.0 * np.pi / turn), entered, until, out)
+    _leaving(
+        field.cells,
+        field.cell,
+        field.cells_of(poses),
+        np.arange(turn) * (2.0 * np.pi / turn),
+        entered,
+        until,
+        out,
+    )
     return out
 
 
@@ -41,8 +47,7 @@ def clearance(field: WallField, poses: Array, bearings: Array, entered: Singles,
     From poses (n, 3) along `bearings` (B,) to where they ended, `seen` (B,); about FAR_OFF at most.
     """
     out = np.zeros(entered.shape, dtype=np.float32)
-    local = np.ascontiguousarray(compose(field.map_in_field, poses))
-    _clearance(field.cells, field.cell, local, bearings, entered, seen, out)
+    _clearance(field.cells, field.cell, field.cells_of(poses), bearings, entered, seen, out)
     return out
 
 
@@ -53,8 +58,7 @@ def _leaving(
     height, width = cells.shape
     half = 0.5 * cell
     for i in range(len(poses)):
-        # one cell of border lies around the grid
-        x, y = poses[i, 0] / cell + 1.0, poses[i, 1] / cell + 1.0
+        x, y = poses[i, 0], poses[i, 1]
         for j in range(len(bearings)):
             angle = poses[i, 2] + bearings[j]
             dx, dy = np.cos(angle) / cell, np.sin(angle) / cell
@@ -77,7 +81,7 @@ def _clearance(
     least = max(half, STEP_M)
     cos, sin = np.cos(bearings) / cell, np.sin(bearings) / cell
     for i in range(len(poses)):
-        x, y = poses[i, 0] / cell + 1.0, poses[i, 1] / cell + 1.0
+        x, y = poses[i, 0], poses[i, 1]
         ahead, aside = np.cos(poses[i, 2]), np.sin(poses[i, 2])
         for j in range(len(bearings)):
             along, end = entered[i, j], seen[j]

@@ -8,7 +8,6 @@ places that merely look similar.
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import compose
 from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
@@ -43,10 +42,9 @@ def support(
     through a wall. A beam is explained that ends at a wall, and more likely than not at the first one. Beams
     count `by_reach`.
     """
-    local = np.ascontiguousarray(compose(field.map_in_field, poses))
-    out = np.empty((2, len(local)))
+    out = np.empty((2, len(poses)))
     share = by_reach(seen) / max(len(seen), 1)
-    _support(field.cells, field.cell, local, bearings, seen, share, through, out)
+    _support(field.cells, field.cell, field.cells_of(poses), bearings, seen, share, through, out)
     return out[0], out[1]
 
 
@@ -104,8 +102,7 @@ def _support(
     at, words = np.empty(len(seen), dtype=np.uint32), np.empty(len(seen), dtype=np.uint32)
     for i in range(len(poses)):
         cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
-        # one cell of border lies around the grid
-        x, y = np.float32(poses[i, 0] / cell + 1.0), np.float32(poses[i, 1] / cell + 1.0)
+        x, y = np.float32(poses[i, 0]), np.float32(poses[i, 1])
         behind, total, explained = through[i], zero, zero
         # the words in a loop of their own: not every processor's vector units look up
         for j in range(len(px)):

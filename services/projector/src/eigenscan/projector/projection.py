@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.symmetric import determinant_each
 from eigenscan.projector.association.manifold import Matches
 from eigenscan.projector.candidates import Candidates, Projected
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
@@ -156,10 +157,11 @@ def _verified(
     site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, trace: TraceCallback
 ) -> tuple[Array, Index, Index]:
     """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
-    once = matches.by_row()
-    rows, offset = once.rows, once.offsets
+    between = bool(matches.offsets.any())
+    if between:
+        matches = matches.by_row()
+    rows, offset = (matches.rows if between else matches.distinct_rows), matches.offsets
     home, window = view.places(rows)
-    between = bool(offset.any())
     if between:
         window += np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
         window %= ANALYSIS_TURN
@@ -227,10 +229,11 @@ def _weigh(
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
     covariances = pose_covariances(polished.information[kept], site.inexactness)
-    exact = pose_covariances(polished.information[kept])
-    # that an inexact map spreads a place over more poses makes the place no likelier
-    spread = 0.5 * (np.linalg.slogdet(covariances)[1] - np.linalg.slogdet(exact)[1])
-    likelihood = log_likelihood(supports, ordinary) - spread
+    likelihood = log_likelihood(supports, ordinary)
+    if site.inexactness:
+        exact = pose_covariances(polished.information[kept])
+        # that an inexact map spreads a place over more poses makes the place no likelier
+        likelihood -= 0.5 * np.log(determinant_each(covariances) / determinant_each(exact))
     trace("published", poses)
     trace("first", poses[:1])
     return Candidates(

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
 from eigenscan.geometry.pose import compose, inverse, to_message
 from eigenscan.projector.candidates import Candidates
+from eigenscan.projector.columns import Record, doubles, flag, floats, messages, nested, packed, record
 from eigenscan.projector.coordinates import coordinates
 from eigenscan.projector.focus import Scope
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.obstacles import ObstacleMask, find_obstacles
 from eigenscan.projector.reconstruction import occluded
 from eigenscan.projector.site import Site
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, Projection
+from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
 
@@ -19,6 +24,40 @@ Array = NDArray[np.float64]
 
 TOLD = 64
 """Projections of a message at most: it must not grow with the site."""
+_UPPER = np.array([0, 1, 2, 4, 5, 8])
+"""Of a covariance row by row: what is on or above its diagonal."""
+
+
+@dataclass(frozen=True)
+class _Blanks:
+    """Records of the messages that a scan gets many of."""
+
+    projection: Record
+    hypothesis: Record
+
+
+@cache
+def _blanks(components: int) -> _Blanks:
+    of, told = Hypothesis, Projection
+    C = Covariance3
+    upper = C.XX_FIELD_NUMBER, C.XY_FIELD_NUMBER, C.XT_FIELD_NUMBER, C.YY_FIELD_NUMBER, C.YT_FIELD_NUMBER
+    return _Blanks(
+        record(
+            coefficients=floats(told.COEFFICIENTS_FIELD_NUMBER, components),
+            error_energy=doubles(told.ERROR_ENERGY_FIELD_NUMBER),
+            searched=flag(told.SEARCHED_FIELD_NUMBER),
+        ),
+        record(
+            pose=nested(
+                of.POSE_FIELD_NUMBER, Pose2.X_FIELD_NUMBER, Pose2.Y_FIELD_NUMBER, Pose2.THETA_FIELD_NUMBER
+            ),
+            covariance=nested(of.COVARIANCE_FIELD_NUMBER, *upper, C.TT_FIELD_NUMBER),
+            log_likelihood=doubles(of.LOG_LIKELIHOOD_FIELD_NUMBER),
+            error_energy=doubles(of.ERROR_ENERGY_FIELD_NUMBER),
+            explained=doubles(of.EXPLAINED_FIELD_NUMBER),
+            coefficients=floats(of.COEFFICIENTS_FIELD_NUMBER, components),
+        ),
+    )
 
 
 def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
@@ -47,41 +86,35 @@ def hypotheses_message(
         searched_area_m2=site.area(_searched(scope, found)),
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
-        projections=[
-            Projection(region=region, coefficients=coefficients, error_energy=error, searched=searched)
-            for region, coefficients, error, searched in zip(
-                [site.regions[r] for r in told],
-                found.projected.coefficients[told].tolist(),
-                energy[told].tolist(),
-                found.projected.searched[told].tolist(),
-                strict=True,
-            )
-        ],
     )
-    view = site.view(seen.sensor)
-    own = coordinates(view, site.lattice, found.poses, found.region, seen.sensor.angle_min)
-    for pose, covariance, likelihood, explained, region, error, place in zip(
-        base.tolist(),
-        covariances.tolist(),
-        found.log_likelihoods.tolist(),
-        found.explained.tolist(),
-        found.region.tolist(),
-        energy[found.region].tolist(),
-        own.tolist(),
-        strict=True,
-    ):
-        # filled in place: messages put together from messages take three times as long
-        added = message.hypotheses.add(
-            log_likelihood=likelihood,
-            explained=explained,
-            region=site.regions[region],
-            error_energy=error,
-            coefficients=place,
+    projected, alike = found.projected, _blanks(found.projected.coefficients.shape[1])
+    message.MergeFromString(
+        messages(
+            Hypotheses.PROJECTIONS_FIELD_NUMBER,
+            alike.projection,
+            (Projection.REGION_FIELD_NUMBER, [site.regions[r] for r in told]),
+            {
+                "coefficients": projected.coefficients[told],
+                "error_energy": energy[told, None],
+                "searched": projected.searched[told],
+            },
         )
-        added.pose.x, added.pose.y, added.pose.theta = pose
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance
-        c = added.covariance
-        c.xx, c.xy, c.xt, c.yy, c.yt, c.tt = xx, xy, xt, yy, yt, tt
+        + messages(
+            Hypotheses.HYPOTHESES_FIELD_NUMBER,
+            alike.hypothesis,
+            (Hypothesis.REGION_FIELD_NUMBER, [site.regions[r] for r in found.region]),
+            {
+                "pose": base,
+                "covariance": covariances.reshape(-1, 9)[:, _UPPER],
+                "log_likelihood": found.log_likelihoods[:, None],
+                "error_energy": energy[found.region, None],
+                "explained": found.explained[:, None],
+                "coefficients": coordinates(
+                    site.view(seen.sensor), site.lattice, found.poses, found.region, seen.sensor.angle_min
+                ),
+            },
+        )
+    )
     return message
 
 
@@ -108,12 +141,11 @@ def obstacles_message(
 ) -> Obstacles:
     """What the most likely pose does not explain; `mount` (3,): the lidar in the base frame."""
     pose, mask = found.poses[0], _mask(site, seen, found)
-    return Obstacles(
+    message = Obstacles(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
         pose=to_message(compose(pose, inverse(mount))),
         mask=mask.mask.tobytes(),
-        error=mask.error.tolist(),
         error_energy=mask.error_energy,
         confidence=mask.confidence,
         sensor_x=mask.in_sensor[:, 0].tolist(),
@@ -122,6 +154,8 @@ def obstacles_message(
         map_y=mask.in_map[:, 1].tolist(),
         model_version=site.version,
     )
+    message.MergeFromString(packed(Obstacles.ERROR_FIELD_NUMBER, mask.error))
+    return message
 
 
 def _mask(site: Site, seen: Observation, found: Candidates) -> ObstacleMask:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
@@ -61,16 +60,11 @@ def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fi
 
     Points count `by_reach`.
     """
-    # a whole number of vectors, for the rest of a loop is slow
-    room = -(-len(points) // _LANES) * _LANES
-    x, y, weight = np.zeros(room, np.float32), np.zeros(room, np.float32), np.zeros(room, np.float32)
-    x[: len(points)], y[: len(points)] = points.T / field.cell
-    weight[: len(points)] = by_reach(np.hypot(*points.T))
     found = Fit(np.empty(poses.shape), np.empty(len(poses)), np.empty((len(poses), 3, 3)))
     _fit(
         (field.cells.reshape(-1), *field.cells.shape, field.cell, *field.origin.tolist()),
         poses,
-        (x, y, weight, float(max(len(points), 1))),
+        np.ascontiguousarray(points),
         schedule.squares,
         found.poses,
         found.cost,
@@ -83,14 +77,15 @@ def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fi
 def _fit(
     field: tuple[Words, int, int, float, float, float, float],
     start: Array,
-    points: tuple[Singles, Singles, Singles, float],
+    ends: Array,
     scales: Array,
     poses: Array,
     cost: Array,
     information: Array,
 ) -> None:
     flat, height, width, cell, x0, y0, turned = field
-    x, y, weight, count = points
+    x, y, weight = _in_cells(ends, cell)
+    count = max(len(ends), 1)
     sums = np.empty(10, dtype=np.float32)
     cos0, sin0 = np.cos(turned), np.sin(turned)
     ahead, aside = np.cos(start[:, 2] - turned), np.sin(start[:, 2] - turned)
@@ -122,6 +117,25 @@ def _fit(
         poses[i, 0] = x0 + cos0 * dx - sin0 * dy
         poses[i, 1] = y0 + sin0 * dx + cos0 * dy
         poses[i, 2] = (poses[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _in_cells(points: Array, cell: float) -> tuple[Singles, Singles, Singles]:
+    """Points (n, 2), m, in cells, and their weights as of `by_reach`.
+
+    Filled up with points that weigh nothing to a whole number of vectors, for the rest of a loop is slow.
+    """
+    room = -(-len(points) // _LANES) * _LANES
+    x, y, weight = np.zeros(room, np.float32), np.zeros(room, np.float32), np.zeros(room, np.float32)
+    root, total = np.empty(len(points)), 0.0
+    for j in range(len(points)):
+        x[j], y[j] = points[j, 0] / cell, points[j, 1] / cell
+        root[j] = np.sqrt(np.hypot(points[j, 0], points[j, 1]))
+        total += root[j]
+    mean = max(total / max(len(points), 1), 1e-9)
+    for j in range(len(points)):
+        weight[j] = root[j] / mean
+    return x, y, weight
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled

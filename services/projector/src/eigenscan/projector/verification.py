@@ -9,8 +9,10 @@ neighbouring positions of the model's own grid.
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.eigenspace.analysis import ANALYSIS_TURN
+from eigenscan.geometry.circle import TURN
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.observation import by_reach, windows_at
+from eigenscan.projector.observation import by_reach
 from numba import njit
 from numpy.typing import NDArray
 
@@ -84,30 +86,34 @@ def overshot(
     By the nearest panorama, half a grid cell off: what costs nothing, for what needs no more. `leaves` as of
     `predicted`; `seen` (B,) are the beams' ranges.
     """
-    apart = poses[:, :2] - lattice.positions[home]
-    column, row = np.minimum(np.maximum(np.rint(apart / lattice.spacing), -1), 1).astype(np.int64).T
-    there = lattice.neighbours[home, 3 * (column + 1) + row + 1]
-    position = np.where(there < 0, home, there)
-    window = windows_at(poses[:, 2], angle_min)
     out = np.empty((len(poses), len(beams)), dtype=np.float32)
+    grid = lattice.positions, lattice.neighbours, lattice.spacing
     beams = np.ascontiguousarray(beams)
-    _overshot(leaves, position, window, beams, seen, np.float32(_cap(range_max)), out)
+    _overshot(leaves, grid, home, poses, angle_min, beams, seen, np.float32(_cap(range_max)), out)
     return out
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _overshot(
     leaves: NDArray[np.float32],
-    position: NDArray[np.int64],
-    window: NDArray[np.int64],
+    grid: tuple[NDArray[np.float64], NDArray[np.int32], float],
+    home: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    angle_min: float,
     beams: NDArray[np.int64],
     seen: NDArray[np.float32],
     cap: np.float32,
     out: NDArray[np.float32],
 ) -> None:
+    positions, neighbours, spacing = grid
     one, zero = np.float32(1.0), np.float32(0.0)
-    for i in range(len(position)):
-        panorama, first = leaves[position[i]], window[i]
+    for i in range(len(poses)):
+        near = home[i]
+        column = int(min(max(np.rint((poses[i, 0] - positions[near, 0]) / spacing), -1.0), 1.0))
+        row = int(min(max(np.rint((poses[i, 1] - positions[near, 1]) / spacing), -1.0), 1.0))
+        there = neighbours[near, 3 * (column + 1) + row + 1]
+        panorama = leaves[near if there < 0 else there]
+        first = int(np.rint((poses[i, 2] + angle_min) * (ANALYSIS_TURN / TURN))) % ANALYSIS_TURN
         for j in range(len(beams)):
             leave = panorama[first + beams[j]]
             # at the cap nothing is known of where it leaves

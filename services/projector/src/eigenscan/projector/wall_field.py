@@ -54,6 +54,10 @@ class WallField:
         """The map frame's pose (3,) in the grid's."""
         return inverse(self.origin)
 
+    def cells_of(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Poses (n, 3) of the map frame in the field: continuous (column, row), and heading, rad."""
+        return _cells_of(self.map_in_field, self.cell, np.ascontiguousarray(poses))
+
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Distance (n,) of map-frame points (n, 2) from the nearest wall, m, at most about REACH."""
         local = transform(self.map_in_field, points) / self.cell + 1.0
@@ -61,17 +65,37 @@ class WallField:
         return found
 
 
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _cells_of(
+    map_in_field: NDArray[np.float64], cell: float, poses: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    cos, sin = np.cos(map_in_field[2]), np.sin(map_in_field[2])
+    out = np.empty(poses.shape)
+    for i in range(len(poses)):
+        # one cell of border lies around the grid
+        out[i, 0] = (map_in_field[0] + cos * poses[i, 0] - sin * poses[i, 1]) / cell + 1.0
+        out[i, 1] = (map_in_field[1] + sin * poses[i, 0] + cos * poses[i, 1]) / cell + 1.0
+        out[i, 2] = map_in_field[2] + poses[i, 2]
+    return out
+
+
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _distances(cells: NDArray[np.uint32], cell: float, points: NDArray[np.float64]) -> NDArray[np.float32]:
     """Distances (n,) at continuous (column, row) (n, 2) of the field with its border."""
-    height, width = cells.shape
     out = np.empty(len(points), dtype=np.float32)
     for i in range(len(points)):
-        u, v = min(max(points[i, 0], 0.0), width - 0.5), min(max(points[i, 1], 0.0), height - 0.5)
-        column, row = int(u), int(v)
-        centre, gx, gy = unpack(cells[row, column])
-        out[i] = abs(centre + (gx * (u - column - 0.5) + gy * (v - row - 0.5)) * cell)
+        out[i] = distance_near(cells, cell, points[i, 0], points[i, 1])
     return out
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
+def distance_near(cells: NDArray[np.uint32], cell: float, column: float, row: float) -> float:
+    """Distance at a continuous (column, row) of the field with its border."""
+    height, width = cells.shape
+    u, v = min(max(column, 0.0), width - 0.5), min(max(row, 0.0), height - 0.5)
+    c, r = int(u), int(v)
+    centre, gx, gy = unpack(cells[r, c])
+    return abs(centre + (gx * (u - c - 0.5) + gy * (v - r - 0.5)) * cell)
 
 
 def _pack(

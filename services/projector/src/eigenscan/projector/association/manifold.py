@@ -85,6 +85,14 @@ class Matches:
             np.concatenate([self.offsets, other.offsets]),
         )
 
+    @property
+    def distinct_rows(self) -> Index:
+        """Each pose once, in order."""
+        rows = np.sort(self.rows)
+        first = np.ones(len(rows), dtype=bool)
+        np.not_equal(rows[1:], rows[:-1], out=first[1:])
+        return rows[first]
+
     def by_row(self) -> Matches:
         """Each pose once, by its first match, in the order of the rows."""
         # sorting numbers takes a fifth of the time of sorting their places
