@@ -95,7 +95,7 @@ def distance_near(cells: NDArray[np.uint32], cell: float, column: float, row: fl
     u, v = min(max(column, 0.0), width - 0.5), min(max(row, 0.0), height - 0.5)
     c, r = int(u), int(v)
     centre, gx, gy = unpack(cells[r, c])
-    return abs(centre + (gx * (u - c - 0.5) + gy * (v - r - 0.5)) * cell)
+    return float(abs(centre + (gx * (u - c - 0.5) + gy * (v - r - 0.5)) * cell))
 
 
 def _pack(
