@@ -75,5 +75,5 @@ def test_groups_have_names_of_their_own_and_one_name_twice_is_noticed(
     }
     start("--robot", "b-*", config=net.leaf)
     listen_until(lambda: heard["b-+"].status == Health.STATUS_DEGRADED)
-    assert "another tiny is named 'b-+' too" in heard["b-+"].detail
+    assert "another tiny has the name 'b-+' too" in heard["b-+"].detail
     assert heard["a-+"].status != Health.STATUS_DEGRADED

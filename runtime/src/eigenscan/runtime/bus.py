@@ -1,8 +1,8 @@
 """Zenoh as the contract uses it: envelopes out, samples into an inbox, latched channels by query.
 
-A latched channel's newest samples are held by who said them and given to every query on their keys.
-Who holds some shows a liveliness token; who receives the channel queries again at each new token, so
-that it matters neither who came first nor whether a link was down meanwhile.
+The publisher of a latched channel holds its newest samples and answers queries on their keys. A publisher
+that holds some shows a liveliness token. A subscriber queries at each new token, so neither the order of
+starts nor an interrupted link matters.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.wire import encode, encoding
 
 LATCHED_TIMEOUT_S = 120.0
-"""What a holder's answer may take: 100 MB of models on a slow link."""
+"""Longest wait for a publisher's answer, s: 100 MB of models on a slow link."""
 
 STAGGER_S = 5.0
-"""Who holds samples already and sees their speaker come back asks again within this, each in its own moment:
-after a cut a whole fleet comes back at once."""
+"""Period over which subscribers that hold samples spread their queries, s.
+
+After a cut a whole fleet sees the publisher return at once."""
 
 LISTENER_POLL_S = 0.02
 
@@ -49,7 +50,10 @@ class Bus:
     """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
     def __init__(self, session: zenoh.Session, exchange: Exchange | None = None) -> None:
-        """`exchange`: with the other services of this process; then the session is theirs too, and stays."""
+        """`exchange`: the other services of this process.
+
+        They share the session, so closing leaves it open.
+        """
         self._session, self._exchange = session, exchange
         self._idle: list[Any] = []
         self._publishers: RecentlyUsed[str, Any] = RecentlyUsed(self._idle.append)
@@ -58,7 +62,7 @@ class Bus:
         self._declared: list[Any] = []
         self._watchdog: ReceiveWatchdog | None = None
         self.twins = 0
-        """Health messages received from another process under this one's name."""
+        """Health messages from another process with this one's service and instance name."""
 
     def __enter__(self) -> Bus:
         return self
@@ -67,7 +71,7 @@ class Bus:
         self.close()
 
     def announce(self, site: str, service: str, instance: str) -> None:
-        """Holds a liveliness token for as long as this bus lives, and counts `twins` of that name."""
+        """Shows a liveliness token while this bus is open, and counts health messages of `twins`."""
         address = {"site": site, "service": service, "instance": instance}
         self._declare_token(ALIVE_TEMPLATE.format(**address, contract=CONTRACT_VERSION))
 
@@ -81,17 +85,17 @@ class Bus:
         )
 
     def watch_others(self, watchdog: ReceiveWatchdog, site: str, service: str, instance: str) -> None:
-        """Lets `watchdog` follow whether other services of this instance name are still heard."""
+        """Lets `watchdog` observe whether messages of other services of this instance name still arrive."""
         self._watchdog = watchdog
         self._declared += watchdog.attach(self._session, site, service, instance)
 
     @property
     def is_deaf(self) -> bool:
-        """Asked once a second: whether nothing of what others say arrives any more."""
+        """Whether messages of other services have stopped arriving. Must be read once a second."""
         return self._watchdog is not None and self._watchdog.is_lost(self._session)
 
     def offer(self, channels: Sequence[Channel], address: Mapping[str, str]) -> None:
-        """Answers queries for the newest samples of the latched ones among `channels`."""
+        """Answers queries for the newest samples of `channels` that are latched."""
         for channel in channels:
             if channel.qos.latched:
                 for selector in selectors(channel, address):
@@ -109,7 +113,7 @@ class Bus:
         with self._lock:
             held = [(key, *sample) for key, sample in self._latched.items()]
         had = digests_in(query.payload)
-        with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
+        with query, contextlib.suppress(zenoh.ZError):  # the asker is gone
             for key, channel, payload, stamp in held:
                 if query.key_expr.intersects(key) and digest(payload) not in had:
                     query.reply(
@@ -127,11 +131,9 @@ class Bus:
         inbox: Inbox,
         known: Iterable[Arrival] = (),
     ) -> None:
-        """Fills `inbox` from all keys of `channels` that fit `address`; latched ones also from the past.
+        """Fills `inbox` from all keys of `channels` that fit `address`; earlier samples of latched ones too.
 
-        The robot in `address` may be a group.
-
-        `known` samples, oldest first, need not come again.
+        The robot in `address` may be a group. `known` samples, oldest first, are not requested again.
         """
         known = list(known)
         for channel in channels:
@@ -142,10 +144,7 @@ class Bus:
                     self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
 
     def listen_all(self, channels: Sequence[Channel], selector: str, inbox: Inbox) -> None:
-        """Fills `inbox` from every key that `selector` matches; each sample goes to its own channel.
-
-        Of latched channels, earlier samples are received too.
-        """
+        """Fills `inbox` from every key that `selector` matches; earlier samples of latched channels too."""
         intake = Intake(channels, inbox)
         self._subscribe(selector, intake)
         site = selector.partition("/")[0].replace("**", "*")
@@ -168,7 +167,7 @@ class Bus:
     ) -> None:
         """Queries the newest samples of `channel` at each new token of a publisher.
 
-        If some are held already, the query lists them, after a wait of up to `patience_s`.
+        If some are held already, the query lists them and waits `patience_s` first.
         """
 
         def on_token(token: Any) -> None:
@@ -211,7 +210,7 @@ class Bus:
         if self._exchange is not None:
             self._exchange.hand(channel, key, envelope.message, payload, stamp)
         publisher.put(payload, timestamp=stamp)
-        for one in idle:  # of robots that are gone
+        for one in idle:  # publishers for robots that are gone
             one.undeclare()
 
     def wait_for_listener(self, key: str, timeout: float) -> bool:
@@ -238,7 +237,7 @@ class Bus:
         )
 
     def close(self) -> None:
-        """Undeclares everything, then closes a session that is its own. Later publications fail."""
+        """Undeclares everything and closes the session, unless it is shared. Later publications fail."""
         with self._lock:
             declared = [*self._declared, *(publisher for _, publisher in self._publishers.items())]
             self._declared.clear()
@@ -251,6 +250,6 @@ class Bus:
 
 
 def stagger(address: Mapping[str, str]) -> float:
-    """Seconds that a robot waits before it asks again: by its name, always the same; 0 for a whole site."""
+    """Seconds that a robot waits before it queries again, derived from its name; 0 for a whole site."""
     robot = address.get("robot", "")
     return STAGGER_S * zlib.crc32(robot.encode()) / 2**32 if robot else 0.0

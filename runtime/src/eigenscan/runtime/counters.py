@@ -10,11 +10,11 @@ from typing import Any
 from eigenscan.runtime.logs import Logger
 
 WARNING_PERIOD_S = 1.0
-"""For one reason: a faulty sensor must not fill the log."""
+"""Shortest time between two warnings of one reason, s: a faulty sensor must not fill the log."""
 
 
 class Counters:
-    """Counters by name, and warnings about what is counted."""
+    """Counters by name, with warnings in the log."""
 
     def __init__(self, log: Logger) -> None:
         self.counts: Counter[str] = Counter()

@@ -20,15 +20,15 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector
 
 STALLED_AFTER_S = 10.0
-"""A core that has not turned for this long makes /healthz fail."""
+"""Age of the core's last step beyond which /healthz fails, s."""
 
 
 WAITING = "waiting"
-"""The one counter that does not only grow."""
+"""The only counter that also falls."""
 
 TWIN_HINT = "give each instance of a service its own --instance"
 TWIN_FORGOTTEN_S = 3.0
-"""After so long without a word of another one of the same name it is taken for gone."""
+"""Age of the last message of a duplicate beyond which it counts as gone, s."""
 
 
 class _Counters(Collector):
@@ -53,7 +53,7 @@ class _Counters(Collector):
 
 
 class Monitor:
-    """Keeps a service's condition; safe to use from any thread."""
+    """Holds a service's condition, for health and metrics; safe to use from any thread."""
 
     def __init__(
         self,
@@ -89,43 +89,43 @@ class Monitor:
         )
         self._lag = Histogram(
             "eigenscan_lag_seconds",
-            "from a message's own stamp until it is dealt with, by this machine's clock",
+            "from a message's own stamp to the end of its handling, by this machine's clock",
             ["channel"],
             registry=self._registry,
             buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 60),
         )
-        # to look a label up costs as much as to count
+        # looking a label up costs as much as counting
         self._handling_of = lru_cache(maxsize=None)(self._handling.labels)
         self._lag_of = lru_cache(maxsize=None)(self._lag.labels)
         self._server: ThreadingHTTPServer | None = None
 
     def turn(self, condition: Condition) -> bool:
-        """Notes that the core turned; True where the status or its detail changed."""
+        """Records a step of the core and its condition; True if status or detail changed."""
         self._turned = time.monotonic()
         before, self._condition = self._condition, condition
         return (before.status, before.detail) != (condition.status, condition.detail)
 
     def handled(self, channel: str, seconds: float) -> None:
-        """Notes how long the core took for a message."""
+        """Records how long the core took for a message."""
         self._handling_of(channel).observe(seconds)
 
     def dealt_with(self, channel: str, stamp_ns: int) -> None:
-        """Notes how old a message is when the core is done with it."""
+        """Records a message's age at the end of its handling."""
         self._lag_of(channel).observe(time.time() - stamp_ns * 1e-9)
 
     def hear_twin(self) -> None:
-        """Notes that another process speaks under this one's name."""
+        """Records that another process publishes under this one's name."""
         self._twin_heard = time.monotonic()
 
     def busy_s(self) -> float:
-        """Seconds since the core turned last; 0 while it starts."""
+        """Seconds since the core's last step; 0 while it starts."""
         return 0.0 if self._turned is None else time.monotonic() - self._turned
 
     def condition(self) -> Condition:
-        """The core's condition; degraded where it has not turned for long, or is there twice."""
+        """The core's condition; degraded if it makes no step, or if another process has its name."""
         condition = self._condition
         if time.monotonic() - self._twin_heard < TWIN_FORGOTTEN_S:
-            detail = f"another {self.service} is named {self.instance!r} too: {TWIN_HINT}"
+            detail = f"another {self.service} has the name {self.instance!r} too: {TWIN_HINT}"
             return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
         if self.busy_s() > self._stalled_after_s:
             detail = f"no answer from the core for {self.busy_s():.0f} s"
@@ -147,7 +147,7 @@ class Monitor:
         )
 
     def probe(self) -> tuple[int, dict[str, object]]:
-        """HTTP code and body of /healthz: 200 from when the core has started for as long as it turns."""
+        """HTTP code and body of /healthz: 200 while the core makes steps, else 503."""
         condition = self.condition()
         starting, stalled = self._turned is None, self.busy_s() > self._stalled_after_s
         body = {
@@ -163,10 +163,7 @@ class Monitor:
         return generate_latest(self._registry)
 
     def serve(self, host: str, port: int) -> int:
-        """Serves /metrics and /healthz on a thread of their own; gives the port.
-
-        Raises SettingsError where it cannot listen there.
-        """
+        """Serves /metrics and /healthz on their own thread; returns the port. Raises SettingsError."""
         try:
             self._server = _Server((host, port), self)
         except OSError as error:
@@ -192,7 +189,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(address, _Handler)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A probe that hangs up is not news."""
+        """Ignores probes that hang up."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -207,7 +204,7 @@ class _Handler(BaseHTTPRequestHandler):
             code, body = self.server.monitor.probe()
             self._reply(code, "application/json", json.dumps(body).encode())
         else:
-            self._reply(404, "text/plain", b"there are /metrics and /healthz\n")
+            self._reply(404, "text/plain", b"see /metrics and /healthz\n")
 
     def _reply(self, code: int, kind: str, body: bytes) -> None:
         self.send_response(code)
@@ -217,4 +214,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, *arguments: object) -> None:
-        """Probes are not news."""
+        """Logs nothing."""

@@ -1,8 +1,7 @@
-"""Samples that wait for the core: bounded, oldest dropped first, in order of arrival.
+"""A bounded queue of samples for the core, in order of arrival; the oldest are dropped first.
 
-A core that falls behind gets of each sensor the newest sweep, in turn: it answers fewer, each fresh.
-
-Zenoh's threads only append here; a slow callback would stall its whole session.
+If the core falls behind, it receives the newest scan of each lidar in turn: fewer answers, each of them
+recent. Zenoh's threads only append, because a slow callback would stall the whole session.
 """
 
 from __future__ import annotations
@@ -18,16 +17,19 @@ from eigenscan.schemas.channels import Channel
 from google.protobuf.message import Message
 
 MOST_BYTES = 2**28
-"""That wait in all, beside latched samples: whoever makes up ever new keys has a queue for each of them."""
+"""Bytes that may wait in all, besides latched samples.
+
+Each key has a queue, and a hostile sender may invent keys.
+"""
 
 
 SAMPLE_BYTES = 1000
-"""That a waiting sample takes beside its payload, about."""
+"""Approximate memory of a waiting sample besides its payload."""
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """One sample, not yet decoded, but for one of a service in the same process: that has its `message`."""
+    """One sample. It is not decoded yet, unless a service of the same process gave its `message`."""
 
     channel: Channel
     key: str
@@ -39,7 +41,7 @@ class Arrival:
 
 
 class Inbox:
-    """Thread-safe queue over many keys, each bounded by its channel's depth. A sample costs it O(1)."""
+    """Thread-safe queue over many keys, each bounded by its channel's depth. A sample costs O(1)."""
 
     def __init__(
         self,
@@ -50,33 +52,32 @@ class Inbox:
         most_bytes: int = MOST_BYTES,
         batch_s: float = 0.0,
     ) -> None:
-        """`slack` times the channels' depth may wait: for who wants all of it rather than the newest.
+        """`slack`: factor on the channels' depths, for a service that needs all samples.
 
-        Beyond `most_bytes` the oldest go, of whatever key.
-        Who has not been through with all that waits for `behind_after_s` of `clock`, in s, is behind.
-        `ready`: of several inboxes that one thread empties.
-        `batch_s`: a sample wakes nobody; who empties the inbox looks so often. To wake a thread costs more
-        than to record a message.
+        Beyond `most_bytes` the oldest samples of any key are dropped. The core is behind if the queue has not
+        been empty for `behind_after_s` seconds of `clock`. `ready`: shared by inboxes that one thread
+        empties. `batch_s`: a sample wakes no thread; `take` looks this often, because waking a thread costs
+        more than recording a message.
         """
         self._slack, self._behind_after_s, self._clock = slack, behind_after_s, clock
-        self._through_at = 0.0  # when a sample last found nothing before it
+        self._through_at = 0.0  # when the queue was last empty
         self._waiting: OrderedDict[int, Arrival] = OrderedDict()  # by order of arrival
-        self._orders: dict[str, deque[int]] = {}  # of the samples that wait, by key
+        self._orders: dict[str, deque[int]] = {}  # of the waiting samples, by key
         self._next = 0
         self._most_bytes, self._bytes = most_bytes, 0
         self._closed = self._discards = False
         self._batch_s = batch_s
         self._ready = ready or threading.Condition()
         self.on_put: Callable[[], None] | None = None
-        """Called after each sample, in its thread; then no other thread is woken."""
+        """Called after each sample, in the sender's thread, instead of waking another one."""
         self._dropped: Counter[str] = Counter()
         self.too_late = 0
-        """Samples that gave way to newer ones of their key."""
+        """Samples dropped for newer ones."""
 
     def put(
         self, channel: Channel, key: str, payload: bytes, encoding: str, message: Message | None = None
     ) -> None:
-        """Adds a sample; where its key has enough waiting already the oldest of that key goes."""
+        """Adds a sample; if its key's queue is full, drops the oldest of that key."""
         with self._ready:
             if not self._waiting:
                 self._through_at = self._clock()
@@ -95,10 +96,10 @@ class Inbox:
             self.on_put()
 
     def take(self, timeout: float) -> Arrival | None:
-        """Oldest sample, or None after `timeout` seconds without one, or when closed.
+        """Oldest sample; None when closed, or after `timeout` seconds without one.
 
-        If the service is behind and the channel allows, the newest of its key; those between are dropped.
-        As the oldest decides whose turn it is, no key waits longer for that.
+        If the core is behind and the channel allows it, the newest sample of the oldest one's key instead;
+        those between are dropped. No key waits longer by that.
         """
         with self._ready:
             if not self._waiting and not self._closed:
@@ -120,7 +121,7 @@ class Inbox:
             return arrival
 
     def _make_room(self) -> None:
-        """Drops the oldest samples while all together are too large."""
+        """Drops the oldest samples until the rest fits."""
         while self._bytes > self._most_bytes:
             oldest = next(each for each in self._waiting.values() if each.channel.qos.depth)
             orders = self._orders[oldest.key]
@@ -139,24 +140,24 @@ class Inbox:
         self.too_late += 1
 
     def wait_until_closed(self, timeout: float) -> None:
-        """Waits, at most `timeout` seconds."""
+        """Waits until closed, at most `timeout` seconds."""
         with self._ready:
             self._ready.wait_for(lambda: self._closed, timeout)
 
     def drop(self, reason: str) -> None:
-        """Counts a sample that was not taken in."""
+        """Counts a rejected sample."""
         with self._ready:
             self._dropped[reason] += 1
 
     def close(self, *, discard: bool = True) -> None:
-        """Wakes the waiting thread. Nothing more is given out; without `discard`, what waits still is."""
+        """Wakes the waiting thread. `take` returns None from now on; without `discard`, after what waits."""
         with self._ready:
             self._closed, self._discards = True, discard
             self._ready.notify_all()
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Counts of samples not given out, by channel or reason."""
+        """Numbers of samples dropped or rejected, by channel or reason."""
         with self._ready:
             return dict(self._dropped)
 

@@ -1,4 +1,4 @@
-"""Zenoh's samples on their way into an inbox: of our own keys only, and of latched ones what is news."""
+"""Filters Zenoh's samples for an inbox: keys of the contract, and of latched keys only newer samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from google.protobuf.message import Message
 
 
 class Intake:
-    """Puts samples into an inbox; of a latched key only what is newer than what it has put before."""
+    """Puts samples into an inbox; of a latched key only samples newer than the last."""
 
     def __init__(self, channels: Sequence[Channel], inbox: Inbox, known: Iterable[Arrival] = ()) -> None:
         self._names = {channel.name for channel in channels}
@@ -28,23 +28,23 @@ class Intake:
         self._lock = threading.Lock()
 
     def digests(self) -> list[bytes]:
-        """Digests of the newest samples of latched keys: what a query lists as held."""
+        """Digests of the newest samples of latched keys, for a query's list of held samples."""
         with self._lock:
             return list(self._held.values())
 
     def on_sample(self, sample: Any) -> None:
-        """A live sample."""
+        """Takes a live sample."""
         self._take(sample, live=True)
 
     def on_reply(self, reply: Any) -> None:
-        """A held sample, or the news that there is no answer."""
+        """Takes a sample that a publisher held, or counts a missing answer."""
         if reply.ok is not None:
             self._take(reply.ok, live=False)
         else:
             self._inbox.drop("unanswered")
 
     def on_message(self, channel: Channel, key: str, message: Message, payload: bytes, stamp: Any) -> None:
-        """What another service of this process publishes; `stamp` is Zenoh's, of a latched sample."""
+        """Takes a message of another service of this process; `stamp`: Zenoh's, if latched."""
         if channel.name in self._names:
             self._put(channel, key, payload, encoding(channel), stamp, live=True, message=message)
 
@@ -73,13 +73,16 @@ class Intake:
         if not channel.qos.latched:
             self._inbox.put(channel, key, payload, declared, message)
             return
-        with self._lock:  # held over the put: a newer sample must not be overtaken by this one
+        with self._lock:  # held during the put, so that this sample cannot overtake a newer one
             if self._is_news(key, stamp, live):
                 self._inbox.put(channel, key, payload, declared, message)
                 self._held[key] = digest(payload)
 
     def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
-        """Clocks of two publishers may differ: between them only a held sample must prove to be newer."""
+        """Whether a sample is newer than the last of its key.
+
+        Clocks of two publishers may differ, so a live sample of another publisher always counts as newer.
+        """
         if stamp is None:
             return True
         held = self._newest.get(key)
@@ -90,7 +93,7 @@ class Intake:
 
 
 def digests_in(payload: Any) -> frozenset[bytes]:
-    """What a query's payload lists as held."""
+    """Digests that a query's payload lists as held."""
     listed = payload.to_bytes() if payload is not None else b""
     return frozenset(listed[i : i + DIGEST_BYTES] for i in range(0, len(listed), DIGEST_BYTES))
 

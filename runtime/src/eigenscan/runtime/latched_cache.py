@@ -1,8 +1,7 @@
-"""Received maps and models, cached on disk for a start without the site.
+"""A cache of received maps and models on disk, for a start without the site.
 
-Samples are read in the order in which they were received, so that a core returns to its former state. The
-newest two of each key are kept: a set that was incomplete when the machine went down must not cost the one
-in use.
+Samples are read in the order of their arrival, so a core returns to its former state. The newest two of each
+key are kept: the newest set may have been incomplete when the machine went down.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from eigenscan.schemas.channels import find
 
 GENERATIONS = 2
 DIGEST_BYTES = 8
-"""Of a sample's SHA-256, by which a subscriber lists what it holds."""
+"""Length of the part of a sample's SHA-256 that identifies it in a query."""
 
 
 def digest(payload: bytes) -> bytes:
@@ -39,7 +38,7 @@ class _Kept:
 
     @classmethod
     def of(cls, path: Path) -> _Kept | None:
-        """From a file's name; None where it is not of this folder's."""
+        """From a file's name; None for another file."""
         number, _, rest = path.name.partition("-")
         hexadecimal, _, key = rest.partition("-")
         if not (number.isascii() and number.isdigit() and key):
@@ -48,7 +47,7 @@ class _Kept:
 
 
 class LatchedCache:
-    """A folder of samples. Raises OSError where it cannot be made."""
+    """A folder of samples. Raises OSError if it cannot be made."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +60,7 @@ class LatchedCache:
         self._next = found[-1].number + 1 if found else 0
 
     def read(self, site: str) -> Iterator[Arrival]:
-        """All samples of a site, oldest first; a file that is damaged or of no channel is skipped."""
+        """All samples of a site, oldest first; damaged and foreign files are skipped."""
         everything = [kept for history in self._kept.values() for kept in history]
         for kept in sorted(everything, key=lambda kept: kept.number):
             found = find(kept.key)
@@ -72,7 +71,7 @@ class LatchedCache:
                 yield Arrival(found[0], kept.key, payload, encoding.decode(errors="replace"))
 
     def put(self, sample: Arrival) -> None:
-        """Keeps a sample, unless it is the newest of its key already. Raises OSError."""
+        """Writes a sample, unless it is already the newest of its key. Raises OSError."""
         history, known = self._kept[sample.key], digest(sample.payload).hex()
         if history and history[-1].digest == known:
             return

@@ -1,8 +1,8 @@
-"""Notices a link to another router that stands but passes nothing.
+"""Notices a link to another router that is up but passes nothing.
 
 If a router was out of reach for longer than its lease, Zenoh 1.10 closes the old link a second time, some
-seconds after the new link is up, and forgets the new one. Its connection stays, kept alive from both sides,
-but nothing published here leaves by it.
+seconds after the new link is up, and forgets the new one. The TCP connection stays open on both sides, but no
+message passes it.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from typing import Any
 import zenoh
 
 DEAD_S = 20.0
-"""Twice what Zenoh gives a connection until it is a link."""
+"""Twice the time that Zenoh allows from a connection to a link, s."""
 LOOK_EVERY_S = 1.0
 _ESTABLISHED = "01"
 _TABLES = ("/proc/self/net/tcp", "/proc/self/net/tcp6")
 
 
 def await_dead_link(config: Path, session: zenoh.Session) -> bool:
-    """True once for DEAD_S there was a connection to where `config` connects, and no link by it.
+    """Waits for a TCP connection to an endpoint of `config` that has no link for DEAD_S; then True.
 
-    False where the session ends before that.
+    Returns False if the session ends first.
     """
     ports = set(ports_of(json.loads(zenoh.Config.from_file(str(config)).get_json("connect/endpoints"))))
     since = time.monotonic()
@@ -43,7 +43,7 @@ def await_dead_link(config: Path, session: zenoh.Session) -> bool:
 
 
 def is_linked(session: zenoh.Session) -> bool:
-    """Whether the session has a link to anybody. Raises RuntimeError where another thread closes it."""
+    """Whether the session has any link. Raises RuntimeError if another thread closes it meanwhile."""
     return bool(session.info.routers_zid() or session.info.peers_zid())
 
 
@@ -61,7 +61,10 @@ def ports_of(endpoints: Any) -> Iterator[int]:
 
 
 def is_connected(ports: set[int]) -> bool:
-    """Whether this process has a TCP connection to one of these ports that stands. On Linux; else False."""
+    """Whether this process has an established TCP connection to one of these ports.
+
+    False outside of Linux.
+    """
     own = _own_sockets()
     for table in map(Path, _TABLES):
         if not table.exists():

@@ -1,6 +1,7 @@
-"""Structured logs on standard error: JSON lines for machines, words and colours for a terminal.
+"""Structured logs on standard error: JSON lines for machines, coloured text for a terminal.
 
-Python's own logging: structlog takes an eighth of a second to import, and a killed service two to be back.
+It uses Python's own logging, because structlog takes an eighth of a second to import, which delays every
+restart.
 """
 
 from __future__ import annotations
@@ -23,36 +24,36 @@ class Logger(logging.LoggerAdapter[logging.Logger]):
     def process(self, msg: str, kwargs: MutableMapping[str, Any]) -> tuple[str, MutableMapping[str, Any]]:
         """Adds the context to the record. `exc_info`: an exception."""
         error = kwargs.pop("exc_info", None)
-        return msg, {"extra": {"told": {**(self.extra or {}), **kwargs}}, "exc_info": error}
+        return msg, {"extra": {"context": {**(self.extra or {}), **kwargs}}, "exc_info": error}
 
     def bound(self, **context: Any) -> Logger:
-        """The same with `context` in each record: of one of several services in a process."""
+        """A logger that adds `context` to each record, for one of several services of a process."""
         return Logger(self.logger, context)
 
 
 class _Lines(logging.Formatter):
-    """One line a record, but for traces on a terminal; each with `context`."""
+    """Formats a record with `context` in one line; on a terminal, a trace follows on further lines."""
 
     def __init__(self, console: bool, context: dict[str, Any]) -> None:
         super().__init__()
         self._console, self._context = console, context
 
     def format(self, record: logging.LogRecord) -> str:
-        told = self._context | vars(record).get("told", {})
+        context = self._context | vars(record).get("context", {})
         trace = self.formatException(record.exc_info) if record.exc_info else ""
         stamp = datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
         event, level = record.getMessage(), record.levelname
         if self._console:
-            words = " ".join(f"{name}={value}" for name, value in told.items())
+            words = " ".join(f"{name}={value}" for name, value in context.items())
             line = f"{stamp} {_COLOURS.get(level, '')}{level.lower():8}{_PLAIN}{event:24} {words}"
             return f"{line}\n{trace}" if trace else line
-        told |= {"exception": trace} if trace else {}
-        told |= {"event": event, "level": level.lower(), "timestamp": stamp}
-        return json.dumps(told, default=repr)
+        context |= {"exception": trace} if trace else {}
+        context |= {"event": event, "level": level.lower(), "timestamp": stamp}
+        return json.dumps(context, default=repr)
 
 
 def configure(level: str, style: str, **context: Any) -> Logger:
-    """This process's logger from now on, with `context` bound. `style`: json, console or auto."""
+    """Configures this process's logger, with `context` in each record. `style`: json, console or auto."""
     handler = logging.StreamHandler(sys.stderr)
     console = style == "console" or (style == "auto" and sys.stderr.isatty())
     handler.setFormatter(_Lines(console, context))
@@ -63,5 +64,5 @@ def configure(level: str, style: str, **context: Any) -> Logger:
 
 
 def logger() -> Logger:
-    """That of this process."""
+    """This process's logger."""
     return Logger(logging.getLogger(NAME))

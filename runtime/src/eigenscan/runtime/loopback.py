@@ -1,7 +1,7 @@
-"""Cores joined in one process, without Zenoh: what evaluation, replay and notebooks use.
+"""Connects cores in one process without Zenoh, for evaluation, replay and notebooks.
 
-Every message takes the same way as over Zenoh, but in one fixed order: breadth first, in the order
-in which the cores are given. Messages are encoded and decoded, so that a core sees the same bytes.
+Messages travel as over Zenoh, but in a fixed order: breadth first, in the given order of the cores. They are
+encoded and decoded, so each core sees the same bytes.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ class Loopback:
         self._hearers: dict[str, list[Core]] = {}
 
     def start(self) -> list[Envelope]:
-        """Starts the cores; gives all published messages."""
+        """Starts the cores; returns all published messages."""
         return [said for core in self._cores for said in self._spread(core.start())]
 
     def hear(self, envelope: Envelope) -> list[Envelope]:
-        """Gives `envelope` to the cores; gives all messages published because of it, in order."""
+        """Gives `envelope` to the cores; returns all messages that they publish in answer, in order."""
         return list(self._spread([envelope]))[1:]
 
     def finish(self) -> list[Envelope]:
-        """Lets each core publish what it held back, first those nearest to the sensor."""
+        """Ends the cores, nearest to the sensor first; returns the messages that they held back."""
         return [said for core in self._cores for said in self._spread(core.finish())]
 
     def _spread(self, envelopes: Iterable[Envelope]) -> Iterator[Envelope]:

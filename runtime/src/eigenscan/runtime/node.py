@@ -1,7 +1,7 @@
 """The shell around a core: session, inbox, liveliness, health, metrics, shutdown.
 
-The core has a thread of its own. The main thread tells the service's health and answers signals,
-so that both work while the core computes for long.
+The core has its own thread. The main thread publishes the health and handles signals, so both work while the
+core computes.
 """
 
 from __future__ import annotations
@@ -44,27 +44,26 @@ T = TypeVar("T")
 
 HEALTH_PERIOD_S = 1.0
 STOP_CORE, DRAIN, CLOSE, STOP_ALL = 0.5, 0.25, 0.35, 0.95
-"""Shares of `stop_s`: what the core gets to end its present message and publish what it holds back; how much
-of that a service for a whole site spends on messages that still wait; what the session gets to close, where
-a neighbour may be slow to take a large answer; when it is ended by force."""
+"""Shares of the setting `stop_s`: for the core to end its message and publish what it holds back; the part of
+that in which a service of a whole site handles waiting messages; for the session to close, which a slow
+neighbour may delay; and until the process ends by force."""
 WHOLE_SITE_SLACK = 16
-"""A service for a whole site may fall behind so many times farther, while a disk is busy, before it drops."""
+"""Factor on the inbox's depth for a service of a whole site, which a busy disk may delay."""
 EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
 
 @dataclass(frozen=True)
 class Service(Generic[S]):
-    """What the shell needs to know of a service.
+    """A service as the shell runs it.
 
-    `mode` is that of the Zenoh session where the settings name no configuration file. `whole_site`: also
-    receives keys of the site that are not of the contract, to count them, drops later than others, and
-    handles what still waits when it is stopped.
-    `make_port`: carries those channels of the core that are not of the contract. `prompt`: the core takes
-    each message in the thread that brings it; for one that has done with it in well under a millisecond.
-    `attend` is given the session once it is open. `quick`: the core needs milliseconds for a message, so that
-    several of its kind share a thread where they share a process. `batch_s`: messages wait up to so many
-    seconds and are then handled in a row; for a core whose answers nobody waits for.
+    `mode`: of the Zenoh session, if the settings name no configuration file. `whole_site`: also receives keys
+    of the site outside the contract, to count them; has a deeper inbox, and empties it before it stops.
+    `make_port`: makes the carrier of the core's channels outside the contract. `prompt`: the core handles
+    each message in Zenoh's thread; only for a core that needs far less than a millisecond. `attend`: called
+    with the open session. `quick`: the core needs milliseconds for a message, so such services share a thread
+    if they share a process. `batch_s`: messages wait up to this long and are then handled in a row; for a
+    core whose answers nobody waits for.
     """
 
     name: str
@@ -89,7 +88,7 @@ def main(service: Service[Any]) -> None:
 
 
 def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], int]) -> None:
-    """Reads settings, runs until SIGTERM or SIGINT, exits: with its code, or that of what it raises."""
+    """Reads settings, runs until SIGTERM or SIGINT, and exits with the code of `run` or of its error."""
     stop = StopEvent()
     with stop.on_signals():
         settings = None
@@ -100,24 +99,24 @@ def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], in
             print(f"eigenscan-{name}: {error}", file=sys.stderr)
             code = EXIT_SETTINGS
         except BaseException:
-            if settings is None:  # --help, or flags that are none: nothing more to print
+            if settings is None:  # --help: nothing more to print
                 raise
             traceback.print_exc()
             code = EXIT_CORE
     sys.stdout.flush()
     sys.stderr.flush()
-    # all is closed; a last thread of Zenoh or of the core would abort the interpreter's own end
+    # a remaining thread of Zenoh or of the core would abort the interpreter's own end
     os._exit(code)
 
 
 @dataclass(frozen=True)
 class Shared:
-    """What the services of one process have in common."""
+    """Parts that the services of one process share."""
 
     opening: Future[zenoh.Session]
     exchange: Exchange
     ready: threading.Condition
-    """Of the inboxes that one thread empties."""
+    """Wakes the thread that empties several inboxes."""
 
 
 class Node:
@@ -132,7 +131,7 @@ class Node:
         shared: Shared | None = None,
         ends: Stopping | None = None,
     ) -> None:
-        """`stop` wakes the main thread; the service ends by `ends`, which is the same where none is given."""
+        """`stop` wakes the main thread. `ends` ends this service; default: `stop`."""
         self.service, self.settings = service, settings
         self._stop, self._shared = stop, shared
         self.ends: Stopping = ends or stop
@@ -153,14 +152,14 @@ class Node:
         ready = shared.ready if shared and service.quick else None
         self.inbox = Inbox(slack, settings.behind_after, ready=ready, batch_s=service.batch_s)
         self._bus: Bus | None = None
-        self._keepsake: LatchedCache | None = None
+        self._latched_cache: LatchedCache | None = None
         self._port: Port = service.make_port(settings) if service.make_port else NoPort()
         self.fault: BaseException | None = None
         self.is_deaf = False
         self._looked = time.monotonic()
 
     def run(self) -> int:
-        """Runs until stopped; gives the exit code. Raises what ended the core before that."""
+        """Runs until stopped; returns the exit code. Raises the error that ended the core, if any."""
         self.serve_metrics()
         core = threading.Thread(target=self.run_core, name="core", daemon=True)
         core.start()
@@ -180,14 +179,14 @@ class Node:
         return self.code(unfinished=core.is_alive() or not closed)
 
     def serve_metrics(self) -> None:
-        """Where the settings ask for it. Raises SettingsError."""
+        """Serves /metrics, if the settings name a port. Raises SettingsError."""
         settings = self.settings
         if settings.metrics_port is not None:
             port = self._monitor.serve(settings.metrics_host, settings.metrics_port)
             self._log.info("metrics", url=f"http://{settings.metrics_host}:{port}/metrics")
 
     def close(self, seconds: float) -> bool:
-        """Ends what it has open; whether all of that was closed within `seconds`."""
+        """Closes port, bus and metrics; returns whether that took less than `seconds`."""
         closed = True
         if self._bus:
             closing = threading.Thread(target=self._close, args=(self._bus,), name="close", daemon=True)
@@ -198,7 +197,7 @@ class Node:
         return closed
 
     def code(self, *, unfinished: bool) -> int:
-        """Exit code at the end, which it logs."""
+        """Logs the end and returns the exit code."""
         counts: dict[str, Any] = dict(self._counters.counts)
         self._log.info("stopped", unfinished=unfinished, **counts)
         if self.is_deaf:
@@ -206,7 +205,7 @@ class Node:
         return EXIT_CORE if self._counters.counts["finish_failed"] else 0
 
     def tell(self) -> None:
-        """Says the service's health, for once a second and at every change."""
+        """Publishes the service's health. Call it once a second and at every change."""
         if not self._bus:
             return
         self._tell(self._bus)
@@ -214,7 +213,7 @@ class Node:
             self._looked = time.monotonic()
             self.is_deaf = self._bus.is_deaf
         if self.is_deaf:
-            self._log.error("deaf", hint="nothing of the other services arrives: ending to be restarted")
+            self._log.error("deaf", hint="no message of the other services arrives: ending, to be restarted")
 
     def _tell(self, bus: Bus) -> None:
         health = self._monitor.message()
@@ -233,13 +232,13 @@ class Node:
             self._counters.warn("duplicate_instance", hint=TWIN_HINT)
 
     def run_core(self) -> None:
-        """From the first import to the last message, in this thread."""
+        """Makes the core and runs it to its last message, in this thread."""
         with self.faults():
             self.begin().run()
 
     @contextmanager
     def faults(self) -> Iterator[None]:
-        """What ends the core is kept as `fault`; the main thread is woken at the end."""
+        """Keeps an error of the core as `fault`, and wakes the main thread at the end."""
         try:
             yield
         except BaseException as error:
@@ -247,7 +246,7 @@ class Node:
         self._stop.set()
 
     def begin(self) -> Work:
-        """The core, connected, after its first messages."""
+        """Makes the core, connects it and publishes its first messages."""
         settings, shared = self.settings, self._shared
         opening = shared.opening if shared else open_meanwhile(settings.zenoh, self.service.mode)
         core = self._made_core()
@@ -276,7 +275,7 @@ class Node:
         return work
 
     def _made_core(self) -> Core:
-        """The core. What it imports stays: the garbage collector neither looks at it meanwhile nor later."""
+        """Makes the core. Its imports stay in memory, so the garbage collector skips them now and later."""
         gc.disable()
         try:
             return self.service.make_core(self.settings)
@@ -305,20 +304,20 @@ class Node:
         return bus
 
     def _remember(self, hears: Sequence[Channel]) -> list[Arrival]:
-        """Gives the core the samples that were cached on disk; returns the cache."""
+        """Gives the core the samples that are cached on disk, and returns them."""
         if self.settings.keep is None:
             return []
-        self._keepsake = LatchedCache(self.settings.keep)
-        known = [sample for sample in self._keepsake.read(self.settings.site) if sample.channel in hears]
+        self._latched_cache = LatchedCache(self.settings.keep)
+        known = [sample for sample in self._latched_cache.read(self.settings.site) if sample.channel in hears]
         for sample in known:
             self.inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
         return known
 
     def _keep(self, sample: Arrival) -> None:
-        if self._keepsake is None:
+        if self._latched_cache is None:
             return
         try:
-            self._keepsake.put(sample)
+            self._latched_cache.put(sample)
         except OSError as error:
             self._counters.set_aside("not_kept", sample.key, error)
 

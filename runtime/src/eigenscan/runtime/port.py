@@ -1,4 +1,4 @@
-"""What a service speaks besides the contract: channels that travel by another protocol, such as ROS 2's."""
+"""Channels of a service outside the contract, carried by another protocol such as ROS 2's."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from eigenscan.schemas.envelope import Envelope
 
 
 class Port(Protocol):
-    """Carries `channels` of a core, which sees no difference; they are never published on the site's keys."""
+    """Carries `channels` of a core. The core sees no difference; they never appear on the site's keys."""
 
     channels: tuple[Channel, ...]
 
     def open(self, inbox: Inbox) -> None:
-        """Connects; from now on puts received messages into `inbox`, as samples of `channels`."""
+        """Connects, and puts received messages into `inbox` from now on, as samples of `channels`."""
         ...
 
     def say(self, envelope: Envelope) -> None:
-        """Says one message of `channels`."""
+        """Publishes one message of `channels`."""
         ...
 
     def close(self) -> None:
-        """Disconnects, also where it was never opened."""
+        """Disconnects; safe if it was never opened."""
         ...
 
 
 class NoPort:
-    """A service that speaks the contract only."""
+    """The port of a service that has channels of the contract only."""
 
     channels: tuple[Channel, ...] = ()
 
@@ -36,7 +36,7 @@ class NoPort:
         """Nothing to connect."""
 
     def say(self, envelope: Envelope) -> None:
-        """Never asked: it has no channels."""
+        """Never called: there are no channels."""
 
     def close(self) -> None:
         """Nothing to disconnect."""

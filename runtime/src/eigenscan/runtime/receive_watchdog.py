@@ -1,7 +1,7 @@
-"""Notices a session that stands but is given nothing any more, of whatever anybody publishes.
+"""Notices an open session that no longer receives anything.
 
 Seen once under a load of 60 to 100: counters frozen for minutes, data unread in the process's socket, more
-waiting in the router, and health OK. Zenoh's issues 2806 and 1886 tell of relatives.
+waiting in the router, and health OK. Zenoh's issues 2806 and 1886 are similar.
 """
 
 from __future__ import annotations
@@ -19,27 +19,28 @@ EXIT_DEAF = 75
 
 
 class ReceiveWatchdog:
-    """Whether the health of other services of one instance name still arrives, once a second by the contract.
+    """Watches whether health of other services of one instance name arrives.
 
-    What is published here does not count: it need not leave the process. Nothing is expected of a service
-    whose token is gone: a session that still receives is told so. Nor is it while there is no link at all.
+    The contract requires one message a second.
+    Messages of this process do not count, because they need not leave it. No message is expected from a
+    service whose token is gone, nor while there is no link.
     """
 
     def __init__(self, patience: int) -> None:
-        """`patience`: ticks without a word of anybody, after which the session is deaf."""
+        """`patience`: calls of `is_lost` without any message, after which the session counts as lost."""
         self._patience = patience
         self._lock = threading.Lock()
         self._alive: set[str] = set()
         self._speaking: set[str] = set()
-        self._has_heard = False
+        self._has_received = False
         self._silent = 0
 
     def attach(self, session: zenoh.Session, site: str, service: str, instance: str) -> list[Any]:
-        """Listens in `session`; gives what is declared. `service` is this one's own name."""
+        """Subscribes in `session`; returns the subscribers. `service`: this service's own name."""
         own, address = service, {"site": site, "instance": instance}
 
         def on_health(sample: Any) -> None:
-            self._hear(str(sample.key_expr).split("/")[-2], own)
+            self._receive(str(sample.key_expr).split("/")[-2], own)
 
         def on_token(token: Any) -> None:
             self._see(str(token.key_expr).split("/")[-3], own, there=token.kind == zenoh.SampleKind.PUT)
@@ -53,23 +54,23 @@ class ReceiveWatchdog:
         ]
 
     def is_lost(self, session: zenoh.Session) -> bool:
-        """Told once a second; True from when nothing has come for `patience` of these calls.
+        """Whether nothing arrived during the last `patience` calls. Call it once a second.
 
-        Calls are counted, not seconds: a process that gets no turn is not deaf.
+        Calls are counted, not seconds, because a process that gets no CPU time is not lost.
         """
         with self._lock:
-            heard, self._has_heard = self._has_heard, False
+            received, self._has_received = self._has_received, False
             expected = bool(self._alive & self._speaking)
         linked = False
         with contextlib.suppress(RuntimeError, zenoh.ZError):  # another thread closes it just now
             linked = is_linked(session)
-        self._silent = 0 if heard or not expected or not linked else self._silent + 1
+        self._silent = 0 if received or not expected or not linked else self._silent + 1
         return self._silent >= self._patience
 
-    def _hear(self, service: str, own: str) -> None:
+    def _receive(self, service: str, own: str) -> None:
         if service != own:
             with self._lock:
-                self._has_heard = True
+                self._has_received = True
                 self._speaking.add(service)
 
     def _see(self, service: str, own: str, *, there: bool) -> None:
@@ -78,7 +79,7 @@ class ReceiveWatchdog:
         with self._lock:
             if there:
                 self._alive.add(service)
-            else:  # a word as good as another
-                self._has_heard = True
+            else:  # the end of a token is a message too
+                self._has_received = True
                 self._alive.discard(service)
                 self._speaking.discard(service)

@@ -1,4 +1,4 @@
-"""A recording that was cut or damaged, made whole: every chunk that can still be read, with an index."""
+"""Repairs a cut or damaged recording: keeps every readable chunk and writes an index."""
 
 from __future__ import annotations
 
@@ -17,33 +17,32 @@ from mcap.writer import CompressionType, Writer
 
 @dataclass
 class Salvage:
-    """What was saved of a file of `size` bytes."""
+    """Result of the repair of a file of `size` bytes."""
 
     size: int
     messages: int = 0
     lost_chunks: int = 0
-    """That do not inflate, or whose sum is wrong."""
+    """Chunks that do not inflate, or whose checksum is wrong."""
     lost_messages: int = 0
-    """Of channels that only a lost chunk named."""
+    """Messages of channels that only a lost chunk defined."""
     cut: bool = False
-    """The file ends before its end mark, or cannot be read on from some place."""
+    """Whether the file ends before its end mark, or becomes unreadable at some place."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
 
 
 Moved = Callable[[int], object]
-"""Hears how many bytes of a file have been read, in each pass over it."""
+"""Called with the number of bytes read so far, in each pass over a file."""
 
 
 def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> Salvage:
-    """Writes what is readable of `damaged` to `target`, which must not exist; foreign channels as well.
+    """Writes all readable messages of `damaged`, foreign ones too, to the new file `target`.
 
-    It passes over the file twice: for the channels, which an index at the end may know better, and for all.
-
-    Raises RecordingError where `damaged` is no MCAP or holds no message, or `target` exists.
+    It reads the file twice: first for the channels, which an index at the end may define, then for the
+    messages. Raises RecordingError if `damaged` is no MCAP or holds no message, or if `target` exists.
     """
     if target.exists():
-        raise RecordingError(f"{target}: is there already: give another file with -o")
+        raise RecordingError(f"{target}: exists already: give another file with -o")
     fresh = target.with_suffix(".part")
     try:
         found = Salvage(damaged.stat().st_size)
@@ -68,7 +67,7 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
 
 
 def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
-    """Whether all of a file can be read and it ends as it should. Raises RecordingError for no MCAP."""
+    """Whether a file is readable to its proper end. Raises RecordingError if it is no MCAP."""
     try:
         found = Salvage(path.stat().st_size)
         for _ in _records(path, found, moved):
@@ -79,7 +78,7 @@ def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
 
 
 def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
-    """All records that can be read, those of chunks one by one; counts the rest in `found`."""
+    """All readable records, those of chunks one by one; counts the lost ones in `found`."""
     with path.open("rb") as file:
         whole = cast(IO[bytes], WholeReads(file))
         records = StreamReader(whole, emit_chunks=True, record_size_limit=found.size).records
@@ -138,7 +137,7 @@ def _rewrite(damaged: Path, file: IO[bytes], found: Salvage, moved: Moved) -> No
 
 
 def _register(writer: Writer, ids: dict[int, int], channel_id: int, found: Salvage) -> bool:
-    """Tells the writer of a channel; False where nothing is left of it."""
+    """Registers a channel with the writer; False if its definition is lost."""
     channel = found.channels.get(channel_id)
     if channel is None or (channel.schema_id and channel.schema_id not in found.schemas):
         return False

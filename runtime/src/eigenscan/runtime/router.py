@@ -32,7 +32,7 @@ class RouterSettings(ServiceSettings):
 
 
 class RouterCore:
-    """Neither receives nor publishes: a router works by its presence."""
+    """Does nothing: Zenoh's session itself routes."""
 
     hears: tuple[Channel, ...] = ()
     says: tuple[Channel, ...] = ()
@@ -55,12 +55,12 @@ class RouterCore:
 
 
 def _end_on_change(path: Path) -> None:
-    """Ends this process, in good order, once `path` holds another configuration that Zenoh can read."""
+    """Ends this process cleanly when `path` holds another configuration that Zenoh can read."""
     log = logger()
     seen = path.read_bytes()
     while True:
         time.sleep(LOOK_EVERY_S)
-        with contextlib.suppress(OSError):  # it is being replaced
+        with contextlib.suppress(OSError):  # the file is being replaced
             now = path.read_bytes()
             if now == seen:
                 continue
@@ -76,7 +76,7 @@ def _end_on_change(path: Path) -> None:
 
 
 def _end_when_dead(path: Path, session: zenoh.Session) -> None:
-    """Ends this process, in good order, once its link to another router is up but passes nothing."""
+    """Ends this process cleanly when its link to another router is up but passes nothing."""
     if await_dead_link(path, session):
         logger().error("link_mute", path=str(path))
         os.kill(os.getpid(), signal.SIGTERM)

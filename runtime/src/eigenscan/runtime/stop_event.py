@@ -17,7 +17,7 @@ from typing import Protocol
 
 
 class Stopping(Protocol):
-    """What a service ends by."""
+    """A flag that ends a service."""
 
     stopping: bool
 
@@ -36,13 +36,13 @@ class StopEvent:
         self._write.setblocking(False)
 
     def stop(self) -> None:
-        """Asks for the end; callable from anywhere."""
+        """Requests the end; callable from any thread or signal handler."""
         self.stopping = True
         self.set()
 
     def set(self) -> None:
         """Ends the present or next `wait`."""
-        with contextlib.suppress(BlockingIOError):  # full: it is awake anyway
+        with contextlib.suppress(BlockingIOError):  # the buffer is full: the thread wakes anyway
             self._write.send(b"\0")
 
     def wait(self, timeout: float) -> None:
@@ -62,7 +62,7 @@ class StopEvent:
             self.stop()
 
         before = {number: signal.signal(number, handler) for number in (signal.SIGTERM, signal.SIGINT)}
-        # a signal just before `select` would otherwise be dealt with only after it
+        # otherwise a signal just before `select` would be handled only after it
         woken = signal.set_wakeup_fd(self._write.fileno(), warn_on_full_buffer=False)
         try:
             yield

@@ -1,7 +1,7 @@
-"""Several services in one process: same cores, same keys, one session; messages between them go hand to hand.
+"""Runs several services in one process: same cores, same keys, one session, and messages passed directly.
 
-Those whose cores are quick share a thread, the one nearest to the pose first, so that none waits for a thread
-switch. The others have a thread each. A service that fails ends all: what restarts the process restarts them.
+Quick cores share a thread, so none waits for a thread switch; the one nearest to the pose comes first. Every
+other core has its own thread. A service that fails ends the process, so that all are restarted together.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from eigenscan.schemas.channels import ContractError
 Told = list[tuple[Service[Any], ServiceSettings]]
 
 SWITCH_S = 0.0005
-"""s for which a thread may hold the interpreter while another waits: a pose would wait for the recorder for
-Python's own 5 ms."""
+"""Longest time that a thread holds the interpreter while another waits, s. With Python's default, 5 ms, a
+pose would wait for the recorder."""
 
 
 class Later:
-    """The end of services that hear the others' last messages."""
+    """Ends the services that receive the others' last messages."""
 
     def __init__(self, first: StopEvent) -> None:
         self.stopping = False
@@ -53,16 +53,16 @@ class Later:
 
 
 Groups = Sequence[tuple[Sequence[str], Sequence[str]]]
-"""Names of services and the flags of each of them."""
+"""Names of services, and their flags."""
 
 
 def main(groups: Callable[[], Groups], find: Callable[[str], Service[Any]]) -> None:
-    """Runs services, nearest the sensor first, until SIGTERM or SIGINT, exits."""
+    """Runs services, nearest to the sensor first, until SIGTERM or SIGINT; then exits."""
     exit_with("together", lambda: read(groups(), find), lambda told, stop: Together(told, stop).run())
 
 
 def read(groups: Groups, find: Callable[[str], Service[Any]]) -> Told:
-    """Settings of each service. Raises SettingsError where they cannot be those of one process."""
+    """Settings of each service. Raises SettingsError if one process cannot have them."""
     told: Told = []
     for names, flags in groups:
         for name in names:
@@ -76,7 +76,7 @@ def read(groups: Groups, find: Callable[[str], Service[Any]]) -> Told:
 
 
 def _own_ports(told: Told) -> Told:
-    """Where all are told the same metrics port, they take that one and those after it, in order."""
+    """If several have the same metrics port, gives them that one and the following ones, in order."""
     taken: set[int] = set()
     result: Told = []
     for service, settings in told:
@@ -112,13 +112,13 @@ class Together:
         ]
 
     def run(self) -> int:
-        """Runs until stopped; gives the exit code. Raises what ended a core before that."""
+        """Runs until stopped; returns the exit code. Raises the error that ended a core, if any."""
         sys.setswitchinterval(SWITCH_S)
         for node in self.nodes:
             node.serve_metrics()
         quick = [node for node in self.nodes if node.service.quick]
         last = [node for node in self.nodes if node.service.whole_site]
-        # who hears the others' first messages is there before them
+        # receivers of the others' first messages start before them
         threads = {node.service.name: self._thread(node.run_core, node.service.name) for node in last}
         if quick:
             threads["quick"] = self._thread(lambda: self._run_quick(quick), "core")
@@ -142,7 +142,7 @@ class Together:
         return thread
 
     def _tend(self, threads: dict[str, threading.Thread]) -> None:
-        """Tells each service's health, until the end is asked for or one of them has ended."""
+        """Publishes each service's health until the end is requested or one of them ends."""
         while not self._stop.stopping and all(thread.is_alive() for thread in threads.values()):
             self._stop.wait(HEALTH_PERIOD_S)
             for node in self.nodes:
@@ -151,7 +151,7 @@ class Together:
                 return
 
     def _run_quick(self, nodes: Sequence[Node]) -> None:
-        """All quick cores, in this thread."""
+        """Runs all quick cores in this thread."""
         works: list[tuple[Node, Work]] = []
         for node in nodes:
             with node.faults():
@@ -171,7 +171,7 @@ class Together:
             work.finish()
 
     def _work(self, works: list[tuple[Node, Work]]) -> bool:
-        """One message, of the service nearest to the pose that has one; False where none waits."""
+        """Handles one message, of the service nearest to the pose that has one; False if none waits."""
         for node, work in works:
             try:
                 work.keep_time()
@@ -184,7 +184,7 @@ class Together:
         return False
 
     def _end(self, threads: dict[str, threading.Thread], last: Sequence[Node]) -> bool:
-        """Ends all, those last that hear the others; whether everything was finished in time."""
+        """Ends all services, receivers of the others' messages last; returns whether that was in time."""
         self._stop.stopping = True
         end = time.monotonic() + STOP_CORE * self._stop_s
         for node in self.nodes:
@@ -204,11 +204,11 @@ class Together:
         closing = time.monotonic() + CLOSE * self._stop_s
         for node in self.nodes:
             finished &= node.close(max(0.0, closing - time.monotonic()))
-        # a session may be slow to close, or never have opened
+        # a session may close slowly, or never have opened
         session = self._thread(self._close_session, "close")
         session.join(max(0.0, closing - time.monotonic()))
         return finished and not session.is_alive()
 
     def _close_session(self) -> None:
-        with contextlib.suppress(ContractError, zenoh.ZError):  # it did not open, which the cores have told
+        with contextlib.suppress(ContractError, zenoh.ZError):  # it did not open
             self._shared.opening.result().close()

@@ -1,4 +1,4 @@
-"""A core at work: waiting samples are decoded and handled, answers published, its condition reported."""
+"""Runs a core: decodes samples, lets the core handle them, publishes its answers and its condition."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ TOO_SLOW_HINT = "give it more CPU time, or fewer robots (--robot) or regions (--
 
 
 class Work:
-    """One core, from its first message to its last. One that it fails on is counted and logged, not fatal."""
+    """Runs one core from its first message to its last.
+
+    An error in a message is counted and logged, not fatal.
+    """
 
     def __init__(
         self,
@@ -37,9 +40,10 @@ class Work:
         prompt: bool = False,
         drain_s: float = 0.0,
     ) -> None:
-        """`keep` receives latched samples; `stop` ends the work, and is set where its condition changes.
+        """`keep` is called with each latched sample.
 
-        `prompt`: takes each message in the thread that brings it. `drain_s`: seconds for what still waits
+        `stop` ends the work, and is set when the condition changes.
+        `prompt`: handles each message in the sender's thread. `drain_s`: seconds for messages that still wait
         when the work is stopped.
         """
         self._drain_s = drain_s
@@ -48,7 +52,7 @@ class Work:
         self._due, self._tick_due = 0.0, (0.0 if TICK in core.hears else math.inf)
         self._too_late = 0
         self._turn = threading.Lock()
-        """Held by the thread that the core works in."""
+        """Held by the thread that runs the core."""
 
     def begin(self) -> None:
         """Publishes the first messages of the core."""
@@ -61,7 +65,7 @@ class Work:
         while not self._stop.stopping:
             self.keep_time()
             if self._prompt:
-                self._work_off()  # what came while the condition was asked for
+                self._work_off()  # samples that arrived meanwhile
                 self._inbox.wait_until_closed(CONDITION_PERIOD_S)
             elif arrival := self._inbox.take(CONDITION_PERIOD_S):
                 self._handle(arrival)
@@ -71,14 +75,14 @@ class Work:
         self.finish()
 
     def step(self) -> bool:
-        """Handles one message that waits; False where none does. For who has several of these in turn."""
+        """Handles one waiting message; False if none waits. For a thread that runs several cores in turn."""
         arrival = self._inbox.take(0.0)
         if arrival is not None:
             self._handle(arrival)
         return arrival is not None
 
     def keep_time(self) -> None:
-        """Does what is due by the clock."""
+        """Sends the tick and reports the condition, when they are due."""
         now = time.monotonic()
         if now >= self._tick_due:
             with self._turn:
@@ -100,7 +104,7 @@ class Work:
             self._counters.set_aside("finish_failed", "", error, trace=True)
 
     def _work_off(self) -> None:
-        """Handles what waits, in this thread; unless another is at it, which then takes this as well."""
+        """Handles all waiting messages in this thread, unless another thread is doing so."""
         while len(self._inbox) and self._turn.acquire(blocking=False):
             try:
                 while arrival := self._inbox.take(0.0):
@@ -125,7 +129,7 @@ class Work:
         self._give(heard, arrival.key)
         if channel.qos.latched:
             self._keep(arrival)
-        if channel.qos.rate_hz:  # what has a rate has a stamp
+        if channel.qos.rate_hz:  # channels with a rate have stamps
             self._monitor.dealt_with(channel.name, heard.stamp)
 
     def _give(self, heard: Envelope, key: str) -> None:
@@ -136,7 +140,7 @@ class Work:
         try:
             self._say(self._core.handle(heard))
         except Exception as error:
-            # the shell outlives a fault of the core: the next scan may be fine
+            # the next scan may be fine
             if not self._stop.stopping:
                 self._counters.set_aside("core_failed", key, error, trace=True)
         self._monitor.handled(name, time.perf_counter() - began)

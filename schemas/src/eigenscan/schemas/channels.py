@@ -34,13 +34,13 @@ _CHUNK = re.compile(r"[^/*$#?@\s\x00-\x1f\x7f-\x9f]+")
 
 
 class ContractError(ValueError):
-    """A key or a sample that is not of this contract."""
+    """A key or a sample outside this contract."""
 
 
 def is_chunk(text: str) -> bool:
-    """True where `text` can stand for one field of a key.
+    """Whether `text` can be one chunk of a key.
 
-    Not empty; none of `/ * $ # ? @`, no blank, no control character.
+    It must not be empty, nor contain any of `/ * $ # ? @`, a blank or a control character.
     """
     return bool(_CHUNK.fullmatch(text))
 
@@ -56,7 +56,7 @@ class Priority(Enum):
 
 
 class Role(Enum):
-    """Who publishes at a site's router, by its certificate."""
+    """Kinds of certificates at a site's router."""
 
     ROBOT = "robot"
     MAPBUILDER = "mapbuilder"
@@ -66,14 +66,14 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Qos:
-    """How a channel's samples travel.
+    """Quality of service of a channel.
 
-    `block`: the publisher waits rather than drops. `express`: never batched, for low latency.
-    `latched`: a late joiner gets the newest sample of each key by a query on that key.
-    `depth`: samples that wait at a subscriber before the oldest is dropped (0: never dropped). `newest`: one
-    sample replaces the older ones of its key, so a subscriber that falls behind skips those.
-    `rate_hz`: what is usual, for health and for planning. `air_hz`: samples a second that may cross the air
-    between robot and site; 0: it stays on the robot, infinite: all of them.
+    `block`: the publisher waits instead of dropping a sample. `express`: samples are never batched, for low
+    latency. `latched`: a late subscriber gets the newest sample of each key by a query on that key. `depth`:
+    samples that may wait at a subscriber before the oldest is dropped; 0: never dropped. `newest`: a
+    subscriber that falls behind skips all but the newest sample of a key. `rate_hz`: usual rate, for health
+    and planning. `air_hz`: largest rate over the air between robot and site; 0: it stays on the robot;
+    infinite: no limit.
     """
 
     priority: Priority = Priority.DATA

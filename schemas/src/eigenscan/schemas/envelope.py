@@ -1,4 +1,4 @@
-"""A message with its channel and address: input and output of cores."""
+"""Messages with their channel and address, and the interface of a core."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Envelope:
 
     @property
     def stamp(self) -> int:
-        """The message's own, ns since the epoch. Raises AttributeError where its kind has none."""
+        """The message's own stamp, ns since the epoch. Raises AttributeError if its type has none."""
         return nanoseconds(self.message.timestamp)  # type: ignore[attr-defined]
 
     def open(self, kind: type[M]) -> M:
-        """The message as `kind`. Raises ContractError where it is of another."""
+        """The message, checked to be a `kind`. Raises ContractError if it is not."""
         if not isinstance(self.message, kind):
             raise ContractError(
                 f"{self.key}: expected {kind.DESCRIPTOR.full_name}, got {self.message.DESCRIPTOR.full_name}"
@@ -45,7 +45,7 @@ class Envelope:
 
 @dataclass(frozen=True)
 class Condition:
-    """How a core is. `counters` holds what was taken, published and set aside, by reason."""
+    """Status of a core. `counters`: numbers of messages received, published and rejected, by name."""
 
     status: Health.Status = Health.STATUS_OK
     detail: str = ""
@@ -53,10 +53,10 @@ class Condition:
 
 
 class Core(Protocol):
-    """A service without its shell: no Zenoh, no files, no clock, no unseeded randomness.
+    """A service's algorithm: no Zenoh, no files, no clock, no unseeded randomness.
 
-    `handle` must give the same answer for the same sequence of messages, and must not raise on
-    bad input: it counts it and sets it aside.
+    `handle` must give the same answers to the same sequence of messages. It counts and ignores bad input, and
+    must not raise for it.
     """
 
     hears: tuple[Channel, ...]
@@ -67,15 +67,15 @@ class Core(Protocol):
         ...
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        """What follows from one message."""
+        """Handles one message; returns the messages to publish."""
         ...
 
     def finish(self) -> Iterable[Envelope]:
-        """What was held back, when no more messages come."""
+        """Returns the messages that were held back; no more messages follow."""
         ...
 
     def condition(self) -> Condition:
-        """Status and counters, now."""
+        """Present status and counters."""
         ...
 
 
@@ -85,9 +85,9 @@ def stamp(nanoseconds: int) -> Timestamp:
 
 
 LATEST_NS = 2**62
-"""ns before and after the epoch, the year 2116: sums of two fit into 64 bits. Later ones are taken for it."""
+"""Largest time before or after the epoch, ns: the year 2116. The sum of two fits into 64 bits."""
 
 
 def nanoseconds(timestamp: Timestamp) -> int:
-    """Nanoseconds since the epoch, LATEST_NS before or after it at most."""
+    """Nanoseconds since the epoch, limited to LATEST_NS."""
     return min(max(timestamp.seconds * 1_000_000_000 + timestamp.nanos, -LATEST_NS), LATEST_NS)

@@ -1,7 +1,7 @@
-"""Time as a channel: for a core that must act now and then, also without messages.
+"""A channel for time: wakes a core that must act without messages.
 
-It is not of the contract and never leaves its process: the runtime says it, once a second, to a core that
-receives it. As it is not recorded, a core that is replayed goes by the stamps of its messages instead.
+It is not part of the contract and never leaves the process. The runtime sends it once a second to each core
+that has it among its inputs. It is not recorded, so in a replay a core uses only the stamps of its messages.
 """
 
 from __future__ import annotations
@@ -15,5 +15,5 @@ TICK_S = 1.0
 
 
 def tick(nanoseconds: int) -> Envelope:
-    """It is `nanoseconds` since the epoch."""
+    """The tick at `nanoseconds` since the epoch."""
     return Envelope(TICK, {}, stamp(nanoseconds))

@@ -1,4 +1,4 @@
-"""What a recording holds; with an index, without reading all of it."""
+"""Summarises a recording: keys, counts and times. Reads only the index, if there is one."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ LAST = 2**64 - 1
 
 @dataclass
 class Contents:
-    """Keys of a recording and its span; of messages that are not ours only their number."""
+    """Keys and time span of a recording, and the number of messages outside the contract."""
 
     begin: int = LAST
     end: int = 0
-    """Log times of the first and the last message, ns since the epoch; where there is none, begin > end."""
+    """Log times of the first and the last message, ns since the epoch. Without a message, begin > end."""
     counts: Counter[str] = field(default_factory=Counter)
     """Messages by key."""
     foreign: Counter[str] = field(default_factory=Counter)
-    """Messages by topics that are no keys of the contract."""
+    """Messages by topic, for topics that are no keys of the contract."""
     complete: bool = True
     """Whether the writer closed every file."""
 
@@ -38,7 +38,7 @@ class Contents:
         return [key for key in self.counts if channel.parse(key)]
 
     def stretch(self, begin_s: float, end_s: float | None) -> tuple[int, int]:
-        """Log times, ns, of two seconds from the start; the end is that of the recording at the latest."""
+        """Log times, ns, of two times in s from the start; the end is at most the recording's."""
         begin = self.begin + int(begin_s * 1e9)
         return begin, self.end if end_s is None else min(self.end, self.begin + int(end_s * 1e9))
 
@@ -53,9 +53,9 @@ class Contents:
 
 
 def contents(path: Path) -> Contents:
-    """Of a file, or of all in a folder. Where a writer was killed it is read through, without decoding.
+    """Contents of a file, or of all files in a folder. A file without an index is read through.
 
-    Raises RecordingError where a file is missing, no MCAP, or damaged.
+    Raises RecordingError if a file is missing, no MCAP, or damaged.
     """
     found = Contents()
     for part in parts(path):
@@ -83,7 +83,7 @@ def _add(found: Contents, path: Path) -> None:
 
 
 def is_complete(path: Path) -> bool:
-    """Whether the file was closed by its writer. Raises RecordingError where it cannot be read at all."""
+    """Whether the writer closed the file. Raises RecordingError if it cannot be read at all."""
     for part in parts(path):
         with opened(part) as file:
             if not is_indexed(file):
@@ -93,23 +93,23 @@ def is_complete(path: Path) -> bool:
 
 
 def message_count(path: Path) -> int | None:
-    """Number of messages by the index; None where the writer was killed before it wrote one.
+    """Number of messages, from the index; None without an index, because the writer was killed.
 
-    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    Raises RecordingError if the file is missing, no MCAP, or damaged.
     """
     return contents(path).messages if is_complete(path) else None
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
-    """Metadata records by name; of a folder, of its first file. Raises RecordingError."""
+    """Metadata records by name, from the file or a folder's first file. Raises RecordingError."""
     with opened(parts(path)[0]) as file:
         return {entry.name: dict(entry.metadata) for entry in make_reader(file).iter_metadata()}
 
 
 def closed_span(path: Path) -> tuple[int, int] | None:
-    """Log times, ns, of the first and last message of a file that its writer closed; None where it did not.
+    """Log times, ns, of the first and last message of a closed file; None if its writer did not close it.
 
-    Only the index is read. Raises RecordingError where it is missing, no MCAP, or damaged.
+    Reads only the index. Raises RecordingError if the file is missing, no MCAP, or damaged.
     """
     with opened(path) as file:
         if not is_indexed(file):
@@ -120,9 +120,9 @@ def closed_span(path: Path) -> tuple[int, int] | None:
 
 
 def first_time(path: Path) -> int | None:
-    """Log time, ns, of the first message; None where no chunk is whole yet. Only that chunk is read.
+    """Log time, ns, of the first message; None if no chunk is whole yet. Reads only that chunk.
 
-    Raises RecordingError where the file is missing, no MCAP, or damaged.
+    Raises RecordingError if the file is missing, no MCAP, or damaged.
     """
     with opened(path) as file:
         return next((message.log_time for _, _, message in messages(file)), None)

@@ -1,4 +1,4 @@
-"""The files of a recording, whole, cut or damaged."""
+"""Reads the files of a recording, also cut and damaged ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
 REPAIRED = ".repaired.mcap"
-"""How the name of a repaired copy ends."""
+"""End of a repaired copy's name."""
 DAMAGE = (
     McapError,
     ContractError,
@@ -31,7 +31,7 @@ DAMAGE = (
     OverflowError,
     RuntimeError,  # of lz4
 )
-"""What reading a damaged file may raise."""
+"""Errors that reading a damaged file may raise."""
 
 Raw = tuple[Schema | None, Channel, Message]
 
@@ -59,7 +59,7 @@ class WholeReads:
         self._file = file
 
     def read(self, size: int) -> bytes:
-        """`size` bytes. Raises EndOfFile where there are fewer."""
+        """Reads `size` bytes. Raises EndOfFile if there are fewer."""
         data = self._file.read(size)
         if len(data) < size:
             raise EndOfFile
@@ -67,7 +67,7 @@ class WholeReads:
 
 
 def inflates_to(compression: bytes, data: bytes, stated: int) -> int:
-    """Bytes that a chunk becomes, by what it states and by the start of its `data`."""
+    """Size of a chunk when inflated: the larger of `stated` and the size in the head of its `data`."""
     own = 0
     if compression == b"zstd":
         own = zstandard.frame_content_size(data)
@@ -77,7 +77,7 @@ def inflates_to(compression: bytes, data: bytes, stated: int) -> int:
 
 
 def refuse_bombs(file: IO[bytes]) -> None:
-    """Raises ValueError where a chunk of an MCAP would fill the memory. Reads the chunks' heads only."""
+    """Raises ValueError if a chunk of an MCAP would fill the memory. Reads only the chunks' heads."""
     file.seek(len(MCAP0_MAGIC))
     while len(head := file.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
         kind, size = _RECORD_HEAD.unpack(head)
@@ -95,18 +95,18 @@ def refuse_bombs(file: IO[bytes]) -> None:
 
 
 def refuse_bomb(compression: bytes, data: bytes, size: int, stated: int) -> None:
-    """Raises ValueError where a chunk of `size` bytes would fill the memory; `data`: its start at least."""
+    """Raises ValueError if a chunk of `size` bytes would fill the memory; `data`: at least its start."""
     becomes = stated
-    with suppress(ZstdError, RuntimeError):  # what does not inflate is told when it is read
+    with suppress(ZstdError, RuntimeError):  # a chunk that does not inflate is reported when it is read
         becomes = inflates_to(compression, data, stated)
     if becomes > max(MOST_CHUNK_BYTES, MOST_CHUNK_TIMES * size):
         raise ValueError(f"a chunk of {size} bytes would become {becomes}")
 
 
 def parts(path: Path) -> list[Path]:
-    """The files of a recording: itself, or those of a folder that a recorder filled.
+    """The files of a recording: the file itself, or those in a recorder's folder.
 
-    Of a file and its repaired copy only the copy counts. Raises RecordingError for a folder without any.
+    A repaired copy replaces its original. Raises RecordingError for a folder without recordings.
     """
     if not path.is_dir():
         return [path]
@@ -144,12 +144,12 @@ def _refuse_others(path: Path, file: IO[bytes]) -> None:
     for magic, name in _OTHER_LOGS.items():
         if start.startswith(magic):
             raise RecordingError(
-                f"{path}: is {name}, no recording of ours: eigenscan import {path.name} makes one of it"
+                f"{path}: is {name}, not a recording: eigenscan import {path.name} makes one of it"
             )
 
 
 def is_indexed(file: IO[bytes]) -> bool:
-    """Whether the file ends as an MCAP; raises InvalidMagic where it does not start as one."""
+    """Whether the file ends as an MCAP does. Raises InvalidMagic if it does not start as one."""
     start = file.read(len(MCAP0_MAGIC))
     if start != MCAP0_MAGIC:
         raise InvalidMagic(start)
@@ -161,10 +161,10 @@ def is_indexed(file: IO[bytes]) -> bool:
 
 
 def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iterator[Raw]:
-    """Messages from log time `begin`, ns, on; of the topics `early` also those before.
+    """Messages from log time `begin` (ns) on, and earlier ones of the topics `early`.
 
-    In order of log time where there is an index; else in order of the file, up to its last whole chunk,
-    and all of them.
+    With an index they come in order of log time. Without one, all messages come in the file's order, up to
+    its last whole chunk.
     """
     if not is_indexed(file):
         whole = cast(IO[bytes], WholeReads(file))

@@ -1,4 +1,4 @@
-"""Reads recordings: one file, or the files that a recorder filled one after the other."""
+"""Reads the messages of a recording: of one file, or of a recorder's folder of files."""
 
 from __future__ import annotations
 
@@ -28,14 +28,13 @@ class Record:
 
 
 def read(path: Path, begin: int = 0) -> Iterator[Record]:
-    """Messages of our channels, of one file or of all in a folder; what is not ours is skipped.
+    """Messages of the contract's channels, of one file or of all files in a folder, in order of log time.
 
-    In order of log time, by the index; from log time `begin` (ns) on, after the newest message before it
-    of each latched key. What a rotated file repeats at its start is left out.
-    Where the writer was killed and there is no index: in order of the
-    file, up to its last whole chunk (see `is_complete`).
-    Raises RecordingError where the file is missing, no MCAP, or damaged, or holds another schema or contract
-    version on one of our keys.
+    With `begin` (log time, ns), the newest earlier message of each latched key comes first, then all messages
+    from `begin` on. Repetitions at the start of a rotated file are left out. A file without an index (its
+    writer was killed) is read in its own order, up to its last whole chunk (see `is_complete`).
+    Raises RecordingError if the file is missing, no MCAP, or damaged, or if a key of the contract has another
+    schema or contract version.
     """
     if not path.is_dir():
         yield from _read_file(path, begin)
@@ -51,7 +50,7 @@ def read(path: Path, begin: int = 0) -> Iterator[Record]:
 
 
 def _merged(files: list[Path], begin: int) -> Iterator[Record]:
-    """The records of all files by log time. A file is opened when its time has come, and closed after it."""
+    """Records of all files by log time. Each file is open only while its records are read."""
     waiting = sorted(((contents(file).begin, number) for number, file in enumerate(files)), reverse=True)
     running: list[tuple[int, int, Record, Iterator[Record]]] = []
 
@@ -83,14 +82,14 @@ def _read_file(path: Path, begin: int) -> Iterator[Record]:
                 yield from _records(held)
                 yield found.record()
             elif found.channel.qos.latched:
-                held.pop(channel.topic, None)  # so that the order stays that of time
+                held.pop(channel.topic, None)  # keeps the order of time
                 held[channel.topic] = found
         yield from _records(held)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A message on one of our keys, not decoded yet: models are dear."""
+    """A message on a key of the contract, not decoded yet, because models take long."""
 
     channel: Channel
     address: Mapping[str, str]
@@ -98,7 +97,7 @@ class _Found:
     message: Message
 
     def record(self) -> Record:
-        """Raises ContractError where the message is not of its channel's schema."""
+        """The decoded message. Raises ContractError if it does not have its channel's schema."""
         own = self.message
         payload = decode(self.channel, own.data, self.encoding)
         return Record(
@@ -107,14 +106,14 @@ class _Found:
 
 
 def _records(held: dict[str, _Found]) -> Iterator[Record]:
-    """The records of what is held, which is empty after it."""
+    """Records of all messages in `held`, and empties it."""
     for found in held.values():
         yield found.record()
     held.clear()
 
 
 def _declared(schema: Schema | None, channel: McapChannel) -> str:
-    """Encoding that the file declares for a channel, as it would read over Zenoh."""
+    """A channel's encoding as Zenoh would declare it."""
     contract = channel.metadata.get("contract", str(CONTRACT_VERSION))
     return f"application/{channel.message_encoding};{schema.name}/{contract}" if schema else ""
 

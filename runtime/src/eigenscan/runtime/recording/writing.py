@@ -22,14 +22,14 @@ MOST_CHANNELS = 65_535
 
 
 class RecordingWriter:
-    """Writes envelopes to one MCAP file. Close it (or use `with`), else it has no index."""
+    """Writes envelopes to one MCAP file. Close it, or use `with`; otherwise it has no index."""
 
     def __init__(self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._file: IO[bytes] = path.open("wb")
-        with suppress(OSError):  # where locks are not known
-            fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # nobody deletes it meanwhile to make room
+        with suppress(OSError):  # the file system has no locks
+            fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # protects it from deletion meanwhile
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library="eigenscan")
         self._schemas: dict[str, int] = {}
@@ -45,7 +45,7 @@ class RecordingWriter:
         self.close()
 
     def write(self, envelope: Envelope, log_time: int, publish_time: int | None = None) -> None:
-        """Adds a message. `publish_time` is `log_time` where it is not known."""
+        """Adds a message. Times are ns since the epoch; `publish_time` defaults to `log_time`."""
         self.write_bytes(envelope.channel, envelope.key, encode(envelope.message), log_time, publish_time)
 
     def write_bytes(
@@ -77,14 +77,14 @@ class RecordingWriter:
         return key in self._channels or len(self._channels) < MOST_CHANNELS
 
     def flush(self) -> None:
-        """Ends the chunk in progress and hands it to the operating system: a kill loses nothing before.
+        """Ends the chunk in progress and writes it, so that a kill loses nothing before.
 
         Each flush costs some compression; once a second is cheap.
         """
         self._writer.flush()
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-        """Writes metadata that is known only now, and the index, and closes the file."""
+        """Writes `metadata` and the index, and closes the file."""
         if not self._file.closed:
             for name, entries in (metadata or {}).items():
                 self._writer.add_metadata(name, dict(entries))
@@ -92,8 +92,8 @@ class RecordingWriter:
             self._file.close()
 
     def abandon(self) -> None:
-        """Closes the file as it is, after a write that failed: without an index, but readable."""
-        # closing writes what is buffered, which fails for the same reason
+        """Closes the file without an index, after a failed write; it stays readable."""
+        # closing writes the buffer, which fails for the same reason
         with suppress(OSError):
             self._file.close()
 
@@ -121,7 +121,7 @@ class RecordingWriter:
 
 
 def _descriptors(message: type[Message]) -> bytes:
-    """FileDescriptorSet of a message and all that it imports, dependencies first."""
+    """FileDescriptorSet of a message type and its imports, dependencies first."""
     ordered: dict[str, Any] = {}
 
     def visit(file: Any) -> None:
