@@ -56,11 +56,11 @@ WIDEST = 120
 """Columns that help takes of a wider terminal."""
 
 _VALUES = {float: "NUMBER", int: "N", Path: "PATH", str: "TEXT"}
-"""What help calls the value of an option that has no name for it."""
+"""Help's names for the values of options."""
 
 
 class ShortHelp(TyperCommand):
-    """A command whose --help lists the options that most people need, and --help-all the rest by group."""
+    """A command whose --help lists the main options, and --help-all all of them by group."""
 
     shows_all = False
 
@@ -132,11 +132,11 @@ def _plain(annotation: Any) -> list[Any]:
 def lazy_group(
     commands: Mapping[str, tuple[str, str]], headings: Mapping[str, Sequence[str]] | None = None
 ) -> type[TyperGroup]:
-    """Group over name -> (`module:function`, one line of help); a module is imported when it is used.
+    """Makes a group of name -> (`module:function`, one line of help).
 
-    `headings`: names that the help lists together; the others come last.
-
-    In place of a function a module's table of that form makes a group, whose help is the module's docstring.
+    A command's module is imported when it is used. `headings`: names that the help lists together; the others
+    come last. If `function` is a table of the same form, it becomes a group with the module's docstring as
+    its help.
     """
 
     class LazyGroup(TyperGroup):

@@ -1,4 +1,4 @@
-"""`eigenscan doctor`: what is wrong with a deployment, and how to mend it."""
+"""`eigenscan doctor`: finds the faults of a deployment and the fix for each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command found: words for people, and JSON for scripts."""
+"""Results of a command: text for people, and JSON for scripts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def prepare(target: Path | None) -> None:
 
 
 def write_figures(figures: Any, target: Path | None) -> None:
-    """Writes what JSON can hold; finite numbers only."""
+    """Writes `figures` as JSON to `target`, if given; all numbers must be finite."""
     if target is None:
         return
     text = json.dumps(figures, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -47,13 +47,13 @@ def write_figures(figures: Any, target: Path | None) -> None:
 
 
 class Events:
-    """What a command meets while it runs, one JSON object a line, each as it comes."""
+    """Events of a running command, one JSON object a line, each at once."""
 
     def __init__(self, file: IO[str] | None) -> None:
         self._file = file
 
     def write(self, event: str, **values: Any) -> None:
-        """Writes `event` and what belongs to it; finite numbers only."""
+        """Writes `event` with its values; all numbers must be finite."""
         if self._file is not None:
             line = json.dumps({"event": event, **values}, allow_nan=False, ensure_ascii=False)
             print(line, file=self._file, flush=True)

@@ -43,7 +43,7 @@ HEADINGS = {
     "A site": ("fleet", "doctor"),
     "Changes to the services": ("replay", "replay-test", "conform"),
 }
-"""What is listed together in the help; what is not named here comes last."""
+"""Commands that the help lists together; the others come last."""
 
 app = typer.Typer(
     name="eigenscan",

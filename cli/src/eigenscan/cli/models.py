@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Action(StrEnum):
-    """What is to be done."""
+    """Actions on a model folder."""
 
     LIST = "list"
     ROLLBACK = "rollback"

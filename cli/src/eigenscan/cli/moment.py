@@ -36,7 +36,7 @@ class Moment:
 
 
 START = Moment(0.0)
-"""Of any recording."""
+"""Start of any recording."""
 
 
 def moment(text: str | Moment) -> Moment:

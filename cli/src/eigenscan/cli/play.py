@@ -150,7 +150,7 @@ def _seconds(file: Path, begin: Moment, end: Moment | None) -> tuple[float, floa
 
 @contextmanager
 def _progress(score: Score, hint: str) -> Iterator[Callable[[int, bool], None]]:
-    """A bar in seconds of the recording; gives what moves it, by log time in ns and whether it is paused."""
+    """A bar in seconds of the recording; yields the function that moves it, by log time (ns) and pause."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 

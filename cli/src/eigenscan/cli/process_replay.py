@@ -1,4 +1,4 @@
-"""What `eigenscan replay --service` does."""
+"""The work of `eigenscan replay`."""
 
 from __future__ import annotations
 

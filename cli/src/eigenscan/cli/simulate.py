@@ -161,7 +161,7 @@ def simulate(
 
 
 def _driven(stage: Stage) -> dict[str, Any]:
-    """How many scans, and how far; what somebody carried it is no way."""
+    """Numbers of scans, and the distance driven, without kidnaps."""
     import numpy as np
 
     steps = np.hypot(*np.diff(stage.poses[:, :2], axis=0).T)

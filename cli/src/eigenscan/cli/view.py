@@ -80,7 +80,7 @@ def view(
 
 
 def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOptions) -> dict[str, Any]:
-    """Draws what lies between two moments of a recording, message by message, with a progress bar."""
+    """Draws the part of a recording between two moments, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
     from eigenscan.workbench.progress import Bars

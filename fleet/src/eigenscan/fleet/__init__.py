@@ -1,1 +1,1 @@
-"""A site of many robots: who may say what, the files of each machine, and how all are."""
+"""Sites of many robots: rights, the files of each machine, and the state of all robots."""

@@ -1,7 +1,7 @@
-"""Who may publish and receive what through a router: Zenoh's access control, from the contract's table.
+"""Rights at routers: who may publish and receive what, as Zenoh's access control, from the contract's table.
 
-Nothing is allowed but what is written here, for each certificate by its common name. Zenoh is silent about
-what it denies: a denied sample does not arrive, a denied query gets no answer.
+Everything else is denied, for each certificate by its common name. Zenoh reports nothing: a denied sample
+does not arrive, and a denied query gets no answer.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ON_A_ROBOT = (
 """Services that a robot's certificate may speak of: made-up names would fill the site's recordings."""
 
 ANSWERS = (HYPOTHESES, OBSTACLES)
-"""What a projector reports to a robot."""
+"""Channels on which a projector answers a robot."""
 
 Air = Mapping[str, float]
 """Channel name -> samples a second that a robot may send over the air, for every channel."""
@@ -63,7 +63,7 @@ class Rights:
     sees: tuple[str, ...]
 
     def rules(self, name: str, *, at_site: bool) -> list[dict[str, Any]]:
-        """Zenoh's rules for the link to this holder, or where not `at_site` for its own link to the site."""
+        """Zenoh's rules for the link to this holder; if not `at_site`, for its own link to the site."""
         there, back = ("ingress", "egress") if at_site else ("egress", "ingress")
         watch = ["declare_liveliness_subscriber", "liveliness_query"]
         wanted: list[tuple[str, list[str], tuple[str, ...]]] = [
@@ -71,7 +71,7 @@ class Rights:
             (there, ["reply", "declare_queryable"], self.answers),
             (back, ["query"], self.answers),
             (there, ["liveliness_token"], self.shows),
-            # that somebody listens is no secret: what they get is decided where it is put
+            # a subscription itself may be known: the put decides who receives
             (back, ["declare_subscriber", *watch], (f"{self.site}/**",)),
             (back, ["put"], self.hears),
             (there, ["declare_subscriber"], self.subscribes),
@@ -94,9 +94,9 @@ class Rights:
 
 
 def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights:
-    """A robot publishes its own keys that cross the air, and receives what is for all or for it.
+    """A robot publishes its own keys that cross the air, and receives keys for all robots or for itself.
 
-    `served`: a projector elsewhere answers its scans.
+    `served`: a projector on another machine answers its scans.
     """
     says = [one for one in CHANNELS if Role.ROBOT in one.said_by and air[one.name] > 0]
     hears = [one for one in CHANNELS if Role.ROBOT in one.heard_by or (served and one in ANSWERS)]
@@ -120,10 +120,10 @@ def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights
 
 
 def of_service(site: str, role: Role) -> Rights:
-    """A service of the site receives whatever has come to it, and publishes what the table allows."""
+    """A service of the site receives all keys, and publishes those that the table allows."""
     says = [one for one in CHANNELS if role in one.said_by]
     hears = [one for one in CHANNELS if role in one.heard_by]
-    # in health, where robots speak as well, it keeps to its own name
+    # on health, which robots publish too, it may use its own name only
     address = {"site": site, "service": role.value}
     return Rights(
         site,
@@ -131,7 +131,7 @@ def of_service(site: str, role: Role) -> Rights:
         answers=_keys([one for one in says if one.qos.latched], address),
         shows=(*_tokens(says, site), *([_alive(site, service=role.value)] if HEALTH in says else [])),
         hears=_keys(hears, {"site": site}),
-        subscribes=(f"{site}/**",),  # a recorder counts what is not of the contract
+        subscribes=(f"{site}/**",),  # a recorder counts messages outside the contract
         asks=(
             *_keys([one for one in hears if one.qos.latched], {"site": site}),
             *([_recordings(site)] if role is Role.OPERATOR else []),
@@ -154,7 +154,7 @@ def of_projector(site: str, group: str, name: str) -> Rights:
         answers=(),
         shows=(_alive(site, name, "projector"),),
         hears=keys(hears),
-        subscribes=keys([*hears, HEALTH]),  # of its own name, to notice another one
+        subscribes=keys([*hears, HEALTH]),  # health of its own name, to notice a duplicate
         asks=keys([one for one in hears if one.qos.latched]),
         sees=_tokens(hears, site),
     )
@@ -168,8 +168,8 @@ def at_site(
 ) -> dict[str, Any]:
     """Access control of the site's router.
 
-    `robots`: name -> common name of its certificate and what crosses the air; `services`: common names;
-    `groups`: name -> common name of its projector's certificate and its robots.
+    `robots`: name -> common name of its certificate, and its rates over the air. `services`: common names.
+    `groups`: name -> common name of its projector's certificate, and its robots.
     """
     holders = {
         name: (common_name, of_robot(site, name, air, served=is_served(name, groups)))
@@ -217,7 +217,7 @@ def on_robot(site: str, robot: str, air: Air, *, served: bool) -> dict[str, Any]
 
 
 def _control(subjects: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]]) -> dict[str, Any]:
-    """Zenoh's `access_control`: subject -> how it is told, and its rules; all else is denied."""
+    """Zenoh's `access_control`: subject -> its identification and rules; all else is denied."""
     return {
         "enabled": True,
         "default_permission": "deny",

@@ -26,14 +26,14 @@ except ModuleNotFoundError as error:
 
 AUTHORITY_DAYS = 3650
 SLOW_CLOCK = timedelta(days=1)
-"""Valid since then, for machines whose clock is behind."""
+"""Certificates are valid from this long before now, for machines with a slow clock."""
 LONGEST_NAME = 64
-"""Of a common name (RFC 5280, ub-common-name)."""
+"""Longest common name (RFC 5280, ub-common-name)."""
 
 
 @dataclass(frozen=True)
 class Authority:
-    """Signs for one site. Its key signs whoever it pleases: it belongs on no robot and no server."""
+    """Signs certificates for one site. Its key can sign any: keep it off robots and servers."""
 
     certificate: x509.Certificate
     key: ec.EllipticCurvePrivateKey
@@ -58,7 +58,7 @@ class Authority:
 
     @staticmethod
     def load(folder: Path) -> Authority:
-        """The one that `save` wrote. Raises UsageError naming the file that is none."""
+        """Reads what `save` wrote. Raises UsageError that names the bad file."""
         key = serialization.load_pem_private_key((folder / "ca.key").read_bytes(), password=None)
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise UsageError(
@@ -73,8 +73,8 @@ class Authority:
     def issue(self, folder: Path, name: str, identity: str, days: int, serves: Sequence[str] = ()) -> None:
         """Writes name.crt and name.key of a new key to `folder`, and the authority's certificate beside them.
 
-        `identity` begins the common name; what is random behind it tells this certificate from others of the
-        same holder. `serves`: host names and addresses of a router; without any it is a client's.
+        `identity` begins the common name; a random part behind it distinguishes certificates of one holder.
+        `serves`: host names and addresses of a router; without any, the certificate is a client's.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         subject = _name(f"{identity}.{secrets.token_hex(4)}")
@@ -92,7 +92,7 @@ class Authority:
 
 
 def read_certificate(path: Path) -> x509.Certificate:
-    """Certificate in `path`. Raises UsageError where it is none."""
+    """Reads the certificate at `path`. Raises UsageError if it is none."""
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except ValueError as error:
@@ -108,7 +108,7 @@ def common_name(path: Path) -> str:
 def write_pair(
     folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
 ) -> None:
-    """Writes name.crt and, for its owner only, name.key. Raises FileExistsError where one is there."""
+    """Writes name.crt, and name.key readable by its owner only. Raises FileExistsError if one exists."""
     folder.mkdir(parents=True, exist_ok=True)
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()

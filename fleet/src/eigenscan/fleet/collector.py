@@ -18,7 +18,7 @@ class SiteCollector:
         self._lock = threading.Lock()
 
     def update(self) -> None:
-        """Takes in what was received: ages count from then."""
+        """Takes the messages since the last call; ages count from now."""
         with self._lock:
             self._view.update()
 

@@ -12,16 +12,19 @@ from eigenscan.runtime.session import URGENT_BATCHES
 from eigenscan.schemas.channels import CHANNELS, Role
 
 INSTALLED = "/etc/eigenscan"
-"""Where each machine, or its containers, finds its own part of the fleet's folder."""
+"""Folder on each machine, or in its containers, that holds its part of the fleet's folder."""
 PORT = 7447
 MOST_ROBOTS = 10_000
 """Links that the site's router takes; Zenoh's own limit is 1,000."""
 FLOOD = 10.0
-"""So many times faster than it should may a robot speak: one gone mad costs the site what ten robots do.
-Zenoh's limit is from sample to sample: of what waited, for a bad link or a busy server, and comes at once
-only the first message passes. The higher it is, the less of that is lost."""
+"""Factor on a channel's rate that a robot may reach: a faulty robot then costs the site as much as ten
+robots.
+
+Zenoh limits the time between two samples. Of samples that waited, for a bad link or a busy server, and arrive
+together, only the first passes. A higher factor loses fewer of them.
+"""
 LARGEST_BYTES = 1_000_000
-"""Of one message from a robot: a raw scan has some tens of kilobytes."""
+"""Largest message from a robot; a raw scan has some tens of kilobytes."""
 
 SETTINGS = """\
 # Settings of the services here; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
@@ -38,7 +41,7 @@ zenoh = "{installed}/service.json5"
 """
 ROBOT_SERVICES = """
 [projector]
-keep = "/var/cache/eigenscan/models"  # to start with where the site is cut off
+keep = "/var/cache/eigenscan/models"  # for a start without the site
 
 [tracker]
 keep = "/var/cache/eigenscan/floors"
@@ -77,10 +80,10 @@ def site_router(
     groups: Mapping[str, tuple[str, str]],
     hold_back_floods: bool = True,
 ) -> dict[str, Any]:
-    """The site's router.
+    """Configuration of the site's router.
 
-    `robots`: name -> common name of its certificate and what crosses the air; `groups`: name -> common name
-    of its projector's certificate and its robots.
+    `robots`: name -> common name of its certificate, and its rates over the air. `groups`: name -> common
+    name of its projector's certificate, and its robots.
     """
     most = {one.name: max((air[one.name] for _, air in robots.values()), default=0.0) for one in CHANNELS}
     return {
@@ -110,10 +113,11 @@ def site_router(
 def robot_router(
     site: str, robot: str, air: access.Air, router: str, *, served: bool = False
 ) -> dict[str, Any]:
-    """A robot's own router: its services meet there, and only what may cross the air leaves for `router`.
+    """Configuration of a robot's own router, which connects its services and its link to the site.
 
-    `served`: a projector elsewhere answers its scans.
-    It is a peer to the site's router: routers would tell each other of all routers of the site.
+    Only keys that may cross the air leave for `router`. `served`: a projector on another machine answers its
+    scans. It is a peer of the site's router, because routers would exchange a list of all routers of the
+    site.
     """
     return {
         "mode": "peer",
@@ -128,7 +132,7 @@ def robot_router(
 
 
 def robot_service() -> dict[str, Any]:
-    """A service on a robot, or its driver: it speaks to the robot's own router and to nobody else."""
+    """Configuration of a service or driver on a robot: it connects to the robot's own router only."""
     return _client(f"tcp/127.0.0.1:{PORT}")
 
 
@@ -146,7 +150,7 @@ def settings(site: str, robot: str | None = None) -> str:
 
 
 def group_settings(site: str, name: str, group: str) -> str:
-    """eigenscan.toml of a machine whose projector serves a group of robots."""
+    """eigenscan.toml of a machine with a projector for a group of robots."""
     given = {"site": site, "instance": name, "robot": group, "zenoh": f"{INSTALLED}/projector.json5"}
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in given.items()]
     return "\n".join([*lines, 'log_format = "json"', ""])
@@ -167,7 +171,7 @@ def _limits(
 
 
 def _urgency(site: str, robot: str, air: access.Air) -> list[dict[str, Any]]:
-    """Priority and congestion control over the air are the table's, whatever the publisher chose."""
+    """Sets priority and congestion control over the air from the table, whatever the publisher chose."""
     return [
         {
             "id": one.name,
@@ -187,10 +191,11 @@ def _urgency(site: str, robot: str, air: access.Air) -> list[dict[str, Any]]:
 
 
 def _together(site: str) -> dict[str, Any]:
-    """What robots report goes on from the site's router together, not each in a batch of its own.
+    """Lets the site's router batch the robots' samples.
 
     Express samples of 200 robots, 2,000 a second to each subscriber, fill Zenoh's deepest queue, of 16
-    batches, whenever its thread gets no turn for 8 ms. What waits for none leaves at once either way.
+    batches, whenever its thread gets no turn for 8 ms. A sample that need not wait leaves at once in both
+    cases.
     """
     urgent = [one for one in CHANNELS if Role.ROBOT in one.said_by and one.qos.express]
     return {

@@ -1,6 +1,6 @@
-"""A robot's recordings brought here: piece by piece, on from where it was cut off, only what lies in a time.
+"""Fetches a robot's recordings of a period, piece by piece; resumes after a break.
 
-What a robot reports of its files is not believed: names stay within the folder, sizes within the disk.
+The robot's answers are not trusted: names stay within the folder, sizes within the disk.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from eigenscan.schemas.recordings_pb2 import RecordingPart, RecordingParts, Reco
 from google.protobuf.message import DecodeError
 
 PIECE_BYTES = 262_144
-"""Of one answer: a fifth of a second on a link of 10 Mbit/s, so poses do not wait for it."""
+"""Size of one answer: a fifth of a second on a link of 10 Mbit/s, so poses do not wait long."""
 OVERLAP_BYTES = 4_096
-"""So much of what is here is asked for again before it goes on: another file of that name is noticed."""
+"""Part of the local file that is fetched again before resuming, to notice another file of the same name."""
 PARTIAL = ".part"
 """How the name of a file ends that is not here as a whole, or that the robot still writes."""
 
@@ -69,9 +69,9 @@ def asker(session: zenoh.Session, site: str, robot: str, patience_s: float) -> A
 
 
 def parts_within(ask: Ask, robot: str, begin_ns: int, end_ns: int) -> list[RecordingPart]:
-    """The robot's files that hold something of a time, oldest first.
+    """The robot's files that overlap a period, oldest first.
 
-    Raises FailedError where there is none, telling from when to when there are any.
+    Raises FailedError if there is none, with the period that the robot has.
     """
     try:
         found = list(RecordingParts.FromString(ask("parts", b"")).parts)
@@ -90,7 +90,7 @@ def parts_within(ask: Ask, robot: str, begin_ns: int, end_ns: int) -> list[Recor
 
 
 def missing_bytes(parts: Sequence[RecordingPart], folder: Path) -> int:
-    """What is still to come. Raises FailedError where the disk has no room for it."""
+    """Bytes that are not here yet. Raises FailedError if the disk has no room for them."""
     missing = sum(max(part.size - _have(folder, part), 0) for part in parts)
     place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     # a file that is still written is here twice: as it came, and with an index
@@ -103,11 +103,11 @@ def missing_bytes(parts: Sequence[RecordingPart], folder: Path) -> int:
 
 
 def fetch(ask: Ask, part: RecordingPart, folder: Path, moved: Moved = lambda _bytes: None) -> Fetched:
-    """Brings one file into `folder`; goes on where an earlier call was cut off.
+    """Fetches one file into `folder`; resumes an interrupted call.
 
-    A file that its recorder closed is here as it is there. Of one that is still written, what was there when
-    it was listed is kept as it came, with PARTIAL, and beside it as a recording that is whole, with an index.
-    Raises FailedError where the robot stops answering or what came is no recording.
+    A closed file becomes identical to the robot's. Of an open file, the part that existed when it was listed
+    is kept with the suffix PARTIAL, and beside it as a complete recording with an index. Raises FailedError
+    if the robot stops answering, or if the file is no recording.
     """
     target, partial = folder / part.name, folder / (part.name + PARTIAL)
     if part.closed and _have(folder, part) == part.size and not partial.exists():
@@ -132,7 +132,7 @@ def utc(ns: int) -> str:
 
     try:
         return f"{datetime.fromtimestamp(ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    except (ValueError, OverflowError, OSError):  # a robot may say anything
+    except (ValueError, OverflowError, OSError):  # a robot may send anything
         return f"{ns} ns"
 
 
@@ -145,7 +145,7 @@ def _have(folder: Path, part: RecordingPart) -> int:
 
 
 def _resume(ask: Ask, part: RecordingPart, have: int, partial: Path) -> int:
-    """Where to go on: after what is here, or from the start where that is of another file."""
+    """Offset to resume at: the end of the local part, or 0 if that belongs to another file."""
     if not 0 < have <= part.size:
         return 0
     begin = max(have - OVERLAP_BYTES, 0)
@@ -169,7 +169,7 @@ def _piece(ask: Ask, part: RecordingPart, offset: int, length: int) -> bytes:
 
 
 def _complete(part: RecordingPart, partial: Path, target: Path) -> None:
-    """Makes a recording of what came."""
+    """Turns the fetched part into a complete recording."""
     try:
         if part.closed:
             if message_count(partial) is None:

@@ -49,7 +49,7 @@ hold_back_floods = true
 # Samples a second that a robot may send to the site, in place of the contract's; 0: none.
 # Of all keys of the channel together, so of all lidars.
 [air]
-scan = 2.0  # by which the mapbuilder keeps the map true
+scan = 2.0  # the mapbuilder needs them to keep the map true
 
 
 # [robots.r17]  # for one robot only
@@ -97,7 +97,7 @@ GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
 
 
 class Fleet(BaseModel):
-    """What fleet.toml says."""
+    """The content of fleet.toml."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -112,7 +112,7 @@ class Fleet(BaseModel):
         """Samples a second of each channel that this robot may send over the air."""
         usual = {one.name: one.qos.air_hz for one in CHANNELS} | self.air
         if any(holds(group, robot) for group in self.groups.values()):
-            usual[SCAN.name] = math.inf  # whoever answers them needs them all, whatever others send
+            usual[SCAN.name] = math.inf  # an answering projector needs all scans, whatever others send
         return usual | self.robots.get(robot, {})
 
 
@@ -131,7 +131,7 @@ def read(folder: Path) -> Fleet:
 
 
 def checked(content: Mapping[str, Any], source: str) -> Fleet:
-    """`content` as a fleet. Raises UsageError naming `source`, the field and what would be accepted."""
+    """Checks `content`. Raises UsageError that names `source`, the field and what is accepted."""
     try:
         return Fleet.model_validate(content)
     except ValidationError as error:
@@ -155,7 +155,7 @@ def robots(folder: Path) -> tuple[str, ...]:
 
 
 def services(folder: Path) -> dict[Role, Path]:
-    """Who else holds a certificate than routers and robots, and the folder that has it."""
+    """Roles that hold a certificate besides routers and robots, and the folder of each."""
     return {
         role: folder / ("operator" if role is Role.OPERATOR else "site")
         for role in Role
@@ -211,11 +211,11 @@ def configure(folder: Path) -> None:
 
 
 def revoke(folder: Path, name: str) -> Path:
-    """Shuts out the certificate of a robot or a service of the site; gives where it is kept.
+    """Revokes the certificate of a robot or a service of the site; returns its new place.
 
-    Its private key is deleted here; no other machine's copy is. Raises UsageError where `name` has none.
+    The local copy of its private key is deleted. Raises UsageError if `name` has no certificate.
     """
-    read(folder)  # what is no fleet is to be called so
+    read(folder)  # refuses a folder that is no fleet
     of_service = {role.value: own / f"{role.value}.crt" for role, own in services(folder).items()}
     of_service |= {name: folder / "groups" / name / "projector.crt" for name in read(folder).groups}
     held = of_service.get(name, folder / "robots" / name / "robot.crt")
@@ -235,13 +235,13 @@ def revoke(folder: Path, name: str) -> Path:
 
 
 def _begin(path: Path, content: str) -> None:
-    """Writes what is its owner's to edit from then on."""
+    """Writes a file that its owner may edit later."""
     if not path.exists():
         path.write_text(content, encoding="utf-8")
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    """In one step: a router that looks at the file never sees half of it."""
+    """Writes in one step, so a router never reads half a file."""
     new = path.with_suffix(".new")
     new.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     new.replace(path)

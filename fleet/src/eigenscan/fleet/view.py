@@ -1,4 +1,4 @@
-"""What a site's robots and services publish about themselves, and its age."""
+"""The state of a site: the newest messages of its robots and services, and their ages."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ OPEN_S = 5.0
 """A client's configuration may wait for its router for ever; a person does not."""
 
 ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
-"""What each robot needs, on it or for all robots at once (robot *)."""
+"""Services that each robot needs, its own or one for several robots."""
 
 FORGOTTEN_S = 24 * 3600.0
-"""Who is gone and was not received for so long is not shown any more."""
+"""A robot or service that is gone and silent for this long, s, is no longer shown."""
 
 MOST_SETTINGS = 20_000
-"""Characters of the settings that a service tells, at most: ten times what the largest of ours does."""
+"""Longest settings of a service, in characters: ten times our longest."""
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
@@ -56,9 +56,9 @@ def connect(path: Path | None) -> zenoh.Session:
 
 @lru_cache(maxsize=1024)
 def settings_in(told: str) -> Mapping[str, str]:
-    """The settings that a service tells of itself, as text; none where that is no JSON object of a fair size.
+    """The settings in a service's health, as text; none if `told` is not a JSON object of a fair size.
 
-    Whoever may publish health may say anything here.
+    Anyone who may publish health may write anything here.
     """
     try:
         values = json.loads(told) if len(told) <= MOST_SETTINGS else None
@@ -92,29 +92,29 @@ class Service:
 
     @property
     def robot(self) -> str:
-        """The robots it serves, a group; of a service that does not tell, its instance."""
+        """The robots that it serves, as a group; its instance, if its health does not name them."""
         return self.setting("robot", self.instance)
 
     def setting(self, name: str, otherwise: str) -> str:
-        """One of the settings that it tells of."""
+        """The value of one of its settings."""
         told = self.health.settings if self.health is not None else ""
         return settings_in(told).get(name, otherwise)
 
     @property
     def status(self) -> str:
-        """`ok`, `waiting`, `degraded`, or `unknown` before it said anything."""
+        """`ok`, `waiting`, `degraded`, or `unknown` before its first health."""
         if self.health is None:
             return "unknown"
         if self.health.status not in Health.Status.values():
-            return "unknown"  # of a later version, or of nobody we know
+            return "unknown"  # a status of a later version
         return Health.Status.Name(self.health.status).removeprefix("STATUS_").lower()
 
     def counter(self, name: str) -> int:
-        """One of its counters, 0 where it has none of that name."""
+        """Value of one of its counters; 0 if there is none."""
         return int(self.health.counters.get(name, 0)) if self.health is not None else 0
 
     def grew(self, name: str) -> int:
-        """By how much a counter grew since this service was first received."""
+        """Growth of a counter since this service's first health."""
         return self.counter(name) - (int(self.first.counters.get(name, 0)) if self.first is not None else 0)
 
     @property
@@ -137,7 +137,7 @@ class Robot:
 
 
 class FleetView:
-    """Listens to a site; `update` takes in what came since the last call."""
+    """Listens to a site; `update` takes the messages since the last call."""
 
     def __init__(self, session: zenoh.Session, site: str) -> None:
         self.site = site
@@ -170,7 +170,7 @@ class FleetView:
         self._bus.say(envelope)
 
     def update(self) -> list[PoseEstimate]:
-        """Takes in what was received since the last call, and gives its poses; ages count from here."""
+        """Takes the messages since the last call and returns their poses; ages count from now."""
         poses = []
         while self._tokens:
             key, there = self._tokens.pop(0)
@@ -187,7 +187,7 @@ class FleetView:
         return poses
 
     def until(self, holds: Callable[[], bool], seconds: float) -> bool:
-        """Takes in what comes until `holds`; False where it does not within `seconds`."""
+        """Takes messages until `holds` is true; False if it is not within `seconds`."""
         end = time.monotonic() + seconds
         while not holds():
             if (left := end - time.monotonic()) <= 0:

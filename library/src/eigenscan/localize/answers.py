@@ -1,4 +1,4 @@
-"""What a localizer answers, as arrays."""
+"""Answers of a localizer, as arrays."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _STATES: dict[int, State] = {
 
 @dataclass(frozen=True, repr=False)
 class Hypotheses:
-    """Where one scan may have been taken, most likely first; none where it publishes nothing.
+    """Poses at which one scan may have been taken, most likely first; none if the projector lists none.
 
-    `poses` (n, 3): the robot's base in the map frame, m, m, rad; `covariances` (n, 3, 3) of each, given that
-    it is the right one; `log_likelihoods` (n,): ln p(scan | pose) / p(scan | a place that the map lacks), so
-    that differences are log odds and 0 is no better than chance. `probabilities` (n,) and `none_probability`,
-    of a place that is not listed or not on the map, sum to 1: before the scan, the robot is as likely off the
-    map as on it.
+    `poses` (n, 3): the robot's base in the map frame, m, m, rad. `covariances` (n, 3, 3): of each pose, given
+    that it is the right one. `log_likelihoods` (n,): ln p(scan | pose) / p(scan | a place outside the map),
+    so differences are log odds, and 0 is no better than chance. `probabilities` (n,) and `none_probability`,
+    for a place that is not listed or outside the map, sum to 1. Before the scan, the robot is as likely
+    outside the map as on it.
     """
 
     poses: Array
@@ -60,10 +60,10 @@ class Hypotheses:
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """Where the robot is, by all that was tracked: act on `pose` only where `state` is "localized".
+    """The robot's pose after all tracked scans. Act on `pose` only if `state` is "localized".
 
-    `pose` (3,): the base in the map frame, m, m, rad, NaN where there is none; `covariance` (3, 3);
-    `confidence`: the probability that the true pose is within 0.5 m and 10 degrees.
+    `pose` (3,): the base in the map frame, m, m, rad, NaN if there is none. `covariance` (3, 3).
+    `confidence`: probability that the true pose is within 0.5 m and 10 degrees.
     """
 
     state: State

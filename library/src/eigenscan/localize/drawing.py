@@ -1,4 +1,4 @@
-"""A picture of what was found, by matplotlib."""
+"""Draws answers on the map, by matplotlib."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BEST, OTHER, SEEN = "#d62728", "#1f77b4", "#ff7f0e"
 WALL, FLOOR, NOTHING = 0.15, 1.0, 0.85
 ALSO_SHOWN = 9
 MARGIN = 1.0
-"""m of map around what is known."""
+"""Margin around the known part of the map, m."""
 
 
 def draw(grid: GridMap, found: Hypotheses | None, axes: Axes | None) -> Axes:

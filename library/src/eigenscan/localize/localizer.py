@@ -41,17 +41,16 @@ _ROBOT = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT}
 
 
 class Localizer:
-    """Tells where scans were taken in one map: alone (`localize`), or with all that came before (`track`).
+    """Localizes scans in one map: each alone (`localize`), or with all scans before it (`track`).
 
-    Not for several threads at once. One object serves lidars of any kind, but tracks one robot.
+    Use it from one thread at a time. One object serves lidars of any kind, but tracks one robot.
     """
 
     def __init__(self, site: SiteModel, method: str = "default") -> None:
-        """Of models that were built or read; of a map see `from_map` and `from_grid`.
+        """Makes a localizer of models; for a map see `from_map` and `from_grid`.
 
-        `method`: settings that belong together; "paper" is the paper's own pipeline, for comparing, and
-        needs eigenscan-localize[paper] to track. Raises ValueError for one that there is not, and
-        ModelError where it needs other models.
+        `method`: "default", or "paper" for the paper's own pipeline, which needs eigenscan-localize[paper] to
+        track. Raises ValueError for an unknown method, and ModelError if it needs other models.
         """
         if not isinstance(site, SiteModel):
             fix = (
@@ -83,11 +82,11 @@ class Localizer:
         layers: Collection[str] = (),
         method: str = "default",
     ) -> Localizer:
-        """Of a map, whose models are built now, or of a folder that `eigenscan build` wrote.
+        """Makes a localizer of a map, whose models are built now, or of a model folder.
 
-        A map is a map_server yaml, an image (black wall, white floor, grey unknown; give the m a pixel), or a
-        floor plan, DXF or SVG, whose walls are on `layers`. Raises MapError or ModelError, both ValueError,
-        naming the file, the field and the fix.
+        A map is a map_server yaml, an image (black wall, white floor, grey unknown; give `metres_per_unit`, m
+        a pixel), or a floor plan, DXF or SVG, whose walls are on `layers`. Raises MapError or ModelError,
+        both ValueError, that name the file, the field and the fix.
         """
         place = Path(path)
         if place.is_dir():
@@ -96,7 +95,7 @@ class Localizer:
 
     @classmethod
     def from_grid(cls, grid: GridMap, method: str = "default") -> Localizer:
-        """Of cells in memory. Raises ModelError where no place in them is free."""
+        """Makes a localizer of a grid in memory. Raises ModelError if no place in it is free."""
         plan = MapbuilderSettings.model_validate(of_service(method, "mapbuilder")).plan
         return cls(build_site(grid, replace(plan, threads=os.cpu_count() or 1)), method)
 
@@ -109,12 +108,12 @@ class Localizer:
         floor: str = "",
         region: str = "",
     ) -> Hypotheses:
-        """Where `scan` may have been taken, by itself, as a query on {site}/localize answers.
+        """Finds where `scan` may have been taken, from this scan alone, as a query on {site}/localize does.
 
-        The robot's base may be known to be within `radius`, m, of the pose `near` (3,), m, m, rad in the map
-        frame, with a heading within `turn`, rad, of its own (0: any); on `floor` (then `near` is in that
-        floor's own frame); in `region`. Raises ScanError where the scan cannot be used, and ValueError naming
-        another argument that cannot.
+        Searches only within `radius`, m, of the pose `near` (3,), m, m, rad in the map frame, with a heading
+        within `turn`, rad, of its own (0: any heading); only on `floor` (then `near` is in that floor's
+        frame); only in `region`. Raises ScanError for a scan that cannot be used, and ValueError that names
+        another bad argument.
         """
         _be_a_scan(scan)
         scan.canonical()
@@ -127,10 +126,11 @@ class Localizer:
         return Hypotheses.of(published.open(LocalizeReply), scan)
 
     def track(self, scan: Scan, odometry: ArrayLike | None = None) -> Estimate:
-        """Where the robot is by `scan` and all before it; `scan.time` must increase.
+        """Tracks the robot with one more scan; `scan.time` must increase.
 
-        `odometry` (3,): the base in the odometry's own frame at the scan's time, m, m, rad; without it the
-        robot may have gone anywhere within its greatest speed. Raises ScanError where it cannot be used.
+        `odometry` (3,): the base in the odometry's own frame at the scan's time, m, m, rad. Without it, the
+        robot may have moved anywhere within its greatest speed. Raises ScanError for a scan that cannot be
+        used.
         """
         _be_a_scan(scan)
         pose = None if odometry is None else _pose(odometry, "odometry")
@@ -148,15 +148,15 @@ class Localizer:
         return Estimate.of(estimate)
 
     def floor(self, pose: ArrayLike) -> tuple[str, NDArray[np.float64]] | None:
-        """Of a pose (3,) that was found: the name of its floor, and the pose in that floor's own map frame.
+        """The floor of a pose (3,): its name, and the pose in that floor's own map frame.
 
-        None where the models have no floors, or it is on none.
+        None if the models have no floors, or the pose is on none.
         """
         found = floor_of(self.site.floors, pose)
         return None if found is None else (found.name, found.own(pose))
 
     def forget(self) -> None:
-        """Tracks anew, from nothing."""
+        """Forgets all tracks."""
         self._tracker = self._newest = None
 
     def plot(self, found: Hypotheses | None = None, axes: Axes | None = None) -> Axes:
@@ -180,7 +180,7 @@ class Localizer:
 
 
 def _new_tracker(method: str) -> TrackerCore:
-    """It is compiled as it is imported, and who asks for single scans needs none."""
+    """Imports the tracker, which compiles it, only when it is needed."""
     from eigenscan.tracker.core import TrackerCore
     from eigenscan.tracker.settings import TrackerSettings
 
@@ -197,7 +197,7 @@ def _be_a_scan(scan: Scan) -> None:
 
 
 def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:
-    """The pose (3,). Raises ValueError where it is none."""
+    """Checks a pose (3,). Raises ValueError."""
     pose = np.asarray(given, np.float64)
     if pose.shape != (3,):
         raise ValueError(f"{name} of shape {pose.shape}: give x, y and heading (3,), m, m, rad")

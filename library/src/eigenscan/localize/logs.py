@@ -1,4 +1,4 @@
-"""Scans of a log, for those who have no robot at hand."""
+"""Reads the scans of a log, for use without a robot."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 def read_log(
     path: str | os.PathLike[str], lidar: str | None = None
 ) -> list[tuple[Scan, NDArray[np.float64] | None]]:
-    """Scans in order of time, each with the odometry (3,) of its moment, m, m, rad; None where there is none.
+    """Scans in order of time, each with its odometry (3,), m, m, rad, or None if there is none.
 
-    Reads what `eigenscan import` reads. `lidar`: topic or name, needed where there are several.
-    Raises LogError (ValueError) where the log cannot be read. Needs pip install 'eigenscan-localize[logs]'.
+    Reads the formats of `eigenscan import`. `lidar`: topic or name, needed if there are several. Raises
+    LogError (a ValueError) if the log cannot be read. Needs pip install 'eigenscan-localize[logs]'.
     """
     with needs("eigenscan-localize[logs]"):
         from eigenscan.workbench.logs import LogOptions, open_log

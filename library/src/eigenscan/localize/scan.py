@@ -17,7 +17,7 @@ _SET_ASIDE = "set_aside_"
 
 
 class ScanError(ValueError):
-    """A scan that cannot be used; the message names what is wrong."""
+    """A scan that cannot be used; the message names the fault."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,7 +96,7 @@ class Scan:
         )
 
     def canonical(self) -> Envelope:
-        """The scan as the contract has it. Raises ScanError where it cannot be used."""
+        """The scan as scan-ingest publishes it. Raises ScanError if it cannot be used."""
         raw = self.raw()
         ingest = ScanIngestCore(ScanIngestSettings())
         address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": "lidar"}

@@ -1,1 +1,1 @@
-"""What one does with logs and recordings, away from a robot."""
+"""Tools for logs and recordings, without a robot."""

@@ -8,5 +8,5 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_N
 
 
 def one_thread() -> None:
-    """To be called before numpy is imported."""
+    """Limits numeric libraries to one thread. Call it before numpy is imported."""
     os.environ.update(dict.fromkeys(THREADS, "1"))

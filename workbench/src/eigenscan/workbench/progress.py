@@ -20,9 +20,9 @@ REDRAWN_EVERY_S = 0.2
 
 
 class Bars:
-    """Bars on standard error, where that is a terminal, one below the other. Use it with `with`.
+    """Progress bars on standard error, if that is a terminal. Use it with `with`.
 
-    `transient`: they go when all is done.
+    `transient`: they disappear at the end.
     """
 
     def __init__(self, transient: bool = False) -> None:
@@ -58,7 +58,7 @@ class Bars:
         return advance
 
     def start_share(self, title: str) -> Callable[[float], None]:
-        """Starts a bar for what tells its own share, 0..1."""
+        """Starts a bar; returns the function to call with its share, 0..1."""
         bar = self._progress.add_task(title, total=100)
         self._draw(at_once=True)
 
@@ -69,7 +69,7 @@ class Bars:
         return move
 
     def start_steps(self) -> Callable[[str, float], None]:
-        """A bar for each step of what tells the step's name and share, as it begins."""
+        """Starts a bar for each step; returns the function to call with a step's name and share."""
         running: dict[str, Callable[[float], None]] = {}
 
         def moved(step: str, share: float) -> None:

@@ -23,7 +23,7 @@ KINDS = {
     "vda5050-bridge": "eigenscan.vda5050.options:Vda5050Options",
     "router": "eigenscan.runtime.router:RouterSettings",
 }
-"""Where what each service can be told is."""
+"""The module with each service's settings."""
 
 MARK = "<!-- what follows is made from the settings' types by python -m eigenscan.workbench.settings_page -->"
 
@@ -69,7 +69,7 @@ def _words(field: FieldInfo) -> str:
 
 
 def main() -> None:
-    """Writes the page; with --check fails where the one that is there is not current."""
+    """Writes the page; with --check, fails if the page is not up to date."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--check", action="store_true")

@@ -32,21 +32,21 @@ from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.verdict import Sighting, Stretch, judge
 
 OPEN_S = 30.0
-"""So long the robot waits for somebody to open the viewer."""
+"""Time that the robot waits for a visitor to open the viewer, s."""
 LOADED_S = 4.0
-"""What a browser takes from the connection to the first picture."""
+"""Time that a browser takes from the connection to the first picture, s."""
 IN_PLAY = 0.01
 """Probability from which a track is a candidate, as in the viewer."""
 AT_ONCE_S = 0.15
 """A kidnap that the next scan shows is noticed at once."""
 LAST_WORDS_S = 5.0
-"""What the pipeline gets to answer the last scan."""
+"""Time for the pipeline to answer the last scan, s."""
 
 
 class Demonstration:
-    """One run of the demo; all its files go to `folder`. Raises MapError where the robot fits nowhere.
+    """One run of the demo; all its files go to `folder`. Raises MapError if the robot fits nowhere.
 
-    `figures`: what became of it before and after the kidnap, once it ran to the end.
+    `figures`: results before and after the kidnap, after the end.
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class Demonstration:
         self._candidates: dict[float, int] = {}
 
     def run(self) -> bool:
-        """Runs to the end; True where the robot was found, and found again after the kidnap.
+        """Runs to the end; True if the robot was found, and found again after the kidnap.
 
-        Raises FailedError where a service dies or does not get ready.
+        Raises FailedError if a service dies or does not get ready.
         """
         scenario, folder = self._stage.scenario, self._folder
         with ExitStack() as stack:
@@ -111,7 +111,7 @@ class Demonstration:
             return found
 
     def _bus_of(self, session: zenoh.Session) -> Bus:
-        """A bus whose inbox gets the tracks."""
+        """A bus whose inbox receives the tracks."""
         bus = Bus(session)
         bus.listen([TRACKS], {"site": self._stage.scenario.site}, self._tracks)
         return bus
@@ -230,7 +230,7 @@ def data_port(link: str) -> int:
 
 
 def is_watched(process: psutil.Process, port: int) -> bool:
-    """Whether somebody is connected to `port` of `process`."""
+    """Whether a client is connected to `port` of `process`."""
     connections = process.net_connections("tcp")
     return any(each.status == psutil.CONN_ESTABLISHED and each.laddr.port == port for each in connections)
 

@@ -1,4 +1,4 @@
-"""`eigenscan fleet configure`: the fleet's configuration anew, after a change of fleet.toml."""
+"""`eigenscan fleet configure`: writes the fleet's configuration again, after a change of fleet.toml."""
 
 from __future__ import annotations
 

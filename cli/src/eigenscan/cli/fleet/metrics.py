@@ -1,4 +1,4 @@
-"""`eigenscan fleet metrics`: what robots and services report over Zenoh, for Prometheus, from one place."""
+"""`eigenscan fleet metrics`: serves the site's health and poses to Prometheus."""
 
 from __future__ import annotations
 

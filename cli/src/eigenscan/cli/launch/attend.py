@@ -24,10 +24,10 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
 ASK_S = 1.0
-"""What others may take to answer that they are there; on one machine they take milliseconds."""
+"""Longest wait for liveliness tokens, s; on one machine they take milliseconds."""
 
 OLD_S = 2.0
-"""A pose older than this is not shown as where the robot is: 20 scans of a 10 Hz lidar have not come."""
+"""Age beyond which a pose is not shown, s: 20 scans of a 10 Hz lidar."""
 
 EVERY_S = 1.0
 """A pose is an event so often."""
@@ -36,7 +36,7 @@ EVERY_S = 1.0
 def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool = False) -> None:
     """Runs the services until SIGINT or SIGTERM; logs go to `folder`, events to `events`.
 
-    Raises ChildDiedError where one of them ends by itself.
+    Raises ChildDiedError if a service ends by itself.
     """
     stop = StopEvent()
     with ExitStack() as stack:
@@ -79,7 +79,7 @@ def _open(pipeline: Pipeline) -> zenoh.Session:
 
 
 def _where(pipeline: Pipeline) -> str:
-    """Where drivers connect, for people."""
+    """The address for drivers, as text."""
     return str(pipeline.zenoh) if pipeline.zenoh else ", ".join([MEETING, *pipeline.listen])
 
 
@@ -110,7 +110,7 @@ class _PoseEvents:
         self._events, self._state, self._due = events, -1, 0.0
 
     def receive(self, pose: PoseEstimate) -> None:
-        """Tells of the pose where it is due."""
+        """Writes the pose if it is due."""
         changed, now = pose.state != self._state, time.monotonic()
         if not changed and now < self._due:
             return
@@ -127,7 +127,7 @@ class _PoseEvents:
 
 
 def _lacking(view: FleetView) -> list[str]:
-    """What services report they lack."""
+    """The faults that services report."""
     return [
         f"{each.name}: {each.health.detail}"
         for _, each in sorted(view.services.items())
@@ -136,7 +136,7 @@ def _lacking(view: FleetView) -> list[str]:
 
 
 def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str]) -> str:
-    """The newest pose, for people, unless `age_s` says that it is old; without one what is lacking."""
+    """The newest pose as text, unless `age_s` is too large; without a pose, what is missing."""
     if pose is None:
         return f"no pose yet ({'; '.join(lacking)})" if lacking else "no pose yet"
     if age_s > OLD_S:

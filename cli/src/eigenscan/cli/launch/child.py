@@ -1,6 +1,6 @@
 """A service as a child of this command: `python -m eigenscan.cli.launch.child MODULE FLAGS…`.
 
-On Linux it is asked to end when its parent is gone, even if the parent was killed.
+On Linux it receives SIGTERM when its parent ends, even if the parent was killed.
 """
 
 from __future__ import annotations

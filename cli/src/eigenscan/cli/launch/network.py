@@ -20,17 +20,17 @@ PATIENT_QUEUE = {
 
 
 def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody listens on now."""
+    """A free TCP port of 127.0.0.1."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def open_hub(folder: Path, patience: float = 1.0) -> tuple[zenoh.Session, Path]:
-    """This process's session, and the configuration with which others meet it and each other.
+    """Opens this process's session; returns it with the configuration for other processes.
 
-    Both are written to `folder`. `patience`: so many times longer than by PATIENT_QUEUE is waited before a
-    message is dropped. Raises ContractError where no session opens.
+    Both configurations are written to `folder`. `patience`: factor on PATIENT_QUEUE, the wait before a
+    message is dropped. Raises ContractError if no session opens.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for attempt in range(ATTEMPTS):
@@ -40,7 +40,7 @@ def open_hub(folder: Path, patience: float = 1.0) -> tuple[zenoh.Session, Path]:
         try:
             return open_session(hub), others
         except ContractError:
-            # between asking and listening somebody else may have taken the port
+            # another process may have taken the port meanwhile
             if attempt == ATTEMPTS - 1:
                 raise
     raise AssertionError("unreachable")
@@ -52,7 +52,7 @@ def _write(path: Path, listen: str, connect: list[str], patience: float) -> Path
         "mode": "peer",
         "listen": {"endpoints": [listen]},
         "connect": {"endpoints": connect},
-        # those who meet at the hub learn of each other by gossip
+        # the hub's clients find each other by gossip
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
         "transport": {"link": {"tx": {"queue": PATIENT_QUEUE | {"congestion_control": drop}}}},
     }

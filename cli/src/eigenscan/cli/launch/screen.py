@@ -1,4 +1,4 @@
-"""What the demo and `run` show: a line that is alive, and a summary."""
+"""The terminal of the demo and of `run`: a live line, and a summary."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class StatusLine:
 
 
 def state_name(state: int) -> str:
-    """`localized`, `ambiguous` or `lost`; `unknown` for what this build does not know."""
+    """`localized`, `ambiguous` or `lost`; `unknown` for any other number."""
     if state not in State.values():
         return "unknown"
     return State.Name(state).removeprefix("STATE_").lower()

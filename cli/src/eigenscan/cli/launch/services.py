@@ -1,4 +1,4 @@
-"""The services as one pipeline: started with what they need, and awaited."""
+"""Starts the services of a pipeline with their settings, and waits for them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.health_pb2 import Health
 
 READY_S = 180.0
-"""What building the models of a large map may take at the start."""
+"""Longest wait at the start, s: a large map's models take that long."""
 
 AWAIT_MODEL = ("mapbuilder", "projector")
 """The services that work once they have the model; the others wait for scans only."""
@@ -36,7 +36,7 @@ class Pipeline:
     ros2_flags: Sequence[str] | None = None  # the ROS bridge's; None: without one
     listen: Sequence[str] = ()  # endpoints for other machines
     flags: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
-    together: bool = False  # in one process
+    together: bool = False  # all services in one process
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it receives everything."""
@@ -61,12 +61,12 @@ class Pipeline:
 
     @property
     def services(self) -> list[str]:
-        """Names of what runs, whatever the processes."""
+        """Names of the running services."""
         return [name for name in NODES if name in SERVICES or self.ros2_flags is not None]
 
 
 def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
-    """What is still to come before `services` work: names, with what their health says they lack."""
+    """What `services` still wait for: missing names, and what each health reports as missing."""
     found = []
     for service in services:
         health = view.health(service)
@@ -80,9 +80,9 @@ def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
 def wait_until_ready(
     supervisor: Supervisor, services: Iterable[str], view: FleetView, line: StatusLine, stop: StopEvent
 ) -> bool:
-    """Waits until every one of `services` is there and has its model; False where the end was asked for.
+    """Waits until each of `services` is alive and has its model; False if the end was requested.
 
-    Raises ChildDiedError, or FailedError where it takes longer than READY_S.
+    Raises ChildDiedError, or FailedError after READY_S.
     """
     deadline = time.monotonic() + READY_S
     while not stop.stopping:

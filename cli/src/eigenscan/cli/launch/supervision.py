@@ -27,7 +27,7 @@ ROS_BRIDGE = "eigenscan.ros_bridge.node"
 NODES = {**SERVICES, "ros-bridge": ROS_BRIDGE}
 
 STOP_SETTING, STOP_S = "EIGENSCAN_STOP_S", 2.0
-"""What a child gives itself to end; of twice as long nothing is left to hope for, and it is killed."""
+"""Time that a child may take to end, s; after twice that it is killed."""
 
 LAST_LINES = 8
 
@@ -53,7 +53,7 @@ class Child:
 
 
 class Supervisor:
-    """Child processes of this one. Use `with`: at its end all are gone, in whatever way it ends."""
+    """Child processes of this one. Use `with`: at its end all have ended."""
 
     def __init__(self, logs: Path) -> None:
         logs.mkdir(parents=True, exist_ok=True)
@@ -82,7 +82,7 @@ class Supervisor:
         self.children[name] = Child(name, process, log, module, flags)
 
     def check(self) -> None:
-        """Raises ChildDiedError where a child has ended by itself; one that went deaf is started anew."""
+        """Raises ChildDiedError if a child has ended by itself; restarts one that its watchdog ended."""
         for child in [*self.children.values()]:
             code = child.process.poll()
             if code == EXIT_DEAF:
@@ -111,7 +111,7 @@ class Supervisor:
 
 
 def _stop_s() -> float:
-    """As the children read it; where it is no number they have said so already."""
+    """The setting as the children read it; they report a bad value themselves."""
     with contextlib.suppress(ValueError):
         return float(os.environ.get(STOP_SETTING) or STOP_S)
     return STOP_S

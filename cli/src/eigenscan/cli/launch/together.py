@@ -19,7 +19,7 @@ from eigenscan.runtime.settings import SettingsError
 from eigenscan.runtime.together import main as run
 
 TOGETHER = "together"
-"""Of the process, among those of other services."""
+"""Name of the process, among those of other services."""
 TOGETHER_MODULE = "eigenscan.cli.launch.together"
 BETWEEN = "--"
 ON_ROBOT = ("scan-ingest", "projector", "tracker")

@@ -1,4 +1,4 @@
-"""Whether a candidate's numbers are those of the reference, within what another method may differ by."""
+"""Compares a candidate's numbers with the reference, within the limits for another method."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 NEAR_M, NEAR_RAD = 0.15, math.radians(3.0)
-"""What two good methods may differ by on one scan: the map's cells are 0.05 m, a beam's step 1 degree."""
+"""Limits between two good methods on one scan: the map's cells are 0.05 m, a beam's step 1 degree."""
 PROJECTED_SHARE = 0.9
-"""Of the scans that the reference is sure of, those that a projector must find."""
+"""Share of the scans on which the reference is sure, that a projector must find."""
 TRACKED_SHARE = 0.95
-"""Of the poses that the reference claims, those that a tracker must claim, too."""
+"""Share of the reference's claims that a tracker must claim, too."""
 SURE = math.log(10.0)
 """Odds of the best hypothesis against the next elsewhere from which the reference is sure."""
 RAY_M, RAY_SHARE = 0.11, 0.95
 """Two cells; and the share of a panorama's beams that must hold them, for corners and cracks do not."""
 CHECKED_POSITIONS = 200
 AREA_SHARE = 0.25
-"""By which the free area may differ: what counts as room for a robot is the builder's to decide."""
+"""Largest relative difference of the free area, because each builder decides what a robot fits into."""
 
 _NOT_COMPARED = {"frame_id", "sequence"}
 
@@ -49,7 +49,7 @@ def scan_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
     """Canonical scans, field by field, but for the base frame's name, which is a setting; and their count."""
     published = {(one.key, one.stamp): one.message for one in received if one.channel is SCAN}
     faults, compared = list(_miscounted(received)), 0
-    # the reference also tells of scan motion, which another program may find otherwise
+    # the reference also publishes scan motion, which another program may compute in another way
     reference = [one for one in vectors.reference if one.channel is SCAN]
     for expected in reference:
         want = expected.open(Scan)
@@ -68,7 +68,7 @@ def scan_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
 
 
 def _miscounted(received: Sequence[Received]) -> Iterator[str]:
-    """Where `sequence` does not count the scans of a lidar from 0."""
+    """Places where `sequence` does not count the scans of a lidar from 0."""
     counts: Counter[str] = Counter()
     for one in received:
         if isinstance(one.message, Scan):

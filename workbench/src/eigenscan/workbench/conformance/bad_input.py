@@ -1,4 +1,4 @@
-"""What a service must live through: bytes that are no message, other schemas, numbers that are none."""
+"""Bad input that a service must survive: bytes that are no message, other schemas, bad numbers."""
 
 from __future__ import annotations
 

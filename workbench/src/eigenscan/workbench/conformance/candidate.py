@@ -20,7 +20,7 @@ class Candidate:
     """A process of the user's command. Use `with`: at its end the process is gone.
 
     `told` (zenoh, endpoint, site, …) replaces `{name}` in the command, and is in the environment as
-    EIGENSCAN_NAME. Raises UsageError where the command cannot be started.
+    EIGENSCAN_NAME. Raises UsageError if the command cannot be started.
     """
 
     def __init__(self, command: Sequence[str], told: Mapping[str, str], log: Path) -> None:
@@ -59,7 +59,7 @@ class Candidate:
 
     @property
     def last_lines(self) -> list[str]:
-        """The end of what it wrote."""
+        """The last lines of its output."""
         text = self.log.read_text(encoding="utf-8", errors="replace")
         return [line for line in text.splitlines() if line.strip()][-LAST_LINES:]
 
@@ -69,9 +69,9 @@ class Candidate:
         self._process.wait()
 
     def terminate(self, patience: float = 1.0) -> tuple[int | None, float]:
-        """Sends SIGTERM; exit code, None where it had to be killed, and the seconds that it took.
+        """Sends SIGTERM; returns the exit code (None if it had to be killed) and the seconds until the end.
 
-        `patience`: so many times longer than usual is waited for its end.
+        `patience`: factor on the time that it may take.
         """
         before = time.monotonic()
         self._process.send_signal(signal.SIGTERM)

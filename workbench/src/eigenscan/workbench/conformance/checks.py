@@ -1,4 +1,4 @@
-"""What is checked of a run, each with the clause of docs/contract.md that it rests on."""
+"""The checks of a run, each with its clause of docs/contract.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEALTH_GAP_S = 2.5
 
 
 def judge(seen: Observed, latency_s: float, patience: float = 1.0) -> list[Check]:
-    """All checks. `latency_s` is what 95 % of the answers may take; `patience` extends the other limits."""
+    """All checks. `latency_s`: limit for 95 % of the answers; `patience`: factor on the other limits."""
     if seen.profile.records:
         return [
             *_presence(seen, patience),

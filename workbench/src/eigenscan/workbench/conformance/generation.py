@@ -1,7 +1,7 @@
 """Makes the vectors: `python -m eigenscan.workbench.conformance.generation FOLDER`.
 
-A wing of the demo's building, a drive through it, and what our services make of both. The same code on the
-same machine makes the same bytes; so a changed vector is a changed contract, simulator or service.
+They hold a wing of the demo's building, a drive through it, and the answers of our services. The same code on
+the same machine makes the same bytes, so a changed vector shows a changed contract, simulator or service.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROOMS = ("laboratory", "store", "hallway", "library", "workshop")
 SCENARIO = Scenario(seconds=9.0, seed=3, people=1, lidar=Lidar(beams=181, rate=5.0))
 PLAN = Plan(step=math.radians(1.0))
 LATENCY_NS = 3_000_000
-"""By which an answer is logged after what it answers."""
+"""Delay of an answer's log time after its input's."""
 ODD_SCANS = 12
 """Scans that the oddly mounted lidars take."""
 _KEPT = {ODOMETRY, SCAN, HYPOTHESES, POSE, TRACKS, TRUTH}
@@ -86,7 +86,7 @@ def generate(folder: Path) -> None:
 def _answered(
     messages: Iterator[Timed], cores: Sequence[Core], models: Sequence[Envelope]
 ) -> Iterator[Timed]:
-    """The drive and all that the cores report of it, but what no vector needs."""
+    """The drive and the cores' answers, without channels that no vector needs."""
     loop = Loopback(cores)
     loop.start()
     for model in models:

@@ -1,4 +1,4 @@
-"""What a candidate publishes, as a subscriber receives it: keys, encodings, quality of service, times."""
+"""Receives a candidate's messages as a subscriber: keys, encodings, quality of service, times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from google.protobuf.message import Message
 
 @dataclass(frozen=True)
 class Received:
-    """One sample. `channel` is None for a foreign key, `message` for what does not decode."""
+    """One sample. `channel` is None for a foreign key, `message` for bytes that do not decode."""
 
     key: str
     encoding: str
@@ -34,13 +34,13 @@ class Received:
 
     @property
     def stamp(self) -> int:
-        """That of the message, ns; 0 where it has none."""
+        """The message's stamp, ns; 0 if it has none."""
         stamp = getattr(self.message, "timestamp", None)
         return nanoseconds(stamp) if stamp is not None else 0
 
 
 class Ear:
-    """Receives a whole site but for what this process reports itself. Safe to use from any thread."""
+    """Receives a whole site, without this process's own messages. Safe to use from any thread."""
 
     def __init__(self, session: zenoh.Session, site: str) -> None:
         self._news = threading.Condition()
@@ -107,7 +107,7 @@ class Ear:
 
     def _on_token(self, token: Any) -> None:
         key, now = str(token.key_expr), time.monotonic()
-        if key.endswith(self._own):  # that of the models which this session reports
+        if key.endswith(self._own):  # the token of this session's own models
             return
         with self._news:
             if token.kind == zenoh.SampleKind.PUT:

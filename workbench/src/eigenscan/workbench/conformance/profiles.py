@@ -1,4 +1,4 @@
-"""What each service receives, publishes and answers, as the contract's page has it."""
+"""Inputs, outputs and answers of each service, as on the contract's page."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from eigenscan.workbench.conformance.hearing import Received
 from eigenscan.workbench.conformance.vectors import DRIVE, LIDARS, Vectors
 
 Numbers = Callable[[Sequence[Received], Vectors], tuple[list[str], str]]
-"""What does not agree with the reference, and what was compared, in words."""
+"""Returns the differences from the reference, and a text on what was compared."""
 
 
 @dataclass(frozen=True)
@@ -45,19 +45,19 @@ class Profile:
     hears: tuple[Channel, ...]
     says: tuple[Channel, ...]
     asks: Channel | None
-    """The channel whose messages each get an answer."""
+    """The channel whose messages each need an answer."""
     answers: tuple[Channel, ...]
-    """The channels of these answers, each with the stamp of what it answers."""
+    """The channels of these answers, each with its input's stamp."""
     reference: tuple[Channel, ...]
     """Channels that its numbers are compared with."""
     numbers: Numbers | None
-    """None for what shows nothing that could be compared."""
+    """None if the service's numbers cannot be compared."""
     records: bool = False
     """Whether it keeps all that it receives in files."""
 
     @property
     def latched(self) -> tuple[Channel, ...]:
-        """What it receives that is published only once."""
+        """Its inputs that are published only once."""
         return tuple(channel for channel in self.hears if channel.qos.latched)
 
 

@@ -1,4 +1,4 @@
-"""Whether a recorder kept what was published, in the form that the contract's page asks for."""
+"""Checks that a recorder kept all messages, in the form of the contract's page."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from google.protobuf.message import DecodeError
 
 CLAUSE = "Recordings"
 LOST_S = 1.0
-"""What a kill may cost."""
+"""Messages that a kill may lose, s."""
 CLOCK_NS = 1_000_000_000
-"""By which a log time may lie outside the run."""
+"""Longest time that a log time may lie outside the run, ns."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Published:
 
 
 def judge_whole(folder: Path, published: Sequence[Published]) -> list[Check]:
-    """What a recorder left that was ended as it should be."""
+    """Checks the files of a recorder that ended normally."""
     try:
         files = _read(folder)
     except RecordingError as error:
@@ -67,7 +67,10 @@ def judge_whole(folder: Path, published: Sequence[Published]) -> list[Check]:
 
 
 def judge_killed(folder: Path, published: Sequence[Published], killed: int, patience: float = 1.0) -> Check:
-    """What a recorder left that was killed at `killed`, ns since the epoch; `patience` extends LOST_S."""
+    """Checks the files of a recorder that was killed at `killed`, ns since the epoch.
+
+    `patience`: factor on LOST_S.
+    """
     due = [one for one in published if one.at < killed - LOST_S * patience * 1e9]
     try:
         whole = [raw for raws in _read(folder).values() for raw in raws]

@@ -14,7 +14,7 @@ PAGE = "docs/contract.md"
 
 
 def report(seen: Observed, checks: Sequence[Check]) -> str:
-    """One line a check; where one failed, the clause, and the last that the program wrote."""
+    """One line for each check; a failure adds the clause and the program's last lines."""
     width = max(len(check.name) for check in checks)
     lines = []
     for check in checks:

@@ -1,4 +1,4 @@
-"""How what a candidate reports travels: keys, encodings, quality of service."""
+"""Checks keys, encodings and quality of service of a candidate's messages."""
 
 from __future__ import annotations
 

@@ -29,25 +29,25 @@ from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Timed
 
 FIRST_SHARE = 0.7
-"""Of the drive that is played before the nonsense; the rest comes after it."""
+"""Share of the drive before the nonsense; the rest comes after it."""
 BETWEEN_BAD_S = 0.05
 TOKEN_S = 3.0
-"""What token, or health, may come after the other."""
+"""Longest time between a service's token and its first health, in either order, s."""
 COUNTED_S = 5.0
 TAKEN_IN_S = 1.0
-"""What a recorder gets to take in the last messages before it is ended."""
+"""Time for a recorder to take the last messages before it is ended, s."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What a trial grants; s, but for `speed` and `patience`."""
+    """Limits of a trial; s, except `speed` and `patience`."""
 
     start_s: float = 60.0
     settle_s: float = 3.0
-    """Of silence, after which no more answers are awaited."""
+    """Silence after which no more answers are awaited."""
     speed: float = 1.0
     patience: float = 1.0
-    """So many times longer than on a machine of its own may everything take, but for the start."""
+    """Factor on all other time limits except the start, for a busy machine."""
 
 
 @dataclass
@@ -61,13 +61,13 @@ class Observed:
     received: list[Received] = field(default_factory=list)
     tokens: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     asked: dict[tuple[str, int], float] = field(default_factory=dict)
-    """When what wants an answer was published: monotonic s by lidar and stamp."""
+    """Publication time of each message that needs an answer: monotonic s by lidar and stamp."""
     asked_again: set[tuple[str, int]] = field(default_factory=set)
     """Those of them that came after the nonsense."""
     started_at: float = 0.0
     ready: bool = False
     ended_early: str = ""
-    """How it ended by itself, and after what."""
+    """Its exit code and the moment, if it ended by itself."""
     undecodable: int = 0
     """Bad samples that it has to count."""
     counted_before: int = 0
@@ -75,18 +75,18 @@ class Observed:
     other_set: str = ""
     """Version of the set of models that was published while it ran."""
     joined: dict[str, tuple[Channel, bytes]] = field(default_factory=dict)
-    """What one who came late got of latched channels, by key."""
+    """Latched messages that a late subscriber received, by key."""
     published: list[Published] = field(default_factory=list)
-    """What it could receive, but for nonsense."""
+    """All published messages that it could receive, without nonsense."""
     kept: list[Check] = field(default_factory=list)
-    """Of a recorder: what is found in its files."""
+    """Checks of a recorder's files."""
     stopped: tuple[int | None, float] | None = None
     stopped_at: float = 0.0
     last_lines: list[str] = field(default_factory=list)
 
     @property
     def wanted(self) -> set[tuple[Channel, int, str]]:
-        """The answers that are due: channel, stamp, and lidar where the channel's key names it."""
+        """The expected answers: channel, stamp, and lidar if the channel's key names it."""
         return {
             (channel, stamp, lidar if "lidar" in channel.fields else "")
             for channel in self.profile.answers
@@ -95,7 +95,7 @@ class Observed:
 
 
 class Trial:
-    """Conducts a run on a session whose only other peer is the candidate."""
+    """Runs a candidate, the only other peer of a session."""
 
     def __init__(self, session: zenoh.Session, others: Path, seen: Observed, terms: Terms) -> None:
         """`others` is the Zenoh configuration with which one meets `session`."""
@@ -107,7 +107,7 @@ class Trial:
         self._token_s = TOKEN_S * terms.patience
 
     def prepare(self) -> None:
-        """Publishes what a late joiner has to fetch."""
+        """Publishes the messages that a late subscriber has to fetch."""
         self._bus.offer(self._seen.profile.latched, self._seen.address)
         for envelope in self._seen.vectors.latched:
             self._publish(envelope)
@@ -150,7 +150,7 @@ class Trial:
         return seen
 
     def kill(self, candidate: Candidate) -> int:
-        """Plays a drive to a recorder that was started anew, and kills it; when, ns since the epoch."""
+        """Plays a drive to a new recorder process and kills it; returns the time, ns since the epoch."""
         known = len(self._ear.received())
         self._ear.wait_for(
             lambda: len(self._ear.received()) > known or not candidate.lives, self._terms.start_s
@@ -164,7 +164,7 @@ class Trial:
         return killed
 
     def _await_start(self, candidate: Candidate) -> None:
-        """Until it says that it lacks nothing that it could have; or holds a token and is silent."""
+        """Waits for a health without missing parts, or for a token without health."""
         ear, needs_models = self._ear, bool(self._seen.profile.latched) or self._seen.profile.asks is None
 
         def is_ready() -> bool:

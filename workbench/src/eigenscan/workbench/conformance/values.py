@@ -1,4 +1,4 @@
-"""What no message may hold, whatever came in: the contract's rules on numbers, for each kind of message."""
+"""Values that no message may hold: the contract's rules on numbers, for each message type."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HEADING_SLACK = 1e-9
 
 
 def faults(message: Message) -> Iterator[str]:
-    """What is wrong with the numbers of one message, in words; nothing for kinds without rules."""
+    """Texts on the bad numbers of one message; none for types without rules."""
     if isinstance(message, Scan):
         yield from _scan(message)
     elif isinstance(message, Hypotheses):

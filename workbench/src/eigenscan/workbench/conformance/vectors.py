@@ -1,4 +1,4 @@
-"""The vectors of the contract: recordings of what goes into each service and what is to come out."""
+"""Reads the contract's vectors: recordings of each service's inputs and expected outputs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ DRIVE, LIDARS, MAP_FILE = "drive.mcap", "lidars.mcap", "map.yaml"
 
 
 def folder() -> Path:
-    """Where the vectors of this contract version lie, as part of the schemas."""
+    """The folder of this contract version's vectors, a part of the schemas."""
     with as_file(files("eigenscan.schemas") / "conformance" / f"contract-{CONTRACT_VERSION}") as path:
         return path
 
 
 @dataclass(frozen=True)
 class Vectors:
-    """What a service is played, and what the reference says to it."""
+    """A service's inputs, and the reference's outputs."""
 
     latched: tuple[Envelope, ...]
     inputs: tuple[Timed, ...]

@@ -15,14 +15,14 @@ from eigenscan.tracker.options import TrackerOptions
 from eigenscan.tracker.settings import TrackerSettings
 
 SERVICES = ("scan-ingest", "projector", "tracker", "mapbuilder")
-"""Whose settings an evaluation takes."""
+"""Services whose settings an evaluation takes."""
 SPACING = 0.25
-"""m between positions where nobody says another."""
+"""Default distance between positions, m."""
 
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """Settings of the cores; the services' own defaults where nothing is chosen."""
+    """Settings of the cores; the services' defaults if nothing is chosen."""
 
     ingest: ScanIngestSettings = field(default_factory=ScanIngestSettings)
     projector: ProjectorSettings = field(default_factory=ProjectorSettings)
@@ -31,9 +31,9 @@ class PipelineSettings:
 
 
 def chosen(choices: Choices, spacing: float | None = None) -> PipelineSettings:
-    """Settings of what was chosen; `spacing`, m, wins over all of it.
+    """Settings of a user's choices; `spacing`, m, wins over them.
 
-    Raises SettingsError naming the option or file, the field and the fix.
+    Raises SettingsError that names the option or file, the field and the fix.
     """
     mapbuilder = choices.core(MapbuilderOptions, MapbuilderSettings, "mapbuilder")
     if spacing is not None or "spacing" not in mapbuilder.model_fields_set:

@@ -45,7 +45,7 @@ LARGEST_HEADING = 2 * np.pi
 
 @dataclass(frozen=True)
 class Claim:
-    """One row: `stamp` ns, `pose` (x, y, heading), NaN for what is not given; `run` "" for any."""
+    """One row: `stamp` ns, `pose` (x, y, heading), NaN for missing values; `run` "" for any run."""
 
     run: str
     stamp: int
@@ -153,9 +153,9 @@ class _Row:
 
 
 def restamped(claims: Sequence[Claim], logged: Mapping[int, int]) -> list[Claim]:
-    """Claims of no run have the log's stamps: the same, where reading the log gave scans other stamps.
+    """Gives claims without a run the stamps of the log as read, which may differ from the logged ones.
 
-    `logged`: the stamp as logged, ns, by the new one. Who got a saved run has the new ones already.
+    `logged`: the logged stamp, ns, by the stamp as read. Saved runs have the latter already.
     """
     given = {old: new for new, old in logged.items()}
     return [
@@ -174,7 +174,7 @@ def kidnaps_of(log: Log, windows: Sequence[Window], reference: Trajectory) -> It
 def save_runs(
     folder: Path, log: Log, windows: Sequence[Window], reference: Trajectory, *, kidnap: bool
 ) -> list[Path]:
-    """Writes what a program receives in each run: window-0.mcap and so on, and kidnap-0.mcap if asked."""
+    """Writes the input of a program for each run: window-0.mcap and so on, and kidnap-0.mcap on request."""
     folder.mkdir(parents=True, exist_ok=True)
     runs = [(f"window-{index}", log.between(window)) for index, window in enumerate(windows)]
     if kidnap:
@@ -197,10 +197,10 @@ def judge_claims(
     *,
     kidnap: bool,
 ) -> Figures:
-    """The figures of claims, as for the pipeline's own poses; what a table of poses lacks is None.
+    """The figures of claims, like those of the pipeline's own poses; None for values that the table lacks.
 
-    Kidnaps are judged if asked for, or if `claims` has any. Raises EvaluationError where runs are named that
-    are not there, or no row lies in a window.
+    Kidnaps are judged on request, or if `claims` has any. Raises EvaluationError for unknown runs, or if no
+    row lies in a window.
     """
     kidnap = kidnap or any(claim.run.startswith("kidnap") for claim in claims)
     kidnaps = dict(kidnaps_of(log, windows, reference)) if kidnap else {}

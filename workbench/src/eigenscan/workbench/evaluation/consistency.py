@@ -1,8 +1,8 @@
-"""Whether covariances are as large as they should be: tests of the normalised error and innovation squared.
+"""Tests the size of covariances, by the normalised error and innovation squared.
 
-Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4. That of
-the error takes the reference for exact, that of the innovation needs none. Both judge only where the robot
-was found: wrong poses are the calibration's matter.
+Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4. The
+error test takes the reference for exact; the innovation test needs none. Both use only right poses, because
+the calibration judges wrong ones.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Consistency:
 
 
 def consistency(normalised: Floats, metres: Floats, apart_m: float) -> Consistency:
-    """Of normalised squares (n,) at ways (n,) in metres along the log; NaN: none there.
+    """Tests normalised squares (n,) at distances (n,), m, along the log; NaN: no value there.
 
-    Only those `apart_m` of way apart count. Windows that overlap are one way: a stretch that several of
-    them tell of is no more evidence than one.
+    Only rows `apart_m` apart count. Overlapping windows share a distance, so a stretch in several of them
+    counts once.
     """
     sound = np.isfinite(normalised)
     values = normalised[sound][apart(metres[sound], apart_m)]
@@ -49,7 +49,7 @@ def consistency(normalised: Floats, metres: Floats, apart_m: float) -> Consisten
 
 
 def apart(metres: Floats, apart_m: float) -> NDArray[np.intp]:
-    """Rows whose ways (n,) are at least `apart_m` from one another: the first, then always the next."""
+    """Rows whose distances (n,) are at least `apart_m` apart: the first, then always the next."""
     order = np.argsort(metres, kind="stable")
     way = metres[order]
     chosen, row = [], 0

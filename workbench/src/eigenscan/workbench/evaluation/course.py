@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be evaluated, and how far."""
+    """An evaluation: inputs, protocols and limits."""
 
     log: Path
     map: Path
@@ -89,11 +89,11 @@ def evaluate(task: Task, bars: Bars) -> Figures:
 
 @dataclass(frozen=True)
 class ClaimsTask:
-    """Claims of any program that are to be judged, and by what; or only the runs that it needs."""
+    """An evaluation of any program's claims, or only the export of its runs."""
 
     log: Path
     poses: Path | None
-    """CSV or TUM of what was claimed."""
+    """CSV or TUM of the claims."""
     runs: Path | None
     """Folder to write the runs to."""
     reference: Path | None
@@ -185,7 +185,7 @@ def _no_window(task: Task | ClaimsTask, log: Log, reference: Trajectory) -> Eval
 
 
 def _check_overlap(task: Task | ClaimsTask, log: Log, reference: Trajectory) -> None:
-    """Raises EvaluationError where no scan has a reference."""
+    """Raises EvaluationError if no scan has a reference."""
     if not reference.at(log.scans)[1].any():
         raise EvaluationError(
             f"{task.reference}: covers {_span(reference.stamps)}, but the scans of {task.log} are from "

@@ -1,7 +1,6 @@
-"""Claims that differ from the reference where the scan speaks for the claim.
+"""Finds claims that differ from the reference although the scan supports them.
 
-A reference made by SLAM has errors of its own. Such a claim still counts as false; it is listed beside, so
-that a reader can distinguish the two.
+A reference made by SLAM has errors of its own. Such a claim still counts as false, but is listed separately.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from numpy.typing import NDArray
 ON_WALL_M = 0.15
 """A return that ends this near to a wall is on it."""
 MORE = 0.25
-"""Of its returns a scan must have so many more on walls at the claim than at the reference."""
+"""Least increase of the share of returns on walls, from the reference to the claim."""
 NEAR_M, NEAR_RAD = 1.5, np.radians(30.0)
-"""A claim farther off is none of this: a place that looks alike also has more beams on walls than one that
-the map lacks."""
+"""A claim farther off is not doubtful: a similar place also has more returns on walls than a place that the
+map lacks."""
 LEAST_RETURNS = 30
 RULE = (
     f"within {NEAR_M:g} m and {np.degrees(NEAR_RAD):.0f}° of it, with {100 * MORE:.0f} % more of the returns "
@@ -33,13 +32,13 @@ RULE = (
 
 @dataclass(frozen=True)
 class Walls:
-    """Tells how well a scan fits at a pose."""
+    """Measures how well a scan fits at a pose."""
 
     field: DistanceField
     canonical: Callable[[Envelope], Scan | None]
 
     def share(self, scan: Scan, base: NDArray[np.float64]) -> float:
-        """Of the scan's returns those on walls, seen from the base's pose (3,); NaN for too few returns."""
+        """Share of the scan's returns on walls, from the base's pose (3,); NaN for too few returns."""
         ranges = np.asarray(scan.ranges, dtype=np.float64)
         angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
         seen = np.isfinite(ranges) & (ranges > 0) & (ranges < scan.range_max)

@@ -1,6 +1,6 @@
-"""The ceiling of a grid: one scan against every position and heading of the panoramas, truncated L1.
+"""Compares one scan with every position and heading of the panoramas, by truncated L1.
 
-It searches what the projector searches, with nothing left out: a reference for its hits and for its cost.
+It searches the projector's poses without leaving any out: a reference for the projector's hits and cost.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from eigenscan.geometry.pose import compose, inverse
 from numpy.typing import NDArray
 
 TRUNCATION_M = 1.0
-"""A beam further off than this says no more than that it does not fit."""
+"""Largest error of a beam that counts, m: a larger one only shows that the beam does not fit."""
 UNIT_M = 0.01
 LARGEST = np.iinfo(np.uint16).max
 
@@ -45,7 +45,7 @@ class Gallery:
 
 
 def gallery(positions: NDArray[np.float64], ranges: NDArray[np.float64], cap_m: float) -> Gallery:
-    """Gallery of panoramas (P, N) in metres, clipped to `cap_m`; what is not finite counts as the cap."""
+    """Gallery of panoramas (P, N), m, clipped to `cap_m`; values that are not finite become the cap."""
     capped = np.nan_to_num(ranges, nan=cap_m, posinf=cap_m).clip(0.0, cap_m)
     cm = np.round(capped / UNIT_M).astype(np.int16)
     return Gallery(positions, np.ascontiguousarray(np.hstack([cm, cm])), ranges.shape[1], cap_m)
@@ -57,11 +57,7 @@ def best_pose(
     directions: NDArray[np.float64],
     mount: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """Base pose (3,) whose panorama is nearest to a scan; None where no beam can be compared.
-
-    `ranges` (B,) m, NaN missing, inf for nothing in sight; `directions` (B,) rad in the sensor's frame;
-    `mount` (3,): the sensor in the base frame.
-    """
+    """Base pose (3,) of the panorama nearest to a scan; None if no beam can be compared."""
     poses = best_poses(shown, ranges, directions, mount)
     return poses[0] if len(poses) else None
 

@@ -1,4 +1,4 @@
-"""How much of what the lidar sees the map explains, where a pose is claimed."""
+"""Measures how much of the scan the map explains at claims."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Logs on maps that fit have 0.83 to 0.99, with 30 % of the walls missing 0.68 to 
 
 
 def explained_at_claims(published: Iterable[Envelope]) -> Floats:
-    """Share of a scan's beams that the map explains (k,), of each claim whose pose is in the scan's list."""
+    """Share of a scan's beams that the map explains (k,), for each claim whose pose the scan's list has."""
     lists: dict[int, tuple[Floats, Floats]] = {}
     found = []
     for envelope in published:

@@ -44,7 +44,7 @@ def _finite(value: Any) -> Any:
 
 
 def window_row(window: Window, judged: Judged, cpu_ms: NDArray[np.float64]) -> Figures:
-    """What became of one window: its verdict, when it converged, how well it followed."""
+    """Results of one window: its verdict, when it converged, and its errors."""
     stream, found = judged.stream, judged.converged
     first = next(iter(np.flatnonzero(judged.right_claims).tolist()), None)
     wrong = np.flatnonzero(judged.false_claims)
@@ -71,7 +71,7 @@ def window_row(window: Window, judged: Judged, cpu_ms: NDArray[np.float64]) -> F
 
 
 def _reached(judged: Judged, window: Window, found: int | None) -> Figures | None:
-    """What it took until row `found`."""
+    """Time, distance and scans until row `found`."""
     if found is None:
         return None
     stream = judged.stream
@@ -117,7 +117,7 @@ def _last(judged: Judged) -> Figures | None:
 def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figures:
     """The figures over all windows.
 
-    Errors count from where a window converged, confidence wherever a pose was given.
+    Errors count from a window's convergence, confidence wherever there is a pose.
     """
     converged = [(j, j.converged) for j in judged]
     settled = [(j, slice(found, None)) for j, found in converged if found is not None]
@@ -151,13 +151,13 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
 
 
 def _all_reached(rows: Sequence[Figures], what: str) -> Figures:
-    """Median and 95th percentile of what it took, in the windows that came to it."""
+    """Median and 95th percentile over the windows that reached `what`."""
     reached = [row[what] for row in rows if row[what]]
     return {name: summary(row[name] for row in reached) for name in ("scans", "metres", "seconds", "cpu_s")}
 
 
 def _normalised(squares: NDArray[np.float64], way: NDArray[np.float64]) -> Figures:
-    """Of normalised squares (n,) at ways (n,), m: how large they are, and whether they should be."""
+    """Tests normalised squares (n,) at distances (n,), m: their size, and the size expected."""
     sound = squares[np.isfinite(squares)]
     return summary(sound) | {
         "mean": float(sound.mean()) if len(sound) else None,
@@ -186,7 +186,7 @@ def kidnap_figures(outcomes: Sequence[Outcome]) -> Figures:
 
 
 def single_figures(rows: Sequence[Figures]) -> Figures:
-    """How often one scan alone is enough, and what the exhaustive comparison makes of the same scans."""
+    """Success of one scan alone, and of the exhaustive comparison of the same scans."""
     searched = [row for row in rows if row["exhaustive"] is not None]
     return {
         "n": len(rows),

@@ -1,6 +1,6 @@
 """Kidnap: halfway through a window the log jumps to another window's start.
 
-Stamps go on without a gap and the odometry without a step: whoever is kidnapped does not feel it.
+Stamps continue without a gap and odometry without a step, so the robot does not notice it.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ AWAY_M = 3.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Where a kidnapped window leaves off and where it goes on."""
+    """Where a kidnapped window ends and where it continues."""
 
     before: Window
     after: Window
 
 
 def plan(windows: Sequence[Window], reference: Trajectory) -> list[Plan]:
-    """For each window the next one, half the list on, that starts well away from its own middle."""
+    """For each window another one, half the list later, that starts far from the middle of the first."""
     plans = []
     for index, window in enumerate(windows):
         half = Window(window.start, (window.start + window.end) // 2)
@@ -46,7 +46,7 @@ def plan(windows: Sequence[Window], reference: Trajectory) -> list[Plan]:
 
 @dataclass(frozen=True)
 class Splice:
-    """A log with a jump: messages in order, the jump's stamp, and what later stamps were moved by, ns."""
+    """A log with a jump: messages in order, the jump's stamp, and the shift of later stamps, ns."""
 
     received: list[Envelope]
     jump: int
@@ -89,10 +89,10 @@ def _moved(envelope: Envelope, by: int, step: NDArray[np.float64]) -> Envelope:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one kidnap went; seconds from the jump, None where it did not come to it.
+    """Result of one kidnap; times in s from the jump, None if it did not happen.
 
-    From `recovered_s` on every pose to the end is claimed and right, at `first_right_s` the first one is.
-    `noticed_s` is only told where the old place was claimed, rightly, when the robot was taken away.
+    From `recovered_s` on, every pose is claimed and right; `first_right_s` is the first such pose.
+    `noticed_s` is None unless the old place was rightly claimed at the jump.
     """
 
     claimed_before: bool

@@ -68,7 +68,7 @@ class Log:
         return [received.envelope for received in self._received[:WARM_UP]]
 
     def between(self, window: Window) -> list[Envelope]:
-        """What is stamped within a window, in the log's order."""
+        """Messages stamped within a window, in the log's order."""
         inside = (self._stamps >= window.start) & (self._stamps <= window.end)
         return [self._received[index].envelope for index in np.flatnonzero(inside)]
 
@@ -78,21 +78,24 @@ class Log:
         return stamps[np.searchsorted(stamps, window.start) : np.searchsorted(stamps, window.end, "right")]
 
     def nearest_scan(self, stamp: int, within_s: float) -> Received | None:
-        """The scan whose stamp is nearest; None where there is none `within_s` seconds around."""
+        """The scan with the nearest stamp; None if there is none within `within_s` seconds."""
         distance = np.where(self._is_scan, np.abs(self._stamps - stamp), np.iinfo(np.int64).max)
         index = int(np.argmin(distance)) if len(distance) else 0
         return self._received[index] if len(distance) and distance[index] <= within_s * NS else None
 
     @staticmethod
     def canonical(raw: Envelope) -> Scan | None:
-        """What scan-ingest makes of one raw scan; None where it sets it aside."""
+        """scan-ingest's scan of one raw scan; None if it is rejected."""
         core = ScanIngestCore(ScanIngestSettings())
         published = [*core.handle(raw), *core.finish()]
         return next((envelope.open(Scan) for envelope in published if envelope.channel == SCAN), None)
 
 
 def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) -> Log:
-    """Reads whatever `eigenscan import` reads; `moved` receives how far it is, 0..1. Raises LogError."""
+    """Reads any log that `eigenscan import` reads. Raises LogError.
+
+    `moved` is called with the progress, 0..1.
+    """
     opened = open_log(path, options)
     received = []
     for envelope in opened.envelopes():

@@ -1,7 +1,7 @@
-"""What is right, what is a false claim, and the figures that follow.
+"""Definitions of right poses and false claims, and the figures that follow.
 
-A *claim* is a pose that the tracker itself calls localized. A pose is *right* within 0.5 m and 10 degrees
-of the reference. Poses without a reference are not judged.
+A *claim* is a pose that the tracker calls localized. A pose is *right* within 0.5 m and 10 degrees of the
+reference. Poses without a reference are not judged.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ WITHIN_M, WITHIN_RAD = 0.5, np.radians(10.0)
 AT_LEAST = 3
 """Scans that a run of right claims must last to count."""
 LAST_SHARE = 1 / 3
-"""Of a window's judged poses, at least, over which a start that succeeds is right to the end. Three right
-scans at the end of a minute are chance: by that rule half a map succeeded in 100 % of the windows."""
+"""Least share of a window's judged poses over which a successful start is right to the end.
+
+Three right scans at the end of a minute are chance: by that rule half a map succeeded in 100 % of the
+windows.
+"""
 BINS = 10
 
 Floats = NDArray[np.float64]
@@ -31,13 +34,13 @@ Summary = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Stream:
-    """The poses of one run, a row for each, in the order in which they were published.
+    """The poses of one run, a row for each, in the order of publication.
 
     `stamps` ns; `poses` (n, 3) in the map frame; `states` as in the contract; `localized`: the state was
-    LOCALIZED; `tracked`: a pose was given at all; `confidence` 0..1; `covariances` (n, 3, 3); `nis`: the
-    track's normalised innovation squared, NaN where the scan gave it no hypothesis; `cpu_s`: process time of
-    the whole pipeline from the start until the pose was published; `scans`: how many the log has before the
-    pose's own.
+    LOCALIZED; `tracked`: the message had a pose; `confidence` 0..1; `covariances` (n, 3, 3); `nis`: the
+    track's normalised innovation squared, NaN if the scan gave it no hypothesis; `cpu_s`: process time of the
+    whole pipeline from the start to the publication; `scans`: number of the log's scans before the pose's
+    own.
     """
 
     stamps: NDArray[np.int64]
@@ -125,7 +128,7 @@ def sustained(held: Bools) -> int | None:
 
 
 def summary(values: Iterable[float | None], upper: float = 95.0) -> Summary:
-    """Median and `upper` percentile of what is there; null where nothing is."""
+    """Median and `upper` percentile of the values that are not None; null without any."""
     there = np.asarray([value for value in values if value is not None], dtype=np.float64)
     there = there[np.isfinite(there)]
     name = f"p{upper:g}"
@@ -141,7 +144,7 @@ def rate(marks: Sequence[bool] | Bools) -> float | None:
 
 @dataclass(frozen=True)
 class Bin:
-    """Poses of similar confidence: how many, what they said, how many were right."""
+    """Poses of similar confidence: number, mean confidence, and share that is right."""
 
     count: int
     confidence: float
@@ -172,7 +175,7 @@ def pooled(diagrams: list[list[Bin]]) -> list[Bin]:
 
 
 def calibration_error(diagram: Sequence[Bin]) -> float | None:
-    """Expected calibration error: the mean gap between said and right, weighted by count."""
+    """Expected calibration error: mean |confidence - share of right poses|, weighted by count."""
     total = sum(entry.count for entry in diagram)
     if not total:
         return None
@@ -181,12 +184,12 @@ def calibration_error(diagram: Sequence[Bin]) -> float | None:
 
 def normalised_errors(offsets: Floats, covariances: Floats) -> Floats:
     """Normalised error squared (n,) of offsets (n, 3); NaN where a covariance (n, 3, 3) is singular."""
-    from filterpy.stats import NEES  # a second to import: only who evaluates waits for it
+    from filterpy.stats import NEES  # takes a second to import
 
     result = np.full(len(offsets), np.nan)
     sound = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
     sound[sound] = np.linalg.det(covariances[sound]) > 0
-    # of offsets, whose headings are shortest turns already: the difference of two headings is none
+    # the headings of offsets are shortest turns already
     result[sound] = NEES(offsets[sound], np.zeros((np.count_nonzero(sound), 3)), covariances[sound])
     return result
 
@@ -202,7 +205,7 @@ POSE_COLUMNS = ("window", "stamp", "x", "y", "heading", "confidence", "localized
 def write_poses(path: Path, streams: Sequence[Stream]) -> None:
     """Writes a row for each pose, as `evaluate --poses` reads it; s, m, rad, exact; `window` counts from 0.
 
-    `confidence` is empty where no track gave the pose.
+    `confidence` is empty for a pose without a track.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)

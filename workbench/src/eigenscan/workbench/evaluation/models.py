@@ -1,4 +1,4 @@
-"""The models of a map: built as the mapbuilder builds them, and what that cost."""
+"""Builds a map's models as the mapbuilder does, and measures the cost."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Built:
 
 
 def build(path: Path, settings: MapbuilderSettings, moved: Callable[[float], None]) -> Built:
-    """Builds the models of a map_server yaml, or anew those of a model folder.
+    """Builds the models of a map_server yaml, or builds those of a model folder again.
 
-    `moved` receives how far it is. Raises MapError or ModelError.
+    `moved` is called with the progress. Raises MapError or ModelError.
     """
     plan = replace(settings.plan, threads=os.cpu_count() or 1)
     grid = read_map(path / MAP if path.is_dir() else path)

@@ -1,4 +1,4 @@
-"""What judges a log that comes without a reference of its own."""
+"""References for a log that comes without one."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Pose = NDArray[np.float64]
 
 RECORDED = "the recording's own truth"
 WHOLE_DRIVE = "the drive as a whole"
-"""The pipeline's own poses: what is judged by them is agreement, not accuracy."""
+"""The pipeline's own poses over the whole log. Figures against them are agreement, not accuracy."""
 
 
 def recorded_truth(path: Path, robot: str) -> Trajectory | None:
-    """The true poses that a simulator wrote into a recording of ours; None where there are none."""
+    """The true poses that a simulator wrote into a recording; None if there are none."""
     if not isinstance(open_log(path), RecordingLog):
         return None
     told: dict[str, dict[int, Pose]] = {}
-    with suppress(RecordingError):  # it breaks off: what came before counts
+    with suppress(RecordingError):  # the file is cut: its first part counts
         for record in read(path):
             received = record.envelope
             if received.channel == TRUTH:
@@ -41,9 +41,9 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
 
 
 def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, str]:
-    """Where the pipeline claims to have been when it receives the whole log in one go, and its fault, if any.
+    """The pipeline's claims when it receives the whole log in one run, and its fault, if any.
 
-    A wrong claim that a cold start makes as well is not found so. Raises EvaluationError.
+    A wrong claim that a cold start makes too is not found by this. Raises EvaluationError.
     """
     run = next(workers.runs([log.whole]))
     stream = run.stream

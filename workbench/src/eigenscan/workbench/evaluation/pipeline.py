@@ -1,4 +1,4 @@
-"""The real cores in one process, cold at each run, and what they say with what it cost."""
+"""Runs the real cores in one process, cold for each run, and measures their answers and cost."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def unpack(packed: Packed) -> Iterator[Envelope]:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run said and cost: its poses, and the process time, ms, of each scan (n,).
+    """Result of a run: its poses, and the process time of each scan (n,), ms.
 
-    `explained` (k,): share of the beams that the map explains, at the claims whose scans list their pose.
-    `fault`: what the tracker's health found wrong with scans or odometry at the end; empty: nothing.
+    `explained` (k,): share of the beams that the map explains, at claims whose scans list their pose.
+    `fault`: the fault of scans or odometry in the tracker's last health; empty if there is none.
     """
 
     stream: Stream
@@ -58,7 +58,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Answer:
-    """What one scan alone gave: base poses (n, 3), most likely first, and the process time, ms.
+    """Result of one scan alone: base poses (n, 3), most likely first, and the process time, ms.
 
     `covariances` (n, 3, 3) in m^2, m rad, rad^2.
     """
@@ -72,8 +72,8 @@ class Answer:
 class Pipeline:
     """Scan-ingest, projector and tracker over one map's models.
 
-    The projector keeps its tables from run to run, for what it says follows from models and scan alone; the
-    others start anew each time.
+    The projector keeps its tables between runs, because its answers follow from models and scan alone. The
+    others start new each time.
     """
 
     def __init__(self, models: Sequence[Envelope], settings: PipelineSettings | None = None) -> None:
@@ -97,7 +97,7 @@ class Pipeline:
         return Loopback([ingest, self._remembering, tracker]), tracker
 
     def warm_up(self, received: Iterable[Envelope]) -> None:
-        """Receives a few messages before the clock counts: what is compiled late is compiled now."""
+        """Handles a few messages before the measurement, so that all code is compiled."""
         self.run(received)
         self._remembering.forget()
 

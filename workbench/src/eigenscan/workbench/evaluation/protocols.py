@@ -1,4 +1,4 @@
-"""The three protocols: windows, kidnap, single scans. Judged here; what runs sees no reference."""
+"""The three protocols: windows, kidnap, single scans. They judge the runs, which see no reference."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Bench:
-    """What all protocols share."""
+    """Inputs that all protocols share."""
 
     log: Log
     reference: Trajectory
     workers: Workers
     progress: Progress
     walls: Walls | None = None
-    """Of the map, to tell where the reference is in doubt."""
+    """of the map, to find doubtful references"""
 
 
 def judgeable(log: Log, reference: Trajectory, windows: Iterable[Window]) -> list[Window]:
@@ -146,7 +146,7 @@ def _search_all(
     shown: Gallery,
     rows: Sequence[Figures],
 ) -> None:
-    """Adds the exhaustive comparison to the rows, evenly thinned where the map is too large for all."""
+    """Adds the exhaustive comparison to the rows; on a large map only to some, evenly chosen."""
     if not scans:
         return
     widest = max(len(scan.open(RawScan).ranges) for scan, _ in scans)

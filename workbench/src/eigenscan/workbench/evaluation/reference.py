@@ -19,7 +19,7 @@ LONGEST_GAP_S = 1.0
 """Between references further apart than this nothing is known, unless the robot stood still."""
 STILL_M, STILL_RAD = 0.05, np.radians(2.0)
 EDGE_S = 0.05
-"""A stamp this far outside the trajectory takes its end: stamps are rounded by whoever wrote them."""
+"""Stamps this far outside the trajectory take its end, because writers round stamps, s."""
 STEP_M = 0.02
 """Path length counts in steps of at least this: the jitter of a standing robot is no way."""
 
@@ -56,9 +56,9 @@ class Trajectory:
         return poses, inside & (on_stamp | still | (gap <= LONGEST_GAP_S * NS))
 
     def restamped(self, logged: Mapping[int, int]) -> Trajectory:
-        """The same poses, where the log's scans were given other stamps than a reference made from it has.
+        """The same poses with the stamps of the log as read, which may differ from the logged ones.
 
-        `logged` is the stamp as logged, ns, of each such scan, by its new one.
+        `logged`: the logged stamp, ns, by the stamp as read.
         """
         given = {old: new for new, old in logged.items()}
         stamps = np.asarray([given.get(stamp, stamp) for stamp in self.stamps.tolist()], dtype=np.int64)
@@ -71,7 +71,7 @@ class Trajectory:
 
     @cached_property
     def _corners(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        # thinned to steps of STEP_M; a plain loop, for each corner decides where the next one is
+        # thinned to steps of STEP_M; a plain loop, because each corner decides the next one
         kept, way = [0], [0.0]
         x, y = self.poses[0, :2]
         for index, (px, py) in enumerate(self.poses[:, :2].tolist()):

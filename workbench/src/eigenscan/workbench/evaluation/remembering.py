@@ -1,7 +1,7 @@
-"""A projector that does not answer the same scan twice: windows overlap.
+"""A projector that computes the answer to each scan only once, because windows overlap.
 
-What it says follows from models and scan alone.
-The process time of the first answer is charged again each time, so the figures are those of the real work.
+Its answers follow from models and scan alone. The process time of the first answer is charged again each
+time, so the figures are those of the real work.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ class _Answer:
 
 
 class Remembering:
-    """Stands for a projector towards the other cores; `owed_ns` is what it was spared so far."""
+    """Replaces a projector for the other cores; `owed_ns`: the process time that it saved so far."""
 
     def __init__(self, core: Core) -> None:
         self._core = core
         self.hears, self.says = core.hears, core.says
-        # with another input than scans and models an answer may follow from more than the scan
+        # with other inputs an answer may depend on more than the scan
         self._pure = set(core.hears) <= {MAP, MODEL, MODEL_SET, SPACE, SCAN}
         self._known: OrderedDict[tuple[str, bytes], _Answer] = OrderedDict()
         self.owed_ns = 0
 
     def forget(self) -> None:
-        """Answers anew from here on."""
+        """Forgets all answers."""
         self._known.clear()
 
     def start(self) -> Iterable[Envelope]:

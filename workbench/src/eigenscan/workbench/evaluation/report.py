@@ -47,7 +47,7 @@ def verdict(f: Figures) -> str:
 
 
 def remarks(f: Figures) -> list[str]:
-    """What to check before the figures are believed."""
+    """Points to check before one trusts the figures."""
     found = []
     if f["log"]["odometry"] == 0:
         found.append("the log has no odometry: the scans alone were used")
@@ -71,7 +71,7 @@ def remarks(f: Figures) -> list[str]:
 
 
 def _words(f: Figures) -> dict[str, str]:
-    """What success and false claims are called: agreement and disagreement without a reference."""
+    """Names of success and false claims: agreement and disagreement without a reference."""
     if f["reference"] == WHOLE_DRIVE:
         return {"success": "agreement", "right": "agreeing", "false": "disagreeing", "off": "difference"}
     return {"success": "success", "right": "right", "false": "false", "off": "error"}
@@ -149,7 +149,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
     ]
     if f["model"]:
         lines.append(("model", _model(f["model"])))
-    # what a table of poses cannot have
+    # columns that a table of poses cannot have
     return [line for line in lines if "poses" not in f or not line[1].startswith(("-", "mean -"))]
 
 

@@ -1,4 +1,4 @@
-"""Which parts of a log are tried: windows for global localization, single scans for one-shot answers."""
+"""Selects parts of a log: windows for global localization, and single scans."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[int]]]:
 
 
 def plan_windows(scans: NDArray[np.int64], reference: Trajectory) -> list[Window]:
-    """A start every 10 s where there are scans and a reference; 30 m or 60 s each, whichever ends first.
+    """A start every 10 s with scans and a reference; 30 m or 60 s each, whichever ends first.
 
-    `scans` (n,): stamps, ns. A window that the log's end cuts shorter than 10 s is left out, unless
-    it is the only one.
+    `scans` (n,): stamps, ns. A window that the log's end cuts shorter than 10 s is left out, unless it is the
+    only one.
     """
     _, known = reference.at(scans)
     judged = np.sort(scans[known])

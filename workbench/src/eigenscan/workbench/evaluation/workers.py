@@ -26,7 +26,7 @@ class Worker:
     """One warm pipeline."""
 
     def __init__(self, models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
-        """Receives `warm_up` once: what is compiled late is compiled before the clock counts."""
+        """Handles `warm_up` once, so that all code is compiled before the measurement."""
         numba.set_num_threads(1)
         self._pipeline = Pipeline(list(unpack(models)), settings)
         self._pipeline.warm_up(unpack(warm_up))
@@ -67,7 +67,7 @@ def _weigh(models: Packed, warm_up: Packed, settings: PipelineSettings) -> float
 
 
 def model_mb(models: Sequence[Envelope], warm_up: Sequence[Envelope], settings: PipelineSettings) -> float:
-    """What models add to the resident set of a process that uses them, MB; found in a process of its own."""
+    """Resident memory of the models, MB, measured in a new process."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(_weigh, pack(models), pack(warm_up), settings).result()
 

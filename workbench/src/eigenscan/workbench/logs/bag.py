@@ -1,4 +1,4 @@
-"""What the ROS importer asks of a bag, whatever its container."""
+"""The interface of a bag for the ROS importer, for any container."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Bag(Protocol):
         ...
 
     def topics(self) -> dict[str, str]:
-        """Type of each topic whose type is one of KINDS. Raises LogError where the bag is none."""
+        """Type of each topic whose type is one of KINDS. Raises LogError if the file is no bag."""
         ...
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
@@ -88,10 +88,10 @@ def _plain_decoder(kind: str, ros1: bool) -> Decoder:
 def decoded(
     counters: Counter[str], topic: str, time: int, data: bytes, decode: Decoder
 ) -> Iterator[BagMessage]:
-    """The message, or none where its bytes do not decode: that is counted."""
+    """Yields the message; if its bytes do not decode, counts it instead."""
     try:
         message = decode(data)
-    except Exception:  # the library raises whatever it stumbles over in damaged bytes
+    except Exception:  # the library raises many errors for damaged bytes
         counters["undecodable_message"] += 1
         return
     yield BagMessage(topic, time, message)

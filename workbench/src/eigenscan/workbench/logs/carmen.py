@@ -41,7 +41,7 @@ LONGEST_LINE = 4_000_000
 SAMPLES = 2000
 SATURATED_SHARE, SAME_WALL_SHARE, ENOUGH_BESIDE = 0.002, 0.5, 100
 MARKER_SPREAD = 0.01
-"""Of the greatest range, that markers for no return differ by: a SICK has some from 51.05 to 51.16 m."""
+"""Relative spread of the markers for no return: a SICK has some from 51.05 to 51.16 m."""
 
 SAME_MOUNT_M, SAME_MOUNT_RAD = 0.02, 0.02
 
@@ -72,7 +72,7 @@ class _Samples:
 
 @dataclass
 class _Survey:
-    """What a first reading of the log tells."""
+    """Results of the first reading of the log."""
 
     kinds: list[str] = field(default_factory=list)
     stamps: list[int] = field(default_factory=list)
@@ -91,13 +91,13 @@ class _Survey:
             self.samples.setdefault(line.kind, _Samples()).note(line)
 
     def range_max(self, kind: str, stated: float) -> float:
-        """Limit, m, of a kind's ranges: the least of what the line, the parameters and the ranges tell."""
+        """Limit of a kind's ranges, m: the least of those in the line, the parameters and the ranges."""
         named = self.parameters.get("robot_front_laser_max", 0.0) if LIDAR_OF[kind] == "front" else 0.0
         told = (stated, named, saturation(self.samples[kind].ranges if kind in self.samples else np.empty(0)))
         return min((limit for limit in told if limit > 0.0), default=0.0)
 
     def mount(self, kind: str) -> NDArray[np.float64]:
-        """Median of the mounts where they agree; else (a corrected log) what the parameters state."""
+        """Median of the mounts if they agree; otherwise (a corrected log) the parameters' mount."""
         place = "front" if LIDAR_OF[kind] == "front" else "rear"
         known = self.parameters.get
         stated = [known(f"robot_{place}laser_{name}", 0.0) for name in ("offset", "side_offset")]
@@ -126,7 +126,7 @@ class CarmenLog:
         self._size = max(path.stat().st_size, 1)
 
     def envelopes(self) -> Iterator[Envelope]:
-        """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan line."""
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan line."""
         self.counters.clear()
         survey = self._survey()
         taken = self._kinds(survey)
@@ -215,7 +215,7 @@ class CarmenLog:
     def _lines(
         self, parameters: dict[str, float] | None = None, counters: Counter[str] | None = None
     ) -> Iterator[Line]:
-        """Lines with a stamp; counts what cannot be read."""
+        """Lines with a stamp; counts unreadable ones."""
         counted = Counter[str]() if counters is None else counters
         for text in self._texts(counted, counters is not None):
             try:
@@ -239,10 +239,10 @@ class CarmenLog:
 
 
 def saturation(ranges: NDArray[np.float64]) -> float:
-    """Range, m, from which on a laser means no return: the greatest ones, where they stand out; else 0.
+    """Least range, m, by which a laser means no return: the greatest ranges if they stand out; else 0.
 
-    `ranges` are those of many scans, one after the other. They stand out where they are frequent, and the
-    beams beside them are far shorter: beside the far end of a hall they are not.
+    `ranges`: those of many scans, one after the other. They stand out if they are frequent and neighbouring
+    beams are far shorter, unlike beside the far end of a hall.
     """
     with np.errstate(invalid="ignore"):
         top = float(np.max(ranges, where=np.isfinite(ranges), initial=0.0))

@@ -22,7 +22,7 @@ LIDAR_OF = {
 NS = 1_000_000_000
 
 SICK_NO_RETURN = 81.83
-"""m; from here on an LMS 200 says by its number why it has no range."""
+"""From this range on, m, an LMS 200's number states why it has no range."""
 
 KIND = re.compile(r"[A-Z][A-Z0-9_-]*")
 
@@ -56,23 +56,23 @@ class Line:
     words: tuple[str, ...] = ()  # the ranges, unread
 
     def ranges(self) -> NDArray[np.float64]:
-        """Ranges (B,), m. Raises LineError where one is no number."""
+        """Ranges (B,), m. Raises LineError if one is no number."""
         try:
             return np.array(self.words, dtype=np.float64)
         except ValueError as error:
             raise LineError("garbage_line") from error
 
     def mount(self) -> NDArray[np.float64] | None:
-        """Pose (3,) of the sensor in the robot's frame, m and rad, where the line states."""
+        """Pose (3,) of the sensor in the robot's frame, m and rad, if the line has one."""
         if self.laser is None or self.odometry is None:
             return None
         return between(self.odometry, self.laser)
 
 
 def read_line(text: str) -> Line | None:
-    """The line, or None where it is a comment or of a kind without scans and odometry.
+    """Reads a line; None for a comment, or a kind without scans and odometry.
 
-    Raises LineError where it is cut off or garbage.
+    Raises LineError if it is cut off or garbage.
     """
     words = text.split()
     if not words or words[0].startswith("#"):
@@ -164,7 +164,7 @@ def _count(word: str) -> int:
 
 
 def guess_geometry(count: int) -> Geometry:
-    """Directions of an old laser line, which tells only the number of its ranges.
+    """Directions of an old laser line, which has only the number of its ranges.
 
     SICK lasers look from -90 to +90 deg: 181 or 361 beams with both ends, 180 or 360 without the last.
     """

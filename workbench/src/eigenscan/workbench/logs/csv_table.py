@@ -1,6 +1,6 @@
-"""CSV tables of ranges: a line a scan, as Hokuyo's tools write them, or a line a beam, as SLAMTEC's do.
+"""Reads CSV tables of ranges: a line for each scan (Hokuyo's tools) or for each beam (SLAMTEC's).
 
-The header names what there is, with its unit; docs/data.md has the columns.
+The header names the columns with their units; docs/data.md lists them.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ LINE_A_SCAN = ("angle_min_deg", "angle_increment_deg")
 ODOMETRY = ("x_m", "y_m", "heading_deg")
 LIMITS = ("range_min_m", "range_max_m")
 ANGLES = {"angle_deg": 1.0, "angle_cw_deg": -1.0}
-"""Of a beam, and which way it counts: SLAMTEC's lidars count clockwise."""
+"""Columns with a beam's angle, and their sign: SLAMTEC's lidars count clockwise."""
 RANGES = {"range_m": 1.0, "range_mm": 1e-3}
-"""Of a beam, or with _0, _1, ... of all beams of a line, and the unit in m."""
+"""Columns with a beam's range (or, with _0, _1, ..., all ranges of a line), and their unit in m."""
 LONGEST_HEADER = 1_000_000
 DEFAULT_LIDAR = "lidar"
 
@@ -39,13 +39,13 @@ def looks_like_csv(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where what stands."""
+    """The columns of a file."""
 
     path: Path
     places: Mapping[str, int]
     ranges: NDArray[np.int64]  # columns of the ranges, in the order of their beams
     unit: float  # of the ranges, m
-    angle: str = ""  # of a line a beam
+    angle: str = ""  # column of a beam's angle, if each line is a beam
 
     @classmethod
     def read(cls, path: Path, names: list[str]) -> _Columns:
@@ -80,12 +80,12 @@ class _Line:
     cells: list[str]
 
     def text(self, name: str, default: str = "") -> str:
-        """What stands in a column, or `default`."""
+        """Text in a column, or `default`."""
         place = self.columns.places.get(name)
         return default if place is None else self.cells[place].strip() or default
 
     def value(self, name: str, default: float | None = None) -> float:
-        """A number; raises LogError where there is none and no default."""
+        """Number in a column. Raises LogError if there is none, and no default."""
         text = self.text(name)
         if not text and default is not None:
             return default
@@ -98,7 +98,7 @@ class _Line:
         return number
 
     def ranges(self) -> NDArray[np.float64]:
-        """Ranges, m, NaN where a cell is empty."""
+        """Ranges, m; NaN for empty cells."""
         cells = [self.cells[place].strip() or "nan" for place in self.columns.ranges]
         try:
             return np.array(cells, dtype=np.float64) * self.columns.unit
@@ -132,7 +132,7 @@ class CsvLog:
     logged: dict[int, int] = field(default_factory=dict)
 
     def envelopes(self) -> Iterator[Envelope]:
-        """SCAN_RAW and ODOMETRY by stamp. Raises LogError naming line and column where it is wrong."""
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError that names line and column."""
         self.counters.clear()
         yield from in_order(self._convert(), RECORDER_LAG_NS, self.counters)
         self.progress = 1.0
@@ -186,7 +186,7 @@ class CsvLog:
         with self.path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
             rows = csv.reader(file)
             columns = _Columns.read(self.path, next(self._rows(rows)))
-            read = 0  # csv reads ahead, so the file does not tell its place
+            read = 0  # csv reads ahead, so the file's position is not the line's
             for cells in self._rows(rows):
                 read += sum(map(len, cells)) + len(cells)
                 self.progress = min(read / size, 1.0)
@@ -240,7 +240,7 @@ def _step(angles: NDArray[np.float64]) -> float:
 def _on_grid(
     angles: NDArray[np.float64], ranges: NDArray[np.float64], step: float
 ) -> tuple[float, float, NDArray[np.float64]]:
-    """A whole turn of beams, rad: each takes the range nearest to its angle, none where none is near."""
+    """A full turn of beams, rad; each has the range with the nearest angle, or none if none is near."""
     count = round(360.0 / step)
     place = np.round(angles / step)
     far_first = np.argsort(-np.abs(angles - place * step), kind="stable")

@@ -1,4 +1,4 @@
-"""Foxglove's protobuf messages in an MCAP, seen as the ROS messages that tell the same."""
+"""Converts foxglove's protobuf messages of an MCAP to the equivalent ROS messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _header(timestamp: Any, frame: str) -> SimpleNamespace:
 
 
 def _scan(data: bytes) -> SimpleNamespace:
-    """Raises ValueError where the scan has a pose of its own within its frame."""
+    """Raises ValueError if the scan has a pose within its frame."""
     scan = LaserScan.FromString(data)
     pose = scan.pose
     turned = (pose.orientation.x, pose.orientation.y, pose.orientation.z)

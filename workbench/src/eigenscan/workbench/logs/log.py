@@ -1,4 +1,4 @@
-"""What every log is read as: envelopes of raw scans and odometry, in order of their stamps."""
+"""The interface of every log: envelopes of raw scans and odometry, in order of their stamps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a lidar sits: m ahead of the base's origin, m to the left, rad counter-clockwise."""
+    """Mount of a lidar: m ahead of the base's origin, m to the left, rad counter-clockwise."""
 
     x: float
     y: float
@@ -54,7 +54,7 @@ class Log(Protocol):
 
     path: Path
     format: str
-    counters: Counter[str]  # what was set aside while iterating, by reason
+    counters: Counter[str]  # rejected while iterating, by reason
     logged: dict[int, int]  # ns, stamp as logged of each scan that was given another one, by that one
 
     @property
@@ -63,10 +63,10 @@ class Log(Protocol):
         ...
 
     def envelopes(self) -> Iterator[Envelope]:
-        """SCAN_RAW and ODOMETRY by stamp, odometry first where stamps are equal.
+        """SCAN_RAW and ODOMETRY by stamp; at equal stamps odometry comes first.
 
-        Stamps of one key increase. Where a log's do not, they are repaired (see `stamps`).
-        Raises LogError where the log holds no scan at all.
+        Stamps of one key increase. If a log's do not, they are repaired (see `stamps`). Raises LogError if
+        the log has no scan.
         """
         ...
 
@@ -99,9 +99,9 @@ def odometry(options: LogOptions, time: int, pose: ArrayLike, **fields: Any) -> 
 
 
 def in_order(envelopes: Iterable[Envelope], horizon: int, counters: Counter[str]) -> Iterator[Envelope]:
-    """Sorts by stamp what is out of order by up to `horizon` ns; of equal stamps odometry comes first.
+    """Sorts envelopes that are out of order by up to `horizon` ns; at equal stamps odometry comes first.
 
-    What still comes too late for its key, or with the stamp of the one before, is counted and left out.
+    Later ones, and repeated stamps of a key, are counted and left out.
     """
     waiting: list[tuple[int, bool, int, Envelope]] = []
     newest = 0

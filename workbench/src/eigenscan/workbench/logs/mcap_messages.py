@@ -1,4 +1,4 @@
-"""Messages of any MCAP file: by its index, or front to back where it was cut off."""
+"""Messages of any MCAP file: by its index, or front to back if it was cut."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DAMAGE = (
     MemoryError,
     LookupError,
 )
-"""What the library and the decompressors raise over damaged bytes."""
+"""Errors that the library and the decompressors raise for damaged bytes."""
 
 
 class McapFile:

@@ -28,7 +28,7 @@ class RecordingLog:
         self._size = max(path.stat().st_size, 1)
 
     def envelopes(self) -> Iterator[Envelope]:
-        """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan, or of several robots."""
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan, or several robots."""
         self.counters.clear()
         self.logged.clear()
         robot = self._robot()
@@ -77,7 +77,7 @@ class RecordingLog:
                 yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)
 
     def _records(self) -> Iterator[Record]:
-        """Records up to the first damage, which is counted. Raises LogError where nothing comes before."""
+        """Records up to the first damage, which is counted. Raises LogError if there is none before it."""
         given = False
         try:
             for record in read(self.path):

@@ -1,7 +1,7 @@
-"""ROS bags of any container: LaserScan and Odometry; without Odometry, what tf says of the base.
+"""ROS bags of any container: LaserScan and Odometry; without Odometry, the base's motion in tf.
 
-**Mounts** are what tf first says of each lidar's frame. **Stamps** are the headers', unless they are zero
-or the clocks of the topics disagree: then the time of recording counts for the topic that is off.
+**Mounts** are the first transforms to each lidar's frame. **Stamps** are the headers', unless they are zero
+or the topics' clocks disagree: then the time of recording counts for the topic that is off.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class RosLog:
         return 1.0 if self._finished else self._bag.progress
 
     def envelopes(self) -> Iterator[Envelope]:
-        """SCAN_RAW and ODOMETRY by stamp. Raises LogError where there is no scan."""
+        """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan."""
         self.counters.clear()
         self._finished = False
         plan = survey_bag(self._bag, self._options, self.counters)
@@ -66,7 +66,7 @@ class RosLog:
                 yield from self._odometry(pose.position, pose.orientation, time, body.pose.covariance)
 
     def _time(self, topic: str, header: Any, recorded: int, plan: Plan) -> int | None:
-        """Stamp, ns, of a message; None where it has none."""
+        """Stamp of a message, ns; None if it has none."""
         time = recorded
         if topic in plan.offsets:
             stamp, usual = header_stamp(header), recorded + plan.offsets[topic]

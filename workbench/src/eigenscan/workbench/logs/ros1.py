@@ -1,4 +1,4 @@
-"""ROS 1 bags (format 2.0), read front to back: a bag that was cut off, or never indexed, gives what it has.
+"""ROS 1 bags (format 2.0), read front to back, so that cut and unindexed bags can be read.
 
 http://wiki.ros.org/Bags/Format/2.0
 """
@@ -74,7 +74,7 @@ class Ros1Bag:
                 yield from decoded(self.counters, found[0], time, data, found[1])
 
     def _read_index(self, file: IO[bytes]) -> bool:
-        """Takes the connections from the end of the bag; False where they are not there."""
+        """Reads the connections at the end of the bag; False if they are missing."""
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(f"{self.path}: is no ROS 1 bag of format 2.0: convert it with `rosbag fix`")
         header, _ = _record(file)

@@ -29,11 +29,11 @@ _REFUSED = (
     MemoryError,
     RecursionError,
 )
-"""What the library raises over damaged files and metadata, beside its own error."""
+"""Errors that the library raises for damaged files and metadata, besides its own."""
 
 
 class Ros2Bag:
-    """A bag of sqlite3 files, read by rosbags; what that refuses (cut off, no metadata) is salvaged."""
+    """A bag of sqlite3 files, read by rosbags. Files that it refuses (cut, no metadata) are salvaged."""
 
     format = "ROS 2 bag"
 
@@ -156,7 +156,7 @@ class McapBag:
 
 
 def _understood(encoding: str, schema: str) -> tuple[str, Decoder] | None:
-    """Kind of message and how to decode it; None where it is of no use here."""
+    """Type of message and its decoder; None for types that are not read."""
     if encoding == "protobuf":
         return FOXGLOVE.get(schema)
     kind = kind_of(schema)

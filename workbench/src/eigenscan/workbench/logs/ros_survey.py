@@ -1,4 +1,4 @@
-"""What the beginning of a ROS bag tells: its lidars and their mounts, its odometry, whose clock is right."""
+"""Reads the beginning of a ROS bag for its lidars and mounts, its odometry, and the right clock."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ ODOMETRY_FRAME = re.compile(r"(.*/)?odom\w*|.*[/_]odom")
 """Such as odom, robot_0/odom, odom_combined, wheel_odom."""
 NO_ODOMETRY = re.compile(r"truth|gazebo|slam|amcl|map", re.IGNORECASE)
 MOVES = "tf"
-"""Stands for odometry that is told as transforms, among the topics."""
+"""Name among the topics for odometry in the form of transforms."""
 
 
 @dataclass(frozen=True)
 class Lidar:
-    """One lidar of the log: the name it gets, and where it sits on the base."""
+    """One lidar of the log: its name, and its mount on the base."""
 
     name: str
     mount: NDArray[np.float64]
@@ -41,7 +41,7 @@ class Plan:
     lidars: dict[str, Lidar]  # by topic
     odometry: list[str]  # topics of it: one of Odometry, or those of transforms
     base: str | None
-    moves_in: str | None  # frame of odometry that is told as transforms
+    moves_in: str | None  # frame of odometry in the form of transforms
     offsets: dict[
         str, int
     ]  # ns, by topic whose headers' stamps count: stamp minus time of recording, at first
@@ -49,7 +49,7 @@ class Plan:
 
 @dataclass
 class Survey:
-    """What has been received so far."""
+    """Messages received so far."""
 
     options: LogOptions
     tree: TransformTree = field(default_factory=TransformTree)
@@ -58,11 +58,11 @@ class Survey:
     offsets: dict[str, int | None] = field(default_factory=dict)  # as in Plan; None: no stamp
     # odometry frame, and offset as above, by the frame that transforms state moves in it
     moves: dict[str, tuple[str, int | None]] = field(default_factory=dict)
-    moved: str | None = None  # the frame that Odometry says it moves
+    moved: str | None = None  # the frame that Odometry names as its child
 
     @property
     def base(self) -> str | None:
-        """The robot's base frame, as far as can be told."""
+        """The robot's base frame, as far as it is known."""
         if self.options.base_frame or self.moved:
             return self.options.base_frame or self.moved
         usual = [
@@ -105,9 +105,9 @@ class Survey:
 
 
 def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
-    """Reads until each lidar was received and is connected to the base, or to the end.
+    """Reads until every lidar has a scan and a transform to the base, or to the end.
 
-    What is left out is counted. Raises LogError where there is no usable lidar, or not the one asked for.
+    Skipped messages are counted. Raises LogError if there is no usable lidar, or not the requested one.
     """
     kinds = bag.topics()
     of_kind = {name: [topic for topic, kind in kinds.items() if kind == name] for name in kinds.values()}
@@ -134,7 +134,7 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
 
 
 def _check_base(bag: Bag, survey: Survey) -> None:
-    """Raises LogError where the base frame that was asked for is in no transform."""
+    """Raises LogError if no transform has the requested base frame."""
     base, known = survey.options.base_frame, survey.tree.frames()
     if base is not None and base != survey.moved and known and base not in known:
         raise LogError(f"{bag.path}: no frame {base} in tf: choose one of {_listed(sorted(known))}")
@@ -193,7 +193,7 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
 
 
 def _trusted(offsets: dict[str, int | None]) -> dict[str, int]:
-    """Offsets of the topics whose headers' stamps count: all where the clocks agree, else the recorder's."""
+    """Offsets of the topics with trusted headers: all if the clocks agree, else those near the recorder's."""
     stamped = {topic: offset for topic, offset in offsets.items() if offset is not None}
     agree = not stamped or max(stamped.values()) - min(stamped.values()) <= CLOCKS_APART_NS
     if agree and len(stamped) == len(offsets):

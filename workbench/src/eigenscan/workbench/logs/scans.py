@@ -1,4 +1,4 @@
-"""The scans of a whole log as the mapbuilder takes them: outlines, mounts, odometry where there is any."""
+"""The scans of a whole log for the mapbuilder: outlines, mounts, and odometry if there is any."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Scans:
-    """The usable scans of a log, `heard` in all; `reasons` counts why others were set aside.
+    """The usable scans of a log. `heard`: number of all scans; `reasons`: numbers of rejected ones.
 
-    `logged`: the stamp as logged, ns, of each scan that was given another one, by that one.
+    `logged`: the logged stamp, ns, of each scan whose stamp was changed, by the new one.
     """
 
     sweeps: list[Sweep]
@@ -39,12 +39,12 @@ class Scans:
 
     @property
     def seconds(self) -> float:
-        """From the first scan to the last."""
+        """Seconds from the first scan to the last."""
         return (self.sweeps[-1].stamp - self.sweeps[0].stamp) / NS if self.sweeps else 0.0
 
     @property
     def set_aside(self) -> str:
-        """What could not be used, for people."""
+        """The rejected scans, as text."""
         return "".join(f"; {count} set aside: {reason}" for reason, count in sorted(self.reasons.items()))
 
     def spread(self, count: int) -> Scans:
@@ -73,9 +73,9 @@ class Scans:
 def read_scans(
     path: Path, options: LogOptions, moved: Callable[[float], None], with_odometry: bool = True
 ) -> Scans:
-    """Scans of whatever `eigenscan import` reads; `moved` receives how far it is, 0..1.
+    """Reads the scans of any log that `eigenscan import` reads; `moved` is called with the progress, 0..1.
 
-    Raises LogError where the log cannot be read or holds no scan that can be used.
+    Raises LogError if the log cannot be read or has no usable scan.
     """
     opened, ingest = open_log(path, options), ScanIngestCore(ScanIngestSettings())
     scans: list[Scan] = []
@@ -110,7 +110,7 @@ def read_scans(
 def odometry_at(
     steps: Iterable[tuple[int, NDArray[np.float64]]], stamps: NDArray[np.int64]
 ) -> list[NDArray[np.float64] | None]:
-    """For each stamp the odometry's pose (3,) there; None where it is not known or not finite."""
+    """The odometry's pose (3,) at each stamp; None if it is unknown or not finite."""
     finite = {stamp: pose for stamp, pose in steps if np.isfinite(pose).all()}
     if not finite:
         return [None] * len(stamps)

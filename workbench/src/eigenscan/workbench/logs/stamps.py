@@ -1,15 +1,13 @@
-"""Repair of logged stamps that do not increase.
+"""Repairs logged stamps that do not increase.
 
-Some logs were written with stamps that jump to and fro, while the order of their lines is right.
-Where the stamps of each kind of line increase, they are trusted, and the kinds are merged by them.
-Otherwise, or where the kinds disagree by seconds, the order of the lines is trusted: the longest
-increasing subsequence of stamps is kept as logged, so that true gaps stay, and every other line is put
-between its neighbours by its number. A clock that was set back goes on at the log's usual pace.
-Stamps of which hardly any are in order show nothing: each line is then a lone step later. Nor is a step of
-years a gap: such a line, at 0 or by a clock that was not set yet, goes with its neighbours.
-
-A reference trajectory that was made from such a log may have the stamps as logged: a log tells which ones
-were changed (`Log.logged`).
+In some logs the stamps jump to and fro while the lines are in the right order. If the stamps of each kind of
+line increase, they are trusted, and the kinds are merged by them. Otherwise, or if the kinds disagree by
+seconds, the order of the lines is trusted: the longest increasing subsequence of stamps stays as logged, so
+that true gaps remain, and every other line is put between its neighbours by its number. After a clock was set
+back, stamps continue at the log's usual pace. If hardly any stamps are in order, they show nothing: each line
+is then one step later. A jump of years is no gap: such a line, at 0 or by an unset clock, gets a stamp
+between its neighbours'.
+A reference trajectory of such a log may have the logged stamps: `Log.logged` lists the changed ones.
 """
 
 from __future__ import annotations
@@ -24,15 +22,16 @@ KINDS_APART_NS = 2_000_000_000
 LONE_STEP_NS = 100_000_000
 LONGEST_GAP_NS = 365 * 86_400 * 1_000_000_000
 SQUEEZED_LINES = 10
-"""So many lines in a row whose stamps would be squeezed mean that the clock was set back."""
+"""Number of squeezed stamps in a row that shows a clock that was set back."""
 IN_ORDER_SHARE, ENOUGH_TO_JUDGE = 0.25, 100
-"""Of so many different stamps a good log has more than half in order, shuffled ones have a fifth at most."""
+"""Least share of different stamps in order, and the number to judge: a good log has more than half in order,
+shuffled stamps a fifth at most."""
 
 
 def repair_stamps(stamps: NDArray[np.int64], kinds: Sequence[str]) -> NDArray[np.int64]:
     """Stamps (L,), ns, that increase within each kind of line.
 
-    Unchanged where they do so as logged; else by the order of the lines (see the module).
+    Unchanged if the logged ones do; otherwise by the order of the lines (see the module).
     """
     names = np.array(kinds)
     increasing = all(np.all(np.diff(stamps[names == kind]) > 0) for kind in set(kinds))

@@ -1,4 +1,4 @@
-"""What was imported, on one screen."""
+"""A summary of an import, on one screen."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Row:
 
 
 class Summary:
-    """Counts what passes."""
+    """Counts the imported messages."""
 
     def __init__(self) -> None:
         self._rows: dict[str, _Row] = {}
@@ -68,7 +68,7 @@ class Summary:
             row.about = _about(scan)
 
     def show(self, console: Console, log: Log, target: Path) -> None:
-        """Prints the table and what was set aside."""
+        """Prints the table and the rejected messages."""
         table = Table(title=f"{log.path} ({log.format})", title_justify="left")
         table.add_column("", overflow="fold")  # the name is needed whole, for --mount and --lidar-topic
         for column in ("messages", "Hz", "s", "beams"):

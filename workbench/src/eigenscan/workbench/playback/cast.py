@@ -1,4 +1,4 @@
-"""Who publishes a recording again: under which names, with which stamps, and how many at once."""
+"""Names, stamps and number of the robots in a playback."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Cast:
 
 
 def shifted(envelope: Envelope, by: int) -> Envelope:
-    """The envelope with its stamp `by` ns later; the same where none is set, and maps and models."""
+    """The envelope with its stamp `by` ns later; unchanged without a stamp, and for maps and models."""
     fields = envelope.message.DESCRIPTOR.fields_by_name
     if (
         envelope.channel.qos.latched

@@ -22,7 +22,7 @@ STEP_S, LEAP_S = 5.0, 60.0
 
 
 class Do(Enum):
-    """What a playback can be told."""
+    """Commands of a playback."""
 
     TOGGLE = "toggle"
     PAUSE = "pause"
@@ -45,10 +45,10 @@ class Command:
 
 
 class Controls(Protocol):
-    """Where commands come from."""
+    """A source of commands."""
 
     hint: str
-    """What may be done, in a few words."""
+    """The commands in a few words."""
 
     def wait(self, seconds: float | None) -> Command | None:
         """The next command, or None after `seconds`; None waits for ever."""
@@ -56,7 +56,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """Nobody commands."""
+    """A source without commands."""
 
     hint = ""
 
@@ -130,7 +130,7 @@ def _command(line: str) -> Command:
 
 @contextmanager
 def controls(*, scripted: bool) -> Iterator[Controls]:
-    """Standard input's words where `scripted`, else keys where a terminal is there and ours."""
+    """Standard input's words if `scripted`; else keys, on a terminal in the foreground."""
     if scripted:
         yield Script(sys.stdin)
     elif sys.stdin.isatty() and sys.stderr.isatty() and _is_in_front():
@@ -144,5 +144,5 @@ def controls(*, scripted: bool) -> Iterator[Controls]:
 
 
 def _is_in_front() -> bool:
-    """Whether the terminal is not somebody else's: to change its mode from behind would suspend us."""
+    """Whether this process is in the terminal's foreground; otherwise changing its mode suspends us."""
     return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()

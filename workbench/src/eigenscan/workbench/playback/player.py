@@ -17,17 +17,17 @@ LOOK_S = 0.1
 
 @dataclass(frozen=True)
 class Score:
-    """What is played. `messages` gives all from a time on; times are log times, ns."""
+    """The messages to play. `messages` yields all from a time on; times are log times, ns."""
 
     messages: Callable[[int], Iterator[Timed]]
     start: int
-    """Of the recording: seconds count from here."""
+    """Begin of the recording: seconds count from here."""
     begin: int
     end: int
 
 
 class Player:
-    """One playback. `moved` receives where it is (ns), and whether it stands still."""
+    """One playback. `moved` is called with its time (ns), and whether it is paused."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Player:
         return None
 
     def _rest(self, timed: Timed) -> float | None:
-        """Seconds until a message is due; None where that is not before somebody says so."""
+        """Seconds until a message is due; None while paused."""
         if self._stepping:
             return 0.0
         return None if self._paused else self._metronome.rest(timed.time)
@@ -89,7 +89,7 @@ class Player:
         return True
 
     def _obey(self, command: Command) -> int | None:
-        """Does as told; where to go on, None where that is here."""
+        """Obeys a command; returns the time to continue at, None for the present one."""
         if command.do in {Do.SEEK, Do.SKIP}:
             origin = self._score.start if command.do is Do.SEEK else self._at
             target = origin + int(command.seconds * 1e9)
@@ -112,7 +112,7 @@ class Player:
         self._shift = None
 
     def _stamped(self, timed: Timed) -> Envelope:
-        """The message as it is published. Shifted stamps never go back, also where the playback does."""
+        """The message as published. Shifted stamps never decrease, even if the playback goes back."""
         if self._clock is None:
             return timed.envelope
         if self._shift is None:

@@ -1,1 +1,1 @@
-"""Process replay: the real cores receive what was recorded, and must publish what was recorded."""
+"""Process replay: the real cores receive the recorded inputs, and must publish the recorded outputs."""

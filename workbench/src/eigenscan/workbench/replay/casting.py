@@ -21,14 +21,14 @@ Changes = Mapping[str, Mapping[str, str]]
 
 @dataclass
 class Instance:
-    """A core in its place: receives what its process would, and outlives its faults as a process does."""
+    """A core in a replay: it receives its process's inputs, and an error does not end the replay."""
 
     service: Service
     name: str
     robots: str
     """The group that it serves."""
     source: str
-    """Where its settings come from, in words."""
+    """Source of its settings, as text."""
     core: Core
     faults: list[str] = field(default_factory=list)
     hears: tuple[Channel, ...] = field(init=False)
@@ -42,7 +42,7 @@ class Instance:
         return self.core.start()
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
-        """What the core reports until it fails, where it does; nothing for robots that are not its own."""
+        """The core's answers until it fails; none for other robots."""
         if "robot" in received.address and not holds(self.robots, received.address["robot"]):
             return
         try:
@@ -60,9 +60,9 @@ class Instance:
 
 
 def cast(survey: Survey, services: tuple[Service, ...], changes: Changes) -> list[Instance]:
-    """A core for each instance that the recording received, from the sensor on.
+    """A core for each recorded instance, nearest to the sensor first.
 
-    Where it tells of none, one that serves every robot. Raises UsageError for settings that do not hold.
+    Without recorded instances, one that serves every robot. Raises UsageError for invalid settings.
     """
     foreign = sorted(set(changes) - {service.name for service in services})
     if foreign:
@@ -102,7 +102,7 @@ def _instance(survey: Survey, service: Service, name: str | None, changes: Mappi
 
 
 def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, object], str]:
-    """Settings that a recording tells, without those that this version does not know; and words on them."""
+    """Recorded settings, without those that this version does not know; and a text on them."""
     if not text:
         return {"robot": EVERY}, "default settings, for the recording does not have them"
     try:

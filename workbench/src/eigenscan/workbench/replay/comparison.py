@@ -1,4 +1,4 @@
-"""What was published and what is published now: matched by key and stamp, judged by bytes, then by fields."""
+"""Compares recorded and replayed messages: matched by key and stamp, judged by bytes, then by fields."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEAST = 10
 
 @dataclass(frozen=True)
 class Terms:
-    """What counts as the same."""
+    """Rules for equality."""
 
     tolerant: bool = False
     ignored: frozenset[str] = frozenset()
@@ -41,9 +41,9 @@ class Counts:
     missing: int = 0
     """Recorded, and not published again."""
     extra: int = 0
-    """Said, and not recorded."""
+    """Published now, but not recorded."""
     outside: int = 0
-    """Said, with a stamp before the first or after the last recorded one: the recorder was not there."""
+    """Published now, with a stamp outside the recorded ones, because the recorder was not running."""
 
     @property
     def compared(self) -> int:
@@ -67,7 +67,7 @@ class Finding:
 
 
 class Comparison:
-    """Takes events in any order that keeps each side's own; holds only what waits for its other half."""
+    """Takes events in the order of each side; holds only those that wait for their counterpart."""
 
     def __init__(
         self, channels: Sequence[Channel], spans: Mapping[str, tuple[int, int]], terms: Terms
@@ -81,7 +81,7 @@ class Comparison:
         self._first: Finding | None = None
 
     def take(self, event: Event) -> None:
-        """Takes what was or is published; inputs are left alone."""
+        """Takes a recorded or replayed message; ignores inputs."""
         if event.side is Side.RECEIVED:
             return
         envelope, count = event.envelope, self.counts[event.envelope.channel]
@@ -100,7 +100,7 @@ class Comparison:
             self._orders[key][event.side].append(stamp)
 
     def finish(self) -> None:
-        """Judges what has no other half, and the order. To be called once, at the end."""
+        """Judges messages without a counterpart, and the order. Call it once, at the end."""
         for (key, stamp), waiting in self._waiting.items():
             for event in waiting:
                 self._judge_alone(key, stamp, event)
@@ -122,7 +122,7 @@ class Comparison:
 
     @property
     def problems(self) -> list[str]:
-        """Why this shows nothing, or not that all is well; empty where it is equal."""
+        """Differences, and reasons that this shows nothing; empty if all is equal."""
         judged = self.judged
         compared = sum(count.compared for count in judged.values())
         lone = sum(count.missing + count.extra for count in judged.values())
@@ -178,7 +178,7 @@ class Comparison:
         self._note(Finding(stamp, channel, key, (found,)))
 
     def _judge_order(self, key: str, recorded: list[int], replayed: list[int]) -> None:
-        """Where as many were said of the same stamps; anything else is counted already."""
+        """Judges stamps that both sides have equally often; others are counted already."""
         if recorded == replayed or sorted(recorded) != sorted(replayed):
             return
         place = next(n for n, (a, b) in enumerate(zip(recorded, replayed, strict=True)) if a != b)

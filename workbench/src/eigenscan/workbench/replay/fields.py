@@ -1,4 +1,4 @@
-"""Where two messages differ, field by field."""
+"""Finds the fields in which two messages differ."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Tolerance = tuple[float, float]
 """Absolute, in the field's unit, and relative to the larger of the two values."""
 
 TOLERANCES: dict[str, Tolerance] = {
-    # m and rad: a thousandth of what any lidar resolves
+    # m and rad: a thousandth of any lidar's resolution
     "x": (1e-5, 0.0),
     "y": (1e-5, 0.0),
     "theta": (1e-5, 0.0),
@@ -40,13 +40,13 @@ TOLERANCES: dict[str, Tolerance] = {
     "protection_radius": (1e-5, 1e-3),
     "protection_angle": (1e-5, 1e-3),
     "age": (1e-7, 0.0),
-    # the parts of a transform, which has no unit of its own
+    # the parts of a transform, which have different units
     "translation": (1e-5, 0.0),
     "rotation": (1e-5, 0.0),
 }
-"""What `--tolerant` lets pass: sums in numpy end differently on another processor.
+"""Differences that `--tolerant` allows, because sums in numpy end differently on another processor.
 
-By the name of a field or of a message around it, the innermost that is named here; all else must be equal.
+By the name of a field or of a message around it, the innermost that is named here. All others must be equal.
 """
 _ANGLES = {"theta"}
 _ABSENT = "(absent)"

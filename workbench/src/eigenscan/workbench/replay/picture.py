@@ -1,4 +1,4 @@
-"""Both sides of a difference in one Rerun file: what was published, and what is published now, on one map."""
+"""Draws both sides of a difference into one Rerun file: recorded and replayed messages on one map."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from eigenscan.workbench.replay.playing import Event, Side
 
 AROUND_NS = 10_000_000_000
-"""What is drawn before and after the first difference."""
+"""Time drawn before and after the first difference, ns."""
 COLOURS = {Side.RECORDED: (0, 90, 200), Side.REPLAYED: (230, 110, 0)}
 WIDTHS = {Side.RECORDED: 5.0, Side.REPLAYED: 2.0}
-"""Of lines, in points: where both sides are the same, one lies visibly inside the other."""
+"""Widths of lines, in points: if both sides are equal, one is visible inside the other."""
 NAMES = {Side.RECORDED: "recorded blue", Side.REPLAYED: "replayed orange"}
 POSE_M, HYPOTHESIS_M = 1.4, 0.7
 
 
 def draw(target: Path, events: Iterable[Event], latched: Iterable[Envelope], first: int, report: str) -> None:
-    """Draws what both sides report within AROUND_NS of the stamp `first`, ns; raises OSError for the file."""
+    """Draws both sides within AROUND_NS of the stamp `first`, ns. Raises OSError for the file."""
     target.open("wb").close()  # Rerun itself only logs that it cannot write
     stream = rr.RecordingStream("eigenscan replay")
     stream.save(str(target))
@@ -67,7 +67,7 @@ class _Picture:
         }
 
     def draw(self, side: Side, published: Envelope) -> None:
-        """Draws what has a picture."""
+        """Draws a message, if it has a picture."""
         drawn_by = self._drawn_by.get(published.channel)
         if drawn_by:
             drawn_by(side, published)
@@ -118,7 +118,7 @@ def _difference_first(report: str) -> str:
 
 
 def _blueprint(floor: Floor) -> rrb.Blueprint:
-    """The map from above, and what differs beside it."""
+    """The map from above, with the differences beside it."""
     evidence = rrb.Vertical(
         rrb.Tabs(
             rrb.TextDocumentView(origin="report", name="What differs"),

@@ -17,11 +17,11 @@ from eigenscan.workbench.replay.services import Service, published_by, received_
 from eigenscan.workbench.replay.survey import Survey
 
 DISPENSABLE = (ODOMETRY, RELOCATION, SCAN_MOTION)
-"""What a service receives, but can do without."""
+"""Optional inputs of a service."""
 
 
 class Side(Enum):
-    """Who an event comes from."""
+    """Origin of an event."""
 
     RECEIVED = "heard"
     RECORDED = "recorded"
@@ -44,11 +44,10 @@ def play(
     models: Sequence[Envelope] = (),
     moved: Callable[[int], None] = lambda _time: None,
 ) -> Iterator[Event]:
-    """All events, in order of the recording's log time; `moved` receives it.
+    """All events, in order of the recording's log time; `moved` is called with it.
 
-    Maps and models come first, a recorder may receive them late; `models` stand for those of the recording.
-    Each answer follows what it answers.
-    Raises UsageError where the cores lack what they need.
+    Maps and models come first, because a recorder may receive them late; `models` replace the recorded ones.
+    Each answer follows its input. Raises UsageError if the cores lack an input.
     """
     published = published_by(services)
     received = received_by(instances, published)
@@ -75,7 +74,7 @@ def play(
 
 
 def _is_early(envelope: Envelope, early: dict[str, Envelope], models: Sequence[Envelope]) -> bool:
-    """Whether the cores know it from the start: the first of a latched key, or what `models` stand for."""
+    """Whether the cores have it from the start: the first of a latched key, or replaced by `models`."""
     return envelope.channel.qos.latched and (bool(models) or early.pop(envelope.key, None) is not None)
 
 
@@ -84,7 +83,7 @@ def _replayed(time: int, published: Iterable[Envelope]) -> Iterator[Event]:
 
 
 def _check(survey: Survey, services: tuple[Service, ...]) -> None:
-    """Raises UsageError where the recording lacks what the first service needs to say anything."""
+    """Raises UsageError if the recording lacks an input that the first service needs."""
     first = services[0]
     for channel in first.hears:
         needed = not channel.qos.latched and channel not in DISPENSABLE

@@ -1,4 +1,4 @@
-"""References beside recordings: what the cores said when somebody last agreed with it."""
+"""References beside recordings: accepted answers of the cores."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ class Reference:
     """Least and greatest stamp, ns, by key."""
     made_with: str
     choices: tuple[str, ...]
-    """What it holds the words of, as `--service` takes it."""
+    """The services whose messages it holds, as values of `--service`."""
 
     def words(self, side: Side, channels: Sequence[Channel]) -> Iterator[Event]:
-        """What it holds on `channels`, as events of `side`."""
+        """Its messages on `channels`, as events of `side`."""
         for record in read(self.path):
             if record.envelope.channel in channels:
                 yield Event(side, record.log_time, record.envelope)
 
 
 def path_beside(recording: Path) -> Path:
-    """Where the reference of a recording lies."""
+    """Path of a recording's reference."""
     return recording.with_name(recording.stem + SUFFIX)
 
 
 def open_beside(recording: Path) -> Reference | None:
-    """The reference of a recording, where there is one.
+    """The reference of a recording, if there is one.
 
     Raises UsageError for one of another recording, RecordingError for a damaged one.
     """
@@ -64,9 +64,9 @@ def open_beside(recording: Path) -> Reference | None:
 
 
 def write_beside(recording: Path, parts: Mapping[str, Iterable[Event]]) -> int:
-    """Makes what is published in the events of each choice of services the reference; the number of messages.
+    """Makes the published messages of each choice of services the reference; returns their number.
 
-    The old one stays until all is done.
+    The old one stays until all is written.
     """
     path = path_beside(recording)
     fresh = path.with_suffix(".part")

@@ -17,12 +17,12 @@ WIDTH = 40
 
 
 def report(outcome: Outcome) -> str:
-    """All of it: instances, counts, the first difference, what to know."""
+    """The whole report: instances, counts, the first difference, notes."""
     return "\n".join(_lines(outcome))
 
 
 def summary(outcome: Outcome) -> str:
-    """One line: what is wrong, or how much is the same."""
+    """One line: the difference, or the number of equal messages."""
     problems = outcome.comparison.problems
     if problems:
         return "; ".join(problems)
@@ -33,7 +33,7 @@ def summary(outcome: Outcome) -> str:
 
 
 def figures(outcome: Outcome) -> dict[str, Any]:
-    """For scripts: counts by channel, the first difference, notes."""
+    """Values for scripts: counts by channel, the first difference, notes."""
     first = outcome.comparison.first
     return {
         "problems": outcome.comparison.problems,
@@ -57,7 +57,7 @@ def figures(outcome: Outcome) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can hold, else its text."""
+    """A value that JSON can hold, else its text."""
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     return value if isinstance(value, bool | int | str) or value is None else str(value)

@@ -1,4 +1,4 @@
-"""The services that can be replayed, and what each takes to make its core."""
+"""The services that can be replayed, and the parts of their cores."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from eigenscan.tracker.options import TrackerOptions
 
 @dataclass(frozen=True)
 class Service:
-    """A service by its name, and what tells its instances apart in the keys it speaks on."""
+    """A service by its name, and the field of its keys that names an instance."""
 
     name: str
     options: type[ServiceSettings]
@@ -43,17 +43,17 @@ PROJECTOR = Service(
 TRACKER = Service("tracker", TrackerOptions, TrackerCore, TrackerCore.hears, TrackerCore.says)
 
 PARTS: tuple[Service, ...] = (SCAN_INGEST, PROJECTOR, TRACKER)
-"""From the sensor on."""
+"""Nearest to the sensor first."""
 
 PIPELINE = "pipeline"
 CHOICES: dict[str, tuple[Service, ...]] = {part.name: (part,) for part in PARTS} | {PIPELINE: PARTS}
-"""What `--service` takes; `pipeline` is all of them in a row, each receiving what the last one publishes."""
+"""Values of `--service`; `pipeline` is all services in a row, each receiving the last one's answers."""
 
 ARRIVAL: dict[Channel, str] = {
     TRANSFORM: "one follows each odometry sample, and rests on the newest pose that was there by then: "
     "an accident of arrival",
 }
-"""What is not judged of a recording over Zenoh, and why. The poses that a transform rests on are judged."""
+"""Fields that are not judged for a recording over Zenoh, and why. The poses behind a transform are judged."""
 
 
 def published_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:

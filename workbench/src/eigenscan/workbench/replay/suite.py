@@ -37,7 +37,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked of every recording; no choices: what each one allows."""
+    """Options for every recording. Without choices, all services that a recording allows."""
 
     choices: tuple[str, ...] = ()
     tolerant: bool = False
@@ -45,7 +45,7 @@ class Plan:
 
 
 def recordings(folder: Path) -> list[Path]:
-    """The recordings of a folder. Raises UsageError where there are none, or a reference lost its own."""
+    """The recordings of a folder. Raises UsageError if there are none, or a reference has none."""
     if not folder.is_dir():
         raise UsageError(f"{folder}: is no folder: give one that holds recordings")
     files = sorted(folder.glob("*.mcap"))
@@ -85,7 +85,7 @@ def judge(recording: Path, plan: Plan) -> Iterator[Case]:
 
 
 def update(recording: Path, plan: Plan) -> Case:
-    """Makes what the cores report now the reference of a recording."""
+    """Makes the cores' present answers the reference of a recording."""
     try:
         found = survey(recording)
         choices = plan.choices or _spoken(found) or (PIPELINE,)
@@ -99,10 +99,10 @@ def update(recording: Path, plan: Plan) -> Case:
 
 
 def _kept(recording: Path, choices: tuple[str, ...]) -> dict[str, Iterable[Event]]:
-    """What the present reference holds of services other than `choices`."""
+    """The present reference's messages of services other than `choices`."""
     try:
         present = open_beside(recording)
-    except ValueError:  # of another recording, or damaged: it is made anew
+    except ValueError:  # of another recording, or damaged: it is replaced
         return {}
     anew = {channel for choice in choices for channel in published_by(CHOICES[choice])}
     others = (
@@ -124,7 +124,7 @@ def _choices(found: Survey, reference: Reference | None, plan: Plan) -> tuple[st
 
 
 def _spoken(found: Survey) -> tuple[str, ...]:
-    """Services whose words are recorded."""
+    """Services with recorded messages."""
     return tuple(
         name
         for name, services in CHOICES.items()
@@ -164,7 +164,7 @@ def junit(cases: Sequence[Case], name: str = "eigenscan replay-test") -> str:
 def run_all(
     files: Sequence[Path], plan: Plan, published: Callable[[Case], None], jobs: int = 1
 ) -> list[Case]:
-    """The cases of all files, `jobs` files at a time; `said` receives each in the order of the files."""
+    """The cases of all files, `jobs` files at a time; `published` is called with each, in order."""
     cases = []
     for found in _judged(files, plan, min(jobs, len(files))):
         for case in found:

@@ -1,4 +1,4 @@
-"""What a recording holds: the first of two passes over it."""
+"""Summarises a recording for a replay: the first of two passes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from eigenscan.workbench.replay.services import PARTS, published_by
 
 @dataclass
 class Told:
-    """What an instance told of itself by its health."""
+    """An instance's entries in its recorded health."""
 
     version: str = ""
     settings: str = ""
@@ -52,7 +52,7 @@ class Survey:
     path: Path
     complete: bool
     settings: dict[str, str]
-    """Of services, JSON by name, where the file itself tells them."""
+    """Settings of services, JSON by name, if the file holds them."""
     begin: int = 0
     end: int = 0
     """Log times of its first and last message, ns."""
@@ -63,7 +63,7 @@ class Survey:
     """Least and greatest stamp, ns, of each key that a service speaks on."""
     sites: set[str] = field(default_factory=set)
     projectors: dict[str, set[str]] = field(default_factory=dict)
-    """Robots of each projector, by what they said."""
+    """Robots of each projector, from its messages."""
     told: dict[tuple[str, str], Told] = field(default_factory=dict)
     """By service and instance."""
     remembered: dict[str, str] = field(default_factory=dict)
@@ -71,7 +71,7 @@ class Survey:
 
     @property
     def seconds(self) -> float:
-        """From the first message to the last."""
+        """Seconds from the first message to the last."""
         return (self.end - self.begin) * 1e-9
 
     def take(self, record: Record) -> None:
@@ -96,7 +96,7 @@ class Survey:
         self.counts[channel] += 1
 
     def _look_back(self, envelope: Envelope) -> None:
-        """Whether the first word on a key follows from what came before the recording."""
+        """Checks whether the first message on a key depends on messages before the recording."""
         if self.counts[envelope.channel]:
             return
         if envelope.channel is SCAN and (sequence := envelope.open(Scan).sequence):
@@ -111,7 +111,7 @@ _PUBLISHED = published_by(PARTS)
 
 
 def survey(path: Path) -> Survey:
-    """Reads `path` once. Raises RecordingError, or UsageError where nothing in it is of the contract."""
+    """Reads `path` once. Raises RecordingError, or UsageError if it holds nothing of the contract."""
     complete = is_complete(path)
     metadata = read_metadata(path) if complete else {}
     settings = {name: entry["settings"] for name, entry in metadata.items() if "settings" in entry}

@@ -1,4 +1,4 @@
-"""One replay from a file to a verdict: what the commands and the test suite share."""
+"""One replay from a file to a verdict, for the commands and the test suite."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from eigenscan.workbench.replay.survey import Survey
 
 @dataclass(frozen=True)
 class Trial:
-    """What is replayed and how it is judged."""
+    """A replay and its rules."""
 
     services: tuple[Service, ...]
     terms: Terms = field(default_factory=Terms)
@@ -29,14 +29,14 @@ class Trial:
     models: Sequence[Envelope] = ()
     """Instead of those of the recording."""
     reference: Reference | None = None
-    """What they are to say, where it is not what the recording says."""
+    """Expected messages, if not the recorded ones."""
     out: Path | None = None
-    """Recording to write: all that was received, and what is published now."""
+    """Recording to write: all inputs, and the present answers."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial."""
+    """Result of a trial."""
 
     survey: Survey
     instances: list[Instance]
@@ -46,7 +46,7 @@ class Outcome:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of the verdict must know of the recording and of this replay."""
+        """Notes on the recording and this replay that a reader of the verdict needs."""
         return [*_of_the_file(self.survey), *_of_the_run(self.survey, self.instances)]
 
 
@@ -73,14 +73,14 @@ def _events(
 
 
 def picture_beside(recording: Path, choice: str) -> Path:
-    """Where the picture of a difference lies."""
+    """Path of the picture of a difference."""
     return recording.with_name(f"{recording.stem}.{choice}.rrd")
 
 
 def picture(trial: Trial, outcome: Outcome, report: str, target: Path) -> bool:
     """Draws both sides around the first difference into a Rerun file, by a second replay.
 
-    False where there is no difference to draw, or `target` cannot be written.
+    False if there is no difference, or if `target` cannot be written.
     """
     first, survey = outcome.comparison.first, outcome.survey
     if first is None:

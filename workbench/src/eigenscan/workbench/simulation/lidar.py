@@ -1,4 +1,4 @@
-"""What a 2D lidar measures: walls, people, noise, and beams that go missing."""
+"""Simulates a 2D lidar: walls, people, noise, and missing beams."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ SAME_WALL = 0.05
 def unexpected(
     lidar: Lidar, world: RayCaster, known: RayCaster, base: Array, people: Array
 ) -> NDArray[np.bool_]:
-    """Which beams (B,) from the base pose (3,) end on what the map `known` lacks of the `world`.
+    """Which beams (B,) from the base pose (3,) end on parts of the `world` that the map `known` lacks.
 
-    That is people (n, 2), m, and furniture.
+    Those are people (n, 2), m, and furniture.
     """
     sensor = compose(base, lidar.mount)
     wall = world.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
@@ -78,7 +78,7 @@ def unexpected(
 
 
 def to_discs(sensor: Array, bearings: Array, centres: Array, radius: float) -> Array:
-    """Distance (B,) along each beam to the first disc, +inf where there is none.
+    """Distance (B,) along each beam to the first disc, +inf if there is none.
 
     `sensor` (3,) and `centres` (n, 2) in one frame. A disc around the sensor itself is not seen.
     """

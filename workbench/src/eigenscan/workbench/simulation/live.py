@@ -10,14 +10,13 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.simulation.stage import Timed
 
 LATE_S = 0.05
-"""What may be caught up with; a longer delay stays."""
+"""Largest delay that is caught up, s; a longer one stays."""
 
 
 class Metronome:
-    """When each of a row of messages is due, `speed` times faster than real.
+    """Due times of messages, `speed` times faster than real.
 
-    Nothing is skipped, and nothing is due in a burst: where the machine is too slow, all that follows comes
-    later.
+    None is skipped and none comes in a burst: on a slow machine, all later ones are delayed.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
@@ -29,7 +28,7 @@ class Metronome:
         self._due, self._last = 0.0, 0
 
     def rest(self, moment: int) -> float:
-        """Seconds until the message of `moment` (ns) is due; asked anew for the same or a later."""
+        """Seconds until the message of `moment` (ns) is due; moments must not decrease."""
         now = time.monotonic()
         if not self._due:
             self._due = now

@@ -1,4 +1,4 @@
-"""People who walk about: the lidar sees them, the map does not."""
+"""Walking people, seen by the lidar but not on the map."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RADIUS = 0.22
 """m, of a body at the lidar's height."""
 
 PERSONAL_SPACE = 1.0
-"""m, people step aside where the robot's centre comes nearer."""
+"""Distance of the robot's centre at which people step aside, m."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ def draw_walkers(planner: Planner, count: int, random: np.random.Generator) -> l
 
 
 def stander(place: tuple[float, float]) -> Walker:
-    """Someone who stays at `place`, m, map frame, but for a step aside."""
+    """A person who stands at `place`, m, map frame, and steps aside for the robot."""
     return Walker(np.array([place, (place[0] + 1e-6, place[1])]), speed=0.0, offset=0.0)
 
 
 def positions(walkers: list[Walker], time: float, robot: Array) -> Array:
-    """Where all are (n, 2) at `time`, out of the way of the robot at (2,)."""
+    """Positions (n, 2) at `time`, out of the way of the robot at (2,)."""
     if not walkers:
         return np.empty((0, 2))
     places = np.stack([walker.at(time) for walker in walkers])

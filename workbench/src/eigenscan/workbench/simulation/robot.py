@@ -1,4 +1,4 @@
-"""How the robot moves, and what its wheels believe."""
+"""The robot's motion, and the odometry of its wheels."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _follow(way: Array, heading: float, ticks: int, drive: Drive) -> Array:
         target_x, target_y = way[min(nearest + ahead, len(way) - 1)]
         error = float(wrap(np.arctan2(target_y - y, target_x - x) - theta))
         turn = max(-drive.turn_rate, min(drive.turn_rate, 3.0 * error))
-        # turns on the spot for what lies behind, slows down in bends
+        # turns on the spot towards a target behind it, slows down in bends
         speed = drive.speed * max(0.0, np.cos(error)) ** 3 if abs(error) < 1.2 else 0.0
         theta += turn * PERIOD
         x += speed * PERIOD * np.cos(theta)
@@ -90,9 +90,9 @@ def _follow(way: Array, heading: float, ticks: int, drive: Drive) -> Array:
 def odometry(
     poses: Array, jumps: NDArray[np.int64], noise: OdometryNoise, random: np.random.Generator
 ) -> Array:
-    """What the wheels say (n, 3) of a drive over `poses` (n, 3), in the frame of its first pose.
+    """Odometry (n, 3) of a drive over `poses` (n, 3), in the frame of its first pose.
 
-    At the indices `jumps` the robot was carried there from the pose before: the wheels did not turn.
+    At the indices `jumps` the robot was kidnapped: the wheels did not turn.
     """
     steps = between(poses[:-1], poses[1:])
     steps[jumps - 1] = 0.0

@@ -18,7 +18,7 @@ COMFORT = 0.5
 
 @dataclass(frozen=True)
 class Planner:
-    """Cost of each planning cell (H, W); below zero where the robot does not fit or cannot get to."""
+    """Cost of each planning cell (H, W); below zero for cells that the robot cannot reach."""
 
     grid: GridMap
     cost: Array
@@ -61,7 +61,7 @@ class Planner:
 def plan(grid: GridMap, radius: float) -> Planner:
     """Planner for a robot of `radius` m on the largest connected free space of `grid`.
 
-    Raises MapError where the robot fits nowhere.
+    Raises MapError if the robot fits nowhere.
     """
     from scipy.ndimage import distance_transform_edt, label
 

@@ -1,7 +1,7 @@
-"""The room of the paper's figure 9, from cast rays through the projector's and the tracker's cores.
+"""The room of the paper's figure 9, by cast rays through the projector's and the tracker's cores.
 
-A robot drives from the lower left of a square room to the upper right. Four poses look the same, but for a
-niche in one wall, where there is one.
+A robot drives from the lower left of a square room to the upper right. Four poses look the same, except for
+an optional niche in one wall.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ STEP_M = 0.25
 TURN_RAD = 0.08
 """A step's greatest turn: the robot weaves, for on the room's diagonal a scan is its own mirror image."""
 START = (1.5, 1.3, 0.6)
-"""Where the robot begins, m, m, rad: the room's lower left corner is the map's origin."""
+"""The robot's first pose, m, m, rad; the room's lower left corner is the map's origin."""
 NOISE_M = 0.01
 """Standard deviation of a range: a time-of-flight scanner's."""
 BEAMS, STEP_DEG, RANGE_MAX_M = 361, 0.5, 50.0
@@ -58,7 +58,7 @@ ROBOT = {"site": "figure", "robot": "r"}
 
 @dataclass(frozen=True)
 class Moment:
-    """What is known after an observation: its number from 1, true pose (3,), the scan's list, the tracks."""
+    """State after an observation: its number from 1, true pose (3,), the scan's list, the tracks."""
 
     number: int
     truth: Array
@@ -67,7 +67,7 @@ class Moment:
 
     @property
     def probabilities(self) -> list[float]:
-        """Of the tracks at the true pose and at its three images, in this order."""
+        """Probabilities of the tracks at the true pose and at its three images, in this order."""
         return [
             sum(t.probability for t in self.tracks.tracks if is_near(from_message(t.pose), place))
             for place in quarter_turns(self.truth)
@@ -102,7 +102,7 @@ def quarter_turns(pose: Array) -> Array:
 
 
 def is_near(pose: Array, place: Array) -> bool:
-    """Within half a metre and 15 degrees: what a grid of half a metre can tell."""
+    """Whether a pose is within half a metre and 15 degrees, the resolution of a grid of half a metre."""
     turn = (pose[2] - place[2] + np.pi) % (2.0 * np.pi) - np.pi
     return bool(np.hypot(*(pose - place)[:2]) <= 0.5 and abs(turn) <= np.deg2rad(15.0))
 

@@ -47,14 +47,14 @@ class Scenario:
     start: tuple[float, float] | None = None  # m, map frame; None: drawn
     kidnap_to: tuple[float, float] | None = None
     goals: tuple[tuple[float, float], ...] = ()  # m, driven to in this order before any is drawn
-    standing: tuple[tuple[float, float], ...] = ()  # m, people who stay where they are
+    standing: tuple[tuple[float, float], ...] = ()  # m, people who stand still
     lidar: Lidar = field(default_factory=Lidar)
     drive: Drive = field(default_factory=Drive)
     odometry: OdometryNoise = field(default_factory=OdometryNoise)
     site: str = DEFAULT_SITE
     robot: str = DEFAULT_ROBOT
     lidar_name: str = "front"
-    number: int = 0  # of the robot in a fleet: another way among the same people
+    number: int = 0  # number of the robot in a fleet: another route among the same people
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ class Timed:
 
 
 class Stage:
-    """One simulation on one map. Raises MapError where the robot fits nowhere.
+    """One simulation on one map. Raises MapError if the robot fits nowhere.
 
-    `epoch`, ns, is the stamp of the first message: fixed, unless a live robot sets it to the present.
+    `epoch`, ns: stamp of the first message; fixed, unless a live robot sets it to the present.
     """
 
     def __init__(self, grid: GridMap, scenario: Scenario) -> None:
@@ -184,9 +184,9 @@ class Stage:
 
 
 class Fleet:
-    """`count` robots; where there are several, they are named r1, r2, … after the scenario's robot r.
+    """`count` robots; if there are several, they are named r1, r2, … after the scenario's robot r.
 
-    They do not give way to each other. Raises MapError where a robot fits nowhere.
+    They do not give way to each other. Raises MapError if a robot fits nowhere.
     """
 
     def __init__(self, grid: GridMap, scenario: Scenario, count: int = 1) -> None:

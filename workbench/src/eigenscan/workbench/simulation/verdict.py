@@ -1,4 +1,4 @@
-"""Was the robot found, and found again? What the demo's end says and its exit code stands on."""
+"""Judges a demo: was the robot found, and found again? Its end and exit code follow from this."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Stretch:
-    """What became of the time between two cold starts."""
+    """The time between two cold starts."""
 
     found_after: float | None  # s until the claims that are right to the end; None: not found
     scans: int  # sightings until then, that one included
@@ -69,7 +69,7 @@ class Stretch:
 
     @property
     def figures(self) -> dict[str, float | int | None]:
-        """The same for scripts: None where there is no number."""
+        """The same for scripts; None for missing numbers."""
         return {
             name: value if value is None or isfinite(value) else None for name, value in vars(self).items()
         }

@@ -32,7 +32,7 @@ class Box:
     y_max: float
 
     def covers(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points, x and y of any one shape, m, lie inside."""
+        """Which of the points, x and y of equal shape, m, lie inside."""
         inside: NDArray[np.bool_] = (x > self.x_min) & (x < self.x_max) & (y > self.y_min) & (y < self.y_max)
         return inside
 
@@ -54,21 +54,21 @@ class Disc:
     radius: float
 
     def covers(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points, x and y of any one shape, m, lie inside."""
+        """Which of the points, x and y of equal shape, m, lie inside."""
         inside: NDArray[np.bool_] = np.hypot(x - self.x, y - self.y) < self.radius
         return inside
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Rooms from wall centre to wall centre, openings in their walls, and what stands in them."""
+    """Rooms from wall centre to wall centre, openings in their walls, and furniture."""
 
     rooms: dict[str, Box]
     doors: tuple[Box, ...]
     furniture: tuple[Box | Disc, ...]
 
     def with_moved(self, piece: Box, x: float, y: float) -> FloorPlan:
-        """The plan with that piece of furniture moved by so much. Raises ValueError where it is not there."""
+        """The plan with one piece of furniture moved by x, y, m. Raises ValueError if it is not there."""
         index = self.furniture.index(piece)
         moved = (*self.furniture[:index], piece.moved(x, y), *self.furniture[index + 1 :])
         return replace(self, furniture=moved)
