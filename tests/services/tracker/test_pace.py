@@ -11,7 +11,7 @@ from eigenscan.schemas.channels import POSE, TRACKS, TRANSFORM
 from eigenscan.schemas.envelope import Envelope
 
 from tests.services.tracker.conftest import MakeCore, Speaker
-from tests.services.tracker.test_foretelling import START, at, drive, published
+from tests.services.tracker.test_at_once import START, at, drive, published
 
 
 def gaps(envelopes: list[Envelope]) -> np.ndarray:

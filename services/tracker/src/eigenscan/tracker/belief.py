@@ -10,7 +10,7 @@ banked, and what the next place says is added to it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.tracker.association import associate, gate
@@ -30,7 +30,7 @@ from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.reckoning import Leg, Motions, correct
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
-from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks
+from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks, replace
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -5,8 +5,6 @@ Paper, section 7: association, fork when two poses fit one track, recursive esti
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from eigenscan.tracker.association import Pairs, crowding
 from eigenscan.tracker.covariance import determinant, fuse
@@ -19,7 +17,7 @@ from eigenscan.tracker.evidence import (
 )
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.share import Share
-from eigenscan.tracker.tracks import Tracks
+from eigenscan.tracker.tracks import Tracks, replace
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -202,11 +202,10 @@ class TrackerCore:
     ) -> Iterator[Envelope]:
         for estimate in estimates:
             robot.map_frame = estimate.frame
-            if not estimate.was_foretold:
-                message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
-                self._buildings.get(address["site"], NO_BUILDING).locate(message)
-                yield Envelope(POSE, address, message)
-            if not estimate.extrapolated and robot.tracks.is_due(estimate.stamp):
+            message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
+            self._buildings.get(address["site"], NO_BUILDING).locate(message)
+            yield Envelope(POSE, address, message)
+            if robot.tracks.is_due(estimate.stamp):
                 robot.tracks.note(estimate.stamp)
                 yield Envelope(TRACKS, address, _tracks_message(estimate))
 

@@ -8,13 +8,13 @@ map shows little of the room, the projector misses it for metres, and then for e
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.tracker.association import Pairs
 from eigenscan.tracker.covariance import log_density, log_volume, residual
 from eigenscan.tracker.observation import Observation, poorness
-from eigenscan.tracker.tracks import Tracks
+from eigenscan.tracker.tracks import Tracks, replace
 from numpy.typing import NDArray
 from scipy.special import expit
 

@@ -1,11 +1,16 @@
-"""What odometry says of the motion between two stamps, and how far it may be believed."""
+"""What odometry says of the motion between two stamps, and how far it may be believed.
+
+A stamp between two messages, or beyond the newest, is reached by the velocity of the two messages before it.
+So where the robot was at a stamp follows from odometry up to this stamp alone: a pose need not wait for the
+next message, and is the same once that has arrived. By how much the velocity leads astray, some millimetres,
+the motion to the next stamp is shorter or longer.
+"""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass
+from bisect import bisect_left
 from math import hypot, isfinite
+from typing import NamedTuple
 
 from eigenscan.tracker.planar import IDENTITY, Pose, between, compose, scaled
 from eigenscan.tracker.velocity_gate import Reading, VelocityGate
@@ -22,8 +27,7 @@ RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """Odometry at a stamp (ns): sums since the start of a chain from which jumps are taken out."""
 
     stamp: int
@@ -41,10 +45,10 @@ class Sample:
     """s without usable odometry."""
     breaks: float = 0.0
     """Jumps of the odom frame."""
+    extrapolated: bool = False
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """From one stamp to another: pose increment in the base frame and what its error grows with."""
 
     delta: Pose
@@ -60,8 +64,8 @@ def motion(start: Sample, end: Sample) -> Motion:
     """Motion between two samples of one trail."""
     return Motion(
         between(start.chained, end.chained),
-        end.way - start.way,
-        end.turn - start.turn,
+        max(end.way - start.way, 0.0),  # a robot that stops was extrapolated too far
+        max(end.turn - start.turn, 0.0),
         end.slip - start.slip,
         end.unknown - start.unknown,
         end.breaks - start.breaks,
@@ -72,8 +76,8 @@ def motion(start: Sample, end: Sample) -> Motion:
 class OdometryTrail:
     """The last seconds of one robot's odometry, interpolated to any stamp."""
 
-    def __init__(self, gate: VelocityGate) -> None:
-        self._gate = gate
+    def __init__(self, gate: VelocityGate, *, extrapolates: bool = True) -> None:
+        self._gate, self._extrapolates = gate, extrapolates
         self._samples: list[Sample] = []
         self._asked: dict[int, Sample] = {}
         self._past_in_row = 0
@@ -135,25 +139,15 @@ class OdometryTrail:
                 last.breaks + (1.0 if jump else 0.0),
             )
         )
-        self._forget_before(stamp - KEPT_NS)
-
-    def _forget_before(self, stamp: int) -> None:
         # in batches: taking from the front of a list moves all of it
-        if self._samples[len(self._samples) // 2].stamp < stamp or len(self._samples) > KEPT_AT_MOST:
-            del self._samples[: max(len(self._samples) // 2 - KEPT_AT_LEAST, 0)]
+        half = len(self._samples) // 2
+        if self._samples[half].stamp < stamp - KEPT_NS or len(self._samples) > KEPT_AT_MOST:
+            del self._samples[: max(half - KEPT_AT_LEAST, 0)]
 
-    def foretold(self, stamp: int) -> OdometryTrail | None:
-        """This trail, had odometry gone on to `stamp`, ns, as it went before; None where it may not have."""
-        samples = _extrapolated(self._samples, stamp)
-        if samples is None:
-            return None
-        trail = OdometryTrail(self._gate)
-        trail._samples = samples
-        return trail
-
-    def covers(self, stamp: int) -> bool:
-        """Whether odometry of `stamp` or later has arrived."""
-        return bool(self._samples) and self._samples[-1].stamp >= stamp
+    def tells(self, stamp: int) -> bool:
+        """Whether the pose at `stamp`, ns, is known, whatever odometry is still to come."""
+        sample = self.at(stamp)
+        return sample is not None and (sample.extrapolated or stamp <= self._samples[-1].stamp)
 
     def at(self, stamp: int) -> Sample | None:
         """Odometry at `stamp` ns; beyond what is known the last pose, its age counted as unknown time.
@@ -176,32 +170,34 @@ class OdometryTrail:
         return motion(a, b)
 
     def _found(self, stamp: int) -> Sample:
-        index = bisect_left(self._samples, stamp, key=lambda sample: sample.stamp)
+        index = bisect_left(self._samples, stamp, key=_stamp_of)
+        if index < len(self._samples) and self._samples[index].stamp == stamp:
+            return self._samples[index]
+        if self._extrapolates and index >= 2:
+            sample = _extrapolated(self._samples[index - 2], self._samples[index - 1], stamp)
+            if sample is not None:
+                return sample
         if index == len(self._samples):
             last = self._samples[-1]
-            return _held(last, stamp, last.unknown + (stamp - last.stamp) * 1e-9)
+            return last._replace(stamp=stamp, unknown=last.unknown + (stamp - last.stamp) * 1e-9)
         if index == 0:
             first = self._samples[0]
-            return _held(first, stamp, first.unknown - (first.stamp - stamp) * 1e-9)
+            return first._replace(stamp=stamp, unknown=first.unknown - (first.stamp - stamp) * 1e-9)
         return _interpolate(self._samples[index - 1], self._samples[index], stamp)
 
 
-def _extrapolated(samples: Sequence[Sample], stamp: int) -> list[Sample] | None:
-    """Samples up to `stamp`, ns, and one there by the last two's velocity.
+def _extrapolated(before: Sample, last: Sample, stamp: int) -> Sample | None:
+    """The pose at `stamp`, ns, by the velocity from `before` to `last`.
 
-    None where the next odometry is due before `stamp`, for it is still to come; where the last one is of that
-    very stamp; or where a jump or slip, or too long an interval, tells no velocity.
+    None where the next message is due by then; or where a jump or slip, or too long an interval, tells no
+    velocity.
     """
-    count = bisect_right(samples, stamp, key=lambda sample: sample.stamp)
-    if count < 2:
-        return None
-    before, last = samples[count - 2], samples[count - 1]
     period, ahead = last.stamp - before.stamp, stamp - last.stamp
-    if not 0 < ahead < period <= LONGEST_NS or last.breaks > before.breaks or last.slip > before.slip:
+    if ahead >= period or period > LONGEST_NS or last.breaks > before.breaks or last.slip > before.slip:
         return None
     share = ahead / period
     step = scaled(between(before.chained, last.chained), share)
-    there = Sample(
+    return Sample(
         stamp,
         compose(last.raw, step),
         compose(last.chained, step),
@@ -210,14 +206,12 @@ def _extrapolated(samples: Sequence[Sample], stamp: int) -> list[Sample] | None:
         last.slip,
         last.unknown + share * (last.unknown - before.unknown),
         last.breaks,
+        extrapolated=True,
     )
-    return [*samples[:count], there]
 
 
-def _held(sample: Sample, stamp: int, unknown: float) -> Sample:
-    return Sample(
-        stamp, sample.raw, sample.chained, sample.way, sample.turn, sample.slip, unknown, sample.breaks
-    )
+def _stamp_of(sample: Sample) -> int:
+    return sample.stamp
 
 
 def _interpolate(a: Sample, b: Sample, stamp: int) -> Sample:

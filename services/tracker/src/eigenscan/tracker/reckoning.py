@@ -7,7 +7,7 @@ that slips or turns unnoticed is set right by it before it misleads a track that
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.tracker.agreement import ScanInterval
@@ -15,7 +15,7 @@ from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import Pose, between, compose, scaled
 from eigenscan.tracker.prediction import carry, motion_noise
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.tracks import Tracks
+from eigenscan.tracker.tracks import Tracks, replace
 from numpy.typing import NDArray
 from scipy.special import chdtri
 

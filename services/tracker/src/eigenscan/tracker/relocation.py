@@ -6,7 +6,7 @@ wrong one of two rooms alike. So it takes most of the mass, and the next scans d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.pose import covariance_from_message, from_message
@@ -18,7 +18,7 @@ from eigenscan.tracker.observation import FARTHEST, Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.tracks import begin, join
+from eigenscan.tracker.tracks import begin, join, replace
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -16,7 +16,6 @@ from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Rivals
-from eigenscan.tracker.foretelling import twin
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample
 from eigenscan.tracker.planar import Pose, compose, inverse
@@ -60,9 +59,7 @@ class Estimate:
     model_version: str
     protection: Protection | None
     extrapolated: bool = False
-    """Foretold by the last velocity: its pose is said, its tracks are not."""
-    was_foretold: bool = False
-    """Its pose was said already."""
+    """By odometry that was carried on by its last velocity."""
 
 
 @dataclass
@@ -83,12 +80,12 @@ class RobotTracker:
     def __init__(self, settings: TrackerSettings, counts: Counter[str]) -> None:
         self._settings = settings
         self._counts = counts
-        self._trail = OdometryTrail(VelocityGate(settings.v_max, settings.turn_max))
+        self._trail = OdometryTrail(
+            VelocityGate(settings.v_max, settings.turn_max), extrapolates=settings.at_once
+        )
         self._timeline = Timeline(settings.patience, settings.late, counts)
         self._silence = Silence(self._timeline)
         self._agreement = Agreement()
-        self._foretold: set[tuple[str, int]] = set()
-        """Sources and stamps of what waits and was said already."""
         self._reset()
 
     def _reset(self) -> None:
@@ -122,12 +119,11 @@ class RobotTracker:
         return self._ready()
 
     def hear(self, seen: Observation) -> list[Estimate]:
-        """Takes an observation; gives the estimates that are ready, and what is foretold."""
+        """Takes an observation; gives the estimates that are ready."""
         heard = self._timeline.hear(seen)
         self._silence.hear(seen, heard)
         if heard is Heard.RESTARTED:
             self._reset()
-            self._foretold.clear()
         return self._ready()
 
     def hear_motion(self, interval: ScanInterval) -> None:
@@ -136,45 +132,10 @@ class RobotTracker:
 
     def finish(self) -> list[Estimate]:
         """Estimates for all that still waits."""
-        return [self._final(seen) for seen in self._timeline.rest()]
+        return [self._step(seen) for seen in self._timeline.rest()]
 
     def _ready(self) -> list[Estimate]:
-        foretold = self._foretell() if self._settings.at_once else []
-        return [*foretold, *(self._final(seen) for seen in self._timeline.ready())]
-
-    def _foretell(self) -> list[Estimate]:
-        """What waits leads to by odometry up to its stamp alone, where that tells enough; once each."""
-        told: list[Estimate] = []
-        waiting = self._timeline.waiting()
-        for n, seen in enumerate(waiting):
-            if (seen.source, seen.stamp) in self._foretold or seen.stamp <= (self.belief.stamp or 0):
-                continue
-            trail = self._trail.foretold(seen.stamp)
-            if trail is None:
-                break  # nor what follows: poses are said in order
-            self._foretold.add((seen.source, seen.stamp))
-            one = self._twin(trail)
-            steps = [one._step(each) for each in waiting[: n + 1]]
-            told.append(replace(steps[-1], extrapolated=True))
-        return told
-
-    def _twin(self, trail: OdometryTrail) -> RobotTracker:
-        """A copy of this tracker that may take a step without it, with another trail."""
-        own: tuple[tuple[object, object], ...] = (
-            (self._trail, trail),
-            (self._counts, Counter()),
-            (self._timeline, self._timeline),
-            (self._histories, {}),
-        )
-        return twin(self, {id(part): other for part, other in own})
-
-    def _final(self, seen: Observation) -> Estimate:
-        """The estimate by all odometry that there is by now."""
-        estimate, source = self._step(seen), (seen.source, seen.stamp)
-        if source not in self._foretold:
-            return estimate
-        self._foretold.remove(source)
-        return replace(estimate, was_foretold=True)
+        return [self._step(seen) for seen in self._timeline.ready(self._trail.tells)]
 
     @property
     def fault(self) -> str:
@@ -335,6 +296,7 @@ class RobotTracker:
             self._map_to_odom_of(verdict, odometry),
             seen.model_version,
             self._protection(verdict),
+            odometry is not None and odometry.extrapolated,
         )
 
     def _judge(self) -> Verdict:
@@ -369,7 +331,7 @@ class RobotTracker:
 
 def _backwards(moved: Motion) -> Motion:
     x, y, turn = moved.delta
-    return replace(moved, delta=(-x, -y, turn))
+    return moved._replace(delta=(-x, -y, turn))
 
 
 def _is_a_step(last: Pose2, pose: Pose) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter, deque
+from collections.abc import Callable
 from enum import Enum
 
 from eigenscan.tracker.observation import Observation
@@ -40,6 +41,7 @@ class Timeline:
     def _forget(self) -> None:
         self._waiting: list[tuple[int, str, int, Observation]] = []
         self._recent: dict[str, deque[int]] = {}
+        self._projectors: set[str] = set()
         self._doubted: dict[str, int] = {}
         self._past_in_row: Counter[str] = Counter()
         self._heard: int | None = None
@@ -100,12 +102,17 @@ class Timeline:
 
     def _push(self, seen: Observation) -> None:
         self._recent.setdefault(seen.source, deque(maxlen=RECENT)).append(seen.stamp)
+        self._projectors.add(seen.source.rpartition("/")[2])
         self._heard = max(self._heard or seen.stamp, seen.stamp)
         heapq.heappush(self._waiting, (seen.stamp, seen.source, self._order, seen))
         self._order += 1
 
-    def ready(self) -> list[Observation]:
-        """Observations whose odometry has come or whose patience has ended, oldest first."""
+    def ready(self, is_told: Callable[[int], bool]) -> list[Observation]:
+        """Observations whose odometry is known or whose patience has ended, oldest first.
+
+        `is_told`: whether odometry tells of a stamp, ns. Where several projectors answer it must have come as
+        far: their lists of one scan arrive in any order, and are taken in that of their names.
+        """
         if not self._waiting or self._heard is None:
             return []
         if self._odometry is None and not self._alone:
@@ -114,16 +121,16 @@ class Timeline:
         waited = self._heard - (0 if self._odometry is None and self._alone else self._patience)
         known = max(self._odometry or waited, waited)
         result = []
-        while self._waiting and self._waiting[0][0] <= known:
-            seen = heapq.heappop(self._waiting)[3]
-            if self._odometry is not None and seen.stamp > self._odometry:
+        alone = len(self._projectors) < 2
+        while self._waiting:
+            stamp = self._waiting[0][0]
+            told = alone and is_told(stamp)
+            if not told and stamp > known:
+                break
+            if not told and self._odometry is not None and stamp > self._odometry:
                 self._counts["odometry_came_late"] += 1
-            result.append(seen)
+            result.append(heapq.heappop(self._waiting)[3])
         return result
-
-    def waiting(self) -> list[Observation]:
-        """All that waits, oldest first."""
-        return [seen for *_, seen in sorted(self._waiting, key=lambda one: one[:3])]
 
     def rest(self) -> list[Observation]:
         """All that still waits, oldest first."""

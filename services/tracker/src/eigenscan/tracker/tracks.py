@@ -45,17 +45,27 @@ class Tracks:
 
     def pick(self, index: Index | NDArray[np.bool_]) -> Tracks:
         """The tracks at `index`."""
-        return Tracks(**{name: getattr(self, name)[index] for name in self.__dataclass_fields__})
+        return _of({name: values[index] for name, values in vars(self).items()})
+
+
+def replace(tracks: Tracks, **changes: Array | Index) -> Tracks:
+    """The tracks with other arrays of these names. dataclasses.replace takes ten times as long."""
+    return _of(vars(tracks) | changes)
 
 
 def join(parts: list[Tracks]) -> Tracks:
     """All tracks of several sets, in order."""
-    return Tracks(
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in Tracks.__dataclass_fields__
-        }
-    )
+    parts = [part for part in parts if len(part)] or parts[:1]
+    if len(parts) == 1:
+        return parts[0]
+    own = [vars(part) for part in parts]
+    return _of({name: np.concatenate([each[name] for each in own]) for name in own[0]})
+
+
+def _of(arrays: dict[str, Array | Index]) -> Tracks:
+    made = object.__new__(Tracks)
+    vars(made).update(arrays)
+    return made
 
 
 def no_tracks(sources: int) -> Tracks:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.tracker.association import Pairs, associate
+from eigenscan.tracker.association import associate
 from eigenscan.tracker.belief import Belief
-from eigenscan.tracker.covariance import moments
-from eigenscan.tracker.tracks import Tracks
+from eigenscan.tracker.symmetric import moments_of
+from eigenscan.tracker.tracks import replace
+from numba import njit
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 SAME_DISTANCE2 = 4.0
@@ -33,51 +35,70 @@ def unify(belief: Belief) -> None:
     pairs = associate(tracks.x, tracks.C, tracks.x, tracks.C, SAME_DISTANCE2)
     if len(pairs.track) == len(tracks):
         return  # each is alone with itself
-    groups = _groups(len(tracks), pairs, tracks.frame)
-    belief.tracks = _merge(tracks, groups, belief.stamp or 0)
+    leader = _leaders(pairs.track, pairs.hypothesis, tracks.frame)
+    heads = np.flatnonzero(leader == np.arange(len(tracks)))
+    of_groups = _merged(
+        leader, heads, tracks.x, tracks.C, tracks.log_weight, tracks.hidden, tracks.twin, tracks.evidence,
+        tracks.id, tracks.parent, tracks.born, tracks.observations,
+    )  # fmt: skip
+    result = replace(tracks.pick(heads), **dict(zip(_MERGED, of_groups, strict=True)))
+    joined = np.bincount(leader, minlength=len(tracks))[heads] > 1
+    result.fixed_x[joined], result.fixed_covariance[joined] = result.x[joined], result.C[joined]
+    result.fixed_at[joined] = belief.stamp or 0
+    belief.tracks = result
 
 
-def _groups(count: int, pairs: Pairs, frame: Index) -> list[Index]:
-    """Greedy: the heaviest track takes all near it that are still free, then the next one."""
-    free = np.ones(count, dtype=bool)
-    bounds = np.searchsorted(pairs.track, np.arange(count + 1))
-    groups = []
-    for leader in range(count):
-        if not free[leader]:
-            continue
-        near = pairs.hypothesis[bounds[leader] : bounds[leader + 1]]
-        group = near[free[near] & (frame[near] == frame[leader])]
-        free[group] = False
-        groups.append(group)
-    return groups
+@njit("i8[::1](i8[:], i8[:], i8[:])", cache=True)  # pragma: no cover - compiled
+def _leaders(track: Index, near: Index, frame: Index) -> Index:
+    """Greedy: the heaviest track leads all near it that are still free, then the next one; (n,) indices.
+
+    Pairs of a `track` and one `near` it (p,), sorted by both.
+    """
+    leader = np.full(len(frame), -1, dtype=np.int64)
+    for pair in range(len(track)):
+        one, other = track[pair], near[pair]
+        # one that leads or is led is no leader of others: its own pair comes after those with heavier ones
+        if leader[one] < 0:
+            leader[one] = one
+        if leader[one] == one and leader[other] < 0 and frame[one] == frame[other]:
+            leader[other] = one
+    return leader
 
 
-def _merge(tracks: Tracks, groups: list[Index], stamp: int) -> Tracks:
-    """One track a group, with the moments of its members; groups list the heaviest first."""
-    result = tracks.pick(np.array([group[0] for group in groups]))
-    for row, group in enumerate(groups):
+_MERGED = ("x", "C", "log_weight", "hidden", "twin", "evidence", "id", "parent", "born", "observations")
+_ARRAYS = "f8[:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i8[::1], i8[::1], i8[::1], i8[::1]"
+
+
+@njit(f"Tuple(({_ARRAYS}))(i8[::1], i8[:], {_ARRAYS.replace('::1', ':')})", cache=True)  # pragma: no cover
+def _merged(
+    leader: Index, heads: Index, x: Array, C: Array, log_weight: Array, hidden: Array, twin: Array,
+    evidence: Array, id_: Index, parent: Index, born: Index, observations: Index,
+) -> tuple[Array | Index, ...]:  # fmt: skip
+    """One track for each of `heads`, with the moments of those that it leads.
+
+    A group goes on under the name of its heaviest member that has one.
+    """
+    own = (x[heads], C[heads], log_weight[heads], hidden[heads], twin[heads], evidence[heads])
+    named = (id_[heads], parent[heads], born[heads], observations[heads])
+    for row in range(len(heads)):
+        group = np.flatnonzero(leader == heads[row])
         if len(group) == 1:
             continue
-        _keep_name(result, row, tracks, group)
-        weight = np.exp(tracks.log_weight[group] - tracks.log_weight[group].max())
-        result.x[row], result.C[row] = moments(tracks.x[group], tracks.C[group], weight)
-        result.fixed_x[row], result.fixed_covariance[row] = result.x[row], result.C[row]
-        result.fixed_at[row] = stamp
+        heaviest = log_weight[group].max()
+        weight = np.exp(log_weight[group] - heaviest)
+        total = weight.sum()
+        own[0][row], own[1][row] = moments_of(x[group], C[group], weight)
+        own[2][row] = heaviest + np.log(total)
+        own[3][row] = (weight * hidden[group]).sum() / total
+        own[4][row] = twin[group].sum()
         # evidence speaks of a track that is shown
-        shown = weight * (1.0 - tracks.hidden[group])
+        shown = weight * (1.0 - hidden[group])
         if shown.sum() > 0.0:
-            result.evidence[row] = shown @ tracks.evidence[group] / shown.sum()
-        result.twin[row] = tracks.twin[group].sum()
-        result.hidden[row] = weight @ tracks.hidden[group] / weight.sum()
-        result.log_weight[row] = np.logaddexp.reduce(tracks.log_weight[group])
-    return result
-
-
-def _keep_name(result: Tracks, row: int, tracks: Tracks, group: Index) -> None:
-    """A group goes on under the name of its heaviest member that has one."""
-    named = group[tracks.id[group] > 0]
-    if len(named):
-        heaviest = named[0]
-        result.id[row], result.parent[row] = tracks.id[heaviest], tracks.parent[heaviest]
-        result.born[row] = tracks.born[heaviest]
-        result.observations[row] = tracks.observations[group].max()
+            for source in range(evidence.shape[1]):
+                own[5][row, source] = (shown * evidence[group, source]).sum() / shown.sum()
+        for member in group:
+            if id_[member] > 0:
+                named[0][row], named[1][row], named[2][row] = id_[member], parent[member], born[member]
+                named[3][row] = observations[group].max()
+                break
+    return own + named
