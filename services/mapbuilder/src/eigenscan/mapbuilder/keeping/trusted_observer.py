@@ -13,7 +13,7 @@ from eigenscan.mapbuilder.keeping.view import View
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 T = TypeVar("T")
 
@@ -131,7 +131,7 @@ class TrustedObserver:
         self._counts["looks_counted"] += count
         return [self._held.popleft() for _ in range(count)]
 
-    def _view(self, base: NDArray[np.float64], scan: Scan) -> View | None:
+    def _view(self, base: ArrayLike, scan: Scan) -> View | None:
         """The beams that can tell which cell they end in; None where they are too few."""
         ranges = np.array(scan.ranges, dtype=np.float64)
         bearings = scan.angle_min + np.arange(len(ranges), dtype=np.float64) * scan.angle_increment
