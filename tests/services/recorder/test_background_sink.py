@@ -35,6 +35,9 @@ class Slow:
             raise ValueError("undrawable")
         self.written.append(received)
 
+    def tick(self) -> None:
+        pass
+
     def close(self) -> None:
         self.closed = True
 

@@ -15,11 +15,13 @@ from typing import Any
 
 import pytest
 import zenoh
+from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import RETRY_S, McapSink
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import tick
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
@@ -248,6 +250,19 @@ def test_the_log_time_is_that_of_the_arrival_however_late_it_is_written(tmp_path
     sink.write(Envelope(POSE, address, PoseEstimate(timestamp=stamp(3 * S))))
     sink.close()
     assert [record.log_time for _, _, record in contents(tmp_path / "a.mcap")] == [7 * S, 8 * S, 100 * S]
+
+
+def test_what_came_before_a_pause_is_readable_during_it(tmp_path: Path) -> None:
+    clock = Clock()
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    core = RecorderCore([sink])
+    for number in (1, 2):  # the first message is handed over at once
+        clock.now += S if number == 1 else S // 10
+        core.handle(pose(number))
+    clock.now += S
+    core.handle(tick(clock.now))
+    assert [record.publish_time for record in read(tmp_path / "a.mcap")] == [1, 2]
+    sink.close()
 
 
 def test_no_recording_is_ever_overwritten(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ COMMANDS = {
     "repair": ("eigenscan.cli.repair:repair", "save what can be read of a recording that was cut or damaged"),
     "view": ("eigenscan.cli.view:view", "look at a recording in Rerun's web viewer"),
     "simulate": ("eigenscan.cli.simulate:simulate", "a simulated robot's recording and its true path"),
+    "simtest": ("eigenscan.cli.simtest:simtest", "run a simulated site through simulated faults, by seeds"),
     "doctor": ("eigenscan.cli.doctor:doctor", "find what is wrong with a deployment, and how to mend it"),
     "fleet": ("eigenscan.cli.fleet:COMMANDS", "many robots on one site"),
 }
@@ -41,7 +42,7 @@ HEADINGS = {
     "Maps": ("map", "build", "models"),
     "Logs and recordings": ("import", "simulate", "evaluate", "play", "view", "repair"),
     "A site": ("fleet", "doctor"),
-    "Changes to the services": ("replay", "replay-test", "conform"),
+    "Changes to the services": ("replay", "replay-test", "conform", "simtest"),
 }
 """Commands that the help lists together; the others come last."""
 

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import zenoh
+from eigenscan.runtime.clock import Later, later
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
@@ -49,12 +50,14 @@ _PRIORITY = {priority: getattr(zenoh.Priority, priority.name) for priority in Pr
 class Bus:
     """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
-    def __init__(self, session: zenoh.Session, exchange: Exchange | None = None) -> None:
+    def __init__(
+        self, session: zenoh.Session, exchange: Exchange | None = None, after: Later = later
+    ) -> None:
         """`exchange`: the other services of this process.
 
         They share the session, so closing leaves it open.
         """
-        self._session, self._exchange = session, exchange
+        self._session, self._exchange, self._after = session, exchange, after
         self._idle: list[Any] = []
         self._publishers: RecentlyUsed[str, Any] = RecentlyUsed(self._idle.append)
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
@@ -174,9 +177,7 @@ class Bus:
             if token.kind != zenoh.SampleKind.PUT:
                 return
             if intake.digests() and patience_s:
-                later = threading.Timer(patience_s, ask)
-                later.daemon = True
-                later.start()
+                self._after(patience_s, ask)
             else:
                 ask()
 

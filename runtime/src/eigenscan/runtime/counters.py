@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from typing import Any
 
+from eigenscan.runtime.clock import Clock
 from eigenscan.runtime.logs import Logger
 
 WARNING_PERIOD_S = 1.0
@@ -16,9 +17,9 @@ WARNING_PERIOD_S = 1.0
 class Counters:
     """Counters by name, with warnings in the log."""
 
-    def __init__(self, log: Logger) -> None:
+    def __init__(self, log: Logger, clock: Clock = time) -> None:
         self.counts: Counter[str] = Counter()
-        self._log = log
+        self._log, self._clock = log, clock
         self._warned_at: dict[str, float] = {}
 
     def set_aside(
@@ -36,7 +37,7 @@ class Counters:
 
     def warn(self, reason: str, **context: Any) -> None:
         """Logs a warning, at most once in WARNING_PERIOD_S for each reason."""
-        now = time.monotonic()
+        now = self._clock.monotonic()
         if now - self._warned_at.get(reason, -math.inf) >= WARNING_PERIOD_S:
             self._warned_at[reason] = now
             self._log.warning(reason, **context)

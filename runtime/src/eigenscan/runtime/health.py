@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from eigenscan.runtime.clock import Clock
 from eigenscan.runtime.settings import SettingsError
 from eigenscan.schemas.channels import CONTRACT_VERSION
 from eigenscan.schemas.envelope import Condition, stamp
@@ -62,9 +63,10 @@ class Monitor:
         version: str,
         stalled_after_s: float = STALLED_AFTER_S,
         settings: str = "",
+        clock: Clock = time,
     ) -> None:
         self.service, self.instance, self.version = service, instance, version
-        self._settings = settings
+        self._settings, self._clock = settings, clock
         self._condition = Condition(Health.STATUS_WAITING, "starting")
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
@@ -101,7 +103,7 @@ class Monitor:
 
     def turn(self, condition: Condition) -> bool:
         """Records a step of the core and its condition; True if status or detail changed."""
-        self._turned = time.monotonic()
+        self._turned = self._clock.monotonic()
         before, self._condition = self._condition, condition
         return (before.status, before.detail) != (condition.status, condition.detail)
 
@@ -111,20 +113,20 @@ class Monitor:
 
     def dealt_with(self, channel: str, stamp_ns: int) -> None:
         """Records a message's age at the end of its handling."""
-        self._lag_of(channel).observe(time.time() - stamp_ns * 1e-9)
+        self._lag_of(channel).observe((self._clock.time_ns() - stamp_ns) * 1e-9)
 
     def hear_twin(self) -> None:
         """Records that another process publishes under this one's name."""
-        self._twin_heard = time.monotonic()
+        self._twin_heard = self._clock.monotonic()
 
     def busy_s(self) -> float:
         """Seconds since the core's last step; 0 while it starts."""
-        return 0.0 if self._turned is None else time.monotonic() - self._turned
+        return 0.0 if self._turned is None else self._clock.monotonic() - self._turned
 
     def condition(self) -> Condition:
         """The core's condition; degraded if it makes no step, or if another process has its name."""
         condition = self._condition
-        if time.monotonic() - self._twin_heard < TWIN_FORGOTTEN_S:
+        if self._clock.monotonic() - self._twin_heard < TWIN_FORGOTTEN_S:
             detail = f"another {self.service} has the name {self.instance!r} too: {TWIN_HINT}"
             return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
         if self.busy_s() > self._stalled_after_s:
@@ -136,7 +138,7 @@ class Monitor:
         """The condition as a message of the contract."""
         condition = self.condition()
         return Health(
-            timestamp=stamp(time.time_ns()),
+            timestamp=stamp(self._clock.time_ns()),
             service=self.service,
             instance=self.instance,
             status=condition.status,

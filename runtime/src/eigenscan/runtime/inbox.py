@@ -51,6 +51,7 @@ class Inbox:
         ready: threading.Condition | None = None,
         most_bytes: int = MOST_BYTES,
         batch_s: float = 0.0,
+        time_of_day: Callable[[], int] = time.time_ns,
     ) -> None:
         """`slack`: factor on the channels' depths, for a service that needs all samples.
 
@@ -66,7 +67,7 @@ class Inbox:
         self._next = 0
         self._most_bytes, self._bytes = most_bytes, 0
         self._closed = self._discards = False
-        self._batch_s = batch_s
+        self._batch_s, self._time_of_day = batch_s, time_of_day
         self._ready = ready or threading.Condition()
         self.on_put: Callable[[], None] | None = None
         """Called after each sample, in the sender's thread, instead of waking another one."""
@@ -85,7 +86,7 @@ class Inbox:
             if channel.qos.depth and len(orders) >= self._slack * channel.qos.depth:
                 self._give_way(channel, orders)
             orders.append(self._next)
-            self._waiting[self._next] = Arrival(channel, key, payload, encoding, message, time.time_ns())
+            self._waiting[self._next] = Arrival(channel, key, payload, encoding, message, self._time_of_day())
             self._next += 1
             if channel.qos.depth:
                 self._bytes += len(payload) + SAMPLE_BYTES

@@ -22,6 +22,7 @@ from typing import Any, Generic, TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.clock import Clock, Later, later
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.health import TWIN_HINT, Monitor
@@ -63,7 +64,7 @@ class Service(Generic[S]):
     each message in Zenoh's thread; only for a core that needs far less than a millisecond. `attend`: called
     with the open session. `quick`: the core needs milliseconds for a message, so such services share a thread
     if they share a process. `batch_s`: messages wait up to this long and are then handled in a row; for a
-    core whose answers nobody waits for.
+    core whose answers nobody waits for. `lives_on`: without this input the service is WAITING.
     """
 
     name: str
@@ -76,6 +77,7 @@ class Service(Generic[S]):
     attend: Callable[[S, zenoh.Session], None] | None = None
     quick: bool = False
     batch_s: float = 0.0
+    lives_on: Channel | None = None
 
 
 def main(service: Service[Any]) -> None:
@@ -111,12 +113,14 @@ def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], in
 
 @dataclass(frozen=True)
 class Shared:
-    """Parts that the services of one process share."""
+    """Parts that the services of one process share, or that a simulation supplies."""
 
     opening: Future[zenoh.Session]
-    exchange: Exchange
+    exchange: Exchange | None
     ready: threading.Condition
     """Wakes the thread that empties several inboxes."""
+    clock: Clock = time
+    after: Later = later
 
 
 class Node:
@@ -134,6 +138,7 @@ class Node:
         """`stop` wakes the main thread. `ends` ends this service; default: `stop`."""
         self.service, self.settings = service, settings
         self._stop, self._shared = stop, shared
+        self._clock = shared.clock if shared else time
         self.ends: Stopping = ends or stop
         self._told = (Health.STATUS_UNSPECIFIED, "")
         self._twins = 0
@@ -144,19 +149,30 @@ class Node:
                 settings.log_level, settings.log_format, service=service.name, instance=settings.instance
             )
         )
-        self._counters = Counters(self._log)
+        self._counters = Counters(self._log, self._clock)
         self._monitor = Monitor(
-            service.name, settings.instance, _package_version(service.name), settings=settings.told()
+            service.name,
+            settings.instance,
+            _package_version(service.name),
+            settings=settings.told(),
+            clock=self._clock,
         )
         slack = WHOLE_SITE_SLACK if service.whole_site else 1
         ready = shared.ready if shared and service.quick else None
-        self.inbox = Inbox(slack, settings.behind_after, ready=ready, batch_s=service.batch_s)
+        self.inbox = Inbox(
+            slack,
+            settings.behind_after,
+            self._clock.monotonic,
+            ready,
+            batch_s=service.batch_s,
+            time_of_day=self._clock.time_ns,
+        )
         self._bus: Bus | None = None
         self._latched_cache: LatchedCache | None = None
         self._port: Port = service.make_port(settings) if service.make_port else NoPort()
         self.fault: BaseException | None = None
         self.is_deaf = False
-        self._looked = time.monotonic()
+        self._looked = self._clock.monotonic()
 
     def run(self) -> int:
         """Runs until stopped; returns the exit code. Raises the error that ended the core, if any."""
@@ -209,8 +225,8 @@ class Node:
         if not self._bus:
             return
         self._tell(self._bus)
-        if time.monotonic() - self._looked >= HEALTH_PERIOD_S:
-            self._looked = time.monotonic()
+        if self._clock.monotonic() - self._looked >= HEALTH_PERIOD_S:
+            self._looked = self._clock.monotonic()
             self.is_deaf = self._bus.is_deaf
         if self.is_deaf:
             self._log.error("deaf", hint="no message of the other services arrives: ending, to be restarted")
@@ -269,6 +285,8 @@ class Node:
             self.ends,
             prompt=self.service.prompt,
             drain_s=DRAIN * settings.stop_s if self.service.whole_site else 0.0,
+            clock=self._clock,
+            lives_on=self.service.lives_on,
         )
         work.begin()
         self._log.info("ready", site=settings.site, robot=settings.robot)
@@ -288,7 +306,10 @@ class Node:
         address = {"site": settings.site}
         if settings.robot != "*":
             address["robot"] = settings.robot
-        bus = self._bus = Bus(session, self._shared.exchange if self._shared else None)
+        if self._shared:
+            bus = self._bus = Bus(session, self._shared.exchange, self._shared.after)
+        else:
+            bus = self._bus = Bus(session)
         apart = (*self._port.channels, TICK)
         hears = [channel for channel in core.hears if channel not in apart]
         bus.offer([channel for channel in core.says if channel not in apart], address)

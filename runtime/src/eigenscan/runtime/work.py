@@ -7,17 +7,20 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
+from eigenscan.runtime.clock import Clock
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.health import WAITING, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.stop_event import Stopping
-from eigenscan.schemas.channels import ContractError
+from eigenscan.schemas.channels import Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK, TICK_S, tick
 from eigenscan.schemas.wire import decode
 
 CONDITION_PERIOD_S = 0.25
+SILENT_S = 10.0
+"""Without its input for longer a service is no longer OK."""
 TOO_SLOW_HINT = "give it more CPU time, or fewer robots (--robot) or regions (--part)"
 
 
@@ -39,16 +42,20 @@ class Work:
         *,
         prompt: bool = False,
         drain_s: float = 0.0,
+        clock: Clock = time,
+        lives_on: Channel | None = None,
     ) -> None:
         """`keep` is called with each latched sample.
 
         `stop` ends the work, and is set when the condition changes.
         `prompt`: handles each message in the sender's thread. `drain_s`: seconds for messages that still wait
-        when the work is stopped.
+        when the work is stopped. `lives_on`: the input without which there is nothing to do.
         """
         self._drain_s = drain_s
         self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
         self._monitor, self._counters, self._stop, self._prompt = monitor, counters, stop, prompt
+        self._clock, self._lives_on = clock, lives_on
+        self._fed_at = -math.inf
         self._due, self._tick_due = 0.0, (0.0 if TICK in core.hears else math.inf)
         self._too_late = 0
         self._turn = threading.Lock()
@@ -69,9 +76,6 @@ class Work:
                 self._inbox.wait_until_closed(CONDITION_PERIOD_S)
             elif arrival := self._inbox.take(CONDITION_PERIOD_S):
                 self._handle(arrival)
-        end = time.monotonic() + self._drain_s
-        while time.monotonic() < end and self.step():
-            pass
         self.finish()
 
     def step(self) -> bool:
@@ -83,10 +87,10 @@ class Work:
 
     def keep_time(self) -> None:
         """Sends the tick and reports the condition, when they are due."""
-        now = time.monotonic()
+        now = self._clock.monotonic()
         if now >= self._tick_due:
             with self._turn:
-                self._give(tick(time.time_ns()), TICK.name)
+                self._give(tick(self._clock.time_ns()), TICK.name)
             self._tick_due = now + TICK_S
         if now >= self._due:
             with self._turn:
@@ -96,7 +100,10 @@ class Work:
             self._due = now + CONDITION_PERIOD_S
 
     def finish(self) -> None:
-        """Publishes what the core holds back."""
+        """Handles what still waits, for the time there is for that; publishes what the core holds back."""
+        end = self._clock.monotonic() + self._drain_s
+        while self._clock.monotonic() < end and self.step():
+            pass
         try:
             with self._turn:
                 self._say(self._core.finish())
@@ -136,14 +143,16 @@ class Work:
         """Lets the core handle a message, and publishes its answers."""
         name = heard.channel.name
         self._counters.counts[f"heard_{name}"] += 1
-        began = time.perf_counter()
+        began = self._clock.perf_counter()
+        if heard.channel is self._lives_on:
+            self._fed_at = self._clock.monotonic()
         try:
             self._say(self._core.handle(heard))
         except Exception as error:
             # the next scan may be fine
             if not self._stop.stopping:
                 self._counters.set_aside("core_failed", key, error, trace=True)
-        self._monitor.handled(name, time.perf_counter() - began)
+        self._monitor.handled(name, self._clock.perf_counter() - began)
 
     def _say(self, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
@@ -168,4 +177,13 @@ class Work:
             return Condition(
                 Health.STATUS_DEGRADED, f"the core cannot report its condition: {error}", counters
             )
-        return Condition(own.status, own.detail, dict(own.counters) | counters)
+        status, detail = own.status, own.detail
+        if status == Health.STATUS_OK and (lacks := self._lacks()):
+            status, detail = Health.STATUS_WAITING, lacks
+        return Condition(status, detail, dict(own.counters) | counters)
+
+    def _lacks(self) -> str:
+        """What no longer comes, in words; empty where it does."""
+        if self._lives_on is None or self._clock.monotonic() - self._fed_at <= SILENT_S:
+            return ""
+        return f"no {self._lives_on.name} for more than {SILENT_S:.0f} s"

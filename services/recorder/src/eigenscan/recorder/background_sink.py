@@ -53,6 +53,9 @@ class BackgroundSink:
                     self._counts["undrawn"] += 1
             self._news.notify()
 
+    def tick(self) -> None:
+        """It is at work all the time."""
+
     def close(self) -> None:
         """Gives what waits DRAIN_S, then closes the sink."""
         with self._news:

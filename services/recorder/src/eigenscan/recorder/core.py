@@ -8,6 +8,7 @@ from typing import Protocol
 from eigenscan.schemas.channels import CHANNELS, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import TICK
 
 
 class Sink(Protocol):
@@ -27,6 +28,10 @@ class Sink(Protocol):
         """Takes one message."""
         ...
 
+    def tick(self) -> None:
+        """Does what is due by the clock, while nothing comes; about once a second."""
+        ...
+
     def close(self) -> None:
         """Completes what was written. Nothing may be written after it."""
         ...
@@ -35,7 +40,7 @@ class Sink(Protocol):
 class RecorderCore:
     """Receives every channel and publishes nothing. Files, sockets and the clock belong to the sinks."""
 
-    hears: tuple[Channel, ...] = CHANNELS
+    hears: tuple[Channel, ...] = (*CHANNELS, TICK)
     says: tuple[Channel, ...] = ()
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
@@ -48,7 +53,10 @@ class RecorderCore:
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Gives the message to every sink."""
         for sink in self._sinks:
-            sink.write(received)
+            if received.channel is TICK:
+                sink.tick()
+            else:
+                sink.write(received)
         return ()
 
     def finish(self) -> Iterable[Envelope]:

@@ -27,11 +27,12 @@ class McapSink:
     """Writes to a new file in `target` (a folder), or to `target` itself where it ends in .mcap.
 
     A file that exists is left alone: the next free of `name-2.mcap`, `name-3.mcap` is taken. What is
-    older than `flush_s` is in the hands of the operating system. A file that reaches its limits is closed,
-    and the next one begun; where all take too much the oldest go. Where the disk fails, messages are counted
-    as lost, and every RETRY_S a new file is tried. Each file starts with the newest latched messages, so that
-    it explains itself, and ends with what services told of themselves, as metadata. A file that has as many
-    keys as MCAP can number is closed like one that reached its limits.
+    older than `flush_s` is in the hands of the operating system; after the last message up to a second later.
+    A file that reaches its limits is closed, and the next one begun; where all take too much the oldest go.
+    Where the disk fails, messages are counted as lost, and every RETRY_S a new file is tried. Each file
+    starts with the newest latched messages, so that it explains itself, and ends with what services told of
+    themselves, as metadata. A file that has as many keys as MCAP can number is closed like one that reached
+    its limits.
     """
 
     def __init__(
@@ -42,9 +43,11 @@ class McapSink:
         flush_s: float,
         metadata: Mapping[str, Mapping[str, str]],
         limits: Limits | None = None,
+        stopwatch: Callable[[], float] = perf_counter,
     ) -> None:
         """Opens the file. `clock` gives ns since the epoch. Raises OSError where that is impossible."""
         self._clock, self._metadata, self._limits = clock, metadata, limits or Limits()
+        self._stopwatch = stopwatch
         self._files = Files(target, site)
         self._flush_ns = int(flush_s * 1e9)
         self._latched: dict[str, Envelope] = {}
@@ -76,7 +79,7 @@ class McapSink:
 
     def write(self, received: Envelope) -> None:
         """Adds a message: log time is that of its arrival, publish time the message's own stamp."""
-        now, before = received.arrived or self._clock(), perf_counter()
+        now, before = received.arrived or self._clock(), self._stopwatch()
         if now < self._now:
             self._follow_back(now)
         self._now = now
@@ -93,7 +96,16 @@ class McapSink:
         if received.channel.qos.latched:
             self._latched[received.key] = received
         self._about.hear(received)
-        self._note_pace(perf_counter() - before)
+        self._note_pace(self._stopwatch() - before)
+
+    def tick(self) -> None:
+        """Hands over what is due, although nothing more comes."""
+        now = self._clock()
+        if self._writer is not None and self._pending:
+            try:
+                self._flush(self._writer, now)
+            except Exception as error:
+                self._fail(error, now)
 
     def close(self) -> None:
         """Writes the index."""

@@ -14,6 +14,7 @@ with needs("eigenscan-recorder[node]", SystemExit):
     from eigenscan.recorder.mcap_sink import McapSink
     from eigenscan.recorder.options import RecorderOptions
     from eigenscan.recorder.uploads import Uploads
+    from eigenscan.runtime.clock import Clock
     from eigenscan.runtime.node import Service
     from eigenscan.runtime.node import main as run
     from eigenscan.runtime.settings import SettingsError
@@ -26,13 +27,21 @@ _UPLOADS: list[Uploads] = []
 """Held for as long as the process is."""
 
 
-def make_core(settings: RecorderOptions) -> RecorderCore:
+def make_core(settings: RecorderOptions, clock: Clock = time) -> RecorderCore:
     """The core with the sinks that the settings ask for, the recording first."""
     sinks: list[Sink] = []
     if settings.mcap is not None:
         metadata = {NAME: {"settings": settings.model_dump_json()}}
         sinks.append(
-            McapSink(settings.mcap, settings.site, time.time_ns, settings.flush_s, metadata, settings.limits)
+            McapSink(
+                settings.mcap,
+                settings.site,
+                clock.time_ns,
+                settings.flush_s,
+                metadata,
+                settings.limits,
+                clock.perf_counter,
+            )
         )
     if settings.rrd is not None or settings.viewer_port is not None:
         from eigenscan.recorder.rerun_sink import RerunSink

@@ -23,7 +23,12 @@ class RecorderOptions(ServiceSettings):
     mcap: Path | None = Field(
         None, description="folder for MCAP files, or one file ending in .mcap; files are never overwritten"
     )
-    flush_s: float = Field(0.5, gt=0, le=60, description="most seconds of traffic that a crash can lose")
+    flush_s: float = Field(
+        0.5,
+        gt=0,
+        le=60,
+        description="seconds of traffic that a crash may lose; up to 1 s more after the last message",
+    )
     rotate_mb: float | None = Field(
         None, gt=0, description="MB after which a new MCAP file begins; by default an eighth of budget_mb"
     )

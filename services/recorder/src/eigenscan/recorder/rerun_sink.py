@@ -63,6 +63,9 @@ class RerunSink:
         self._picture.flush()
         self._stream.flush(timeout_sec=FLUSH_S)
 
+    def tick(self) -> None:
+        """Nothing is held back."""
+
     def close(self) -> None:
         """Completes the file and stops serving."""
         self.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-scan-ingest[node]", SystemExit):
@@ -11,7 +12,7 @@ with needs("eigenscan-scan-ingest[node]", SystemExit):
     from eigenscan.runtime.node import main as run
 
 
-SERVICE = Service("scan-ingest", ScanIngestOptions, ScanIngestCore, quick=True)
+SERVICE = Service("scan-ingest", ScanIngestOptions, ScanIngestCore, quick=True, lives_on=SCAN_RAW)
 
 
 def main() -> None:

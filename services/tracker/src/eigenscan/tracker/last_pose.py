@@ -7,7 +7,7 @@ and a replay gives the same answers. Disk and clock are of the shell; the core k
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,8 +28,10 @@ class Remembering:
     hears: tuple[Channel, ...]
     says: tuple[Channel, ...]
 
-    def __init__(self, tracker: Core, options: TrackerOptions, folder: Path) -> None:
-        self._tracker, self._told, self._folder = tracker, options, folder
+    def __init__(
+        self, tracker: Core, options: TrackerOptions, folder: Path, clock: Callable[[], int] = time.time_ns
+    ) -> None:
+        self._tracker, self._told, self._folder, self._clock = tracker, options, folder, clock
         self.hears, self.says = tracker.hears, (*tracker.says, RELOCATION)
         self._kept_at: dict[str, int] = {}
         self._not_kept = 0
@@ -44,7 +46,7 @@ class Remembering:
                 last = Relocation.FromString(path.read_bytes())
             except DecodeError:
                 continue  # the machine went down while it was written
-            age = time.time() - nanoseconds(last.timestamp) * 1e-9
+            age = (self._clock() - nanoseconds(last.timestamp)) * 1e-9
             if holds(self._told.robot, robot) and 0.0 <= age <= self._told.last_pose_age:
                 address = {"site": self._told.site, "robot": robot}
                 yield Envelope(RELOCATION, address, aged(last, age, self._told))

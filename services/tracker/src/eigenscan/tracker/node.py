@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import time
+
+from eigenscan.schemas.channels import HYPOTHESES
 from eigenscan.schemas.envelope import Core
 from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-tracker[node]", SystemExit):
+    from eigenscan.runtime.clock import Clock
     from eigenscan.runtime.node import Service
     from eigenscan.runtime.node import main as run
     from eigenscan.tracker.options import TrackerOptions
 
 
-def _make_core(options: TrackerOptions) -> Core:
+def make_core(options: TrackerOptions, clock: Clock = time) -> Core:
+    """The core; it begins at the last poses where the options name their folder."""
     from eigenscan.tracker.core import TrackerCore  # it takes its time, and neighbours are found meanwhile
 
     core = TrackerCore(options)
@@ -19,10 +24,10 @@ def _make_core(options: TrackerOptions) -> Core:
         return core
     from eigenscan.tracker.last_pose import Remembering
 
-    return Remembering(core, options, options.last_pose)
+    return Remembering(core, options, options.last_pose, clock.time_ns)
 
 
-SERVICE = Service("tracker", TrackerOptions, _make_core, quick=True)
+SERVICE = Service("tracker", TrackerOptions, make_core, quick=True, lives_on=HYPOTHESES)
 
 
 def main() -> None:

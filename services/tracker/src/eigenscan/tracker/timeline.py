@@ -62,6 +62,8 @@ class Timeline:
             return Heard.DUPLICATE
         if self._heard is not None and seen.stamp < self._heard - self._late:
             return self._hear_past(seen)
+        if self._past_in_row[seen.source] and recent and seen.stamp < max(recent):
+            return self._hear_past(seen)  # a clock that was set back catches up: a time that was already
         self._past_in_row[seen.source] = 0
         if self._is_doubtful(seen):
             self._counts["hypotheses_from_future"] += 1

@@ -1,0 +1,45 @@
+"""The order of observations by their stamps."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.timeline import Heard, Timeline
+
+
+def seen(seconds: float, source: str = "front/0") -> Observation:
+    nothing = np.zeros(0)
+    return Observation(
+        round(seconds * 1e9),
+        source,
+        "front",
+        "map",
+        nothing.reshape(0, 3),
+        nothing.reshape(0, 3, 3),
+        nothing,
+        0.0,
+        1.0,
+        usable=True,
+    )
+
+
+def test_a_clock_that_was_set_back_catches_up_unseen() -> None:
+    """Found by simtest: 2.2 s back, and two scans later a claim 1.5 m off."""
+    timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
+    heard = [timeline.hear(seen(stamp)) for stamp in (37.0, 38.0, 36.76, 37.76, 38.76)]
+    assert heard == [Heard.TAKEN, Heard.TAKEN, Heard.TOO_LATE, Heard.TOO_LATE, Heard.TAKEN]
+
+
+def test_a_slow_projector_is_taken_after_one_list_that_came_too_late() -> None:
+    timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
+    timeline.hear(seen(10.0, "front/slow"))
+    timeline.hear(seen(11.0))
+    assert timeline.hear(seen(10.1, "front/slow")) is Heard.TOO_LATE
+    assert timeline.hear(seen(10.6, "front/slow")) is Heard.TAKEN
+
+
+def test_a_list_that_another_overtook_is_taken() -> None:
+    timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
+    assert [timeline.hear(seen(stamp)) for stamp in (1.0, 1.4, 1.2)] == [Heard.TAKEN] * 3

@@ -1,0 +1,146 @@
+"""A simulated site: it repeats itself exactly, holds up, and its judge sees what is wrong."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from random import Random
+
+import pytest
+from eigenscan.recorder.mcap_sink import McapSink
+from eigenscan.schemas.channels import POSE, TRACKS
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
+from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S, Disk, KilledError
+from eigenscan.workbench.simtest.faults import KINDS, Fault, draw
+from eigenscan.workbench.simtest.site import Plan
+from eigenscan.workbench.simtest.story import shrunk, story
+from eigenscan.workbench.simtest.trial import run
+
+SEEDS = range(8)
+ROBOTS = 2
+"""Fewer than the command's: a run takes half a second."""
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_breaks(seed: int) -> None:
+    outcome = run(seed, ROBOTS)
+    assert outcome.broken == ()
+    assert outcome.counts["claims"] > 0
+    assert outcome.counts["recorded"] > 0
+
+
+def test_a_seed_repeats_itself_exactly() -> None:
+    first, again, other = run(3, 1), run(3, 1), run(4, 1)
+    assert (first.trace, first.notes) == (again.trace, again.notes)
+    assert first.trace != other.trace
+
+
+def test_every_kind_of_fault_is_drawn_and_has_words() -> None:
+    plan = Plan(5, 1.0, 2.0, 60.0)
+    assert {fault.kind for seed in range(100) for fault in draw(seed, plan)} == set(KINDS)
+
+
+def test_a_failure_is_told_by_the_fault_that_causes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recorder that forgets to hand over what it has."""
+    monkeypatch.setattr(McapSink, "_flush", lambda *_: None)
+    faults = [
+        Fault(11.0, "loss", "r1", 0, 0.1, 1.0),
+        Fault(12.0, "clock", "r1", 0, 0.6, 0.0),
+        Fault(30.0, "kill", "site", 0, 0.0, 0.0),
+        Fault(31.0, "slow", "r1", 0, 0.0, 1.0),
+    ]
+    outcome = run(4, ROBOTS, faults)
+    assert outcome.broken[0].rule == "recording"
+    least = shrunk(outcome)
+    assert [fault.kind for fault in least.faults] == ["kill"]
+    assert least.plan.robots == 1
+    text = "\n".join(story(least))
+    assert "fault: the recorder of site is killed" in text
+    assert "broken: recording" in text
+
+
+def _altered(core: TrackerCore, heard: Envelope) -> Iterable[Envelope]:
+    for said in HANDLE(core, heard):
+        if said.channel is TRACKS:
+            said.message.none_probability += 0.5  # type: ignore[attr-defined]
+        yield said
+
+
+def _elsewhere(core: TrackerCore, heard: Envelope) -> Iterable[Envelope]:
+    for said in HANDLE(core, heard):
+        if said.channel is POSE:
+            said.message.pose.x += 5.0  # type: ignore[attr-defined]
+        yield said
+
+
+def _failing(core: TrackerCore, heard: Envelope) -> Iterable[Envelope]:
+    if heard.channel.name == "hypotheses" and heard.stamp % 3 == 0:
+        raise RuntimeError("a fault of the core")
+    return HANDLE(core, heard)
+
+
+HANDLE = TrackerCore.handle
+
+
+@pytest.mark.parametrize(
+    ("handle", "rule"), [(_altered, "probabilities"), (_elsewhere, "claim"), (_failing, "crash")]
+)
+def test_a_faulty_tracker_is_found(monkeypatch: pytest.MonkeyPatch, handle: object, rule: str) -> None:
+    monkeypatch.setattr(TrackerCore, "handle", handle)
+    assert run(1, 1, []).broken[0].rule == rule
+
+
+def _disk() -> tuple[Agenda, Disk]:
+    agenda = Agenda()
+    disk = Disk(MachineClock(agenda))
+    disk.path("/d").mkdir()
+    return agenda, disk
+
+
+def test_a_full_disk_takes_a_part_of_a_write_and_no_more() -> None:
+    _, disk = _disk()
+    disk.left = 3
+    path = disk.path("/d/f")
+    with pytest.raises(OSError, match="No space left"):
+        path.write_bytes(b"12345")
+    assert path.read_bytes() == b"123"
+
+
+def test_a_killed_process_loses_what_python_holds_and_a_lost_power_what_linux_holds() -> None:
+    agenda, disk = _disk()
+    path = disk.path("/d/f")
+    file = path.open("wb")
+    assert isinstance(file, io.BufferedWriter)
+    file.write(b"old")
+    file.flush()
+    agenda.run(WRITTEN_BACK_S)
+    file.write(b"young")
+    file.flush()
+    file.write(b"held")
+    disk.end_process()
+    file.close()
+    assert path.read_bytes() == b"oldyoung"
+    lengths = set()
+    for number in range(50):
+        other = Disk(MachineClock(agenda))
+        other.files["/d/f"] = disk.files["/d/f"]
+        disk.files["/d/f"].data[:] = b"oldyoung"
+        other.lose_power(Random(number))
+        lengths.add(len(path.read_bytes()))
+        disk.files["/d/f"].grown = [(0.0, 3), (WRITTEN_BACK_S, 8)]
+    assert min(lengths) == 3
+    assert max(lengths) == 8
+
+
+def test_a_kill_in_a_write_leaves_what_was_written_before() -> None:
+    _, disk = _disk()
+    disk.kill_at = 2
+    path = disk.path("/d/f")
+    file = path.open("wb")
+    file.write(b"1")
+    file.flush()
+    with pytest.raises(KilledError):
+        path.replace(path.with_name("g"))
+    assert list(disk.files) == ["/d/f"]

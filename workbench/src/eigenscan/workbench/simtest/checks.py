@@ -1,0 +1,265 @@
+"""What must hold at a site whatever befalls it, looked at after each message and at the end."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.runtime.node import WHOLE_SITE_SLACK
+from eigenscan.runtime.recording import RecordingError, read
+from eigenscan.runtime.work import SILENT_S
+from eigenscan.schemas.channels import HEALTH, HYPOTHESES, POSE, TRACKS, by_name, find
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.tick import TICK
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
+from eigenscan.schemas.wire import encode
+from eigenscan.tracker.planar import wrap
+from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S
+from eigenscan.workbench.simtest.network import Sample, Session
+from eigenscan.workbench.simtest.process import Process
+from eigenscan.workbench.simtest.site import SITE, Life, Site
+
+SETTLE_S = 45.0
+"""After the last fault, until when all must work again: 20 s until a deaf service ends, 1 s for its restart,
+and what a lost robot needs."""
+UNIQUE_S = 20.0
+"""For which a robot must have been where nothing looks the same, to be localized."""
+LATE_S = 2.0
+"""After SILENT_S, until health reports it."""
+INPUTS = {"tracker": HYPOTHESES}
+FAR_M, FAR_RAD = 1.0, math.radians(20.0)
+"""A claim without a protection level that is farther off is wrong."""
+KILL_S = 1.5
+"""Of traffic, that a kill may cost: the recorder's flush_s and a second."""
+
+
+@dataclass(frozen=True)
+class Broken:
+    """An invariant that did not hold."""
+
+    at: float
+    rule: str
+    detail: str
+
+
+class Judge:
+    """Watches a site."""
+
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        self.broken: list[Broken] = []
+        self.counts: Counter[str] = Counter()
+        self._arrived: dict[Process, dict[str, int]] = {}
+        self._input_at: dict[Session, float] = {}
+        self._health: dict[Process, tuple[float, Health]] = {}
+        self._claimed: dict[str, float] = {}
+        self._posed: dict[str, float] = {}
+        self._unique_since: dict[str, float] = {}
+        self._inputs: dict[Session, int] = {}
+        site.network.observer = self.see
+        site.on_condition = self.note_condition
+        wake = site.network.arrived
+
+        def arrived(session: Session) -> None:
+            self._bound(session)
+            wake(session)
+
+        site.network.arrived = arrived
+
+    def fail(self, rule: str, detail: str) -> None:
+        """Something that must hold does not."""
+        self.broken.append(Broken(self.site.agenda.now, rule, detail))
+
+    def note_condition(self, process: Process) -> None:
+        """A service takes stock: what had arrived at that moment."""
+        assert process.session is not None
+        self._arrived[process] = dict(process.session.arrived)
+
+    def see(self, session: Session, sample: Sample) -> None:
+        """Something is published."""
+        found = find(sample.key_expr)
+        if found is None:
+            return
+        channel, address = found
+        if channel is TRACKS:
+            self._sums_to_one(address["robot"], Tracks.FromString(sample.payload))
+        elif channel is POSE:
+            self._claim(address["robot"], PoseEstimate.FromString(sample.payload))
+        elif channel is HEALTH:
+            process = self._process(session)
+            if process is not None:
+                self._is_true(process, Health.FromString(sample.payload))
+
+    def _process(self, session: Session) -> Process | None:
+        return next((each for each in self.site.processes if each.session is session), None)
+
+    def _sums_to_one(self, robot: str, tracks: Tracks) -> None:
+        self.counts["tracks"] += 1
+        values = [track.probability for track in tracks.tracks] + [tracks.none_probability]
+        if not all(0.0 <= value <= 1.0 + 1e-9 for value in values) or abs(sum(values) - 1.0) > 1e-6:
+            self.fail("probabilities", f"{robot}: probabilities of the tracks sum to {sum(values)}")
+
+    def _claim(self, robot: str, pose: PoseEstimate) -> None:
+        self.counts["poses"] += 1
+        now = self.site.agenda.now
+        self._posed[robot] = now
+        truth = self.site.robots[robot].truth.get(nanoseconds(pose.timestamp))
+        if truth is None:
+            self.fail("claim", f"{robot}: a pose of a time at which there was no scan")
+            return
+        if not self.site.robots[robot].drive.is_unique(truth):
+            self._unique_since.pop(robot, None)
+        else:
+            self._unique_since.setdefault(robot, now)
+        if not 0.0 <= pose.confidence <= 1.0:
+            self.fail("probabilities", f"{robot}: a confidence of {pose.confidence}")
+        if pose.state != STATE_LOCALIZED:
+            return
+        self.counts["claims"] += 1
+        self._claimed[robot] = now
+        off = math.hypot(pose.pose.x - truth[0], pose.pose.y - truth[1])
+        turned = abs(wrap(pose.pose.theta - truth[2]))
+        far, turn = FAR_M, FAR_RAD
+        if pose.HasField("protection_radius"):
+            far, turn = pose.protection_radius, pose.protection_angle
+        if off > far or turned > turn:
+            self.fail(
+                "claim",
+                f"{robot}: claims a pose {off:.2f} m and {math.degrees(turned):.0f} deg off, with a "
+                f"protection level of {far:.2f} m and {math.degrees(turn):.0f} deg",
+            )
+
+    def _is_true(self, process: Process, health: Health) -> None:
+        self.counts["health"] += 1
+        now = self.site.agenda.now
+        before = self._health.get(process, (0.0, Health()))[1]
+        if (before.status, before.detail) != (health.status, health.detail):
+            name = Health.Status.Name(health.status).removeprefix("STATUS_")
+            self.site.note(f"{process.name}: {name} {health.detail}".rstrip())
+        self._health[process] = now, health
+        if health.status == Health.STATUS_DEGRADED and not health.detail:
+            self.fail("health", f"{process.name}: DEGRADED without a reason")
+        for fault in ("core_failed", "finish_failed"):
+            if health.counters[fault]:
+                self.fail("crash", f"{process.name}: {fault}, see the log")
+        self._counts_all(process, health)
+        self._reports_silence(process, health)
+
+    def _counts_all(self, process: Process, health: Health) -> None:
+        """Whatever arrived was handled, was dropped, or waits."""
+        arrived = self._arrived.get(process)
+        if arrived is None:
+            return
+        counters = health.counters
+        told = counters["undecodable"] + counters["waiting"]
+        told += sum(
+            count
+            for name, count in counters.items()
+            if name.startswith(("heard_", "dropped_")) and name != f"heard_{TICK.name}"
+        )
+        latched = sum(count for name, count in arrived.items() if _is_latched(name))
+        missing = sum(arrived.values()) - told
+        if not 0 <= missing <= latched:
+            self.fail("health", f"{process.name}: {missing} messages arrived that no counter has")
+
+    def _reports_silence(self, process: Process, health: Health) -> None:
+        """A service that gets nothing says so."""
+        wanted = INPUTS.get(health.service)
+        session = process.session
+        if wanted is None or session is None:
+            return
+        silent = self.site.agenda.now - self._input_at.get(session, math.inf)
+        if silent > SILENT_S + LATE_S and health.status == Health.STATUS_OK:
+            self.fail("health", f"{process.name}: OK, without {wanted.name} for {silent:.0f} s")
+
+    def _bound(self, session: Session) -> None:
+        """Something was handed to a session: what waits stays within the queues' depth."""
+        process = self._process(session)
+        if process is None or process.node is None:
+            return
+        wanted = INPUTS.get(process.node.service.name)
+        if wanted is not None and session.arrived[wanted.name] != self._inputs.get(session, 0):
+            self._inputs[session] = session.arrived[wanted.name]
+            self._input_at[session] = self.site.agenda.now
+        inbox: Inbox = process.node.inbox
+        if len(inbox) > self._deepest(process):
+            self.fail("memory", f"{process.name}: {len(inbox)} messages wait")
+
+    def _deepest(self, process: Process) -> int:
+        assert process.node is not None
+        slack = WHOLE_SITE_SLACK if process.node.service.whole_site else 1
+        keys = self.site.plan.robots * 4 + 2
+        return slack * keys * 1024
+
+    def finish(self) -> None:
+        """At the end, once all had the time to recover."""
+        now = self.site.agenda.now
+        for process in self.site.processes:
+            if not process.is_wanted:
+                continue
+            at, health = self._health.get(process, (0.0, None))
+            if not process.is_up or health is None or now - at > 3.0:
+                self.fail("recovery", f"{process.name}: is not back {SETTLE_S:.0f} s after the last fault")
+            elif health.status != Health.STATUS_OK:
+                name = Health.Status.Name(health.status).removeprefix("STATUS_")
+                self.fail("recovery", f"{process.name}: {name}: {health.detail}")
+        for robot in self.site.robots:
+            if now - self._posed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz + 1.0:
+                self.fail("recovery", f"{robot}: no pose {SETTLE_S:.0f} s after the last fault")
+            elif (
+                now - self._unique_since.get(robot, now) > UNIQUE_S
+                and now - self._claimed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz
+            ):
+                self.fail("recovery", f"{robot}: is not localized {SETTLE_S:.0f} s after the last fault")
+
+    def recordings(self) -> None:
+        """After all has ended: what was recorded can be read, and is complete but for the stated window."""
+        for process, lives in self.site.lives.items():
+            if process.machine != SITE or not any(life.handled for life in lives):
+                continue
+            self._recording(process, lives)
+
+    def _recording(self, process: Process, lives: list[Life]) -> None:
+        found: Counter[tuple[str, int]] = Counter()
+        for name in sorted(process.disk.files):
+            path = process.disk.path(name)
+            try:
+                for record in read(path):
+                    found[record.envelope.key, hash(encode(record.envelope.message))] += 1
+                    self.counts["recorded"] += 1
+            except RecordingError as error:
+                self.fail("recording", f"{process.name}: {error}")
+        for life in lives:
+            assert life.ended is not None
+            wanted = [(at, (key, own)) for at, channel, key, own in life.handled if not channel.qos.latched]
+            missing = [at for at, message in wanted if not _take(found, message)]
+            lost = life.counters.get("mcap_lost", 0)
+            if life.how in ("stopped", "deaf"):
+                unexplained = len(missing) - lost
+            else:
+                window = WRITTEN_BACK_S if life.how == "power lost" else KILL_S
+                missing = [at for at in missing if at <= life.ended - window]
+                unexplained = len(missing) - lost
+            if unexplained > 0:
+                self.fail(
+                    "recording",
+                    f"{process.name}: {len(missing)} messages are missing, the first of second "
+                    f"{missing[0]:.2f}; it was {life.how} at second {life.ended:.2f}, with {lost} lost",
+                )
+
+
+def _take(found: Counter[tuple[str, int]], message: tuple[str, int]) -> bool:
+    if found[message] > 0:
+        found[message] -= 1
+        return True
+    return False
+
+
+def _is_latched(name: str) -> bool:
+    try:
+        return by_name(name).qos.latched
+    except ValueError:
+        return name == "unanswered"

@@ -1,0 +1,227 @@
+"""What befalls a site: drawn from a seed, done to it, and told in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+
+from eigenscan.workbench.simtest.network import Link, Session
+from eigenscan.workbench.simtest.process import HANDLING_S, Process
+from eigenscan.workbench.simtest.site import SITE, Machine, Plan, Site
+
+Undo = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong."""
+
+    at: float
+    """s from the beginning."""
+    kind: str
+    place: str
+    """A machine."""
+    part: int
+    """Which of its processes, or which other machine."""
+    amount: float
+    """0..1, how bad."""
+    lasts: float
+    """s; of some kinds, none."""
+
+    @property
+    def end(self) -> float:
+        """S from the beginning."""
+        return self.at + (self.lasts if KINDS[self.kind].lasts else 0.0)
+
+    def begin(self, site: Site) -> None:
+        """Does it, and undoes it in time."""
+        kind = KINDS[self.kind]
+        undo = kind.do(site, self)
+        if undo is not None:
+            site.agenda.after(self.lasts, undo)
+
+    def words(self, site: Site) -> str:
+        """What happens."""
+        kind = KINDS[self.kind]
+        text = kind.words(site, self)
+        return f"{text}, for {self.lasts:.1f} s" if kind.lasts else text
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault; `lasts`: it is undone after a time."""
+
+    do: Callable[[Site, Fault], Undo | None]
+    words: Callable[[Site, Fault], str]
+    lasts: bool = True
+
+
+def _process(site: Site, fault: Fault) -> Process:
+    own = site.machines[fault.place].processes
+    return own[fault.part % len(own)]
+
+
+def _machine(site: Site, fault: Fault) -> Machine:
+    return site.machines[fault.place]
+
+
+def _link(site: Site, fault: Fault) -> tuple[Link, str]:
+    """Between a robot and the site, or within a machine."""
+    if fault.place == SITE or fault.part % 2:
+        return site.network.link(fault.place, fault.place), f"within {fault.place}"
+    return site.network.link(fault.place, SITE), f"between {fault.place} and the site"
+
+
+def _set(attribute: str, value: Callable[[Fault], float]) -> Callable[[Site, Fault], Undo]:
+    def do(site: Site, fault: Fault) -> Undo:
+        link, _ = _link(site, fault)
+        setattr(link, attribute, value(fault))
+        return lambda: setattr(link, attribute, 0.0)
+
+    return do
+
+
+def _cut_off(fault: Fault) -> str:
+    return fault.place if fault.place != SITE else "r1"
+
+
+def _cut(site: Site, fault: Fault) -> Undo:
+    link = site.network.link(_cut_off(fault), SITE)
+    site.network.cut(link)
+    return lambda: site.network.mend(link)
+
+
+def _kill(site: Site, fault: Fault) -> None:
+    process = _process(site, fault)
+    if process.is_up:
+        process.end("killed")
+
+
+def _kill_in_write(site: Site, fault: Fault) -> None:
+    _process(site, fault).disk.kill_at = int(20 * fault.amount)
+
+
+def _stop(site: Site, fault: Fault) -> None:
+    _process(site, fault).stop()
+
+
+def _slow(site: Site, fault: Fault) -> Undo:
+    process = _process(site, fault)
+    process.handling_s = 0.02 + 0.5 * fault.amount
+
+    def undo() -> None:
+        process.handling_s = HANDLING_S
+
+    return undo
+
+
+def _mute(site: Site, fault: Fault) -> None:
+    session: Session | None = _process(site, fault).session
+    if session is not None:
+        session.is_mute = True
+
+
+def _off(site: Site, fault: Fault) -> Undo:
+    machine, random = _machine(site, fault), Random(f"{site.seed} off {fault.at}")
+    if machine.is_on:
+        machine.power_off(random)
+    return lambda: None if machine.is_on else machine.power_on(random)
+
+
+def clock_step_s(fault: Fault) -> float:
+    """Up to an hour, back or forwards; small ones as often as large ones."""
+    size = float(0.05 * 72000.0 ** abs(2.0 * fault.amount - 1.0))
+    return size if fault.amount > 0.5 else -size
+
+
+def _clock(site: Site, fault: Fault) -> None:
+    _machine(site, fault).clock.offset_ns += int(clock_step_s(fault) * 1e9)
+
+
+def _full(site: Site, fault: Fault) -> Undo:
+    disk = _process(site, fault).disk
+    disk.left = int(5000 * fault.amount)
+
+    def undo() -> None:
+        disk.left = None
+
+    return undo
+
+
+def _name(site: Site, fault: Fault) -> str:
+    return f"the {_process(site, fault).name}"
+
+
+def _where(site: Site, fault: Fault) -> str:
+    return _link(site, fault)[1]
+
+
+KINDS: dict[str, Kind] = {
+    "loss": Kind(
+        _set("loss", lambda fault: 0.9 * fault.amount),
+        lambda site, fault: f"{90 * fault.amount:.0f} % of messages {_where(site, fault)} are lost",
+    ),
+    "delay": Kind(
+        _set("extra_s", lambda fault: 2.0 * fault.amount**2),
+        lambda site, fault: f"messages {_where(site, fault)} take {2 * fault.amount**2:.2f} s longer",
+    ),
+    "disorder": Kind(
+        _set("disorder_s", lambda fault: fault.amount),
+        lambda site, fault: f"messages {_where(site, fault)} overtake others, by up to {fault.amount:.2f} s",
+    ),
+    "duplication": Kind(
+        _set("duplication", lambda fault: fault.amount),
+        lambda site, fault: f"{100 * fault.amount:.0f} % of messages {_where(site, fault)} come twice",
+    ),
+    "cut": Kind(
+        _cut,
+        lambda _site, fault: f"nothing passes between {_cut_off(fault)} and the site",
+    ),
+    "kill": Kind(_kill, lambda site, fault: f"{_name(site, fault)} is killed", lasts=False),
+    "kill in a write": Kind(
+        _kill_in_write,
+        lambda site, fault: f"{_name(site, fault)} is killed {int(20 * fault.amount)} disk operations later",
+        lasts=False,
+    ),
+    "stop": Kind(_stop, lambda site, fault: f"{_name(site, fault)} is stopped and restarted", lasts=False),
+    "slow": Kind(
+        _slow,
+        lambda site, fault: f"{_name(site, fault)} needs {0.02 + 0.5 * fault.amount:.2f} s for a message",
+    ),
+    "mute": Kind(_mute, lambda site, fault: f"nothing arrives at {_name(site, fault)}", lasts=False),
+    "off": Kind(_off, lambda _site, fault: f"{fault.place} loses power"),
+    "clock": Kind(
+        _clock,
+        lambda _site, fault: f"the clock of {fault.place} is set by {clock_step_s(fault):+.2f} s",
+        lasts=False,
+    ),
+    "full": Kind(
+        _full,
+        lambda site, fault: (
+            f"the disk of {_name(site, fault)} is full after {int(5000 * fault.amount)} bytes"
+        ),
+    ),
+}
+
+FIRST_S = 10.0
+"""Before it, nothing goes wrong."""
+
+
+def draw(seed: int, plan: Plan) -> list[Fault]:
+    """The faults of a seed, in the order of their times."""
+    random = Random(f"{seed} faults")
+    kinds = sorted(random.sample(sorted(KINDS), random.randint(1, len(KINDS))))
+    places = [SITE, *(f"r{number + 1}" for number in range(plan.robots))]
+    drawn = [
+        Fault(
+            at=round(random.uniform(FIRST_S, FIRST_S + plan.faults_s), 3),
+            kind=random.choice(kinds),
+            place=random.choice(places),
+            part=random.randrange(6),
+            amount=round(random.random(), 3),
+            lasts=round(random.uniform(0.1, 30.0), 3),
+        )
+        for _ in range(random.randint(1, 4 + 2 * plan.robots))
+    ]
+    return sorted(drawn, key=lambda fault: fault.at)

@@ -1,0 +1,238 @@
+"""A simulated site: machines, the processes on them, and robots that drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from eigenscan.recorder import node as recorder
+from eigenscan.recorder.options import RecorderOptions
+from eigenscan.runtime.node import Service
+from eigenscan.runtime.settings import ServiceSettings
+from eigenscan.schemas.channels import Channel
+from eigenscan.schemas.envelope import Condition, Core, Envelope
+from eigenscan.schemas.tick import TICK
+from eigenscan.schemas.wire import encode, encoding
+from eigenscan.tracker import node as tracker
+from eigenscan.tracker.options import TrackerOptions
+from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
+from eigenscan.workbench.simtest.disk import Disk
+from eigenscan.workbench.simtest.network import Network, Session
+from eigenscan.workbench.simtest.process import Process
+from eigenscan.workbench.simtest.robot import Robot, SyntheticProjector
+
+SITE = "site"
+"""Its name, and that of its one machine that is no robot."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a seed makes of a site, beside its faults."""
+
+    robots: int
+    scan_hz: float
+    odometry_hz: float
+    faults_s: float
+    """In which faults begin."""
+
+    @classmethod
+    def of(cls, seed: int, robots: int | None = None) -> Plan:
+        """By the seed alone."""
+        random = Random(f"{seed} plan")
+        drawn = random.randint(1, 5)
+        scan_hz = random.choice((0.5, 1.0, 2.0))
+        return cls(robots or drawn, scan_hz, scan_hz * random.choice((2, 5)), random.uniform(20.0, 90.0))
+
+
+@dataclass
+class Life:
+    """What a process's core was given from its start to its end."""
+
+    started: float
+    handled: list[tuple[float, Channel, str, int]] = field(default_factory=list)
+    """When, and the key and hash of each message that the recorder's core was given."""
+    counters: dict[str, int] = field(default_factory=dict)
+    """Of its core, at its end."""
+    ended: float | None = None
+    how: str = ""
+
+
+class Observer:
+    """A core, with a note of what it was given."""
+
+    def __init__(self, core: Core, agenda: Agenda, on_condition: Callable[[], None], keeps: bool) -> None:
+        self._core, self._agenda, self._on_condition, self._keeps = core, agenda, on_condition, keeps
+        self.hears, self.says = core.hears, core.says
+        self.life = Life(agenda.now)
+
+    def start(self) -> Iterable[Envelope]:
+        """As the core."""
+        return self._core.start()
+
+    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        """As the core."""
+        if self._keeps and heard.channel is not TICK:
+            self.life.handled.append(
+                (self._agenda.now, heard.channel, heard.key, hash(encode(heard.message)))
+            )
+        return self._core.handle(heard)
+
+    def finish(self) -> Iterable[Envelope]:
+        """As the core."""
+        return self._core.finish()
+
+    def condition(self) -> Condition:
+        """As the core."""
+        self._on_condition()
+        return self._core.condition()
+
+    def close(self, how: str) -> None:
+        """Its process ends."""
+        self.life.ended, self.life.how = self._agenda.now, how
+        self.life.counters = dict(self._core.condition().counters)
+
+
+class Machine:
+    """A clock, processes, and a robot's sensors, if it is one."""
+
+    def __init__(self, site: Site, name: str, robot: Robot | None) -> None:
+        self._site, self.name, self.robot = site, name, robot
+        self.clock = MachineClock(site.agenda)
+        self.processes: list[Process] = []
+        self.is_on = False
+        self._driver: Session | None = None
+        self._boots = 0
+
+    def power_on(self, random: Random) -> None:
+        """Starts what runs on it, in any order."""
+        self.is_on = True
+        self._boots += 1
+        for process in self.processes:
+            process.is_wanted = True
+            self._site.agenda.after(random.uniform(0.0, 3.0), process.start)
+        if self.robot is not None:
+            self._driver = self._site.network.open(self.name, self.clock)
+            plan = self._site.plan
+            for hertz, make in ((plan.scan_hz, self.robot.scan), (plan.odometry_hz, self.robot.odometry)):
+                self._drive(1.0 / hertz, make, random.random() / hertz, self._boots)
+
+    def power_off(self, random: Random) -> None:
+        """At once; disks lose what was not synced."""
+        self.is_on = False
+        for process in self.processes:
+            process.is_wanted = False
+            if process.is_up:
+                process.end("power lost")
+            process.disk.lose_power(random)
+        if self._driver is not None:
+            self._site.network.close(self._driver)
+            self._driver = None
+
+    def _drive(self, period: float, make: Callable[[float, int], Envelope], first: float, boot: int) -> None:
+        def publish() -> None:
+            if not self.is_on or self._boots != boot or self._driver is None:
+                return
+            one = make(self._site.agenda.now, self.clock.time_ns())
+            self._site.say(self._driver, one)
+            self._site.agenda.after(period, publish)
+
+        self._site.agenda.after(first, publish)
+
+
+class Site:
+    """All of it."""
+
+    def __init__(self, seed: int, plan: Plan) -> None:
+        self.seed, self.plan = seed, plan
+        self.agenda = Agenda()
+        self.network = Network(self.agenda, str(seed))
+        self.random = Random(f"{seed} site")
+        self.observers: dict[Process, Observer] = {}
+        self.lives: dict[Process, list[Life]] = {}
+        self.on_condition: Callable[[Process], None] = lambda _process: None
+        self.notes: list[tuple[float, str]] = []
+        names = [f"r{number + 1}" for number in range(plan.robots)]
+        self.robots = {name: Robot(SITE, name, str(seed)) for name in names}
+        self.machines = {SITE: Machine(self, SITE, None)}
+        self.machines |= {name: Machine(self, name, self.robots[name]) for name in names}
+        self._add(SITE, recorder.SERVICE, recorder.make_core, self._recorder_settings, keeps=True)
+        for name in names:
+            self._add(name, tracker.SERVICE, tracker.make_core, partial(self._tracker_settings, name))
+            projector = Service("projector", ServiceSettings, lambda _settings: None)  # type: ignore[arg-type,return-value]
+            self._add(
+                name,
+                projector,
+                lambda settings, _clock: SyntheticProjector(self.robots, settings),
+                partial(self._plain_settings, name),
+            )
+        self.network.arrived = self._wake
+
+    @property
+    def processes(self) -> list[Process]:
+        """Of all machines."""
+        return [process for machine in self.machines.values() for process in machine.processes]
+
+    def begin(self) -> None:
+        """Switches everything on."""
+        for name, machine in self.machines.items():
+            machine.power_on(Random(f"{self.seed} boot {name}"))
+
+    def say(self, session: Session, one: Envelope) -> None:
+        """Publishes for a driver."""
+        session.declare_publisher(one.key, encoding(one.channel)).put(encode(one.message))
+
+    def _recorder_settings(self, disk: Disk) -> ServiceSettings:
+        settings = RecorderOptions(site=SITE, mcap=Path("/recordings"))
+        return settings.model_copy(update={"mcap": disk.path("/recordings")})
+
+    def _plain_settings(self, name: str, _disk: Disk) -> ServiceSettings:
+        return ServiceSettings(site=SITE, robot=name, instance=name)
+
+    def _tracker_settings(self, name: str, disk: Disk) -> ServiceSettings:
+        settings = TrackerOptions(site=SITE, robot=name, instance=name)
+        return settings.model_copy(update={"last_pose": disk.path("/poses")})
+
+    def _add(
+        self,
+        machine: str,
+        service: Service[Any],
+        make_core: Callable[[Any, MachineClock], Core],
+        settings: Callable[[Disk], ServiceSettings],
+        *,
+        keeps: bool = False,
+    ) -> None:
+        own = self.machines[machine]
+
+        def observed(_disk: Disk) -> Service[Any]:
+            def make(given: Any) -> Core:
+                core = make_core(given, own.clock)
+                observer = Observer(core, self.agenda, lambda: self.on_condition(process), keeps)
+                self.observers[process] = observer
+                self.lives.setdefault(process, []).append(observer.life)
+                self.note(f"{process.name}: starts")
+                return observer
+
+            return replace(service, make_core=make, attend=None)
+
+        process = Process(self.agenda, self.network, machine, own.clock, observed, settings)
+        process.on_end = self._end
+        own.processes.append(process)
+
+    def note(self, text: str) -> None:
+        """Something that a story may tell."""
+        self.notes.append((self.agenda.now, text))
+
+    def _end(self, process: Process, how: str) -> None:
+        self.note(f"{process.name}: {how}")
+        observer = self.observers.get(process)
+        if observer is not None and observer.life.ended is None:
+            observer.close(how)
+
+    def _wake(self, session: Session) -> None:
+        for process in self.machines[session.machine].processes:
+            if process.session is session:
+                process.wake()

@@ -1,0 +1,75 @@
+"""One run: a site, its faults, and what broke."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from eigenscan.runtime.logs import NAME
+from eigenscan.workbench.simtest.checks import SETTLE_S, Broken, Judge
+from eigenscan.workbench.simtest.faults import FIRST_S, Fault, draw
+from eigenscan.workbench.simtest.site import Plan, Site
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it."""
+
+    seed: int
+    plan: Plan
+    faults: tuple[Fault, ...]
+    broken: tuple[Broken, ...]
+    trace: str
+    """Hash of all that was published, when and by whom: equal for two runs of one seed."""
+    site_s: float
+    took_s: float
+    """By the processor."""
+    counts: dict[str, int]
+    notes: tuple[tuple[float, str], ...]
+    """When, and what services did: starts, ends, changes of health."""
+
+
+def run(seed: int, robots: int | None = None, faults: Sequence[Fault] | None = None) -> Outcome:
+    """Runs a seed, with its own faults or those that are given."""
+    began = time.process_time()
+    plan = Plan.of(seed, robots)
+    chosen = tuple(draw(seed, plan) if faults is None else faults)
+    site = Site(seed, plan)
+    judge = Judge(site)
+    log = logging.getLogger(NAME)
+    level, log.propagate = log.level, False
+    log.setLevel(logging.CRITICAL)
+    try:
+        site.begin()
+        for fault in chosen:
+            site.agenda.after(fault.at, lambda fault=fault: fault.begin(site))  # type: ignore[misc]
+        last = max([FIRST_S, *(fault.end for fault in chosen)])
+        end = last + SETTLE_S / min(1.0, plan.scan_hz)
+        while site.agenda.now < end and not judge.broken:
+            site.agenda.run(min(end, site.agenda.now + 1.0))
+        if not judge.broken:
+            judge.finish()
+        for process in site.processes:
+            process.is_wanted = False
+            process.stop()
+        if not judge.broken:
+            judge.recordings()
+    finally:
+        log.setLevel(level)
+        for process in site.processes:
+            process.disk.close()
+        gc.unfreeze()
+    return Outcome(
+        seed,
+        plan,
+        chosen,
+        tuple(judge.broken),
+        site.network.trace.hexdigest(),
+        site.agenda.now,
+        time.process_time() - began,
+        dict(judge.counts),
+        tuple(site.notes),
+    )
