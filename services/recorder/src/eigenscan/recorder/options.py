@@ -27,7 +27,7 @@ class RecorderOptions(ServiceSettings):
         0.5,
         gt=0,
         le=60,
-        description="seconds of traffic that a crash may lose; up to 1 s more after the last message",
+        description="seconds of traffic that a crash can lose, and 1 s in a pause",
     )
     rotate_mb: float | None = Field(
         None, gt=0, description="MB after which a new MCAP file begins; by default an eighth of budget_mb"
