@@ -11,7 +11,7 @@ from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.runtime.settings import SettingsError, load
 from eigenscan.schemas import recently_used
-from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
+from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_MOTION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.health_pb2 import Health
@@ -63,7 +63,9 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
     ingest = core(base_frame="base_footprint")
     mount = Pose2(x=0.2, y=-0.1, theta=0.5)
     for number in range(3):
-        published = next(iter(ingest.handle(received(raw((number + 1) * SECOND, mount=mount)))))
+        *motion, published = ingest.handle(received(raw((number + 1) * SECOND, mount=mount)))
+        # before the scan: the tracker must have it before the scan's hypotheses
+        assert [each.channel for each in motion] == [SCAN_MOTION] * bool(number)
         assert published.channel is SCAN
         assert published.key == "s/robot/r/scan/front"
         scan = published.open(Scan)

@@ -171,8 +171,8 @@ def test_of_a_fast_lidar_not_every_scan_is_laid_on_an_earlier_one() -> None:
 def test_identical_scans_are_counted_told_and_named() -> None:
     lidar, still = Lidar(), seen((0.0, 0.5, 0.3), np.random.default_rng(1))
     published = [lidar.say(still) for _ in range(25)]
-    assert all(envelopes[0].channel is SCAN for envelopes in published)
-    repeats = [each[-1].open(ScanMotion).repeats for each in published[1:]]
+    assert all(envelopes[-1].channel is SCAN for envelopes in published)
+    repeats = [each[0].open(ScanMotion).repeats for each in published[1:]]
     assert repeats == list(range(1, 25))
     assert lidar.fault.startswith("lidar r/front frozen: 25 identical scans")
     lidar.say(seen((0.0, 0.5, 0.3), np.random.default_rng(2)))

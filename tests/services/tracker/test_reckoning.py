@@ -116,6 +116,20 @@ def test_a_turn_that_odometry_misses_does_not_lead_a_hidden_track_astray(
     assert max(errors) < 0.25
 
 
+def test_a_pose_has_the_turn_that_its_own_scan_tells(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Odometry misses a quick turn, and the scan's list is empty."""
+    core, truth = make_core(), np.array([2.0, 3.0, 0.0])
+    for scan in range(10):
+        list(core.handle(speaker.odometry(10.0 + 0.1 * scan, np.zeros(3))))
+        list(core.handle(speaker.hypotheses(10.0 + 0.1 * scan, [truth], [17.0])))
+    list(core.handle(speaker.odometry(11.0, np.zeros(3))))
+    list(core.handle(motion(11.0, 10.9, (0.0, 0.0, 0.25))))
+    (pose,) = poses_of(core.handle(speaker.hypotheses(11.0, [], [])))
+    assert abs(pose.pose.theta - 0.25) < 0.05
+
+
 def test_without_odometry_scans_carry_a_hidden_track(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:

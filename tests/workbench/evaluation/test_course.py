@@ -326,7 +326,7 @@ def test_a_reference_with_other_stamps_fits_with_its_offset(drive: Drive, tmp_pa
     ("broken", "text", "named"),
     [
         ("log", None, "cannot be read"),
-        ("log", "not a log\n", "is of no known format"),
+        ("log", "not a log\n", "is a map, no log"),
         ("map", "image: map.pgm\norigin: [0, 0, 0]\n", "resolution is missing"),
         ("truth", "1 2 3\n", "line 1"),
         ("truth", "5 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n", "covers 5.000 to 6.000 s"),

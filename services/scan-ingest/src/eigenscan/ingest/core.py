@@ -77,7 +77,7 @@ class ScanIngestCore:
         return ()
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
-        """The canonical scan of a raw one unless it was set aside; then, now and then, the motion."""
+        """The canonical scan of a raw one unless it was set aside; before it, now and then, the motion."""
         self._counts["heard"] += 1
         try:
             raw = received.open(RawScan)
@@ -92,8 +92,8 @@ class ScanIngestCore:
         lidar.recent.append("")
         self._counts["published"] += 1
         self._recent.append("")
-        # the scan goes out before the motion is looked for
-        return chain((Envelope(SCAN, received.address, scan),), self._motion(lidar, received, scan, ranges))
+        # first, so that the tracker has the motion before the scan's hypotheses, whatever the processes
+        return chain(self._motion(lidar, received, scan, ranges), (Envelope(SCAN, received.address, scan),))
 
     def finish(self) -> Iterable[Envelope]:
         """Nothing is held back."""

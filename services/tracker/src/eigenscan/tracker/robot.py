@@ -174,11 +174,11 @@ class RobotTracker:
             self._counts["hypotheses_late"] += 1
             seen = self._brought_forward(seen, belief.stamp)
         elif belief.stamp is not None:
-            self._correct(belief.stamp)
             moved = self._motion(belief.stamp, seen.stamp)
             belief.predict(moved)
             self._claim.predict(moved)
             self._claim.advance(moved.seconds, self._progress(moved))
+            self._correct(seen.stamp)
         belief.stamp = seen.stamp
         belief.forget_innovations()
         repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
