@@ -17,6 +17,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
 from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError, RegionModel
 from eigenscan.eigenspace.space_file import read_spaces, write_spaces
@@ -38,6 +39,7 @@ from eigenscan.recorder.files import Files
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.uploads import Uploads
 from eigenscan.ros_bridge import cdr
+from eigenscan.ros_bridge.cloud import Slice
 from eigenscan.ros_bridge.inbound import grid_map, odometry, odometry_of_tf, raw_scan, relocation
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.parameters import Parameters
@@ -69,6 +71,7 @@ from tests.fuzz.mutation import damaged, forged
 from tests.fuzz.reader import Opened, Reader
 from tests.services.projector.office import envelopes, office
 from tests.services.recorder.traffic import Site
+from tests.services.ros_bridge.test_cloud import cloud as ros_cloud
 from tests.services.ros_bridge.test_core import odometry as ros_odometry
 from tests.services.ros_bridge.test_core import scan as ros_scan
 from tests.services.ros_bridge.test_core import transform as ros_transform
@@ -874,6 +877,7 @@ def _cdr() -> Reader:
             cdr.BOND,
             cdr.STRING,
             *(f"{kind}_Request" for kind in SERVICES),
+            cdr.POINT_CLOUD,
         ]
         sound = {
             cdr.LASER_SCAN: ros_scan(),
@@ -881,6 +885,7 @@ def _cdr() -> Reader:
             cdr.TRANSFORMS: ros_transform("odom", "base_link", (0.2, 0.1, 0.3), (0.0, 0.0, 1.0, 0.0)),
             cdr.POSE_WITH_COVARIANCE: ros_odometry(1, 2, 0.5),
             cdr.OCCUPANCY_GRID: ros_odometry(1, 2, 0.5),
+            cdr.POINT_CLOUD: ros_cloud([(1.0, 2.0, 0.3), (2.0, 1.0, 0.4)]),
         }
         seeds = {
             f"{n} {kind}": bytes([n]) + sound.get(kind, bytes([0, 1, 0, 0]) + bytes(40))
@@ -902,6 +907,8 @@ def _cdr() -> Reader:
                 relocation(body)
             elif kind == cdr.OCCUPANCY_GRID:
                 grid_map(body)
+            elif kind == cdr.POINT_CLOUD:
+                Slice(0.1, 0.6).scan(body, 1, np.eye(4))
             elif kind.endswith("Parameters_Request"):
                 parameters.answer(kind.removesuffix("_Request"), data[1:])
 

@@ -152,7 +152,16 @@ def test_the_hash_of_a_service_with_other_messages_in_it_is_that_of_ros_2() -> N
 
 
 @pytest.mark.parametrize(
-    "kind", [cdr.LASER_SCAN, cdr.ODOMETRY, cdr.TRANSFORMS, cdr.POSE_WITH_COVARIANCE, cdr.OCCUPANCY_GRID]
+    "kind",
+    [
+        cdr.LASER_SCAN,
+        cdr.POINT_CLOUD,
+        cdr.ODOMETRY,
+        cdr.TRANSFORMS,
+        cdr.POSE_WITH_COVARIANCE,
+        cdr.OCCUPANCY_GRID,
+        cdr.DIAGNOSTICS,
+    ],
 )
 def test_hashes_are_the_same_in_all_releases(kind: str) -> None:
     from rosbags.typesys import Stores, get_typestore

@@ -11,7 +11,17 @@ from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, RO
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.runtime.loopback import Loopback
-from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, RELOCATION, SCAN_RAW, TRACKS, TRANSFORM
+from eigenscan.schemas.channels import (
+    HEALTH,
+    MAP,
+    ODOMETRY,
+    POSE,
+    RELOCATION,
+    SCAN_RAW,
+    TRACKS,
+    TRANSFORM,
+    Channel,
+)
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -299,6 +309,19 @@ def test_a_pose_by_service_is_a_relocation() -> None:
 def test_a_request_that_is_none_is_answered_by_nothing() -> None:
     bridge = core()
     assert ask(bridge, "%set_initial_pose", b"\0\1\0\0") == (b"", [])
+    assert bridge.condition().counters["set_aside_not_cdr"] == 1
+
+
+@pytest.mark.parametrize("channel", [POSE, HEALTH])
+def test_a_stamp_that_ros_cannot_hold_is_counted(channel: Channel) -> None:
+    bridge, late = core(), stamp(2**31 * 10**9)
+    message = (
+        PoseEstimate(timestamp=late, state=STATE_LOCALIZED)
+        if channel is POSE
+        else Health(timestamp=late, service="tracker", instance="r")
+    )
+    address = SITE | {"service": "tracker", "instance": "r"}
+    assert list(bridge.handle(Envelope(channel, address, message))) == []
     assert bridge.condition().counters["set_aside_not_cdr"] == 1
 
 

@@ -94,7 +94,7 @@ def test_an_attachment_is_number_time_and_id() -> None:
 def test_ids_tell_endpoints_apart() -> None:
     dialect, bridge = RmwZenoh(0, "", SESSION), ends()
     ids = [dialect.attachment(endpoint, 1, 0)[17:] for endpoint in bridge]
-    assert len(set(ids)) == len(ids) == 29
+    assert len(set(ids)) == len(ids) == 30
     tokens = [token for token in dialect.tokens(bridge) if "/NN/" not in token]
     assert ids == [gid_of(token) for token in tokens]
 
@@ -144,6 +144,7 @@ def test_what_is_switched_off_is_not_there() -> None:
         map="",
         particles="",
         floor="",
+        diagnostics="",
         initial_pose="",
         set_initial_pose="",
         global_localization="",

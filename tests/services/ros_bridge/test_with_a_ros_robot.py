@@ -257,6 +257,7 @@ def test_ros_2_topic_tools_see_it(bridge: Bridge, robot: Robot, network: Network
         "/bond",
         "/amcl_pose",
         "/floor",
+        "/diagnostics",
         "/particle_cloud",
     }
     ours.add("/map")

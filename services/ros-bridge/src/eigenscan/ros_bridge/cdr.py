@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from typing import Any
 
@@ -18,6 +19,8 @@ PARTICLE = "nav2_msgs/msg/Particle"
 PARTICLE_CLOUD = "nav2_msgs/msg/ParticleCloud"
 BOND = "bond/msg/Status"
 STRING = "std_msgs/msg/String"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 EMPTY_RESPONSE = bytes([0, 1, 0, 0, 0])
 """Little-endian CDR of a message without fields: one byte stands in for them."""
@@ -32,7 +35,7 @@ _TEXTS = {
 
 
 class CdrError(ValueError):
-    """Bytes that are no message of the type that they were taken for."""
+    """Bytes that are no message of the type that they were taken for, or a message that has no bytes."""
 
 
 @cache
@@ -54,8 +57,11 @@ def decode(kind: str, data: bytes) -> Any:
 
 
 def encode(message: Any) -> bytes:
-    """Little-endian CDR of a message that was made by `make`."""
-    return bytes(_store().serialize_cdr(message, message.__msgtype__))
+    """Little-endian CDR of a message that was made by `make`. Raises CdrError."""
+    try:
+        return bytes(_store().serialize_cdr(message, message.__msgtype__))
+    except struct.error as error:  # a number that its field cannot hold, such as a stamp after 2038
+        raise CdrError(f"cannot be a {message.__msgtype__}: {error}") from error
 
 
 def make(kind: str, *fields: Any) -> Any:

@@ -10,6 +10,8 @@ from typing import Any
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.cloud import CloudError, Slice
+from eigenscan.ros_bridge.diagnostics import diagnostics
 from eigenscan.ros_bridge.endpoints import NODE, Endpoint, endpoints
 from eigenscan.ros_bridge.inbound import (
     frame_name,
@@ -35,6 +37,7 @@ from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import (
     DEFAULT_ROBOT,
     DEFAULT_SITE,
+    HEALTH,
     MAP,
     ODOMETRY,
     POSE,
@@ -46,6 +49,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -60,7 +64,7 @@ Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
 class RosBridgeCore:
     """One robot's bridge. What it receives from ROS and publishes there are CDR bytes, by endpoint."""
 
-    hears: tuple[Channel, ...] = (ROS_HEARD, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP)
+    hears: tuple[Channel, ...] = (ROS_HEARD, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP, HEALTH)
     says: tuple[Channel, ...] = (ROS_SAID, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
 
     def __init__(
@@ -83,7 +87,10 @@ class RosBridgeCore:
         self._not_taken = ""
         self._floor = floor_name(PoseEstimate())
         self._counts: Counter[str] = Counter()
-        self._lacks = "no scan yet on " + ", ".join(scan.name for scan in self._ends.scans)
+        self._slice = Slice(settings.slice_low, settings.slice_high)
+        self._estimate: PoseEstimate | None = None  # since the tracker's last health
+        sources = (*self._ends.scans, *self._ends.clouds)
+        self._lacks = "no scan yet on " + ", ".join(source.name for source in sources)
         self._hearers = dict(self._make_hearers())
         self._answerers = dict(self._make_answerers())
 
@@ -119,9 +126,11 @@ class RosBridgeCore:
         return Condition(status, lacks or self._not_taken, dict(self._counts))
 
     def _make_hearers(self) -> Iterator[tuple[str, Hearer]]:
-        names = lidar_names([scan.name for scan in self._ends.scans])
-        for scan in self._ends.scans:
-            yield scan.chunk, self._scan_hearer(scan, names[scan.name])
+        sources = (*self._ends.scans, *self._ends.clouds)
+        names = lidar_names([source.name for source in sources])
+        for source in sources:
+            take = self._scan if source in self._ends.scans else self._scan_of_cloud
+            yield source.chunk, self._scan_hearer(source, names[source.name], take)
         for endpoint, hearer in (
             (self._ends.odometry, self._hear_odometry),
             (self._ends.transforms, self._hear_transforms),
@@ -146,20 +155,29 @@ class RosBridgeCore:
         for end in ends.parameters:
             yield end.chunk, partial(self._answer_parameters, self._parameters[end.node], end.kind)
 
-    def _scan_hearer(self, endpoint: Endpoint, lidar: str) -> Hearer:
+    def _scan_hearer(self, endpoint: Endpoint, lidar: str, take: Callable[[Any], RawScan]) -> Hearer:
         def hear(data: bytes) -> Iterator[Envelope]:
-            body = cdr.decode(cdr.LASER_SCAN, data)
+            body = cdr.decode(endpoint.kind, data)
             try:
-                mount, upside_down = self._mounts.of(frame_name(body.header.frame_id))
-            except MountError as error:
+                message = take(body)
+            except (MountError, CloudError) as error:
                 self._counts[f"set_aside_{error.reason}"] += 1
                 self._lacks = f"{endpoint.name}: {error}"
                 return
             self._lacks = ""
-            message = raw_scan(body, header_stamp(body.header), mount, upside_down)
             yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
 
         return hear
+
+    def _scan(self, body: Any) -> RawScan:
+        mount, upside_down = self._mounts.of(frame_name(body.header.frame_id))
+        return raw_scan(body, header_stamp(body.header), mount, upside_down)
+
+    def _scan_of_cloud(self, body: Any) -> RawScan:
+        matrix = self._mounts.matrix(frame_name(body.header.frame_id))
+        message, not_finite = self._slice.scan(body, header_stamp(body.header), matrix)
+        self._counts["cloud_points_not_finite"] += not_finite
+        return message
 
     def _hear_odometry(self, data: bytes) -> Iterator[Envelope]:
         if self._odometry_in_tf:  # two tellers of one odometry need not agree
@@ -238,9 +256,14 @@ class RosBridgeCore:
             self._map_frames.add(grid.frame_id)
             if ends.map:
                 yield _said(ends.map, occupancy_grid(grid))
-        elif not self._lifecycle.active:
             return
+        if heard.channel is HEALTH:
+            yield from self._diagnose(heard.open(Health))
         elif heard.channel is POSE:
+            self._estimate = heard.open(PoseEstimate)
+        if not self._lifecycle.active:
+            return
+        if heard.channel is POSE:
             estimate = heard.open(PoseEstimate)
             if ends.pose and estimate.state == STATE_LOCALIZED:
                 yield _said(ends.pose, pose_with_covariance(estimate))
@@ -252,6 +275,14 @@ class RosBridgeCore:
             yield _said(ends.map_to_odom, transforms(heard.open(FrameTransform), self._ahead))
         elif heard.channel is TRACKS and ends.particles:
             yield _said(ends.particles, particle_cloud(heard.open(Tracks)))
+
+    def _diagnose(self, health: Health) -> Iterator[Envelope]:
+        if not self._ends.diagnostics or health.instance != self._address["robot"]:
+            return
+        estimate = self._estimate
+        if health.service == "tracker":
+            self._estimate = None
+        yield _said(self._ends.diagnostics, diagnostics(health, estimate))
 
 
 def _said(endpoint: Endpoint, data: bytes) -> Envelope:

@@ -9,10 +9,12 @@ from typing import Protocol
 
 from eigenscan.ros_bridge.cdr import (
     BOND,
+    DIAGNOSTICS,
     LASER_SCAN,
     OCCUPANCY_GRID,
     ODOMETRY,
     PARTICLE_CLOUD,
+    POINT_CLOUD,
     POSE_WITH_COVARIANCE,
     STRING,
     TRANSFORMS,
@@ -94,6 +96,7 @@ class Endpoints:
     """All endpoints of one bridge; None where it is switched off."""
 
     scans: tuple[Endpoint, ...]
+    clouds: tuple[Endpoint, ...]
     odometry: Endpoint | None
     transforms: Endpoint | None
     static_transforms: Endpoint | None
@@ -111,10 +114,12 @@ class Endpoints:
     map_to_odom: Endpoint | None
     particles: Endpoint | None
     floor: Endpoint | None
+    diagnostics: Endpoint | None
     map: Endpoint | None
 
     def __iter__(self) -> Iterator[Endpoint]:
         yield from self.scans
+        yield from self.clouds
         for endpoint in vars(self).values():
             if isinstance(endpoint, Endpoint):
                 yield endpoint
@@ -149,8 +154,10 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         for name, kind in _PARAMETERS
     ]
     scans = [heard(name, LASER_SCAN, _SENSOR) for name in settings.scan]
+    clouds = [heard(name, POINT_CLOUD, _SENSOR) for name in settings.points]
     return Endpoints(
         scans=tuple(scan for scan in scans if scan),
+        clouds=tuple(cloud for cloud in clouds if cloud),
         odometry=heard(settings.odom, ODOMETRY, _COMMAND),
         transforms=heard(settings.tf, TRANSFORMS, _TF),
         static_transforms=(
@@ -170,6 +177,7 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         map_to_odom=said(settings.tf if settings.tf_broadcast else "", TRANSFORMS, _TF),
         particles=said(settings.particles, PARTICLE_CLOUD, _SENSOR),
         floor=said(settings.floor, STRING, _LATCHED),
+        diagnostics=said(settings.diagnostics, DIAGNOSTICS, _COMMAND),
         map=said(settings.map, OCCUPANCY_GRID, _LATCHED),
     )
 

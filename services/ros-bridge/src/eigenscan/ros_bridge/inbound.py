@@ -130,7 +130,7 @@ def lidar_names(topics: Sequence[str]) -> dict[str, str]:
     names: dict[str, str] = {}
     for topic in topics:
         parts = [part for part in re.split(r"[/*$#?@\s]+", topic) if part]
-        if len(parts) > 1 and parts[-1] in ("scan", "laser_scan"):
+        if len(parts) > 1 and parts[-1] in ("scan", "laser_scan", "points"):
             parts.pop()
         name = "_".join(parts) or "lidar"
         while name in names.values():

@@ -54,7 +54,10 @@ class Mounts:
             self._known[frame] = self._find(frame)
         return self._known[frame]
 
-    def _find(self, frame: str) -> Mount:
+    def matrix(self, frame: str) -> NDArray[np.float64]:
+        """The sensor (4, 4) in the base frame, however it is tilted. Raises MountError."""
+        if not self._from_tf:
+            return np.eye(4)
         if self._base is None:
             raise MountError(
                 "no_base", "no odometry yet, in tf or on its topic, whose child is the robot's base"
@@ -66,7 +69,10 @@ class Mounts:
                 f"no transform from {self._base} to {frame}: publish it on tf_static, "
                 "or set mounts_from_tf to false and give scan-ingest the mounts",
             )
-        mount = planar(matrix)
+        return matrix
+
+    def _find(self, frame: str) -> Mount:
+        mount = planar(self.matrix(frame))
         if mount is None:
             raise MountError("tilted", f"{frame} is tilted: it does not see the plane that the map shows")
         return mount

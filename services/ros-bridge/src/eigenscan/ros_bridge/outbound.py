@@ -29,9 +29,9 @@ def pose_with_covariance(estimate: PoseEstimate) -> bytes:
     c = estimate.covariance
     covariance = np.zeros((6, 6))
     covariance[np.ix_([0, 1, 5], [0, 1, 5])] = [[c.xx, c.xy, c.xt], [c.xy, c.yy, c.yt], [c.xt, c.yt, c.tt]]
-    header = _header(nanoseconds(estimate.timestamp), estimate.frame_id)
+    head = header(nanoseconds(estimate.timestamp), estimate.frame_id)
     stated = make("geometry_msgs/msg/PoseWithCovariance", _pose(estimate.pose), covariance.ravel())
-    return encode(make(POSE_WITH_COVARIANCE, header, stated))
+    return encode(make(POSE_WITH_COVARIANCE, head, stated))
 
 
 def floor_name(estimate: PoseEstimate) -> bytes:
@@ -44,7 +44,7 @@ def transforms(transform: FrameTransform, ahead: int) -> bytes:
     move, turn = transform.translation, transform.rotation
     stamped = make(
         "geometry_msgs/msg/TransformStamped",
-        _header(nanoseconds(transform.timestamp) + ahead, transform.parent_frame_id),
+        header(nanoseconds(transform.timestamp) + ahead, transform.parent_frame_id),
         transform.child_frame_id,
         make(
             "geometry_msgs/msg/Transform",
@@ -58,8 +58,8 @@ def transforms(transform: FrameTransform, ahead: int) -> bytes:
 def particle_cloud(tracks: Tracks) -> bytes:
     """ParticleCloud: one particle for each track, its probability the weight."""
     particles = [make(PARTICLE, _pose(track.pose), track.probability) for track in tracks.tracks]
-    header = _header(nanoseconds(tracks.timestamp), tracks.frame_id)
-    return encode(make(PARTICLE_CLOUD, header, particles))
+    head = header(nanoseconds(tracks.timestamp), tracks.frame_id)
+    return encode(make(PARTICLE_CLOUD, head, particles))
 
 
 def occupancy_grid(grid: Grid) -> bytes:
@@ -69,19 +69,20 @@ def occupancy_grid(grid: Grid) -> bytes:
     cells = np.where(area.cells == UNKNOWN, -1, area.cells.astype(np.int16)).astype(np.int8)
     height, width = area.cells.shape
     x, y, theta = area.origin.tolist()
-    header = _header(nanoseconds(grid.timestamp), grid.frame_id)
+    head = header(nanoseconds(grid.timestamp), grid.frame_id)
     info = make(
         "nav_msgs/msg/MapMetaData",
-        header.stamp,
+        head.stamp,
         area.resolution,
         width,
         height,
         _pose(Pose2(x=x, y=y, theta=theta)),
     )
-    return encode(make(OCCUPANCY_GRID, header, info, cells.ravel()))
+    return encode(make(OCCUPANCY_GRID, head, info, cells.ravel()))
 
 
-def _header(time: int, frame: str) -> Any:
+def header(time: int, frame: str) -> Any:
+    """A message's; `time` in ns."""
     stamp = make("builtin_interfaces/msg/Time", time // 1_000_000_000, time % 1_000_000_000)
     return make("std_msgs/msg/Header", stamp, frame)
 

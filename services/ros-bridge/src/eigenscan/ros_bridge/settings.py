@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
@@ -20,6 +20,12 @@ class RosBridgeSettings(BaseModel):
         min_length=1,
         description='topics of LaserScan, as JSON: ["front/scan", "rear/scan"] are the lidars front and rear',
     )
+    points: list[str] = Field(
+        default_factory=list,
+        description="topics of PointCloud2, as JSON; a level slice of each is a scan",
+    )
+    slice_low: float = Field(0.1, ge=-10.0, le=10.0, description="m above the base, of a slice")
+    slice_high: float = Field(0.6, ge=-10.0, le=10.0, description="m above the base, of a slice")
     odom: str = Field("odom", description="topic of Odometry, while tf has none; empty: tf only")
     odom_frame: str = Field(
         "odom",
@@ -48,6 +54,7 @@ class RosBridgeSettings(BaseModel):
     floor: str = Field(
         "floor", description="topic of the name of the floor that a claimed pose is on; empty: none"
     )
+    diagnostics: str = Field("/diagnostics", description="topic of health and state; empty: none")
     map: str = Field("map", description="topic of the map; empty: none, as with a map_server")
     transform_tolerance: float = Field(
         0.1,
@@ -69,13 +76,20 @@ class RosBridgeSettings(BaseModel):
         "pose",
         "particles",
         "floor",
+        "diagnostics",
         "map",
     )
     @classmethod
     def _ros_name(cls, value: str) -> str:
         return _checked(value)
 
-    @field_validator("scan")
+    @model_validator(mode="after")
+    def _has_slice(self) -> RosBridgeSettings:
+        if self.slice_low >= self.slice_high:
+            raise ValueError(f"slice_high = {self.slice_high:g} is not above slice_low = {self.slice_low:g}")
+        return self
+
+    @field_validator("scan", "points")
     @classmethod
     def _ros_names(cls, value: list[str]) -> list[str]:
         if not all(value) or len(set(value)) < len(value):
