@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
 from eigenscan.tracker.odometry import Motion
-from eigenscan.tracker.prediction import displacement_growth, motion_noise, predict
+from eigenscan.tracker.prediction import motion_noise, predict
 from eigenscan.tracker.settings import TrackerSettings
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
@@ -38,5 +38,6 @@ def test_it_is_filterpys_prediction(seed: int) -> None:
 
 
 def test_without_odometry_a_pose_may_be_as_far_as_the_robot_is_fast() -> None:
-    W = displacement_growth(0.5, v_max=2.0, turn_max=3.0)
+    moved = Motion((0.0, 0.0, 0.0), way=0.0, turn=0.0, slip=0.0, unknown=0.5, breaks=0.0, seconds=0.0)
+    W = motion_noise(moved, TrackerSettings(v_max=2.0, turn_max=3.0))
     np.testing.assert_allclose(np.sqrt(np.diag(W)), [1.0, 1.0, 1.5])

@@ -11,6 +11,7 @@ banked, and what the next place says is added to it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import exp, expm1, log, log1p
 
 import numpy as np
 from eigenscan.tracker.association import associate, gate
@@ -68,7 +69,7 @@ class Elsewhere:
         """A list was of it: what is not in the list is hidden, and what came out of hiding is not there."""
         if share.in_part:
             return
-        self.log_weight += float(np.log1p(np.expm1(SHOWN_YET_MISSED) * self._emerging(source, share)))
+        self.log_weight += log1p(expm1(SHOWN_YET_MISSED) * self._emerging(source, share))
         left = (1.0 - self.searched.get(source, 0.0)) * (1.0 - (1.0 - MISSES) * share.novelty)
         self.searched[source] = 1.0 - left
 
@@ -76,13 +77,13 @@ class Elsewhere:
         """Adds mass that no list was of yet."""
         if mass <= 0.0:
             return
-        before = self.log_weight
-        self.log_weight = float(np.logaddexp(before, np.log(mass)))
-        stayed = float(np.exp(before - self.log_weight))
+        stayed = exp(self.log_weight)
+        self.log_weight = log(stayed + mass)
+        stayed /= stayed + mass
         self.searched = {source: searched * stayed for source, searched in self.searched.items()}
 
     def _emerging(self, source: int, share: Share) -> float:
-        return self.searched.get(source, 0.0) * float(-np.expm1(-SHOWS * share.progress))
+        return self.searched.get(source, 0.0) * -expm1(-SHOWS * share.progress)
 
 
 @dataclass
@@ -156,10 +157,10 @@ class Belief:
         if not len(self.tracks) or not share.any() or len(self.elsewhere) < 2:
             return
         freed = float(share @ np.exp(self.tracks.log_weight))
-        areas = np.array([part.area for part in self.elsewhere[1:]])
-        shares = np.append(OFF_MAP_SHARE, (1.0 - OFF_MAP_SHARE) * areas / areas.sum())
-        for part, part_share in zip(self.elsewhere, shares, strict=True):
-            part.take(freed * float(part_share))
+        area = sum(part.area for part in self.elsewhere)
+        self.elsewhere[0].take(freed * OFF_MAP_SHARE)
+        for part in self.elsewhere[1:]:
+            part.take(freed * (1.0 - OFF_MAP_SHARE) * part.area / area)
         self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
 
     def _break_off(self, source: int) -> None:
@@ -179,11 +180,11 @@ class Belief:
         off, inside = self.elsewhere[0], self.elsewhere[1:]
         if not inside or share <= 0.0:
             return
-        back = share * np.exp(off.log_weight)
+        back = share * exp(off.log_weight)
         total = sum(part.area for part in inside)
         for part in inside:
-            part.take(float(back * part.area / total))
-        off.log_weight += float(np.log1p(-share))
+            part.take(back * part.area / total)
+        off.log_weight += log1p(-share)
 
     def observe(self, seen: Observation, share: Share) -> None:
         """Weighs every part by what was seen, fuses tracks with hypotheses, and starts new tracks.
@@ -249,4 +250,4 @@ class Belief:
 
 def happened(expected: float) -> float:
     """Probability that what is expected so often has happened at least once; never quite sure."""
-    return float(-np.expm1(-min(expected, MOST_DECAY)))
+    return -expm1(-min(expected, MOST_DECAY))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import erfc, log
 
 import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State
@@ -10,11 +11,14 @@ from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import apart
 from eigenscan.tracker.tracks import Tracks
+from numba import njit
 from numpy.typing import NDArray
-from scipy.special import chndtr, ndtr, ndtri
+from scipy.special import chndtr, ndtri
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -51,16 +55,30 @@ def share_within(delta: Array, C: Array) -> Array:
 
     Position by a circular Gaussian as wide as the ellipse's long axis, so rather too little than too much.
     """
-    half = (C[:, 0, 0] + C[:, 1, 1]) / 2
-    wide = half + np.hypot((C[:, 0, 0] - C[:, 1, 1]) / 2, C[:, 0, 1])
-    distance2 = delta[:, 0] ** 2 + delta[:, 1] ** 2
-    # beyond this non-centrality nothing is within reach, and chndtr would only lose time
-    reach = np.minimum(distance2 / wide, 1e4)
-    position = chndtr(NEAR_M**2 / wide, 2.0, reach)
-    sigma = np.sqrt(C[:, 2, 2])
-    heading = ndtr((NEAR_RAD - delta[:, 2]) / sigma) - ndtr((-NEAR_RAD - delta[:, 2]) / sigma)
-    result: Array = np.nan_to_num(position).clip(0.0, 1.0) * heading
+    near, reach, heading = _reach(delta, C)
+    position = chndtr(near, 2.0, reach)
+    result: Array = np.fmin(np.fmax(position, 0.0), 1.0) * heading  # also where it is no number
     return result
+
+
+@njit()  # pragma: no cover - compiled
+def _wide(C: Array) -> float:
+    """Variance of (3, 3) along the position's long axis."""
+    half = (C[0, 0] + C[1, 1]) / 2
+    return float(half + np.hypot((C[0, 0] - C[1, 1]) / 2, C[0, 1]))
+
+
+@njit("UniTuple(f8[::1], 3)(f8[:,:], f8[:,:,:])", cache=True, error_model="numpy")  # pragma: no cover
+def _reach(delta: Array, C: Array) -> tuple[Array, Array, Array]:
+    """What the noncentral chi-squared needs for each position, and the share of each heading."""
+    near, reach, heading = np.empty(len(C)), np.empty(len(C)), np.empty(len(C))
+    for i in range(len(C)):
+        wide, sigma = _wide(C[i]), np.sqrt(2.0 * C[i, 2, 2])
+        near[i] = NEAR_M**2 / wide
+        # beyond this non-centrality nothing is within reach, and chndtr would only lose time
+        reach[i] = min((delta[i, 0] ** 2 + delta[i, 1] ** 2) / wide, 1e4)
+        heading[i] = 0.5 * (erfc((delta[i, 2] - NEAR_RAD) / sigma) - erfc((delta[i, 2] + NEAR_RAD) / sigma))
+    return near, reach, heading
 
 
 PLACE_M, PLACE_RAD = 1.0, 0.35
@@ -81,23 +99,38 @@ def protect(tracks: Tracks, best: int, risk: float) -> Protection | None:
     Mass of other tracks and of "none" is risk that no radius covers. What is left is shared by position, as
     wide as the ellipses' long axes, and heading.
     """
-    weight = np.exp(tracks.log_weight)
-    delta = residual(tracks.x, tracks.x[best])
-    off = np.hypot(delta[:, 0], delta[:, 1])
-    here = (tracks.frame == tracks.frame[best]) & (off <= PLACE_M) & (np.abs(delta[:, 2]) <= PLACE_RAD)
-    left = risk - (1.0 - float(weight[here].sum()))
+    here = _here(tracks.x, tracks.C, tracks.log_weight, tracks.frame, best)
+    left = risk - (1.0 - float(here[:, 0].sum()))
     if left <= 0.0:
         return None
-    # each track that is left out costs its mass
-    order = np.flatnonzero(here)[np.argsort(weight[here], kind="stable")]
-    dropped = np.cumsum(weight[order]) <= 0.25 * left
-    C, kept = tracks.C, order[~dropped]
-    half = (C[kept, 0, 0] + C[kept, 1, 1]) / 2
-    wide = half + np.hypot((C[kept, 0, 0] - C[kept, 1, 1]) / 2, C[kept, 0, 1])
     share = 0.375 * left
-    radius = off[kept] + np.sqrt(-2.0 * np.log(share) * wide)
-    angle = np.abs(delta[kept, 2]) - ndtri(share / 2.0) * np.sqrt(C[kept, 2, 2])
-    return Protection(float(radius.max()), float(angle.max()))
+    return Protection(*_level(here, 0.25 * left, -2.0 * log(share), -float(ndtri(share / 2.0))))
+
+
+@njit("f8[:,:](f8[:,:], f8[:,:,:], f8[:], i8[:], i8)", cache=True)  # pragma: no cover - compiled
+def _here(x: Array, C: Array, log_weight: Array, frame: Index, best: int) -> Array:
+    """Of the tracks of the best one's place: mass, how far off in position and heading, both variances."""
+    count, out = 0, np.empty((len(x), 5))
+    for i in range(len(x)):
+        ahead, left, turn = apart(x[i], x[best])
+        off = np.hypot(ahead, left)
+        if frame[i] == frame[best] and off <= PLACE_M and abs(turn) <= PLACE_RAD:
+            out[count, 0], out[count, 1], out[count, 2] = np.exp(log_weight[i]), off, abs(turn)
+            out[count, 3], out[count, 4] = _wide(C[i]), C[i, 2, 2]
+            count += 1
+    return out[:count]
+
+
+@njit("UniTuple(f8, 2)(f8[:,:], f8, f8, f8)", cache=True)  # pragma: no cover - compiled
+def _level(here: Array, spare: float, rayleigh: float, normal: float) -> tuple[float, float]:
+    """Radius and angle that hold all but `spare` of the mass: each track that is left out costs its own."""
+    radius, angle, dropped = 0.0, 0.0, 0.0
+    for i in np.argsort(here[:, 0], kind="mergesort"):
+        dropped += here[i, 0]
+        if dropped > spare:
+            radius = max(radius, here[i, 1] + np.sqrt(rayleigh * here[i, 3]))
+            angle = max(angle, here[i, 2] + normal * np.sqrt(here[i, 4]))
+    return radius, angle
 
 
 def next_state(state: State, belief: Belief, confidence: float, settings: TrackerSettings) -> State:

@@ -11,10 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
 from eigenscan.tracker.association import Pairs
-from eigenscan.tracker.covariance import log_density, log_volume, residual
 from eigenscan.tracker.observation import Observation, poorness
+from eigenscan.tracker.symmetric import apart
 from eigenscan.tracker.tracks import Tracks, replace
+from numba import njit
 from numpy.typing import NDArray
 from scipy.special import expit
 
@@ -39,15 +41,26 @@ Hidden ones show less often than on the mean: most of the way that is hidden lie
 
 def ahead(seen: Observation) -> Array:
     """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
-    L = seen.log_likelihoods
-    if not len(L):
-        return np.zeros(0)
-    best = int(np.argmax(L))
-    off = np.abs(residual(seen.poses, seen.poses[best]))
-    there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (off[:, 2] <= NEAR_RAD)
-    next_place = L[~there].max(initial=seen.unlisted)
-    result: Array = np.where(there, L - next_place, 0.0).clip(0.0, MOST_AHEAD)
+    result: Array = _ahead(seen.poses, seen.log_likelihoods, seen.unlisted)
     return result
+
+
+@njit("f8[::1](f8[:,:], f8[:], f8)", cache=True)  # pragma: no cover - compiled
+def _ahead(poses: Array, log_likelihoods: Array, unlisted: float) -> Array:
+    there = np.zeros(len(poses), dtype=np.bool_)
+    lead, next_place = np.zeros(len(poses)), unlisted
+    if not len(poses):
+        return lead
+    best = poses[np.argmax(log_likelihoods)]
+    for k in range(len(poses)):
+        x, y, turn = apart(poses[k], best)
+        there[k] = np.hypot(x, y) <= NEAR_M and abs(turn) <= NEAR_RAD
+        if not there[k]:
+            next_place = max(next_place, log_likelihoods[k])
+    for k in range(len(poses)):
+        if there[k]:
+            lead[k] = min(max(log_likelihoods[k] - next_place, 0.0), MOST_AHEAD)
+    return lead
 
 
 @dataclass(frozen=True)
@@ -154,20 +167,42 @@ def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Ar
     A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby says no more than how
     much oftener a right track gets one than a wrong track does.
     """
-    y, R = seen.poses, seen.covariances
-    log_mass = tracks.log_weight - present_evidence(tracks)
-    heavy = log_mass > LEAST_MASS
-    if not heavy.any() or not len(y):
-        return np.full(len(y), -np.inf)
-    sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[heavy][:, [0, 0, 1]]
-    spread = tracks.C[heavy] + np.eye(3) * (sigma**2)[:, None, :]
-    total = spread[:, None] + R[None]
-    density = log_density(residual(y[None], tracks.x[heavy][:, None]), total)
-    beyond = np.ones((len(tracks), len(y)), dtype=bool)
-    beyond[pairs.track, pairs.hypothesis] = False
-    worth = np.minimum(merit.foretold, merit.alone + log_volume(R) + density)
-    from_each = np.where(beyond[heavy], log_mass[heavy][:, None] + worth, -np.inf)
-    result: Array = np.log(SLIPS) + np.logaddexp.reduce(from_each, axis=0)
+    result: Array = _slipped(
+        tracks.x, tracks.C, tracks.log_weight - present_evidence(tracks), tracks.unchecked, seen.poses,
+        seen.covariances, merit.alone, merit.foretold, pairs.track, pairs.hypothesis,
+    )  # fmt: skip
+    return result
+
+
+@njit(  # pragma: no cover - compiled
+    "f8[::1](f8[:,:], f8[:,:,:], f8[:], f8[:,:], f8[:,:], f8[:,:,:], f8[:], f8[:], i8[:], i8[:])",
+    cache=True,
+    error_model="numpy",
+)
+def _slipped(
+    x: Array, C: Array, log_mass: Array, unchecked: Array, y: Array, R: Array,
+    alone: Array, foretold: Array, track: Index, hypothesis: Index,
+) -> Array:  # fmt: skip
+    out = np.full(len(y), -np.inf)
+    pair = 0
+    for i in range(len(x)):
+        way, turn = SLIP_M + SLIP_SHARE * unchecked[i, 0], SLIP_RAD + SLIP_SHARE * unchecked[i, 1]
+        spread = plus(triangle(C[i]), (way * way, 0.0, 0.0, way * way, 0.0, turn * turn))
+        for k in range(len(y)):
+            while pair < len(track) and (track[pair] < i or (track[pair] == i and hypothesis[pair] < k)):
+                pair += 1
+            in_gate = pair < len(track) and track[pair] == i and hypothesis[pair] == k
+            if in_gate or log_mass[i] <= LEAST_MASS:
+                continue
+            own = triangle(R[k])
+            total = plus(spread, own)
+            # the hypothesis' volume by the density that the slipped track has there
+            overlap = 0.5 * np.log(determinant(own) / determinant(total))
+            overlap -= 0.5 * square(inverse(total), apart(y[k], x[i]))
+            worth = log_mass[i] + min(foretold[k], alone[k] + overlap)
+            most = max(out[k], worth)
+            out[k] = most + np.log1p(np.exp(min(out[k], worth) - most))
+    result: Array = np.log(SLIPS) + out
     return result
 
 

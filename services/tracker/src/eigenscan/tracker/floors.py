@@ -66,6 +66,9 @@ class Rivals:
 
     def hear(self, belief: Belief, frame: int, stamp: int) -> None:
         """Takes the belief after a list of `frame`."""
+        if len(belief.frames) == 2:  # there is no other
+            self.shares[frame], self._missed[frame] = {frame: 1.0}, 0
+            return
         masses = _frame_masses(belief)
         self.shares[frame] = dict(enumerate((masses / max(masses.sum(), 1e-300)).tolist()))
         self._missed.update(self.shares.keys())

@@ -279,7 +279,6 @@ class RobotTracker:
     def _conclude(self, seen: Observation) -> Estimate:
         belief = self.belief
         verdict = self._judge()
-        verdict = replace(verdict, confidence=verdict.confidence * self._agreement.trust)
         self.state = self._claim.held_back(
             next_state(self.state, belief, verdict.confidence, self._settings), belief.tracks, verdict.track
         )
@@ -300,13 +299,13 @@ class RobotTracker:
         )
 
     def _judge(self) -> Verdict:
-        """The most believed track, as far as its map frame is believed after every frame's lists."""
+        """The most believed track, as far as odometry is, and its map frame after every frame's lists."""
         tracks = self.belief.tracks
         verdict = judge(tracks)
         if verdict.track < 0:
             return verdict
-        frame = int(tracks.frame[verdict.track])
-        return replace(verdict, confidence=min(verdict.confidence, self._rivals.share(frame)))
+        share = self._rivals.share(int(tracks.frame[verdict.track]))
+        return Verdict(verdict.track, min(verdict.confidence, share) * self._agreement.trust)
 
     def _protection(self, verdict: Verdict) -> Protection | None:
         if self.state != STATE_LOCALIZED or self._agreement.trust < self._settings.localized_above:

@@ -44,11 +44,17 @@ def turned(m: Triangle, cos: float, sin: float) -> Triangle:
 
 
 @njit()  # pragma: no cover - compiled
+def wrapped(angle: float) -> float:
+    """Same direction in [-pi, pi)."""
+    turn = (angle + pi) % (2.0 * pi) - pi
+    # the remainder of a tiny negative number rounds to a full turn
+    return turn if turn < pi else -pi
+
+
+@njit()  # pragma: no cover - compiled
 def apart(y: Array, x: Array) -> Column:
     """Pose `y` (3,) minus pose `x` (3,), the heading by the shortest turn."""
-    turn = (y[2] - x[2] + pi) % (2.0 * pi) - pi
-    # the remainder of a tiny negative number rounds to a full turn
-    return y[0] - x[0], y[1] - x[1], turn if turn < pi else -pi
+    return y[0] - x[0], y[1] - x[1], wrapped(y[2] - x[2])
 
 
 @njit(types.float64[:, ::1](ROWS, ROWS), cache=True)  # pragma: no cover - compiled
@@ -80,9 +86,8 @@ def fuse_each(x: Array, C: Array, y: Array, R: Array) -> tuple[Array, Array]:
         information = inverse(triangle(R[i]))
         fused = inverse(plus(inverse(triangle(C[i])), information))
         step = times(fused, times(information, apart(y[i], x[i])))
-        turn = (x[i, 2] + step[2] + pi) % (2.0 * pi) - pi
         fused_x[i, 0], fused_x[i, 1] = x[i, 0] + step[0], x[i, 1] + step[1]
-        fused_x[i, 2] = turn if turn < pi else -pi
+        fused_x[i, 2] = wrapped(x[i, 2] + step[2])
         put(fused, fused_C[i])
     return fused_x, fused_C
 
@@ -121,7 +126,5 @@ def moments_of(x: Array, C: Array, weight: Array) -> tuple[Array, Array]:
             for k in range(j, 3):
                 covariance[j, k] += share * (C[i, j, k] + (delta[j] - shift[j]) * (delta[k] - shift[k]))
                 covariance[k, j] = covariance[j, k]
-    mean[0], mean[1] = centre[0] + shift[0], centre[1] + shift[1]
-    turned = (centre[2] + shift[2] + pi) % (2.0 * pi) - pi
-    mean[2] = turned if turned < pi else -pi
+    mean[0], mean[1], mean[2] = centre[0] + shift[0], centre[1] + shift[1], wrapped(centre[2] + shift[2])
     return mean, covariance

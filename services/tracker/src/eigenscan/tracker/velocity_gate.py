@@ -6,18 +6,16 @@ slip, one that no robot of this speed can make is a jump of the odom frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum
 from math import hypot
-from operator import add, sub
 
 from eigenscan.tracker.planar import Pose
 from scipy.special import chdtri
 
 ACCELERATION = (3.0, 1.0, 6.0)
 """m/s^2 ahead, m/s^2 sideways, rad/s^2: sigma of a wheeled robot's change of velocity."""
-STEP_NOISE = (0.01, 0.01, 0.01)
-"""m, m, rad: resolution of a reading, including the jitter of its stamp."""
+STEP_NOISE = 0.01
+"""m and rad: resolution of a reading, including the jitter of its stamp."""
 JUMP_SLACK_M, JUMP_SLACK_RAD = 0.2, 0.3
 """What bad stamps may add to an increment before it counts as a jump."""
 OUTLIERS_IN_ROW = 3
@@ -38,13 +36,13 @@ class VelocityGate:
 
     def __init__(self, v_max: float, turn_max: float) -> None:
         self._limit = (v_max, turn_max)
-        self._velocity: Pose | None = None
-        self._variance: Pose = (0.0, 0.0, 0.0)
+        self._velocity: list[float] = []
+        self._variance: list[float] = []
         self._outliers = 0
 
     def forget(self) -> None:
         """Starts anew, as after a jump."""
-        self._velocity = None
+        self._velocity = []
         self._outliers = 0
 
     def judge(self, step: Pose, seconds: float) -> Reading:
@@ -54,31 +52,25 @@ class VelocityGate:
         if way > 2.0 * v_max * seconds + JUMP_SLACK_M or turn > 2.0 * turn_max * seconds + JUMP_SLACK_RAD:
             self.forget()
             return Reading.JUMP
-        # three numbers in plain Python take a fifth of numpy's time
-        velocity = _each(lambda s: s / seconds, step)
-        noise = _each(lambda n: (n / seconds) ** 2, STEP_NOISE)
-        if self._velocity is None:
-            self._velocity, self._variance = velocity, noise
+        noise = (STEP_NOISE / seconds) ** 2
+        if not self._velocity:
+            self._velocity, self._variance = [part / seconds for part in step], [noise] * 3
             return Reading.TAKEN
-        self._variance = _each(lambda v, a: v + (a * seconds) ** 2, self._variance, ACCELERATION)
-        return self._validate(_each(sub, velocity, self._velocity), self._velocity, noise)
+        for axis, acceleration in enumerate(ACCELERATION):
+            self._variance[axis] += (acceleration * seconds) ** 2
+        off = [part / seconds - before for part, before in zip(step, self._velocity, strict=True)]
+        return self._validate(off, noise)
 
-    def _validate(self, innovation: Pose, velocity: Pose, noise: Pose) -> Reading:
-        total = _each(add, self._variance, noise)
-        if sum(_each(lambda i, t: i * i / t, innovation, total)) <= GATE:
+    def _validate(self, off: list[float], noise: float) -> Reading:
+        total = [variance + noise for variance in self._variance]
+        if sum(o * o / t for o, t in zip(off, total, strict=True)) <= GATE:
             self._outliers = 0
-            self._velocity = _each(
-                lambda v, p, t, i: v + p / t * i, velocity, self._variance, total, innovation
-            )
-            self._variance = _each(lambda p, n, t: p * n / t, self._variance, noise, total)
+            for axis, all_of_it in enumerate(total):
+                gain = self._variance[axis] / all_of_it
+                self._velocity[axis] += gain * off[axis]
+                self._variance[axis] = gain * noise
             return Reading.TAKEN
         self._outliers += 1
         if self._outliers >= OUTLIERS_IN_ROW:
             self.forget()
         return Reading.SLIP
-
-
-def _each(rule: Callable[..., float], *of: Pose) -> Pose:
-    """What a rule makes of the first, second and third numbers."""
-    first, second, third = map(rule, *of)
-    return first, second, third
