@@ -23,7 +23,7 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
 from eigenscan.projector.subspaces import Subspaces
 from eigenscan.projector.tables import HEADINGS, Flags, Given, Store, Tables
-from eigenscan.projector.verification import RANGE_CAP, predicted
+from eigenscan.projector.verification import RANGE_CAP, Steps, predicted, width
 from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
 
@@ -42,8 +42,8 @@ class SensorView:
     """The site as one sensor sees it.
 
     A row of `association` is a pose (see `places`); region r has those from `bounds[r]` to `bounds[r + 1]`.
-    `windows` (P, N + J) are the panoramas to verify against, `leaves` (P, N + J) where rays leave the walls:
-    of the regions that are ready, and of the positions beside them.
+    `windows` (P, W) are the panoramas to verify against, `leaves` (P, W) where rays leave the walls, as of
+    `predicted`: of the regions that are ready, and of the positions beside them.
     """
 
     def __init__(
@@ -65,9 +65,7 @@ class SensorView:
         sizes = [len(which) * HEADINGS for which in lattice.searched]
         self.bounds = np.cumsum([0, *sizes])
         self._searched = np.concatenate(lattice.searched)
-        self.windows, self.leaves = (
-            untouched(len(enters), ANALYSIS_TURN + tables.analysis.beams) for _ in range(2)
-        )
+        self.windows, self.leaves = (untouched(len(enters), width(tables.analysis.beams)) for _ in range(2))
         self._shown = np.zeros(len(sizes), dtype=bool)
         self._show()
 
@@ -242,10 +240,10 @@ class Site:
         )
 
 
-def untouched(rows: int, columns: int) -> NDArray[np.float32]:
-    """An array of singles that takes memory where it is written, in small pages: few rows of many are."""
-    memory = mmap.mmap(-1, max(4 * rows * columns, 1))
+def untouched(rows: int, columns: int) -> Steps:
+    """An array that takes memory where it is written, in small pages: few rows of many are."""
+    memory = mmap.mmap(-1, max(2 * rows * columns, 1))
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         with suppress(OSError):  # a kernel without large pages
             memory.madvise(mmap.MADV_NOHUGEPAGE)
-    return np.frombuffer(memory, dtype=np.float32, count=rows * columns).reshape(rows, columns)
+    return np.frombuffer(memory, dtype=np.int16, count=rows * columns).reshape(rows, columns)

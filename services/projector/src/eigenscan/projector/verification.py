@@ -25,15 +25,37 @@ OVERSHOT_M = 0.5
 """m behind a wall from which on a beam went through it: what a panorama shows half a grid cell off is no
 nearer to what a pose sees.
 """
+Steps = NDArray[np.int16]
+"""Ranges in STEPS."""
+STEPS = 2000
+"""Of a metre: ranges are whole numbers of 16 bits, so that vectors hold twice as many and caches too."""
+_SHARES = 2048
+"""Steps of a beam's weight. A cost is at most STEPS * LONG * _SHARES * ANALYSIS_TURN, and fits 32 bits."""
+_LANES = 32
+"""Such numbers in the widest vector registers."""
 EMPTY_WEIGHT = 0.5
 """Of a beam that came back empty to a short-sighted sensor: dark and slanted walls give none either."""
 
 
-def predicted(panoramas: NDArray[np.float32], beams: int, range_max: float) -> NDArray[np.float32]:
-    """Panoramas (P, N) clipped, with their first beams once more behind their last: (P, N + beams)."""
-    cap = _cap(range_max)
-    clipped = np.minimum(panoramas, np.float32(cap))
-    return np.concatenate([clipped, clipped[:, :beams]], axis=1)
+def predicted(panoramas: NDArray[np.float32], beams: int, range_max: float) -> Steps:
+    """Panoramas (P, N) clipped, in STEPS, with their first beams once more behind their last: (P, W)."""
+    around = np.arange(width(beams)) % panoramas.shape[1]
+    return _in_steps(np.minimum(panoramas, np.float32(_cap(range_max))))[:, around]
+
+
+def width(beams: int) -> int:
+    """W: beams of a panorama with what comes once more, for a scan of so many and the windows beside."""
+    return ANALYSIS_TURN + _room(beams) + 2
+
+
+def _room(beams: int) -> int:
+    """A whole number of vectors, for the rest of a loop is slow."""
+    return -(-beams // _LANES) * _LANES
+
+
+def _in_steps(ranges: NDArray[np.float32]) -> Steps:
+    steps: Steps = np.rint(ranges * np.float32(STEPS)).astype(np.int16)
+    return steps
 
 
 def _cap(range_max: float) -> float:
@@ -41,8 +63,8 @@ def _cap(range_max: float) -> float:
 
 
 def verify(
-    windows: NDArray[np.float32],
-    leaves: NDArray[np.float32],
+    windows: Steps,
+    leaves: Steps,
     lattice: Lattice,
     position: NDArray[np.int64],
     heading: NDArray[np.int64],
@@ -56,23 +78,27 @@ def verify(
     `windows` and `leaves` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in
     position.
     """
-    cap = _cap(range_max)
     empty_counts = 0.0 < range_max <= RANGE_CAP
     finite, empty = np.isfinite(coarse), np.isinf(coarse)
-    weight = np.where(empty, np.float32(EMPTY_WEIGHT if empty_counts else 0.0), np.float32(0.0))
-    scan = np.where(finite | empty, np.minimum(coarse, np.float32(cap)), np.float32(0.0))
-    weight[finite] = by_reach(scan[finite])
+    reach = np.minimum(coarse, np.float32(_cap(range_max)))
+    counted = np.zeros(len(coarse))
+    counted[finite] = by_reach(reach[finite])
+    counted[empty] = EMPTY_WEIGHT if empty_counts else 0.0
+    scan, weight = np.zeros((2, _room(len(coarse))), dtype=np.int16)
+    scan[: len(coarse)] = _in_steps(np.where(finite | empty, reach, np.float32(0.0)))
+    weight[: len(coarse)] = np.minimum(np.rint(counted * _SHARES), np.iinfo(np.int16).max)
     best_position, best_heading = position.copy(), heading.copy()
-    cost = np.empty(len(position), dtype=np.float32)
+    cost = np.empty(len(position), dtype=np.int32)
     _turn(windows, leaves, best_position, best_heading, scan, weight, cost)
     if lattice.finer:
         better = np.argsort(cost)[:climbing]
         _climb(windows, leaves, lattice.neighbours, better, best_position, best_heading, scan, weight, cost)
-    return best_position, best_heading, cost / max(float(weight.sum()), 1e-9)
+    unit = STEPS * max(int(weight.sum(dtype=np.int64)), 1)
+    return best_position, best_heading, (cost / unit).astype(np.float32)
 
 
 def overshot(
-    leaves: NDArray[np.float32],
+    leaves: Steps,
     lattice: Lattice,
     home: NDArray[np.int64],
     poses: NDArray[np.float64],
@@ -95,7 +121,7 @@ def overshot(
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _overshot(
-    leaves: NDArray[np.float32],
+    leaves: Steps,
     grid: tuple[NDArray[np.float64], NDArray[np.int32], float],
     home: NDArray[np.int64],
     poses: NDArray[np.float64],
@@ -106,7 +132,7 @@ def _overshot(
     out: NDArray[np.float32],
 ) -> None:
     positions, neighbours, spacing = grid
-    one, zero = np.float32(1.0), np.float32(0.0)
+    one, zero, farthest = np.float32(1.0), np.float32(0.0), np.int16(np.rint(cap * STEPS))
     for i in range(len(poses)):
         near = home[i]
         column = int(min(max(np.rint((poses[i, 0] - positions[near, 0]) / spacing), -1.0), 1.0))
@@ -117,68 +143,75 @@ def _overshot(
         for j in range(len(beams)):
             leave = panorama[first + beams[j]]
             # at the cap nothing is known of where it leaves
-            out[i, j] = one if leave < cap and seen[j] > leave + np.float32(OVERSHOT_M) else zero
+            beyond = leave * np.float32(1.0 / STEPS) + np.float32(OVERSHOT_M)
+            out[i, j] = one if leave < farthest and seen[j] > beyond else zero
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")  # pragma: no cover - compiled
-def _cost(
-    enter: NDArray[np.float32],
-    leave: NDArray[np.float32],
-    scan: NDArray[np.float32],
-    weight: NDArray[np.float32],
-) -> np.float32:
-    total, none = np.float32(0.0), np.float32(0.0)
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def _cost(scan: np.int16, enter: np.int16, leave: np.int16, weight: np.int16) -> np.int32:
+    # each step narrow, so that a vector holds many
+    beyond, before = np.int16(scan - leave), np.int16(enter - scan)
+    steps = max(min(beyond, np.int16(LONG * STEPS)), min(before, np.int16(SHORT * STEPS)), np.int16(0))
+    return np.int32(np.int32(weight) * np.int32(steps))
+
+
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def _best_of_three(enter: Steps, leave: Steps, scan: Steps, weight: Steps) -> tuple[np.int32, int]:
+    """The least cost of a scan (J,) at three windows beside each other, and where: -1, 0 or 1.
+
+    `enter` and `leave` (J + 2,), from the first window's first beam on. What is loaded serves all three.
+    """
+    left, middle, right = np.int32(0), np.int32(0), np.int32(0)
     for j in range(len(scan)):
-        beyond, before = scan[j] - leave[j], enter[j] - scan[j]
-        total += weight[j] * max(min(beyond, np.float32(LONG)), min(before, np.float32(SHORT)), none)
-    return total
+        s, w = scan[j], weight[j]
+        left = np.int32(left + _cost(s, enter[j], leave[j], w))
+        middle = np.int32(middle + _cost(s, enter[j + 1], leave[j + 1], w))
+        right = np.int32(right + _cost(s, enter[j + 2], leave[j + 2], w))
+    least, step = middle, 0
+    if left < least:
+        least, step = left, -1
+    if right < least:
+        least, step = right, 1
+    return least, step
 
 
-@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _turn(
-    windows: NDArray[np.float32],
-    leaves: NDArray[np.float32],
+    windows: Steps,
+    leaves: Steps,
     position: NDArray[np.int64],
     heading: NDArray[np.int64],
-    scan: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    cost: NDArray[np.float32],
+    scan: Steps,
+    weight: Steps,
+    cost: NDArray[np.int32],
 ) -> None:
-    beams = len(scan)
-    turn = windows.shape[1] - beams
     for i in range(len(position)):
-        centre = heading[i]
-        cost[i] = np.float32(np.inf)
-        for step in (0, -1, 1):
-            k = (centre + step) % turn
-            c = _cost(windows[position[i], k : k + beams], leaves[position[i], k : k + beams], scan, weight)
-            if c < cost[i]:
-                cost[i], heading[i] = c, k
+        p, first = position[i], (heading[i] - 1) % ANALYSIS_TURN
+        last = first + len(scan) + 2
+        cost[i], step = _best_of_three(windows[p, first:last], leaves[p, first:last], scan, weight)
+        heading[i] = (first + 1 + step) % ANALYSIS_TURN
 
 
-@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _climb(
-    windows: NDArray[np.float32],
-    leaves: NDArray[np.float32],
+    windows: Steps,
+    leaves: Steps,
     neighbours: NDArray[np.int32],
     which: NDArray[np.int64],
     position: NDArray[np.int64],
     heading: NDArray[np.int64],
-    scan: NDArray[np.float32],
-    weight: NDArray[np.float32],
-    cost: NDArray[np.float32],
+    scan: Steps,
+    weight: Steps,
+    cost: NDArray[np.int32],
 ) -> None:
-    beams = len(scan)
-    turn = windows.shape[1] - beams
     for w in range(len(which)):
         i = which[w]
-        around, centre = neighbours[position[i]], heading[i]
+        around, first = neighbours[position[i]], (heading[i] - 1) % ANALYSIS_TURN
+        last = first + len(scan) + 2
         for n in range(9):
             p = around[n]
             if p < 0:
                 continue
-            for step in (-1, 0, 1):
-                k = (centre + step) % turn
-                c = _cost(windows[p, k : k + beams], leaves[p, k : k + beams], scan, weight)
-                if c < cost[i]:
-                    cost[i], heading[i], position[i] = c, k, p
+            c, step = _best_of_three(windows[p, first:last], leaves[p, first:last], scan, weight)
+            if c < cost[i]:
+                cost[i], heading[i], position[i] = c, (first + 1 + step) % ANALYSIS_TURN, p
