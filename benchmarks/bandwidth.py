@@ -148,7 +148,7 @@ def measure(folder: Path, settings: str, seconds: float) -> dict[str, Any]:
         driver = stack.enter_context(Bus(open_session(folder / "fleet/robots" / ROBOT / "service.json5")))
         stop = threading.Event()
         stage.epoch = time.time_ns()
-        driving = threading.Thread(target=publish, args=(stage.messages(), driver.say, 1.0, stop))
+        driving = threading.Thread(target=publish, args=(stage.messages(), driver.publish, 1.0, stop))
         driving.start()
         end = time.monotonic() + PATIENCE_S
         while not (received["robot"]["model_set"] and received["site"]["pose"]):

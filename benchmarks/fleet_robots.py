@@ -119,7 +119,9 @@ def drive(
             moment = time.monotonic()
             received.sent[name, now] = (moment, drive_time)
             received.published += received.begin <= moment < received.end
-        bus.say(Envelope(envelope.channel, {"site": SITE, "robot": name, "lidar": "front"}, envelope.message))
+        bus.publish(
+            Envelope(envelope.channel, {"site": SITE, "robot": name, "lidar": "front"}, envelope.message)
+        )
         if index + 1 < len(published):
             later = (published[index + 1][0] - drive_time) * 1e-9
             heapq.heappush(due, (at + later, robot, index + 1, origin))

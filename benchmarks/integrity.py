@@ -106,7 +106,7 @@ class Site:
         self.models = build(folder / "map.yaml", MapbuilderSettings(), lambda _: None).models
         projector = ProjectorCore(ProjectorSettings())
         for model in self.models:
-            if model.channel in projector.hears:
+            if model.channel in projector.inputs:
                 list(projector.handle(model))
         self.projector = Remembering(projector)
 
@@ -125,14 +125,14 @@ class Site:
     def _run(self, name: str, stretch: Stretch, cell: Cell) -> None:
         ingest, tracker = ScanIngestCore(ScanIngestSettings()), TrackerCore(TrackerSettings())
         for model in self.models:
-            if model.channel in tracker.hears:
+            if model.channel in tracker.inputs:
                 list(tracker.handle(model))
         loop = Loopback([ingest, self.projector, tracker])
         published, asked, named = list[Envelope](), 0, None
         loop.start()
         moved_at = self._moved_at(stretch, name)
         for envelope in stretch.received:
-            published += loop.hear(envelope)
+            published += loop.receive(envelope)
             if envelope.stamp - asked >= HEALTH_EVERY_NS:
                 asked = envelope.stamp
                 for core in (ingest, tracker):

@@ -92,8 +92,8 @@ class Building:
         self.casters = {name: RayCaster.of(own) for name, own in self.floors.items()}
         self.models = list(announce_models(site, "s"))
         self.projector = ProjectorCore(ProjectorSettings())
-        for said in (Envelope(MAP, {"site": "s"}, to_message(grid, site.frame_id)), *self.models):
-            self.projector.handle(said)
+        for published in (Envelope(MAP, {"site": "s"}, to_message(grid, site.frame_id)), *self.models):
+            self.projector.handle(published)
 
     def ride(self, number: int) -> Ride:
         """One ride, always the same by its number."""
@@ -103,9 +103,9 @@ class Building:
         out = self._exit(end, rng, begin if self.same_place else None)
         into = out if self.same_place else self._exit(begin, rng)
         tracker = TrackerCore(TrackerSettings())
-        for said in self.models:
-            if said.channel == MODEL_SET:
-                tracker.handle(said)
+        for published in self.models:
+            if published.channel == MODEL_SET:
+                tracker.handle(published)
         loop = Loopback([ScanIngestCore(ScanIngestSettings()), self.projector, tracker])
         robot = _Robot(loop, rng)
         before: list[PoseEstimate] = []
@@ -118,9 +118,9 @@ class Building:
             )
             robot.see(square, [0.0, 0.0, np.pi / (TURN_SCANS - 1)])
         after = [
-            (step, [self._judge(end, compose(out, [STEP_M * step, 0.0, 0.0]), one) for one in said])
+            (step, [self._judge(end, compose(out, [STEP_M * step, 0.0, 0.0]), one) for one in published])
             for step in range(round(WAY_M / STEP_M))
-            for said in [
+            for published in [
                 robot.see(self._scan(end, compose(out, [STEP_M * step, 0.0, 0.0])), [STEP_M, 0.0, 0.0])
             ]
         ]
@@ -166,9 +166,9 @@ class _Robot:
         moved = np.asarray(step) * [1.02, 1.0, 1.0]
         self._odometry = compose(self._odometry, moved + np.array([0.0, 0.0, self._rng.normal(0.0, 0.005)]))
         odometry = Odometry(timestamp=stamp(self._at), pose=to_pose3(self._odometry))
-        said = self._loop.hear(Envelope(ODOMETRY, ADDRESS, odometry))
-        said += self._loop.hear(Envelope(SCAN_RAW, ADDRESS, self._raw(ranges)))
-        return [one.open(PoseEstimate) for one in said if one.channel == POSE]
+        published = self._loop.receive(Envelope(ODOMETRY, ADDRESS, odometry))
+        published += self._loop.receive(Envelope(SCAN_RAW, ADDRESS, self._raw(ranges)))
+        return [one.open(PoseEstimate) for one in published if one.channel == POSE]
 
     def _raw(self, ranges: Array) -> RawScan:
         seen = ranges + self._rng.normal(0.0, NOISE_M, BEAMS)

@@ -77,7 +77,7 @@ class Robot:
     def _drive(self) -> None:
         wall, first = time.time_ns(), self._messages[0].time
 
-        def say(envelope: Envelope) -> None:
+        def send(envelope: Envelope) -> None:
             at = envelope.stamp
             now = wall + at - first
             message = type(envelope.message)()
@@ -85,9 +85,9 @@ class Robot:
             message.timestamp.CopyFrom(stamp(now))  # type: ignore[attr-defined]
             if envelope.channel is SCAN_RAW:
                 self._sent[now] = time.monotonic(), at
-            self._bus.say(Envelope(envelope.channel, envelope.address, message))
+            self._bus.publish(Envelope(envelope.channel, envelope.address, message))
 
-        publish(self._messages, say, 1.0, self._stop)
+        publish(self._messages, send, 1.0, self._stop)
 
     def _on_pose(self, sample: zenoh.Sample) -> None:
         now = time.monotonic()

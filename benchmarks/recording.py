@@ -117,7 +117,7 @@ def lost_by_a_kill(folder: Path, after_s: float) -> float:
         await_health(inbox, READY_S)
         end = time.monotonic() + after_s
         while time.monotonic() < end:
-            bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(time.time_ns()))))
+            bus.publish(Envelope(POSE, address, PoseEstimate(timestamp=stamp(time.time_ns()))))
             time.sleep(0.004)
         recorder.kill()
         killed = time.time_ns()
@@ -142,7 +142,7 @@ def publish(bus: Bus, scans: list[RawScan], robots: int, rate: float, seconds: f
             scan.ranges[:] = np.round(ranges[number] + noise, 3).tolist()
             scan.timestamp.CopyFrom(stamp(time.time_ns()))
             address = {"site": SITE, "robot": f"r{robot}", "lidar": "front"}
-            bus.say(Envelope(SCAN_RAW, address, scan))
+            bus.publish(Envelope(SCAN_RAW, address, scan))
             published += 1
     return published
 

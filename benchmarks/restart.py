@@ -109,7 +109,7 @@ def measure(folder: Path, rounds: int) -> dict[str, dict[str, float]]:
     flags = {name: list(shared) for name in ANSWERS}
     flags["mapbuilder"] += ["--model", str(folder / "model")]
     stage.epoch = time.time_ns()
-    driving = threading.Thread(target=publish, args=(stage.messages(), bus.say, 1.0, stop))
+    driving = threading.Thread(target=publish, args=(stage.messages(), bus.publish, 1.0, stop))
     with bus, Supervisor(folder / "logs") as supervisor:
         site = Site(supervisor, flags, Inbox(), alive)
         bus.listen([SCAN, HYPOTHESES, POSE, MODEL_SET], {"site": SITE}, site.inbox)

@@ -26,7 +26,7 @@ import zenoh
 from eigenscan.cli.launch.network import free_port
 from eigenscan.geometry.pose import to_message
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.channels import ROS_HEARD
+from eigenscan.ros_bridge.channels import ROS_RECEIVED
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.endpoints import Endpoint, endpoints
 from eigenscan.ros_bridge.options import RosBridgeOptions
@@ -189,8 +189,8 @@ def core_us(name: str, payload: bytes) -> float:
     """us for one message in the core alone: decoding, converting, encoding."""
     core = RosBridgeCore(SETTINGS, SETTINGS.site, SETTINGS.robot)
     received = {
-        "scan": Envelope(ROS_HEARD, {"endpoint": "%scan"}, BytesValue(value=payload)),
-        "odom": Envelope(ROS_HEARD, {"endpoint": "%odom"}, BytesValue(value=payload)),
+        "scan": Envelope(ROS_RECEIVED, {"endpoint": "%scan"}, BytesValue(value=payload)),
+        "odom": Envelope(ROS_RECEIVED, {"endpoint": "%odom"}, BytesValue(value=payload)),
         "amcl_pose": published(POSE),
         "tf": published(TRANSFORM),
     }[name]

@@ -77,7 +77,7 @@ def visit(config: Path, name: str, published: list[Envelope]) -> bool:
             bus.wait_for_listener(channel.key(address), READY_S)
         for number, one in enumerate(published):
             one.message.timestamp.CopyFrom(stamp(now + number * 2_000_000))  # type: ignore[attr-defined]
-            bus.say(Envelope(one.channel, address, one.message))
+            bus.publish(Envelope(one.channel, address, one.message))
             if one.channel is SCAN_RAW:
                 time.sleep(0.005)
         return found.wait(POSE_S)

@@ -86,7 +86,7 @@ def moments(folder: Path, before: Window, after: Window) -> tuple[GridMap, list[
     projector, tracker = ProjectorCore(ProjectorSettings()), TrackerCore(TrackerSettings())
     for core in (projector, tracker):
         for model in built.models:
-            if model.channel in core.hears:
+            if model.channel in core.inputs:
                 list(core.handle(model))
     loop = Loopback([ScanIngestCore(ScanIngestSettings()), projector, tracker])
     loop.start()
@@ -99,7 +99,7 @@ def _run(loop: Loopback, joined: Splice, reference: Trajectory) -> Iterator[Mome
     start, scans = joined.received[0].stamp, dict[int, NDArray[np.float64]]()
     tracks, hypotheses = Tracks(), np.zeros((0, 3))
     for envelope in joined.received:
-        for answer in loop.hear(envelope):
+        for answer in loop.receive(envelope):
             if answer.channel == SCANS:
                 scans[answer.stamp] = _points(answer.open(scan_pb2.Scan))
             elif answer.channel == HYPOTHESES:

@@ -52,7 +52,7 @@ def key_of(channel: Channel, owner: str) -> str:
 
 def may_publish(holder: str, channel: Channel, owner: str) -> bool:
     role = role_of(holder)
-    if role not in channel.said_by:
+    if role not in channel.published_by:
         return False
     by_owner = {"robot", "instance"} & set(channel.fields)
     if channel is RELOCATION and role is Role.OPERATOR:
@@ -62,7 +62,7 @@ def may_publish(holder: str, channel: Channel, owner: str) -> bool:
 
 def may_receive(holder: str, channel: Channel, owner: str) -> bool:
     to_another = holder in ROBOTS and "robot" in channel.fields and holder != owner
-    return role_of(holder) in channel.heard_by and not to_another
+    return role_of(holder) in channel.received_by and not to_another
 
 
 @dataclass
@@ -129,10 +129,10 @@ def tokens_allowed() -> set[tuple[str, str]]:
     seen = {
         (seer, token_of(holder, holder))
         for holder, seer in product(HOLDERS, SERVICES)
-        if seer != holder and role_of(holder) in HEALTH.said_by
+        if seer != holder and role_of(holder) in HEALTH.published_by
     }
     for channel, holder, seer in product(LATCHED, HOLDERS, HOLDERS):
-        if seer != holder and role_of(holder) in channel.said_by:
+        if seer != holder and role_of(holder) in channel.published_by:
             seen.add((seer, LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session=holder)))
     return seen
 
@@ -235,12 +235,12 @@ def test_shows_itself_under_its_own_name_only(exchange: Exchange, holder: str) -
     for owner, seer in product(HOLDERS, HOLDERS):
         if seer != holder:
             seen = (seer, token_of(holder, owner)) in exchange.tokens
-            speaks = holder == owner and role_of(holder) in HEALTH.said_by
+            speaks = holder == owner and role_of(holder) in HEALTH.published_by
             assert seen == (speaks and seer in SERVICES), f"{holder} as {owner} to {seer}"
     for channel in LATCHED:
         token = LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session=holder)
         seers = {seer for seer, seen in exchange.tokens if seen == token and seer != holder}
-        assert seers == (set(HOLDERS) - {holder} if role_of(holder) in channel.said_by else set())
+        assert seers == (set(HOLDERS) - {holder} if role_of(holder) in channel.published_by else set())
 
 
 def test_a_robot_speaks_of_services_that_there_are(fleet: Fleet) -> None:

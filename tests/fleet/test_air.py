@@ -24,7 +24,7 @@ RATE_HZ, ROUNDS = 50.0, 150
 ADDRESS = {"site": SITE, "robot": ROBOT, "instance": ROBOT, "service": "tracker"} | dict.fromkeys(
     ("lidar", "projector", "region", "kind"), "one"
 )
-OWN = [channel for channel in CHANNELS if Role.ROBOT in channel.said_by]
+OWN = [channel for channel in CHANNELS if Role.ROBOT in channel.published_by]
 FLOOD = 300
 MARKED = b"x"
 """What is counted; what is said before, until all have met, is empty."""

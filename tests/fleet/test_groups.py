@@ -247,11 +247,11 @@ def test_a_groups_projector_is_revoked_as_a_robot_is(fleet: Fleet) -> None:
         assert f"group.{LAB}" not in router.read_text()
         assert not (fleet.folder / f"groups/{LAB}/projector.key").exists()
         # nothing is let in for it any more
-        hears = [
+        ingress = [
             rule
             for rule in json.loads(robot.read_text())["access_control"]["rules"]
             if "ingress" in rule["flows"]
         ]
-        assert not [rule for rule in hears if any("/hypotheses/" in key for key in rule["key_exprs"])]
+        assert not [rule for rule in ingress if any("/hypotheses/" in key for key in rule["key_exprs"])]
     finally:
         fleet.command("certify")

@@ -29,7 +29,7 @@ from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import McapSink
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.drawing import Picture
-from eigenscan.ros_bridge.channels import ROS_ASKED, ROS_HEARD
+from eigenscan.ros_bridge.channels import ROS_ASKED, ROS_RECEIVED
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.runtime.inbox import Arrival
@@ -50,7 +50,7 @@ from eigenscan.schemas.model_pb2 import LidarKind
 from eigenscan.schemas.wire import decode, encode, encoding
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.vda5050.channels import INSTANT_ACTIONS, MQTT_HEARD, ORDER
+from eigenscan.vda5050.channels import INSTANT_ACTIONS, MQTT_RECEIVED, ORDER
 from eigenscan.vda5050.core import Vda5050Core
 from eigenscan.vda5050.settings import Vda5050Settings
 from eigenscan.workbench.conformance.values import faults
@@ -160,11 +160,11 @@ def _envelopes(channels: Sequence[Channel], data: bytes) -> Iterator[Envelope]:
         address = {field: ADDRESS[field] for field in channel.fields}
         if isinstance(message, Health):
             address["service"] = message.service if is_chunk(message.service) else "tracker"
-        if channel is MQTT_HEARD:
+        if channel is MQTT_RECEIVED:
             address["topic"] = (ORDER, INSTANT_ACTIONS)[len(payload) % 2]
         if channel is ROS_ASKED:
             address["endpoint"] = SERVICES[len(payload) % len(SERVICES)]
-        if channel is ROS_HEARD:
+        if channel is ROS_RECEIVED:
             address["endpoint"] = ("%scan", "%odom", "%tf", "%tf_static", "%initialpose")[len(payload) % 5]
         yield Envelope(channel, address, message)
 
@@ -227,7 +227,7 @@ def _keeping(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
     def take(row: Iterator[Envelope]) -> None:
         detector = ChangeDetector(office(), Evidence.of(office(), 60.0), 3)
         for heard in row:
-            detector.hear(heard)
+            detector.receive(heard)
 
     return take
 
@@ -264,7 +264,7 @@ def _bridge() -> Core:
 
 def _ros_messages() -> Iterator[tuple[str, bytes]]:
     for data in (MOUNT, ros_odometry(1, 2, 0.5), ros_scan(), ros_odometry(1.1, 2, 0.5), ros_scan()):
-        yield ROS_HEARD.name, encode(BytesValue(value=data))
+        yield ROS_RECEIVED.name, encode(BytesValue(value=data))
     yield ROS_ASKED.name, encode(BytesValue(value=bytes([0, 1, 0, 0, 0])))
 
 
@@ -283,7 +283,7 @@ def _mqtt_messages() -> Iterator[tuple[str, bytes]]:
             "actions": [{**action, "actionParameters": parameters}],
         }
         for padding in ("", " "):  # by its length it goes to one topic or the other
-            yield MQTT_HEARD.name, encode(BytesValue(value=(json.dumps(told) + padding).encode()))
+            yield MQTT_RECEIVED.name, encode(BytesValue(value=(json.dumps(told) + padding).encode()))
 
 
 def _builder() -> Core:
@@ -318,17 +318,19 @@ def _healths() -> dict[str, bytes]:
 
 _ALL = tuple(CHANNELS)
 CORES: tuple[Reader, ...] = (
-    _row("core.tracker", TrackerCore.hears, _fresh(lambda: TrackerCore(TrackerSettings())), 2.0),
-    _row("core.scan_ingest", ScanIngestCore.hears, _fresh(lambda: ScanIngestCore(ScanIngestSettings())), 2.0),
+    _row("core.tracker", TrackerCore.inputs, _fresh(lambda: TrackerCore(TrackerSettings())), 2.0),
+    _row(
+        "core.scan_ingest", ScanIngestCore.inputs, _fresh(lambda: ScanIngestCore(ScanIngestSettings())), 2.0
+    ),
     _row("core.projector", (SCAN,), _projector, 0.1),
     _row("core.mapbuilder", (LIDAR_KIND,), _fresh(_builder), 0.02, attacks=_kinds),
     _row("core.recorder", _ALL, _recorder, 0.3),
     _row("core.picture", _ALL, _picture, 0.05),
     _row("core.keeping", (SCAN, POSE), _keeping, 0.3),
-    _row("core.ros_bridge", (*RosBridgeCore.hears,), _fresh(_bridge), 1.0, more=tuple(_ros_messages())),
+    _row("core.ros_bridge", (*RosBridgeCore.inputs,), _fresh(_bridge), 1.0, more=tuple(_ros_messages())),
     _row(
         "core.vda5050",
-        (MQTT_HEARD, POSE, MODEL_SET, HEALTH),
+        (MQTT_RECEIVED, POSE, MODEL_SET, HEALTH),
         _fresh(lambda: Vda5050Core(Vda5050Settings(), "s", "r")),
         more=tuple(_mqtt_messages()),
     ),

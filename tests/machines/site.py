@@ -190,7 +190,7 @@ class Driver:
 
     def _publish(self, envelope: Envelope) -> None:
         if envelope.channel is not TRUTH:
-            self._bus.say(envelope)
+            self._bus.publish(envelope)
 
     def close(self) -> None:
         self._stop.set()

@@ -59,7 +59,7 @@ def _settled(bus: Bus, inbox: Inbox, net: Any) -> list[str]:
 
     def mark() -> None:
         while not stop.wait(0.05):
-            bus.say(Envelope(SCAN, address, Scan()))
+            bus.publish(Envelope(SCAN, address, Scan()))
 
     thread = threading.Thread(target=mark)
     thread.start()
@@ -76,7 +76,7 @@ def test_a_late_joiner_gets_10_mb_whole_and_once(net: Any, buses: Opener) -> Non
     said = _model(net, "1", 10_000_000)
     early = buses()
     early.offer([MODEL], {"site": net.site})
-    early.say(said)
+    early.publish(said)
     late, inbox = buses(), Inbox()
     late.listen([MODEL, SCAN], {"site": net.site}, inbox)
     arrival = _next(inbox)
@@ -91,7 +91,7 @@ def test_who_holds_some_regions_gets_only_the_others(net: Any, buses: Opener) ->
     holder.offer([MODEL], {"site": net.site})
     said = [_model(net, "1", region=region) for region in ("a", "b", "c")]
     for one in said:
-        holder.say(one)
+        holder.publish(one)
     known = [Arrival(MODEL, one.key, encode(one.message), encoding(MODEL)) for one in said[:2]]
     changed = _model(net, "0", region="b")
     known[1] = Arrival(MODEL, changed.key, encode(changed.message), encoding(MODEL))
@@ -119,7 +119,7 @@ def test_who_holds_a_model_may_come_last(net: Any, buses: Opener) -> None:
     for region in ("hall", "lab"):  # each said at once, while its session still meets the others
         holder = buses()
         holder.offer([MODEL], {"site": net.site})
-        holder.say(_model(net, region, region=region))
+        holder.publish(_model(net, region, region=region))
         assert _version(_next(inbox)) == region
 
 
@@ -127,7 +127,7 @@ def test_the_newest_is_what_a_late_joiner_gets(net: Any, buses: Opener) -> None:
     holder = buses()
     holder.offer([MODEL], {"site": net.site})
     for version in ("1", "2", "3"):
-        holder.say(_model(net, version))
+        holder.publish(_model(net, version))
     late, inbox = buses(), Inbox()
     late.listen([MODEL, SCAN], {"site": net.site}, inbox)
     assert _version(_next(inbox)) == "3"
@@ -136,9 +136,9 @@ def test_the_newest_is_what_a_late_joiner_gets(net: Any, buses: Opener) -> None:
 def test_of_two_holders_the_newest_wins(net: Any, buses: Opener) -> None:
     first, second = buses(), buses()
     first.offer([MODEL], {"site": net.site})
-    first.say(_model(net, "old"))
+    first.publish(_model(net, "old"))
     second.offer([MODEL], {"site": net.site})
-    second.say(_model(net, "new"))
+    second.publish(_model(net, "new"))
     late, inbox = buses(), Inbox()
     late.listen([MODEL, SCAN], {"site": net.site}, inbox)
     versions = _until(inbox, "new")
@@ -154,7 +154,7 @@ def test_who_asks_while_models_are_said_ends_with_the_newest(net: Any, buses: Op
     def publish() -> None:
         while not stop.is_set():
             said[0] += 1
-            holder.say(_model(net, str(said[0]), 200_000))
+            holder.publish(_model(net, str(said[0]), 200_000))
 
     thread = threading.Thread(target=publish)
     thread.start()
@@ -181,7 +181,7 @@ def test_a_holder_that_starts_again_is_heard_again(net: Any, buses: Opener) -> N
     holder.close()
     again = Bus(net.open(net.hub))
     again.offer([MODEL], {"site": net.site})
-    again.say(_model(net, "2"))  # before the hearer has found it again
+    again.publish(_model(net, "2"))  # before the hearer has found it again
     assert _version(_next(inbox)) == "2"
     hearer.close()
     again.close()
@@ -190,12 +190,12 @@ def test_a_holder_that_starts_again_is_heard_again(net: Any, buses: Opener) -> N
 def test_who_hears_all_keys_gets_the_held_ones_too(net: Any, buses: Opener) -> None:
     holder = buses()
     holder.offer([MODEL], {"site": net.site})
-    holder.say(_model(net, "1"))
+    holder.publish(_model(net, "1"))
     recorder, inbox = buses(), Inbox()
     recorder.listen_all(CHANNELS, f"{net.site}/**", inbox)
     assert _version(_next(inbox)) == "1"
     holder._session.put(f"{net.site}/not/ours", b"x")
-    holder.say(_model(net, "2"))
+    holder.publish(_model(net, "2"))
     assert _version(_next(inbox)) == "2"
     assert inbox.dropped == {"foreign_key": 1}
 
@@ -204,7 +204,7 @@ def test_queries_are_answered_for_the_keys_asked_only(net: Any, buses: Opener) -
     holder, stranger = buses(), buses()
     holder.offer([MODEL], {"site": net.site})
     for region in ("hall", "lab"):
-        holder.say(_model(net, region, region=region))
+        holder.publish(_model(net, region, region=region))
     end = time.monotonic() + PATIENCE_S
     while not (replies := list(stranger._session.get(f"{net.site}/model/lab", timeout=5))):
         assert time.monotonic() < end
@@ -222,7 +222,7 @@ def test_samples_travel_as_the_contract_says(channel: Channel, net: Any, buses: 
     sample = None
     end = time.monotonic() + PATIENCE_S
     while sample is None and time.monotonic() < end:
-        speaker.say(envelope)
+        speaker.publish(envelope)
         sample = samples.try_recv()
         time.sleep(0.01)
     assert sample is not None
@@ -246,13 +246,13 @@ def test_a_slow_consumer_loses_its_own_oldest_only(net: Any, buses: Opener) -> N
     end = time.monotonic() + PATIENCE_S
     while not len(quick):  # until the two have met
         assert time.monotonic() < end
-        speaker.say(Envelope(SCAN_RAW, scan_address, RawScan(frame_id="mark")))
+        speaker.publish(Envelope(SCAN_RAW, scan_address, RawScan(frame_id="mark")))
         time.sleep(0.01)
     end = time.monotonic() + PATIENCE_S
     count = 20 * SCAN.qos.depth
     for number in range(count):
-        speaker.say(Envelope(SCAN, scan_address, Scan(sequence=number)))
-        speaker.say(Envelope(SCAN_RAW, scan_address, RawScan(frame_id=str(number))))
+        speaker.publish(Envelope(SCAN, scan_address, Scan(sequence=number)))
+        speaker.publish(Envelope(SCAN_RAW, scan_address, RawScan(frame_id=str(number))))
         while (arrival := quick.take(PATIENCE_S)) is not None:  # the quick one keeps up
             if decode(SCAN_RAW, arrival.payload).frame_id == str(number):  # type: ignore[attr-defined]
                 break
@@ -271,20 +271,20 @@ def test_deleting_a_key_is_no_empty_message(net: Any, buses: Opener) -> None:
     inbox = Inbox()
     hearer.listen([MODEL], {"site": net.site}, inbox)
     speaker.offer([MODEL], {"site": net.site})
-    speaker.say(_model(net, "1"))
+    speaker.publish(_model(net, "1"))
     assert _version(_next(inbox)) == "1"
     speaker._session.delete(f"{net.site}/model/hall")
-    speaker.say(_model(net, "2"))
+    speaker.publish(_model(net, "2"))
     assert _version(_next(inbox)) == "2"
     assert inbox.dropped == {"deletion": 1}
 
 
 def test_what_is_said_after_the_end_is_refused(net: Any) -> None:
     bus = Bus(net.open(net.hub))
-    bus.say(_model(net, "1"))
+    bus.publish(_model(net, "1"))
     bus.close()
     with pytest.raises(zenoh.ZError):
-        bus.say(_model(net, "2"))
+        bus.publish(_model(net, "2"))
 
 
 def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
@@ -298,7 +298,7 @@ def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
     heard = set()
     for round_ in range(2):
         for robot in robots:
-            leaf.say(
+            leaf.publish(
                 Envelope(SCAN, {"site": net.site, "robot": robot, "lidar": "front"}, Scan(sequence=round_))
             )
             assert len(leaf._publishers) <= 20

@@ -17,7 +17,7 @@ from tests.runtime.conftest import PATIENCE_S
 
 def _ask(bus: Bus, net: Any, robot: str) -> None:
     address = {"site": net.site, "robot": robot, "lidar": "front"}
-    bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=robot)))
+    bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id=robot)))
 
 
 def _answers(inbox: Inbox, count: int) -> dict[str, int]:

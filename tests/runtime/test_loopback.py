@@ -13,12 +13,12 @@ class Chain:
     """Answers whatever it hears on one channel with an empty message on each of others."""
 
     def __init__(self, hears: Channel, *says: Channel) -> None:
-        self.hears: tuple[Channel, ...] = (hears,)
-        self.says = says
+        self.inputs: tuple[Channel, ...] = (hears,)
+        self.outputs = says
         self.heard: list[Envelope] = []
 
     def _all(self) -> Iterable[Envelope]:
-        for channel in self.says:
+        for channel in self.outputs:
             yield Envelope(channel, ADDRESS, channel.message())
 
     def start(self) -> Iterable[Envelope]:
@@ -48,7 +48,7 @@ def test_what_is_said_goes_on_to_who_hears_it_breadth_first() -> None:
     loop = Loopback([ingest, projector, tracker])
     assert loop.start() == []
     raw = Envelope(SCAN_RAW, ADDRESS, RawScan(frame_id="x"))
-    assert _names(loop.hear(raw)) == ["scan", "hypotheses", "tracks", "pose"]
+    assert _names(loop.receive(raw)) == ["scan", "hypotheses", "tracks", "pose"]
     assert ingest.heard[0].message == raw.message
     assert tracker.heard[0].open(Hypotheses) == Hypotheses()
     assert len(tracker.heard) == 1
@@ -68,11 +68,11 @@ def test_a_core_cannot_change_what_others_hear() -> None:
 
     meddler, witness = Meddler(SCAN), Chain(SCAN)
     scan = Scan(sequence=1)
-    Loopback([meddler, witness]).hear(Envelope(SCAN, ADDRESS, scan))
+    Loopback([meddler, witness]).receive(Envelope(SCAN, ADDRESS, scan))
     assert scan.sequence == 1
     assert witness.heard[0].open(Scan).sequence == 1
 
 
 def test_what_nobody_hears_is_still_told() -> None:
-    assert Loopback([]).hear(Envelope(POSE, ADDRESS, POSE.message())) == []
-    assert _names(Loopback([Chain(SCAN, POSE)]).hear(Envelope(SCAN, ADDRESS, Scan()))) == ["pose"]
+    assert Loopback([]).receive(Envelope(POSE, ADDRESS, POSE.message())) == []
+    assert _names(Loopback([Chain(SCAN, POSE)]).receive(Envelope(SCAN, ADDRESS, Scan()))) == ["pose"]

@@ -43,7 +43,7 @@ def _next(inbox: Inbox) -> Arrival:
 def _ask(bus: Bus, net: Any, frame: str) -> None:
     address = {"site": net.site, "robot": "robot", "lidar": "front"}
     assert bus.wait_for_listener(SCAN_RAW.key(address), PATIENCE_S)
-    bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=frame)))
+    bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id=frame)))
 
 
 def _healths(inbox: Inbox) -> Any:
@@ -127,7 +127,7 @@ def test_a_prompt_core_takes_one_message_at_a_time_from_many_speakers(
         assert voice.wait_for_listener(SCAN_RAW.key(address), PATIENCE_S)
     warm_up = {"site": net.site, "robot": "robot", "lidar": "warm_up"}
     while inbox.take(0.2) is None:  # until the service sees who listens to it
-        listener.say(Envelope(SCAN_RAW, warm_up, RawScan(frame_id="0")))
+        listener.publish(Envelope(SCAN_RAW, warm_up, RawScan(frame_id="0")))
     heard: dict[str, list[str]] = {name: [] for name in names}
     sequences: list[int] = []
     for number in range(bursts):
@@ -135,7 +135,7 @@ def test_a_prompt_core_takes_one_message_at_a_time_from_many_speakers(
         def say(name: str, number: int = number) -> None:
             address = {"site": net.site, "robot": "robot", "lidar": name}
             for frame in range(number * burst, (number + 1) * burst):
-                voices[name].say(Envelope(SCAN_RAW, address, RawScan(frame_id=f"{frame:04}")))
+                voices[name].publish(Envelope(SCAN_RAW, address, RawScan(frame_id=f"{frame:04}")))
 
         threads = [threading.Thread(target=say, args=(name,)) for name in names]
         for thread in threads:
@@ -180,7 +180,7 @@ def test_none_of_many_dies_of_its_end_amid_traffic(
     def flood() -> None:
         address = {"site": net.site, "robot": "robot", "lidar": "front"}
         while not over.wait(0.0005):
-            bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id="front")))
+            bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id="front")))
 
     thread = threading.Thread(target=flood)
     thread.start()
@@ -252,7 +252,7 @@ def test_a_core_that_falls_behind_answers_the_newest_scan_of_each_robot_and_says
         assert time.monotonic() < end
         for robot in ("a", "b"):
             address = {"site": net.site, "robot": robot, "lidar": "front"}
-            bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=str(said))))
+            bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id=str(said))))
         said += 1
         while arrival := scans.take(0.005):
             answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]

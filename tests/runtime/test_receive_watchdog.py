@@ -138,14 +138,14 @@ def test_two_sessions_of_real_zenoh_hear_each_other(buses: Callable[[], Bus], ne
     spoken = threading.Event()
     address = {"site": net.site, "instance": "r17"}
     for _ in range(600):
-        other.say(Envelope(HEALTH, address | {"service": "projector"}, Health()))
-        own.say(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
+        other.publish(Envelope(HEALTH, address | {"service": "projector"}, Health()))
+        own.publish(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
         if hearing._alive & hearing._speaking:
             break
         spoken.wait(0.05)
     assert hearing._alive & hearing._speaking == {"projector"}
     assert not own.is_deaf
-    own.say(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
+    own.publish(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
     assert [own.is_deaf for _ in range(3)][-1]  # the other one's token stands, and it says nothing
 
 

@@ -66,12 +66,12 @@ def test_a_model_said_while_the_router_was_away_arrives_after_it(
     first = starter()
     holder, hearer, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
     holder.offer([MODEL], {"site": net.site})
-    holder.say(_model(net, "1"))
+    holder.publish(_model(net, "1"))
     hearer.listen([MODEL], {"site": net.site}, inbox)
     assert _next_version(inbox) == "1"
     first.process.kill()
     first.process.wait()
-    holder.say(_model(net, "2"))
+    holder.publish(_model(net, "2"))
     starter()
     assert _next_version(inbox) == "2"
     hearer.close()
@@ -86,7 +86,7 @@ def test_it_ends_with_sessions_on_it(net: Any, routed: tuple[Callable[[], Any], 
     end = time.monotonic() + PATIENCE_S
     while not len(inbox):
         assert time.monotonic() < end
-        speaker.say(Envelope(SCAN, {"site": net.site, "robot": "r", "lidar": "l"}, Scan()))
+        speaker.publish(Envelope(SCAN, {"site": net.site, "robot": "r", "lidar": "l"}, Scan()))
         time.sleep(0.01)
     service.process.send_signal(signal.SIGTERM)
     assert service.process.wait(PATIENCE_S) == 0

@@ -19,8 +19,8 @@ from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
 class Content:
     """A core that is always well."""
 
-    hears: tuple[Channel, ...] = (SCAN, ODOMETRY)
-    says: tuple[Channel, ...] = ()
+    inputs: tuple[Channel, ...] = (SCAN, ODOMETRY)
+    outputs: tuple[Channel, ...] = ()
 
     def start(self) -> Iterable[Envelope]:
         return ()

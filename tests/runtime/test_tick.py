@@ -25,10 +25,10 @@ PATIENCE_S = 30.0
 class Clockwork:
     """Notes what it hears, and fails on the first of it."""
 
-    says: tuple[Channel, ...] = ()
+    outputs: tuple[Channel, ...] = ()
 
     def __init__(self, hears: tuple[Channel, ...], enough: threading.Event) -> None:
-        self.hears, self._enough = hears, enough
+        self.inputs, self._enough = hears, enough
         self.heard: list[Envelope] = []
 
     def start(self) -> Iterable[Envelope]:
@@ -78,4 +78,4 @@ def test_a_core_that_hears_ticks_is_told_the_time(monkeypatch: pytest.MonkeyPatc
 
 def test_ticks_leave_no_process_and_move_no_core_that_is_replayed() -> None:
     assert TICK not in CHANNELS
-    assert all(TICK not in part.hears for part in PARTS)
+    assert all(TICK not in part.inputs for part in PARTS)

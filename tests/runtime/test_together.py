@@ -30,7 +30,7 @@ def _ask(bus: Bus, net: Any, *frames: str) -> None:
     address = {"site": net.site, "robot": "robot", "lidar": "front"}
     assert bus.wait_for_listener(SCAN_RAW.key(address), PATIENCE_S)
     for frame in frames:
-        bus.say(Envelope(SCAN_RAW, address, RawScan(frame_id=frame)))
+        bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id=frame)))
 
 
 def test_messages_go_hand_to_hand_in_one_thread_and_to_others_as_well(

@@ -18,8 +18,8 @@ from eigenscan.schemas.wire import encode, encoding
 class Noting:
     """Notes the sequence numbers of the scans that it handles."""
 
-    hears: tuple[Channel, ...] = (SCAN,)
-    says: tuple[Channel, ...] = ()
+    inputs: tuple[Channel, ...] = (SCAN,)
+    outputs: tuple[Channel, ...] = ()
 
     def __init__(self) -> None:
         self.handled: list[int] = []

@@ -25,8 +25,8 @@ class TinySettings(ServiceSettings):
 
 
 class TinyCore:
-    hears: tuple[Channel, ...] = (SCAN_RAW,)
-    says: tuple[Channel, ...] = (SCAN, MODEL)
+    inputs: tuple[Channel, ...] = (SCAN_RAW,)
+    outputs: tuple[Channel, ...] = (SCAN, MODEL)
 
     def __init__(self, settings: TinySettings) -> None:
         if settings.broken:

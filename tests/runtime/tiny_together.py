@@ -17,8 +17,8 @@ SAID: list[int] = []
 
 
 class Silent:
-    hears: tuple[Channel, ...] = ()
-    says: tuple[Channel, ...] = ()
+    inputs: tuple[Channel, ...] = ()
+    outputs: tuple[Channel, ...] = ()
 
     def __init__(self, settings: ServiceSettings) -> None:
         self._settings = settings
@@ -37,8 +37,8 @@ class Silent:
 
 
 class First(Silent):
-    hears: tuple[Channel, ...] = (SCAN_RAW,)
-    says: tuple[Channel, ...] = (SCAN,)
+    inputs: tuple[Channel, ...] = (SCAN_RAW,)
+    outputs: tuple[Channel, ...] = (SCAN,)
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
         name = heard.open(RawScan).frame_id
@@ -52,8 +52,8 @@ class First(Silent):
 class Second(Silent):
     """Says of each scan whether it is the very object that was published, and in the same thread."""
 
-    hears: tuple[Channel, ...] = (SCAN,)
-    says: tuple[Channel, ...] = (HYPOTHESES,)
+    inputs: tuple[Channel, ...] = (SCAN,)
+    outputs: tuple[Channel, ...] = (HYPOTHESES,)
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
         same = id(heard.message) in SAID
@@ -68,7 +68,7 @@ class Second(Silent):
 class Keeper(Silent):
     """Prints what it hears of the two."""
 
-    hears = CHANNELS
+    inputs = CHANNELS
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
         if heard.channel in (SCAN, HYPOTHESES, OBSTACLES):

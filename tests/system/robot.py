@@ -39,7 +39,7 @@ class Robot:
 
     def _publish(self, envelope: Envelope) -> None:
         if envelope.channel is not ODOMETRY or self.odometry.is_set():
-            self._bus.say(envelope)
+            self._bus.publish(envelope)
 
     def __enter__(self) -> "Robot":
         self.stage.epoch = time.time_ns()

@@ -73,7 +73,7 @@ def drive(stage: Stage, models: list[Envelope], step_s: float) -> tuple[list[Cla
         off = int(step_s * 1e9) if published.time - first >= STEP_AT_S * 1e9 else 0
         own = nanoseconds(envelope.message.timestamp)  # type: ignore[attr-defined]
         envelope.message.timestamp.CopyFrom(stamp(own + off))  # type: ignore[attr-defined]
-        for one in pipeline.hear(envelope):
+        for one in pipeline.receive(envelope):
             if one.channel is POSE:
                 pose = one.open(PoseEstimate)
                 if pose.state == STATE_LOCALIZED:

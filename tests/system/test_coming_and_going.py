@@ -34,7 +34,7 @@ def visit(house: House, name: str, published: list[Envelope]) -> None:
     assert bus.wait_for_listener(raw, PATIENCE_S)
     for envelope in published:
         envelope.message.timestamp.CopyFrom(stamp(time.time_ns()))  # type: ignore[attr-defined]
-        bus.say(Envelope(envelope.channel, {**envelope.address, "robot": name}, envelope.message))
+        bus.publish(Envelope(envelope.channel, {**envelope.address, "robot": name}, envelope.message))
     house.ear.wait_for(
         lambda received: any(
             e.channel is SCAN and e.address["robot"] == name for e in reversed(received[-200:])

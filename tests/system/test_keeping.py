@@ -55,7 +55,7 @@ def drive(house: House, scans: list[int], stop: threading.Event) -> None:
             for envelope in Patrol(number).messages(MOVED, number * VISIT_S, site=house.site):
                 if stop.is_set():
                     return
-                bus.say(envelope)
+                bus.publish(envelope)
                 if envelope.channel is SCAN:
                     scans.append(nanoseconds(envelope.open(Scan).timestamp))
                     time.sleep(LIVE_S)
@@ -75,7 +75,7 @@ def tell(house: House, messages: list[Envelope], received: int) -> int:
         for first in range(0, len(messages), AT_ONCE):
             part = messages[first : first + AT_ONCE]
             for envelope in part:
-                bus.say(envelope)
+                bus.publish(envelope)
             received += sum(envelope.channel is POSE for envelope in part)
             house.until("mapbuilder", _has_received(received), "has received all")
     return received

@@ -80,7 +80,7 @@ def drive(house: House, stage: Stage, stop: threading.Event | None = None) -> th
 
     def run() -> None:
         with bus:
-            publish(stage.messages(), bus.say, stop=stop)
+            publish(stage.messages(), bus.publish, stop=stop)
             time.sleep(1.0)  # what waits in the session leaves it
 
     thread = threading.Thread(target=run)

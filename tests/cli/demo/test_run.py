@@ -43,7 +43,7 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], t
             view.update()
             time.sleep(0.05)
         stage.epoch = time.time_ns()
-        publish(stage.messages(), view.say)
+        publish(stage.messages(), view.publish)
         poses: list[PoseEstimate] = []
         while time.monotonic() < deadline and not any(pose.state == STATE_LOCALIZED for pose in poses):
             poses += view.update()

@@ -43,8 +43,8 @@ def searched(message: Hypotheses) -> set[str]:
 
 
 def test_only_who_is_told_so_hears_poses() -> None:
-    assert POSE in ready(focus=True).hears
-    assert POSE not in ready().hears
+    assert POSE in ready(focus=True).inputs
+    assert POSE not in ready().inputs
 
 
 def test_around_a_sure_pose_little_is_searched_and_the_place_is_found() -> None:

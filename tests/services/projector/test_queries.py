@@ -72,7 +72,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with Bus(session) as bus:
         bus.offer([MAP, MODEL, MODEL_SET], {"site": name})
         for envelope in envelopes(site()):
-            bus.say(Envelope(envelope.channel, {**envelope.address, "site": name}, envelope.message))
+            bus.publish(Envelope(envelope.channel, {**envelope.address, "site": name}, envelope.message))
         command = [sys.executable, "-c", "from eigenscan.projector.node import main; main()"]
         where = ["--site", name, "--robot", "r", "--zenoh", str(folder / "leaf.json5")]
         where += ["--stop-s", "60"]  # the machine may be busy
@@ -151,7 +151,7 @@ def test_a_flood_of_queries_starves_no_scan_of_the_robot(served: Served) -> None
     try:
         late = 0
         for number, pose in enumerate(free_poses(SCANS, 9)):
-            served.bus.say(Envelope(SCAN, address, scan_at(pose, time=1 + number)))
+            served.bus.publish(Envelope(SCAN, address, scan_at(pose, time=1 + number)))
             began = time.monotonic()
             arrival = inbox.take(PATIENCE_S)
             assert arrival is not None, "a scan got no answer"

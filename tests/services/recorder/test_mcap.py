@@ -60,7 +60,7 @@ def contents(path: Path) -> list[tuple[str, Message, Any]]:
 
 def publish(recorder: Any, messages: list[Envelope], pause_s: float = 0.0) -> None:
     for message in messages:
-        recorder.bus.say(message)
+        recorder.bus.publish(message)
         if pause_s:
             time.sleep(pause_s)
 
@@ -140,7 +140,7 @@ def test_a_kill_leaves_all_that_was_on_disk(start_recorder: Callable[..., Any], 
 
     def say() -> None:
         for _ in range(10):
-            recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(next(published)))))
+            recorder.bus.publish(Envelope(POSE, address, PoseEstimate(timestamp=stamp(next(published)))))
             time.sleep(0.005)
 
     # what has just come goes to the disk while the recorder is at work, not at its end
@@ -167,7 +167,7 @@ def test_what_is_not_ours_is_counted_and_harms_nothing(
         encoding=zenoh.Encoding("application/protobuf;eigenscan.Tracks/99"),
     )
     address = {"site": site, "robot": "r1"}
-    recorder.bus.say(Envelope(TRACKS, address, Tracks(timestamp=stamp(7))))
+    recorder.bus.publish(Envelope(TRACKS, address, Tracks(timestamp=stamp(7))))
     health = recorder.await_health(
         lambda health: (
             health.counters.get("undecodable", 0) == 2
@@ -191,7 +191,7 @@ def test_a_full_disk_degrades_and_a_new_file_begins_when_there_is_space(
     address = {"site": recorder.site, "robot": "r1"}
     held = Site(recorder.site, seconds=0.2).messages()
     map_message = next(message for message in held if message.channel == MAP)
-    recorder.bus.say(map_message)
+    recorder.bus.publish(map_message)
     recorder.await_health(
         lambda _: MAP in [record.envelope.channel for record in read(tmp_path / "full.mcap")]
     )
@@ -205,7 +205,7 @@ def test_a_full_disk_degrades_and_a_new_file_begins_when_there_is_space(
     recorder.await_health(
         lambda health: health.status == Health.STATUS_OK and health.counters["mcap_files"] == 2
     )
-    recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(5))))
+    recorder.bus.publish(Envelope(POSE, address, PoseEstimate(timestamp=stamp(5))))
     recorder.await_health(lambda health: health.counters.get("heard_pose", 0) == 1)
     assert recorder.stop() == 0
 

@@ -399,7 +399,7 @@ def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tm
     recorder = start_recorder("--rrd", str(tmp_path / "a.rrd"), "--viewer-port", "0", "--data-port", "0")
     published = list(Site(recorder.site, seconds=0.5).messages())
     for message in published:
-        recorder.bus.say(message)
+        recorder.bus.publish(message)
     recorder.await_health(lambda health: health.counters.get("drawn", 0) >= len(published))
     assert recorder.viewer().startswith("http://127.0.0.1:")
     assert recorder.stop() == 0

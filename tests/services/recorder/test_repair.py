@@ -61,7 +61,7 @@ def test_a_recorder_killed_at_any_moment_leaves_all_that_was_on_disk(
 
     def say() -> None:
         published.append(time.time_ns())
-        recorder.bus.say(Envelope(POSE, address, PoseEstimate(timestamp=stamp(published[-1]))))
+        recorder.bus.publish(Envelope(POSE, address, PoseEstimate(timestamp=stamp(published[-1]))))
         time.sleep(0.004)
 
     on_disk = recorder.await_on_disk(tmp_path / "k.mcap", random.Random(seed).randint(50, 500), say)

@@ -143,7 +143,7 @@ def test_a_process_rotates_within_its_budget_and_replay_joins_its_files(
     recorder = start_recorder("--mcap", str(out), "--rotate-minutes", "0.02")
     sent = [message for message in Site(recorder.site, seconds=4.0).messages() if message.channel is POSE]
     for message in sent:
-        recorder.bus.say(message)
+        recorder.bus.publish(message)
         time.sleep(0.1)
     health = recorder.await_health(lambda health: health.counters.get("heard_pose", 0) == len(sent))
     # its own health goes on, once a second

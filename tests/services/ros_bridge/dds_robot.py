@@ -222,14 +222,14 @@ class DdsRobot:
         about = Topic(self._participant, "ros_discovery_info", ParticipantEntitiesInfo)
         self._discovery = DataWriter(self._participant, about, qos=quality(1, latched=True))
 
-    def says(self, topic: str, kind: type[Any], qos: Qos = DEFAULT) -> DataWriter[Any]:
+    def outputs(self, topic: str, kind: type[Any], qos: Qos = DEFAULT) -> DataWriter[Any]:
         """A writer; `topic` is DDS's name."""
         writer = DataWriter(self._participant, Topic(self._participant, topic, kind), qos=qos)
         self._writers[topic] = writer
         self._tell()
         return writer
 
-    def hears(self, topic: str, kind: type[Any], qos: Qos = DEFAULT) -> DataReader[Any]:
+    def inputs(self, topic: str, kind: type[Any], qos: Qos = DEFAULT) -> DataReader[Any]:
         """A reader; `topic` is DDS's name."""
         reader = DataReader(self._participant, Topic(self._participant, topic, kind), qos=qos)
         self._readers[topic] = reader

@@ -51,7 +51,7 @@ def main() -> None:
 
 def record(session: zenoh.Session) -> dict[str, Any]:
     robot = dds.DdsRobot(DOMAIN)
-    messages = said_by(robot)
+    messages = published_by(robot)
     samples: dict[str, dict[str, str | None]] = {}
 
     def keep(sample: zenoh.Sample) -> None:
@@ -69,8 +69,8 @@ def record(session: zenoh.Session) -> dict[str, Any]:
     tokens = [bridge, f"{bridge}/SS/amcl§get_state/lifecycle_msgs§srv§GetState"]
     held = [session.liveliness().declare_token(token) for token in tokens]
     queryable = session.declare_queryable("amcl/get_state", answer)
-    client = robot.says("rq/amcl/get_stateRequest", dds.GetStateRequest)
-    robot.hears("rr/amcl/get_stateReply", dds.GetStateResponse)
+    client = robot.outputs("rq/amcl/get_stateRequest", dds.GetStateRequest)
+    robot.inputs("rr/amcl/get_stateReply", dds.GetStateResponse)
     for _ in range(40):
         for writer, message in messages:
             writer.write(message)
@@ -87,15 +87,15 @@ def record(session: zenoh.Session) -> dict[str, Any]:
     return {"tokens": shown, "samples": samples, "requests": requests}
 
 
-def said_by(robot: dds.DdsRobot) -> list[tuple[Any, Any]]:
+def published_by(robot: dds.DdsRobot) -> list[tuple[Any, Any]]:
     """Declares the bridge's own topics on the DDS side, and what a robot says; gives writers and messages."""
     sensor, command, tf = dds.SENSOR, dds.quality(10), dds.quality(100)
     static = dds.quality(100, latched=True)
-    robot.hears("rt/scan", dds.LaserScan, hashed(sensor, cdr.LASER_SCAN))
-    robot.hears("rt/odom", dds.Odometry, hashed(command, cdr.ODOMETRY))
-    robot.hears("rt/tf", dds.TFMessage, hashed(tf, cdr.TRANSFORMS))
-    robot.hears("rt/tf_static", dds.TFMessage, hashed(static, cdr.TRANSFORMS))
-    robot.hears("rt/initialpose", dds.PoseWithCovarianceStamped, hashed(command, cdr.POSE_WITH_COVARIANCE))
+    robot.inputs("rt/scan", dds.LaserScan, hashed(sensor, cdr.LASER_SCAN))
+    robot.inputs("rt/odom", dds.Odometry, hashed(command, cdr.ODOMETRY))
+    robot.inputs("rt/tf", dds.TFMessage, hashed(tf, cdr.TRANSFORMS))
+    robot.inputs("rt/tf_static", dds.TFMessage, hashed(static, cdr.TRANSFORMS))
+    robot.inputs("rt/initialpose", dds.PoseWithCovarianceStamped, hashed(command, cdr.POSE_WITH_COVARIANCE))
     turn, here = dds.Quaternion(0.0, 0.0, 0.6, 0.8), dds.Vector3(1.0, -2.0, 0.1)
     pose = dds.Pose(dds.Point(1.5, -2.25, 0.0), turn)
     stated = dds.PoseWithCovariance(pose, [0.01 * number for number in range(36)])
@@ -123,22 +123,25 @@ def said_by(robot: dds.DdsRobot) -> list[tuple[Any, Any]]:
     posed = dds.PoseWithCovarianceStamped(header, stated)
     latched = dds.LATCHED
     return [
-        (robot.says("rt/scan", dds.LaserScan, hashed(sensor, cdr.LASER_SCAN)), scan),
-        (robot.says("rt/odom", dds.Odometry, hashed(command, cdr.ODOMETRY)), odometry),
-        (robot.says("rt/tf", dds.TFMessage, hashed(tf, cdr.TRANSFORMS)), dds.TFMessage([moved])),
-        (robot.says("rt/tf_static", dds.TFMessage, hashed(static, cdr.TRANSFORMS)), dds.TFMessage([mount])),
+        (robot.outputs("rt/scan", dds.LaserScan, hashed(sensor, cdr.LASER_SCAN)), scan),
+        (robot.outputs("rt/odom", dds.Odometry, hashed(command, cdr.ODOMETRY)), odometry),
+        (robot.outputs("rt/tf", dds.TFMessage, hashed(tf, cdr.TRANSFORMS)), dds.TFMessage([moved])),
         (
-            robot.says(
+            robot.outputs("rt/tf_static", dds.TFMessage, hashed(static, cdr.TRANSFORMS)),
+            dds.TFMessage([mount]),
+        ),
+        (
+            robot.outputs(
                 "rt/amcl_pose", dds.PoseWithCovarianceStamped, hashed(latched, cdr.POSE_WITH_COVARIANCE)
             ),
             posed,
         ),
         (
-            robot.says("rt/particle_cloud", dds.ParticleCloud, hashed(sensor, cdr.PARTICLE_CLOUD)),
+            robot.outputs("rt/particle_cloud", dds.ParticleCloud, hashed(sensor, cdr.PARTICLE_CLOUD)),
             dds.ParticleCloud(header, particles),
         ),
         (
-            robot.says("rt/map", dds.OccupancyGrid, hashed(latched, cdr.OCCUPANCY_GRID)),
+            robot.outputs("rt/map", dds.OccupancyGrid, hashed(latched, cdr.OCCUPANCY_GRID)),
             dds.OccupancyGrid(header, info, [0, 100, -1, 100, 0, 0]),
         ),
     ]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.runtime.loopback import Loopback
@@ -94,13 +94,13 @@ MOUNT = transform("base_link", "laser", (0.2, 0.1, 0.3), (0.0, 0.0, 1.0, 0.0))
 
 def hear(bridge: RosBridgeCore, endpoint: str, data: bytes) -> list[Envelope]:
     """As over Zenoh: the messages are encoded on their way."""
-    heard = Envelope(ROS_HEARD, {"endpoint": endpoint}, BytesValue(value=data))
-    return Loopback([bridge]).hear(heard)
+    heard = Envelope(ROS_RECEIVED, {"endpoint": endpoint}, BytesValue(value=data))
+    return Loopback([bridge]).receive(heard)
 
 
 def tell(bridge: RosBridgeCore, channel: Any, message: Any) -> list[tuple[str, bytes]]:
-    said = Loopback([bridge]).hear(Envelope(channel, SITE, message))
-    assert all(each.channel is ROS_SAID for each in said)
+    said = Loopback([bridge]).receive(Envelope(channel, SITE, message))
+    assert all(each.channel is ROS_PUBLISHED for each in said)
     return [(each.address["endpoint"], each.open(BytesValue).value) for each in said]
 
 
@@ -282,7 +282,7 @@ def test_a_click_in_another_frame_is_not_taken_and_said_until_one_is() -> None:
 def ask(bridge: RosBridgeCore, endpoint: str, request: bytes = b"\0\1\0\0\0") -> tuple[bytes, list[Envelope]]:
     """The response to a service's request, and what was said because of it."""
     asked = Envelope(ROS_ASKED, {"endpoint": endpoint, "number": "7"}, BytesValue(value=request))
-    response, *because = Loopback([bridge]).hear(asked)
+    response, *because = Loopback([bridge]).receive(asked)
     assert response.channel is ROS_ANSWERED
     assert response.address == asked.address
     return response.open(BytesValue).value, because

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.channels import ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_PUBLISHED
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HEALTH, POSE
@@ -32,7 +32,7 @@ def statuses(
     """By name, what one health becomes."""
     health = Health(timestamp=stamp(TIME), service=service, instance=instance, **more)
     told = Envelope(HEALTH, {"site": "s", "service": service, "instance": instance}, health)
-    said = [each for each in Loopback([bridge]).hear(told) if each.channel is ROS_SAID]
+    said = [each for each in Loopback([bridge]).receive(told) if each.channel is ROS_PUBLISHED]
     if not said:
         return {}
     (one,) = said
@@ -60,7 +60,7 @@ def test_health_is_a_level_a_message_and_counters(status: Health.Status, level: 
 def test_the_state_comes_with_the_trackers_health(state: State, level: int) -> None:
     bridge = core()
     estimate = PoseEstimate(timestamp=stamp(TIME), state=state, confidence=0.5, floor="2nd")
-    Loopback([bridge]).hear(Envelope(POSE, SITE, estimate))
+    Loopback([bridge]).receive(Envelope(POSE, SITE, estimate))
     shown = statuses(bridge)["localization"]
     assert shown.level == level
     assert {pair.key: pair.value for pair in shown.values} == {"confidence": "0.5000", "floor": "2nd"}

@@ -46,7 +46,7 @@ class RosDriver:
         self._tf = robot.publisher("/tf", cdr.TRANSFORMS)
         self._static = robot.publisher("/tf_static", cdr.TRANSFORMS)
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         if envelope.channel is ODOMETRY:
             message = envelope.open(Odometry)
             x, y, theta = from_pose3(message.pose)
@@ -106,7 +106,7 @@ def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, rob
         return [item for message in tf for item in message.transforms if item.header.frame_id == "map"]
 
     stage.epoch = SIMULATION_STARTED
-    publish(stage.messages(), RosDriver(robot).say)
+    publish(stage.messages(), RosDriver(robot).publish)
     enough = 0.5 * SECONDS * stage.scenario.lidar.rate
     eventually(lambda: len(poses) > enough and anchors(), "poses of half of the scans, and a transform")
     errors = []

@@ -107,12 +107,12 @@ def taken(reader: Any, until: Callable[[], None], about: str) -> Any:
 
 
 def test_a_robot_on_a_dds_in(start: Start, robot: Any, dds: ModuleType, router: str) -> None:
-    static = robot.says("rt/tf_static", dds.TFMessage, dds.LATCHED)
+    static = robot.outputs("rt/tf_static", dds.TFMessage, dds.LATCHED)
     mount = dds.Transform(dds.Vector3(0.2, 0.1, 0.3), dds.Quaternion(1.0, 0.0, 0.0, 0.0))
     static.write(dds.TFMessage([dds.TransformStamped(dds.header("base_link"), "laser", mount)]))
-    lidar = robot.says("rt/scan", dds.LaserScan, dds.SENSOR)
-    tf = robot.says("rt/tf", dds.TFMessage, dds.quality(100))
-    odom = robot.says("rt/odom", dds.Odometry)
+    lidar = robot.outputs("rt/scan", dds.LaserScan, dds.SENSOR)
+    tf = robot.outputs("rt/tf", dds.TFMessage, dds.quality(100))
+    odom = robot.outputs("rt/odom", dds.Odometry)
     bridge = start("--dialect", "ros2dds", ros_router=router)
     here = dds.Transform(dds.Vector3(1.0, 2.0, 0.0), dds.Quaternion(0.0, 0.0, 1.0, 0.0))
     zero = dds.Vector3(0.0, 0.0, 0.0)
@@ -143,9 +143,9 @@ def test_a_robot_on_a_dds_in(start: Start, robot: Any, dds: ModuleType, router: 
 
 
 def test_a_robot_on_a_dds_out(start: Start, robot: Any, dds: ModuleType, router: str) -> None:
-    poses = robot.hears("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.LATCHED)
-    tf = robot.hears("rt/tf", dds.TFMessage, dds.quality(100))
-    clouds = robot.hears("rt/particle_cloud", dds.ParticleCloud, dds.SENSOR)
+    poses = robot.inputs("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.LATCHED)
+    tf = robot.inputs("rt/tf", dds.TFMessage, dds.quality(100))
+    clouds = robot.inputs("rt/particle_cloud", dds.ParticleCloud, dds.SENSOR)
     bridge = start("--dialect", "ros2dds", ros_router=router)
     address = {"site": bridge.site, "robot": "robot"}
     estimate = PoseEstimate(timestamp=stamp(TIME), frame_id="map", state=STATE_LOCALIZED)
@@ -156,7 +156,7 @@ def test_a_robot_on_a_dds_out(start: Start, robot: Any, dds: ModuleType, router:
     tracks = Tracks(timestamp=stamp(TIME), frame_id="map", tracks=[Track(probability=0.9)])
 
     def say(channel: Any, message: Any) -> Callable[[], None]:
-        return lambda: bridge.ear.bus.say(Envelope(channel, address, message))
+        return lambda: bridge.ear.bus.publish(Envelope(channel, address, message))
 
     body = taken(poses, say(POSE, estimate), "/amcl_pose")
     assert (body.header.frame_id, header_stamp(body.header)) == ("map", TIME)
@@ -181,24 +181,24 @@ def test_who_comes_late_to_a_dds_gets_map_and_pose(
     estimate = PoseEstimate(timestamp=stamp(TIME), frame_id="map", state=STATE_LOCALIZED)
     estimate.pose.CopyFrom(to_message((1.5, -2.0, 0.7)))
     bridge.ear.bus.offer([MAP], {"site": bridge.site})
-    bridge.ear.bus.say(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
-    bridge.ear.bus.say(Envelope(POSE, {"site": bridge.site, "robot": "robot"}, estimate))
+    bridge.ear.bus.publish(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
+    bridge.ear.bus.publish(Envelope(POSE, {"site": bridge.site, "robot": "robot"}, estimate))
     eventually(lambda: bridge.counter("said_ros_said") == 2, "map and pose to be said")
-    map_reader = robot.hears("rt/map", dds.OccupancyGrid, dds.LATCHED)
+    map_reader = robot.inputs("rt/map", dds.OccupancyGrid, dds.LATCHED)
     heard = taken(map_reader, lambda: None, "the map")
     assert np.array(heard.data).reshape(4, 6)[[1, 3], [2, 5]].tolist() == [100, -1]
-    pose_reader = robot.hears("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.LATCHED)
+    pose_reader = robot.inputs("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.LATCHED)
     assert taken(pose_reader, lambda: None, "the pose").pose.pose.position.x == 1.5
 
 
 def test_services_and_clicks_of_a_dds(start: Start, robot: Any, dds: ModuleType, router: str) -> None:
     bridge = start("--dialect", "ros2dds", ros_router=router)
-    requests = robot.says("rq/amcl/get_stateRequest", dds.GetStateRequest)
-    responses = robot.hears("rr/amcl/get_stateReply", dds.GetStateResponse)
+    requests = robot.outputs("rq/amcl/get_stateRequest", dds.GetStateRequest)
+    responses = robot.inputs("rr/amcl/get_stateReply", dds.GetStateResponse)
     asked = iter(range(1, 10_000))
     response = taken(responses, lambda: requests.write(dds.GetStateRequest(77, next(asked), 0)), "the state")
     assert (response.client, response.current_state.label) == (77, "active")
-    clicks = robot.says("rt/initialpose", dds.PoseWithCovarianceStamped)
+    clicks = robot.outputs("rt/initialpose", dds.PoseWithCovarianceStamped)
     pose = dds.Pose(dds.Point(4.0, 5.0, 0.0), dds.Quaternion(0.0, 0.0, 0.0, 1.0))
     clicked = dds.PoseWithCovarianceStamped(dds.header("map"), dds.PoseWithCovariance(pose, 36 * [0.0]))
 
@@ -214,12 +214,12 @@ class DdsDriver:
 
     def __init__(self, robot: Any, dds: ModuleType) -> None:
         self._dds = dds
-        self._scan = robot.says("rt/scan", dds.LaserScan, dds.SENSOR)
-        self._tf = robot.says("rt/tf", dds.TFMessage, dds.quality(100))
-        self._static = robot.says("rt/tf_static", dds.TFMessage, dds.LATCHED)
+        self._scan = robot.outputs("rt/scan", dds.LaserScan, dds.SENSOR)
+        self._tf = robot.outputs("rt/tf", dds.TFMessage, dds.quality(100))
+        self._static = robot.outputs("rt/tf_static", dds.TFMessage, dds.LATCHED)
         self._mounted = False
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         if envelope.channel is ODOMETRY:
             message = envelope.open(Odometry)
             at = from_pose3(message.pose)
@@ -251,12 +251,12 @@ def test_a_robot_on_a_dds_is_localized(
 ) -> None:
     stage = Stage(office().render(), Scenario(seconds=SECONDS, people=2))
     write_map(stage.grid, tmp_path / "map.yaml")
-    poses = robot.hears("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.quality(1000, latched=True))
-    tf = robot.hears("rt/tf", dds.TFMessage, dds.quality(1000))
+    poses = robot.inputs("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.quality(1000, latched=True))
+    tf = robot.inputs("rt/tf", dds.TFMessage, dds.quality(1000))
     driver = DdsDriver(robot, dds)
     with pipeline(network, tmp_path / "out", "ros2dds", router, "--map", tmp_path / "map.yaml"):
         stage.epoch = time.time_ns()
-        publish(stage.messages(), driver.say)
+        publish(stage.messages(), driver.publish)
         heard = poses.take(2000)
         anchors = [
             item for message in tf.take(5000) for item in message.transforms if item.child_frame_id == "odom"

@@ -256,13 +256,13 @@ def test_what_nav2_subscribes_to_arrives(bridge: Bridge, peer: Peer) -> None:
     health = Health(timestamp=stamp(TIME), service="tracker", instance="robot", status=Health.STATUS_OK)
     grid = GridMap(np.array([[0, 100, 255], [0, 0, 0]], np.uint8), 0.05, np.array([-1.0, 2.0, 0.0]))
     bridge.ear.bus.offer([MAP], {"site": bridge.site})
-    bridge.ear.bus.say(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
+    bridge.ear.bus.publish(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
     wanted = {"/amcl_pose", "/tf", "/particle_cloud", "/map", "/floor", "/diagnostics"}
 
     def complete() -> bool:
         for channel, message in ((POSE, estimate), (TRANSFORM, move), (TRACKS, tracks)):
-            bridge.ear.bus.say(Envelope(channel, robot, message))
-        bridge.ear.bus.say(Envelope(HEALTH, robot | {"service": "tracker", "instance": "robot"}, health))
+            bridge.ear.bus.publish(Envelope(channel, robot, message))
+        bridge.ear.bus.publish(Envelope(HEALTH, robot | {"service": "tracker", "instance": "robot"}, health))
         time.sleep(0.2)
         return wanted <= {topic for topic, messages in peer.topics.items() if messages}
 
@@ -294,8 +294,8 @@ def test_who_comes_late_gets_the_last_pose_and_the_map(
     estimate.pose.CopyFrom(to_message((1.5, -2.0, 0.7)))
     grid = GridMap(np.zeros((2, 3), np.uint8), 0.05, np.zeros(3))
     bridge.ear.bus.offer([MAP], {"site": bridge.site})
-    bridge.ear.bus.say(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
-    bridge.ear.bus.say(Envelope(POSE, {"site": bridge.site, "robot": "robot"}, estimate))
+    bridge.ear.bus.publish(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
+    bridge.ear.bus.publish(Envelope(POSE, {"site": bridge.site, "robot": "robot"}, estimate))
     eventually(lambda: peer.topics["/amcl_pose"] and peer.topics["/map"], "pose and map")
     late = Peer(program, network, peer.domain)
     eventually(lambda: late.topics["/amcl_pose"] and late.topics["/map"], "pose and map, late")
@@ -349,7 +349,7 @@ class Driver:
         self._peer = peer
         self._mounted = False
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         if envelope.channel is ODOMETRY:
             message = envelope.open(Odometry)
             x, y, theta = from_pose3(message.pose).tolist()
@@ -377,7 +377,7 @@ def test_its_robot_is_localized(network: Network, peer: Peer, distribution: str,
     domain = {"ROS_DOMAIN_ID": str(peer.domain)}
     with pipeline(network, tmp_path / "out", DIALECTS[distribution], network.endpoint, *flags, **domain):
         stage.epoch = time.time_ns()
-        publish(stage.messages(), Driver(peer).say)
+        publish(stage.messages(), Driver(peer).publish)
         eventually(lambda: peer.topics["/amcl_pose"], "a pose")
         time.sleep(1.0)
     errors = []

@@ -70,8 +70,8 @@ def test_a_dds_robot_in_and_out(start: Start, dds: zenoh.Session, name: str) -> 
     move = FrameTransform(timestamp=stamp(10**18), parent_frame_id="map", child_frame_id="odom")
 
     def said() -> bool:
-        bridge.ear.bus.say(Envelope(POSE, address, estimate))
-        bridge.ear.bus.say(Envelope(TRANSFORM, address, move))
+        bridge.ear.bus.publish(Envelope(POSE, address, estimate))
+        bridge.ear.bus.publish(Envelope(TRANSFORM, address, move))
         return all(heard.values())
 
     eventually(said, "/amcl_pose and /tf")
@@ -102,7 +102,7 @@ def test_a_dds_robot_that_comes_late_gets_the_map(start: Start, dds: zenoh.Sessi
     bridge = start("--dialect", "ros2dds", "--namespace", name)
     grid = GridMap(np.full((2, 3), 100, dtype=np.uint8), 0.05, np.zeros(3))
     bridge.ear.bus.offer([MAP], {"site": bridge.site})
-    bridge.ear.bus.say(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
+    bridge.ear.bus.publish(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
     eventually(lambda: bridge.counter("said_ros_said"), "the map to be said")
     maps: list[zenoh.Sample] = []
     subscriber = zenoh.ext.declare_advanced_subscriber(

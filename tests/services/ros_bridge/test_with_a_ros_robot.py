@@ -119,7 +119,7 @@ def test_the_pose_and_the_transform_arrive(bridge: Bridge, robot: Robot) -> None
 
     def arrived() -> bool:
         for channel, message in ((POSE, estimate), (TRANSFORM, move), (TRACKS, tracks)):
-            bridge.ear.bus.say(Envelope(channel, address, message))
+            bridge.ear.bus.publish(Envelope(channel, address, message))
         return bool(poses and transforms and clouds)
 
     eventually(arrived, "/amcl_pose, /tf and /particle_cloud")
@@ -139,7 +139,7 @@ def test_who_comes_late_gets_the_map(bridge: Bridge, robot: Robot) -> None:
     cells[1, 2], cells[3, 5] = 100, 255
     grid = GridMap(cells, 0.05, np.array([-1.0, 2.0, 0.0]))
     bridge.ear.bus.offer([MAP], {"site": bridge.site})
-    bridge.ear.bus.say(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
+    bridge.ear.bus.publish(Envelope(MAP, {"site": bridge.site}, to_grid(grid, "map")))
     eventually(lambda: bridge.counter("said_ros_said"), "the map to be said")
 
     def come_late() -> list[Any]:

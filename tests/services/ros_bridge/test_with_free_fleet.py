@@ -168,7 +168,7 @@ def test_it_reads_the_pose_and_loses_it_ten_seconds_after_the_claim(
         )
         move.translation.x, move.translation.y = 10.0, 20.0
         move.rotation.z = move.rotation.w = math.sqrt(0.5)
-        bridge.ear.bus.say(Envelope(TRANSFORM, address, move))
+        bridge.ear.bus.publish(Envelope(TRANSFORM, address, move))
 
     def caught_up() -> bool:
         return abs(adapter.newest("odom", "base_footprint") - robot.now) < 0.01

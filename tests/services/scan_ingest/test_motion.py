@@ -108,7 +108,7 @@ class Lidar:
     def __init__(self) -> None:
         self.core, self.time = ScanIngestCore(ScanIngestSettings()), 0
 
-    def say(
+    def publish(
         self, ranges: np.ndarray, mount: tuple[float, ...] = MOUNT, after: int = 100_000_000
     ) -> list[Envelope]:
         self.time += after
@@ -131,7 +131,7 @@ def test_a_drive_is_told_piece_by_piece() -> None:
     lidar, rng, told, since = Lidar(), np.random.default_rng(5), (0.0, 0.0, 0.0), 100_000_000
     pose = start = (-1.0, 0.5, 0.0)
     for _ in range(40):
-        for envelope in lidar.say(seen(pose, rng)):
+        for envelope in lidar.publish(seen(pose, rng)):
             if envelope.channel is SCAN_MOTION:
                 message = envelope.open(ScanMotion)
                 assert message.since == stamp(since)
@@ -147,7 +147,7 @@ def test_scans_that_a_driver_publishes_at_once_tell_the_turn_between_them() -> N
     pose = (-1.0, 0.5, 0.0)
     for burst in range(5):  # it stands until the scans' mean rate is known
         for after in (2_000_000_000, *[1_000_000] * 9):
-            for envelope in lidar.say(seen(pose, rng), after=after):
+            for envelope in lidar.publish(seen(pose, rng), after=after):
                 if envelope.channel is SCAN_MOTION:
                     message, last = envelope.open(ScanMotion), pose
                     assert message.HasField("motion")
@@ -163,19 +163,19 @@ def test_of_a_fast_lidar_not_every_scan_is_laid_on_an_earlier_one() -> None:
     for lidar, name, period in ((slow, "slow", 100_000_000), (fast, "fast", 25_000_000)):
         for scan in range(10_000_000_000 // period):
             pose = (-1.0, 0.5, 0.3 * scan * period * 1e-9)
-            said = lidar.say(seen(pose, rng), after=period)
+            said = lidar.publish(seen(pose, rng), after=period)
             published[name] += sum(envelope.channel is SCAN_MOTION for envelope in said)
     assert published["fast"] <= 1.2 * published["slow"]
 
 
 def test_identical_scans_are_counted_told_and_named() -> None:
     lidar, still = Lidar(), seen((0.0, 0.5, 0.3), np.random.default_rng(1))
-    published = [lidar.say(still) for _ in range(25)]
+    published = [lidar.publish(still) for _ in range(25)]
     assert all(envelopes[-1].channel is SCAN for envelopes in published)
     repeats = [each[0].open(ScanMotion).repeats for each in published[1:]]
     assert repeats == list(range(1, 25))
     assert lidar.fault.startswith("lidar r/front frozen: 25 identical scans")
-    lidar.say(seen((0.0, 0.5, 0.3), np.random.default_rng(2)))
+    lidar.publish(seen((0.0, 0.5, 0.3), np.random.default_rng(2)))
     assert not lidar.fault
 
 
@@ -183,22 +183,22 @@ def test_identical_scans_are_counted_told_and_named() -> None:
 def test_a_covered_lidar_says_nothing_and_is_named(noise: float) -> None:
     lidar, rng = Lidar(), np.random.default_rng(1)
     for _ in range(6):
-        assert not lidar.say(0.7 + noise * rng.standard_normal(BEAMS))
+        assert not lidar.publish(0.7 + noise * rng.standard_normal(BEAMS))
     assert "lidar r/front covered" in lidar.fault
-    lidar.say(seen((0.0, 0.5, 0.3), rng))
+    lidar.publish(seen((0.0, 0.5, 0.3), rng))
     assert "covered" not in lidar.fault
 
 
 def test_a_wall_close_ahead_is_no_cover() -> None:
     angles = FIRST + STEP * np.arange(BEAMS)
     wall = np.minimum(0.2 / np.maximum(np.cos(angles), 0.01), 3.0)
-    assert Lidar().say(wall)
+    assert Lidar().publish(wall)
 
 
 def test_two_lidars_of_one_name_are_named_and_set_aside() -> None:
     lidar, rng = Lidar(), np.random.default_rng(1)
     published = [
-        lidar.say(seen((0.0, 0.5, 0.3), rng), MOUNT if scan % 2 else (-0.3, 0.0, math.pi))
+        lidar.publish(seen((0.0, 0.5, 0.3), rng), MOUNT if scan % 2 else (-0.3, 0.0, math.pi))
         for scan in range(20)
     ]
     assert not any(published[8:])
@@ -209,5 +209,5 @@ def test_scans_of_two_clocks_are_named() -> None:
     lidar, rng = Lidar(), np.random.default_rng(1)
     for scan in range(30):
         lidar.time += (3 if scan % 2 else -3) * 1_000_000_000
-        lidar.say(seen((0.0, 0.5, 0.3), rng))
+        lidar.publish(seen((0.0, 0.5, 0.3), rng))
     assert "two clocks" in lidar.fault

@@ -78,7 +78,7 @@ def test_the_process_says_what_the_core_says(hub: tuple[Bus, Path]) -> None:
         answered = 0
         # one at a time: scans in a burst may be dropped
         for envelope in received:
-            bus.say(envelope)
+            bus.publish(envelope)
             published = sorted((one.key, encode(one.message)) for one in core.handle(envelope))
             arrived = [inbox.take(timeout=PATIENCE_S) for _ in published]
             assert published == sorted((one.key, one.payload) for one in arrived if one is not None)

@@ -26,7 +26,7 @@ from eigenscan.schemas.tracking_pb2 import (
     Relocation,
     State,
 )
-from eigenscan.vda5050.channels import MQTT_HEARD, MQTT_SAID
+from eigenscan.vda5050.channels import MQTT_PUBLISHED, MQTT_RECEIVED
 from eigenscan.vda5050.core import Vda5050Core
 from eigenscan.vda5050.settings import Vda5050Settings, Version
 from google.protobuf.wrappers_pb2 import BytesValue
@@ -59,15 +59,15 @@ class Manager:
             if one.channel is RELOCATION:
                 self.words.append(one.open(Relocation))
                 continue
-            assert one.channel is MQTT_SAID
+            assert one.channel is MQTT_PUBLISHED
             body = json.loads(one.open(BytesValue).value)
             check(one.address["topic"], {"timestamp": "2026-11-22T12:00:00.000Z", **body}, self.major)
             self.topics.setdefault(one.address["topic"], []).append(body)
 
-    def hear(self, topic: str, data: bytes) -> None:
-        self.take(self.core.handle(Envelope(MQTT_HEARD, {"topic": topic}, BytesValue(value=data))))
+    def receive(self, topic: str, data: bytes) -> None:
+        self.take(self.core.handle(Envelope(MQTT_RECEIVED, {"topic": topic}, BytesValue(value=data))))
 
-    def say(self, *actions: dict[str, Any], topic: str = "instantActions", **changes: Any) -> None:
+    def publish(self, *actions: dict[str, Any], topic: str = "instantActions", **changes: Any) -> None:
         self.number += 1
         told = {
             "headerId": self.number,
@@ -77,7 +77,7 @@ class Manager:
             "serialNumber": "r1",
             "actions": list(actions),
         }
-        self.hear(topic, json.dumps(told | changes).encode())
+        self.receive(topic, json.dumps(told | changes).encode())
 
     def pose(self, state: State = STATE_LOCALIZED, pose: Iterable[float] = HERE, **fields: Any) -> None:
         self.at += 100 * MS
@@ -129,7 +129,7 @@ def set_position(name: str = "a1", map_id: str = "map", major: int = 3, **change
 def manager_of(version: Version, **settings: Any) -> Manager:
     core = Vda5050Core(Vda5050Settings(version=version, **settings), "s", "r1")
     told = Manager(version, core)
-    told.hear("broker", b"")
+    told.receive("broker", b"")
     return told
 
 
@@ -242,7 +242,7 @@ def test_with_floors_the_map_is_the_floor_and_the_position_is_in_its_frame(manag
     assert manager.position["mapId"] == "first"
     assert [manager.position[name] for name in ("x", "y", "theta")] == pytest.approx(HERE)
     assert [one["mapId"] for one in manager.state["maps"]] == ["ground", "first"]
-    manager.say(set_position(map_id="first", major=manager.major))
+    manager.publish(set_position(map_id="first", major=manager.major))
     (word,) = manager.words
     assert from_message(word.pose) == pytest.approx(compose(UP, own))
     assert word.frame_id == "map"
@@ -250,7 +250,7 @@ def test_with_floors_the_map_is_the_floor_and_the_position_is_in_its_frame(manag
 
 def test_a_position_that_the_scans_confirm_is_finished(manager: Manager) -> None:
     manager.pose(pose=(9.0, 9.0, 0.0))
-    manager.say(set_position(major=manager.major))
+    manager.publish(set_position(major=manager.major))
     (word,) = manager.words
     assert from_message(word.pose) == pytest.approx(HERE)
     assert manager.action("a1")["actionStatus"] == "RUNNING"
@@ -265,7 +265,7 @@ def test_a_position_that_the_scans_confirm_is_finished(manager: Manager) -> None
 
 
 def test_a_position_that_the_scans_contradict_has_failed(manager: Manager) -> None:
-    manager.say(set_position(major=manager.major))
+    manager.publish(set_position(major=manager.major))
     manager.pose(STATE_LOST)
     manager.pose(pose=(9.0, 9.0, 0.0))
     told = manager.action("a1")
@@ -274,8 +274,8 @@ def test_a_position_that_the_scans_contradict_has_failed(manager: Manager) -> No
 
 
 def test_a_position_without_a_claim_fails_in_the_end_and_a_newer_one_replaces_it(manager: Manager) -> None:
-    manager.say(set_position("a1", major=manager.major))
-    manager.say(set_position("a2", major=manager.major))
+    manager.publish(set_position("a1", major=manager.major))
+    manager.publish(set_position("a2", major=manager.major))
     assert manager.action("a1")["actionStatus"] == "FAILED"
     manager.wait(29)
     assert manager.action("a2")["actionStatus"] == "RUNNING"
@@ -296,14 +296,14 @@ def test_a_position_without_a_claim_fails_in_the_end_and_a_newer_one_replaces_it
 )
 def test_a_position_that_is_none_moves_nobody(manager: Manager, change: dict[str, Any], words: str) -> None:
     manager.pose()
-    manager.say(set_position(major=manager.major, **change))
+    manager.publish(set_position(major=manager.major, **change))
     assert manager.words == []
     told = manager.action("a1")
     assert told["actionStatus"] == "FAILED"
     assert words in told["resultDescription" if manager.major == 2 else "actionResult"]
     assert ("INVALID_INSTANT_ACTION", "WARNING") in manager.errors
     assert manager.is_localized
-    manager.say(set_position("a2", major=manager.major))
+    manager.publish(set_position("a2", major=manager.major))
     assert len(manager.words) == 1
     assert manager.errors == []
 
@@ -325,12 +325,12 @@ def test_what_is_no_message_is_counted_and_told_and_nothing_else(
     manager: Manager, data: bytes, words: str
 ) -> None:
     manager.pose()
-    manager.hear("instantActions", data)
+    manager.receive("instantActions", data)
     assert manager.core.condition().counters["set_aside_instantActions"] == 1
     assert manager.errors == [("VALIDATION_FAILURE", "WARNING")]
     assert words in manager.state["errors"][0]["errorDescription"]
     assert manager.is_localized
-    manager.say({"actionType": "stateRequest", "actionId": "q", "blockingType": "NONE"})
+    manager.publish({"actionType": "stateRequest", "actionId": "q", "blockingType": "NONE"})
     assert manager.errors == []
 
 
@@ -349,17 +349,17 @@ def test_what_is_no_message_is_counted_and_told_and_nothing_else(
 def test_a_message_for_another_robot_or_without_actions_does_nothing(
     manager: Manager, changes: dict[str, Any]
 ) -> None:
-    manager.say(**changes)
+    manager.publish(**changes)
     assert manager.core.condition().counters["set_aside_instantActions"] == 1
     assert ("VALIDATION_FAILURE", "WARNING") in manager.errors
 
 
 def test_wrong_header_numbers_are_counted_and_no_action_is_lost_or_done_twice(manager: Manager) -> None:
     action = set_position(major=manager.major)
-    manager.say(action, headerId=5)
-    manager.say(action, headerId=5)
-    manager.say(set_position("a2", major=manager.major), headerId=3)
-    manager.say(set_position("a3", major=manager.major), headerId=9)
+    manager.publish(action, headerId=5)
+    manager.publish(action, headerId=5)
+    manager.publish(set_position("a2", major=manager.major), headerId=3)
+    manager.publish(set_position("a3", major=manager.major), headerId=9)
     assert len(manager.words) == 3
     counters = manager.core.condition().counters
     assert (counters["header_id_not_increasing"], counters["header_id_gaps"]) == (2, 1)
@@ -368,31 +368,31 @@ def test_wrong_header_numbers_are_counted_and_no_action_is_lost_or_done_twice(ma
 
 def test_other_actions_and_orders_are_refused_and_requests_are_answered(manager: Manager) -> None:
     manager.pose()
-    manager.say({"actionType": "pick", "actionId": "p", "blockingType": "NONE"})
+    manager.publish({"actionType": "pick", "actionId": "p", "blockingType": "NONE"})
     assert manager.action("p")["actionStatus"] == "FAILED"
     assert ("INVALID_INSTANT_ACTION", "WARNING") in manager.errors
     sheets, states = len(manager.topics["factsheet"]), len(manager.topics["state"])
-    manager.say(
+    manager.publish(
         {"actionType": "factsheetRequest", "actionId": "f", "blockingType": "NONE"},
         {"actionType": "stateRequest", "actionId": "s", "blockingType": "NONE"},
     )
     assert len(manager.topics["factsheet"]) == sheets + 1
     assert len(manager.topics["state"]) == states + 1
     assert {manager.action(name)["actionStatus"] for name in "fs"} == {"FINISHED"}
-    manager.say(topic="order", orderId="o1")
+    manager.publish(topic="order", orderId="o1")
     assert manager.errors == [("MOBILE_ROBOT_NOT_AVAILABLE", "WARNING")]
     assert manager.words == []
 
 
 def test_after_a_broker_was_gone_factsheet_and_state_come_again(manager: Manager) -> None:
     manager.pose()
-    manager.hear("broker", b"connection lost")
+    manager.receive("broker", b"connection lost")
     assert "connection lost" in manager.core.condition().detail
     counts = {topic: len(said) for topic, said in manager.topics.items()}
     manager.pose(STATE_LOST)
     manager.wait(3)
     assert counts == {topic: len(said) for topic, said in manager.topics.items()}
-    manager.hear("broker", b"")
+    manager.receive("broker", b"")
     assert len(manager.topics["factsheet"]) == counts["factsheet"] + 1
     assert len(manager.topics["state"]) == counts["state"] + 1
     assert not manager.is_localized
@@ -415,7 +415,7 @@ def test_beside_another_client_only_the_position_is_published() -> None:
     manager = manager_of("3.0.0", only_visualization=True)
     manager.pose()
     manager.wait(2)
-    manager.say(set_position())
+    manager.publish(set_position())
     assert set(manager.topics) == {"visualization"}
     assert manager.words == []
 

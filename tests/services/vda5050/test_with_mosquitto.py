@@ -128,7 +128,7 @@ class Manager:
         listed = state.get("instantActionStates") or state.get("actionStates") or []
         return next((one["actionStatus"] for one in listed if one["actionId"] == name), "")
 
-    def say(self, *actions: Message) -> None:
+    def publish(self, *actions: Message) -> None:
         self.number += 1
         told = {
             "headerId": self.number,
@@ -167,7 +167,7 @@ class Tracker:
                 track_id=1,
                 protection_radius=0.3,
             )
-            self.bus.say(Envelope(POSE, {"site": self.site, "robot": "r1"}, told))
+            self.bus.publish(Envelope(POSE, {"site": self.site, "robot": "r1"}, told))
 
     def close(self) -> None:
         self._stop.set()
@@ -230,7 +230,7 @@ def test_a_fleet_manager_reads_the_pose_and_sets_it(scene: Scene) -> None:
     scene.tracker.claims = False
     wait_for(lambda: manager.localized(False), "not localized")
     assert [one["errorType"] for one in manager.newest("state")["errors"]] == ["LOCALIZATION_ERROR"]
-    manager.say(set_position("a1", major=int(manager.version[0])))
+    manager.publish(set_position("a1", major=int(manager.version[0])))
     arrival = scene.inbox.take(PATIENCE_S)
     assert arrival is not None
     word = decode(RELOCATION, arrival.payload, arrival.encoding)
@@ -265,7 +265,7 @@ def test_a_broker_that_was_gone_is_told_all_again(scene: Scene) -> None:
     wait_for(lambda: scene.manager.connection("ONLINE"), "online again")
     wait_for(lambda: scene.manager.localized(False), "a state again")
     wait_for(lambda: "factsheet" in scene.manager.heard, "a factsheet again")
-    scene.manager.say(set_position("b1", major=int(scene.manager.version[0])))
+    scene.manager.publish(set_position("b1", major=int(scene.manager.version[0])))
     assert scene.inbox.take(PATIENCE_S) is not None
 
 

@@ -34,7 +34,7 @@ while not over.is_set():
         told = time.monotonic()
         health = Health(service="recorder", instance=instance, status=Health.STATUS_OK, counters=counters)
         health.timestamp.CopyFrom(stamp(time.time_ns()))
-        bus.say(Envelope(HEALTH, {"site": site, "service": "recorder", "instance": instance}, health))
+        bus.publish(Envelope(HEALTH, {"site": site, "service": "recorder", "instance": instance}, health))
     arrival = inbox.take(0.05)
     if arrival is None:
         continue

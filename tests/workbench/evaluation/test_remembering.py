@@ -11,8 +11,8 @@ from eigenscan.workbench.evaluation.remembering import Remembering
 class Echo:
     """Says how many scans it has heard, and takes its time."""
 
-    hears: tuple[Channel, ...] = (SCAN,)
-    says: tuple[Channel, ...] = (HYPOTHESES,)
+    inputs: tuple[Channel, ...] = (SCAN,)
+    outputs: tuple[Channel, ...] = (HYPOTHESES,)
 
     def __init__(self) -> None:
         self.received = 0
@@ -64,7 +64,7 @@ def test_another_scan_or_another_lidar_is_asked_anew() -> None:
 
 def test_a_core_that_hears_more_than_scans_is_always_asked() -> None:
     core = Echo()
-    core.hears = (SCAN, POSE)
+    core.inputs = (SCAN, POSE)
     remembering = Remembering(core)
     for _ in range(2):
         list(remembering.handle(scan(1, [1.0])))

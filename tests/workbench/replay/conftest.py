@@ -66,11 +66,11 @@ def drive(models: Sequence[Envelope], scenario: Scenario, tracker: TrackerSettin
     )
     loop.start()
     for model in models:
-        loop.hear(model)
+        loop.receive(model)
     logged = []
     for timed in stage.messages():
         logged.append(timed)
-        logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.hear(timed.envelope)]
+        logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.receive(timed.envelope)]
     logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.finish()]
     logged[5:5] = [Timed(logged[5].time, model) for model in models]
     return logged

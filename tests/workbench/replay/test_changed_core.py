@@ -32,7 +32,7 @@ class Wrong:
 
     def __init__(self, core: Core, channel: Channel, spoil: Spoil) -> None:
         self._core, self._channel, self._spoil = core, channel, spoil
-        self.hears, self.says = core.hears, core.says
+        self.inputs, self.outputs = core.inputs, core.outputs
         self._count = 0
 
     def _pass(self, published: Iterable[Envelope]) -> Iterator[Envelope]:
@@ -137,20 +137,22 @@ def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> N
 
 def test_what_was_said_before_a_failure_counts() -> None:
     class Half:
-        hears, says = (SCAN,), (HYPOTHESES,)
+        hears, outputs = (SCAN,), (HYPOTHESES,)
 
         def handle(self, received: Envelope) -> Iterator[Envelope]:
             yield Envelope(HYPOTHESES, {**received.address, "projector": "p"}, Hypotheses())
             raise KeyError("gone")
 
     instance = Instance(PROJECTOR, "p", "*", "", Half())  # type: ignore[arg-type]
-    published = Loopback([instance]).hear(Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, Scan()))
+    published = Loopback([instance]).receive(
+        Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, Scan())
+    )
     assert [envelope.channel for envelope in published] == [HYPOTHESES]
     assert instance.faults == ["KeyError on s/robot/r/scan/l: 'gone'"]
 
 
 def test_settings_that_are_told_make_the_same_service(tmp_path: Path) -> None:
     settings = TrackerOptions(trust=0.6, robot="r7", metrics_port=9100, zenoh=tmp_path, log_level="debug")
-    told = json.loads(settings.told())
+    told = json.loads(settings.answering_json())
     assert not {"metrics_port", "metrics_host", "zenoh", "log_level", "log_format"} & told.keys()
     assert TrackerOptions.model_validate(told) == TrackerOptions(trust=0.6, robot="r7")

@@ -87,7 +87,7 @@ def traffic() -> list[Envelope]:
 @pytest.mark.parametrize("service", CORES)
 def test_fields_of_a_later_version_change_no_answer(service: str, traffic: list[Envelope]) -> None:
     core, other = CORES[service](), CORES[service]()
-    received = [one for one in traffic if one.channel in core.hears]
+    received = [one for one in traffic if one.channel in core.inputs]
     assert all(LATER in later(one.message) for one in received)
     today = list(published(core, received, encode))
     assert len(today) >= 20
@@ -109,6 +109,6 @@ def test_an_unknown_status_counts_as_unspecified(traffic: list[Envelope]) -> Non
             return encode(message)
 
         core = CORES["tracker"]()
-        return list(published(core, [one for one in traffic if one.channel in core.hears], changed))
+        return list(published(core, [one for one in traffic if one.channel in core.inputs], changed))
 
     assert with_status(99) == with_status(Hypotheses.STATUS_UNSPECIFIED)

@@ -59,7 +59,7 @@ def conform(
     if profile is None:
         raise UsageError(f"{service}: choose one of {', '.join(PROFILES)}")
     address = {"site": f"conform-{uuid.uuid4().hex[:8]}", "robot": "r1"}
-    vector = vectors.load(profile.file, profile.hears, (*profile.says, *profile.reference), address)
+    vector = vectors.load(profile.file, profile.inputs, (*profile.outputs, *profile.reference), address)
     seen = Observed(profile, vector, address, instance="candidate")
     with tempfile.TemporaryDirectory() as place:
         session, others = open_hub(Path(place), patience)

@@ -59,16 +59,16 @@ def models(
     if action is Action.LIST:
         if version is not None:
             raise UsageError(f"list takes no version, {version!r} was given: eigenscan models list {folder}")
-        _tell(versions(folder), json_file)
+        _show(versions(folder), json_file)
         return
     pick, put = (choose, replace) if action is Action.ROLLBACK else (choose_proposal, accept)
     chosen = pick(versions(folder), version, folder)
     read_models(chosen.folder)  # a damaged one must not come into use
     put(folder, chosen.folder)
-    _tell(versions(folder)[:1], json_file)
+    _show(versions(folder)[:1], json_file)
 
 
-def _tell(found: Sequence[Version], json_file: Path | None) -> None:
+def _show(found: Sequence[Version], json_file: Path | None) -> None:
     """The versions, the one in use first."""
     figures = []
     for number, version in enumerate(found):

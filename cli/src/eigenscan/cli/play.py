@@ -123,7 +123,7 @@ def play(
         published: Counter[str] = Counter()
 
         def publish(envelope: Envelope) -> None:
-            bus.say(envelope)
+            bus.publish(envelope)
             published[envelope.channel.name] += 1
 
         before = time.monotonic()

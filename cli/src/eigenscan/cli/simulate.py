@@ -238,4 +238,4 @@ def _publish(fleet: Fleet, seconds: float, zenoh: Path | None, speed: float) -> 
     with Bus(open_session(zenoh)) as bus:
         typer.echo(f"publishing for {seconds:.0f} s; Ctrl-C ends it", err=True)
         fleet.begin(time.time_ns())
-        publish(fleet.messages(), bus.say, speed)
+        publish(fleet.messages(), bus.publish, speed)

@@ -54,10 +54,10 @@ class Rights:
     """Key expressions that one holder of a certificate may use at the site's router."""
 
     site: str
-    says: tuple[str, ...]
+    outputs: tuple[str, ...]
     answers: tuple[str, ...]
     shows: tuple[str, ...]
-    hears: tuple[str, ...]
+    inputs: tuple[str, ...]
     subscribes: tuple[str, ...]
     asks: tuple[str, ...]
     sees: tuple[str, ...]
@@ -67,13 +67,13 @@ class Rights:
         there, back = ("ingress", "egress") if at_site else ("egress", "ingress")
         watch = ["declare_liveliness_subscriber", "liveliness_query"]
         wanted: list[tuple[str, list[str], tuple[str, ...]]] = [
-            (there, ["put"], self.says),
+            (there, ["put"], self.outputs),
             (there, ["reply", "declare_queryable"], self.answers),
             (back, ["query"], self.answers),
             (there, ["liveliness_token"], self.shows),
             # a subscription itself may be known: the put decides who receives
             (back, ["declare_subscriber", *watch], (f"{self.site}/**",)),
-            (back, ["put"], self.hears),
+            (back, ["put"], self.inputs),
             (there, ["declare_subscriber"], self.subscribes),
             (back, ["reply", "declare_queryable"], self.asks),
             (there, ["query"], self.asks),
@@ -98,51 +98,51 @@ def of_robot(site: str, robot: str, air: Air, *, served: bool = False) -> Rights
 
     `served`: a projector on another machine answers its scans.
     """
-    says = [one for one in CHANNELS if Role.ROBOT in one.said_by and air[one.name] > 0]
-    hears = [one for one in CHANNELS if Role.ROBOT in one.heard_by or (served and one in ANSWERS)]
+    outputs = [one for one in CHANNELS if Role.ROBOT in one.published_by and air[one.name] > 0]
+    inputs = [one for one in CHANNELS if Role.ROBOT in one.received_by or (served and one in ANSWERS)]
     # its services are instances of the robot's name
     address = {"site": site, "robot": robot, "instance": robot}
     return Rights(
         site,
-        says=tuple(
+        outputs=tuple(
             one.selector(address | {"service": service})
-            for one in says
+            for one in outputs
             for service in (ON_A_ROBOT if one is HEALTH else ("*",))
         ),
         answers=(_recordings(site, robot),),
         shows=tuple(_alive(site, robot, service) for service in ON_A_ROBOT),
-        hears=_keys(hears, address),
+        inputs=_keys(inputs, address),
         # a rule holds for a subscription as it stands: one for all robots brings this robot's
-        subscribes=_keys(hears, {"site": site}),
-        asks=_keys([one for one in hears if one.qos.latched], address),
-        sees=_tokens(hears, site),
+        subscribes=_keys(inputs, {"site": site}),
+        asks=_keys([one for one in inputs if one.qos.latched], address),
+        sees=_tokens(inputs, site),
     )
 
 
 def of_service(site: str, role: Role) -> Rights:
     """A service of the site receives all keys, and publishes those that the table allows."""
-    says = [one for one in CHANNELS if role in one.said_by]
-    hears = [one for one in CHANNELS if role in one.heard_by]
+    outputs = [one for one in CHANNELS if role in one.published_by]
+    inputs = [one for one in CHANNELS if role in one.received_by]
     # on health, which robots publish too, it may use its own name only
     address = {"site": site, "service": role.value}
     return Rights(
         site,
-        says=_keys(says, address),
-        answers=_keys([one for one in says if one.qos.latched], address),
-        shows=(*_tokens(says, site), *([_alive(site, service=role.value)] if HEALTH in says else [])),
-        hears=_keys(hears, {"site": site}),
+        outputs=_keys(outputs, address),
+        answers=_keys([one for one in outputs if one.qos.latched], address),
+        shows=(*_tokens(outputs, site), *([_alive(site, service=role.value)] if HEALTH in outputs else [])),
+        inputs=_keys(inputs, {"site": site}),
         subscribes=(f"{site}/**",),  # a recorder counts messages outside the contract
         asks=(
-            *_keys([one for one in hears if one.qos.latched], {"site": site}),
+            *_keys([one for one in inputs if one.qos.latched], {"site": site}),
             *([_recordings(site)] if role is Role.OPERATOR else []),
         ),
-        sees=(*_tokens(hears, site), _alive(site)),
+        sees=(*_tokens(inputs, site), _alive(site)),
     )
 
 
 def of_projector(site: str, group: str, name: str) -> Rights:
     """A projector `name` receives maps, models and its robots' scans, and answers these robots alone."""
-    hears = [SCAN, *(one for one in CHANNELS if one.qos.latched)]
+    inputs = [SCAN, *(one for one in CHANNELS if one.qos.latched)]
     address = {"site": site, "robot": group, "projector": name, "service": "projector", "instance": name}
 
     def keys(channels: Sequence[Channel]) -> tuple[str, ...]:
@@ -150,13 +150,13 @@ def of_projector(site: str, group: str, name: str) -> Rights:
 
     return Rights(
         site,
-        says=keys([*ANSWERS, LIDAR_KIND, HEALTH]),
+        outputs=keys([*ANSWERS, LIDAR_KIND, HEALTH]),
         answers=(),
         shows=(_alive(site, name, "projector"),),
-        hears=keys(hears),
-        subscribes=keys([*hears, HEALTH]),  # health of its own name, to notice a duplicate
-        asks=keys([one for one in hears if one.qos.latched]),
-        sees=_tokens(hears, site),
+        inputs=keys(inputs),
+        subscribes=keys([*inputs, HEALTH]),  # health of its own name, to notice a duplicate
+        asks=keys([one for one in inputs if one.qos.latched]),
+        sees=_tokens(inputs, site),
     )
 
 
@@ -222,7 +222,7 @@ def _control(subjects: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]]
         "enabled": True,
         "default_permission": "deny",
         "rules": [rule for _, rules in subjects.values() for rule in rules],
-        "subjects": [{"id": name, **told} for name, (told, _) in subjects.items()],
+        "subjects": [{"id": name, **subject} for name, (subject, _) in subjects.items()],
         "policies": [
             {"subjects": [name], "rules": [rule["id"] for rule in rules]}
             for name, (_, rules) in subjects.items()

@@ -186,7 +186,7 @@ def _urgency(site: str, robot: str, air: access.Air) -> list[dict[str, Any]]:
             },
         }
         for one in CHANNELS
-        if Role.ROBOT in one.said_by and air[one.name] > 0
+        if Role.ROBOT in one.published_by and air[one.name] > 0
     ]
 
 
@@ -197,7 +197,7 @@ def _together(site: str) -> dict[str, Any]:
     batches, whenever its thread gets no turn for 8 ms. A sample that need not wait leaves at once in both
     cases.
     """
-    urgent = [one for one in CHANNELS if Role.ROBOT in one.said_by and one.qos.express]
+    urgent = [one for one in CHANNELS if Role.ROBOT in one.published_by and one.qos.express]
     return {
         "id": "together",
         "flows": ["egress"],

@@ -59,7 +59,7 @@ scan = 2.0  # the mapbuilder needs them to keep the map true
 
 def _channel(name: str) -> str:
     channel = by_name(name)
-    if Role.ROBOT not in channel.said_by:
+    if Role.ROBOT not in channel.published_by:
         raise ValueError(f"{name} does not come from robots")
     return name
 

@@ -55,13 +55,13 @@ def connect(path: Path | None) -> zenoh.Session:
 
 
 @lru_cache(maxsize=1024)
-def settings_in(told: str) -> Mapping[str, str]:
+def settings_in(text: str) -> Mapping[str, str]:
     """The settings in a service's health, as text; none if `told` is not a JSON object of a fair size.
 
     Anyone who may publish health may write anything here.
     """
     try:
-        values = json.loads(told) if len(told) <= MOST_SETTINGS else None
+        values = json.loads(text) if len(text) <= MOST_SETTINGS else None
         if not isinstance(values, dict):
             return {}
         found = {str(name): str(value) for name, value in values.items()}
@@ -97,8 +97,8 @@ class Service:
 
     def setting(self, name: str, otherwise: str) -> str:
         """The value of one of its settings."""
-        told = self.health.settings if self.health is not None else ""
-        return settings_in(told).get(name, otherwise)
+        text = self.health.settings if self.health is not None else ""
+        return settings_in(text).get(name, otherwise)
 
     @property
     def status(self) -> str:
@@ -165,9 +165,9 @@ class FleetView:
     def _on_token(self, sample: Any) -> None:
         self._tokens.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Publishes something to the site."""
-        self._bus.say(envelope)
+        self._bus.publish(envelope)
 
     def update(self) -> list[PoseEstimate]:
         """Takes the messages since the last call and returns their poses; ages count from now."""
@@ -231,8 +231,8 @@ class FleetView:
 
     def health(self, name: str) -> Health | None:
         """The newest word of a service of that name on itself."""
-        told = [each for each in self.services.values() if each.name == name and each.health is not None]
-        return max(told, key=lambda each: each.received_at).health if told else None
+        text = [each for each in self.services.values() if each.name == name and each.health is not None]
+        return max(text, key=lambda each: each.received_at).health if text else None
 
     def serving(self, robot: str) -> Iterator[Service]:
         """The services that work for one robot, its own and those for all."""

@@ -20,7 +20,9 @@ class TransformTree:
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Matrix]] = {}
 
-    def hear(self, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
+    def receive(
+        self, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]
+    ) -> None:
         """`rotation` is x, y, z, w. What is not finite, or no rotation, is passed over."""
         turned = rotation_matrix(rotation)
         if turned is None or not is_place(translation) or child in self._parents:

@@ -64,7 +64,7 @@ class Bus:
         self._lock = threading.Lock()
         self._declared: list[Any] = []
         self._watchdog: ReceiveWatchdog | None = None
-        self.twins = 0
+        self.duplicates = 0
         """Health messages from another process with this one's service and instance name."""
 
     def __enter__(self) -> Bus:
@@ -79,7 +79,7 @@ class Bus:
         self._declare_token(ALIVE_TEMPLATE.format(**address, contract=CONTRACT_VERSION))
 
         def on_health(_sample: Any) -> None:
-            self.twins += 1
+            self.duplicates += 1
 
         self._declared.append(
             self._session.declare_subscriber(
@@ -197,7 +197,7 @@ class Bus:
         tokens = LATCHED_TEMPLATE.format(site=site, channel=channel.name, session="*")
         self._declared.append(self._session.liveliness().declare_subscriber(tokens, on_token, history=True))
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Publishes one message with its channel's quality of service."""
         channel, key = envelope.channel, envelope.key
         payload = encode(envelope.message)

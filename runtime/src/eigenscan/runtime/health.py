@@ -27,8 +27,8 @@ STALLED_AFTER_S = 10.0
 WAITING = "waiting"
 """The only counter that also falls."""
 
-TWIN_HINT = "give each instance of a service its own --instance"
-TWIN_FORGOTTEN_S = 3.0
+DUPLICATE_HINT = "give each instance of a service its own --instance"
+DUPLICATE_FORGOTTEN_S = 3.0
 """Age of the last message of a duplicate beyond which it counts as gone, s."""
 
 
@@ -70,7 +70,7 @@ class Monitor:
         self._condition = Condition(Health.STATUS_WAITING, "starting")
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
-        self._twin_heard = -math.inf
+        self._duplicate_seen_at = -math.inf
         self._registry = CollectorRegistry()
         self._registry.register(_Counters(self.condition))
         ProcessCollector(registry=self._registry)
@@ -115,9 +115,9 @@ class Monitor:
         """Records a message's age at the end of its handling."""
         self._lag_of(channel).observe((self._clock.time_ns() - stamp_ns) * 1e-9)
 
-    def hear_twin(self) -> None:
+    def note_duplicate(self) -> None:
         """Records that another process publishes under this one's name."""
-        self._twin_heard = self._clock.monotonic()
+        self._duplicate_seen_at = self._clock.monotonic()
 
     def busy_s(self) -> float:
         """Seconds since the core's last step; 0 while it starts."""
@@ -126,8 +126,8 @@ class Monitor:
     def condition(self) -> Condition:
         """The core's condition; degraded if it makes no step, or if another process has its name."""
         condition = self._condition
-        if self._clock.monotonic() - self._twin_heard < TWIN_FORGOTTEN_S:
-            detail = f"another {self.service} has the name {self.instance!r} too: {TWIN_HINT}"
+        if self._clock.monotonic() - self._duplicate_seen_at < DUPLICATE_FORGOTTEN_S:
+            detail = f"another {self.service} has the name {self.instance!r} too: {DUPLICATE_HINT}"
             return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
         if self.busy_s() > self._stalled_after_s:
             detail = f"no answer from the core for {self.busy_s():.0f} s"

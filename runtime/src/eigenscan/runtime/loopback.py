@@ -19,33 +19,33 @@ class Loopback:
 
     def __init__(self, cores: Sequence[Core]) -> None:
         self._cores = list(cores)
-        self._hearers: dict[str, list[Core]] = {}
+        self._receivers: dict[str, list[Core]] = {}
 
     def start(self) -> list[Envelope]:
         """Starts the cores; returns all published messages."""
-        return [said for core in self._cores for said in self._spread(core.start())]
+        return [published for core in self._cores for published in self._spread(core.start())]
 
-    def hear(self, envelope: Envelope) -> list[Envelope]:
+    def receive(self, envelope: Envelope) -> list[Envelope]:
         """Gives `envelope` to the cores; returns all messages that they publish in answer, in order."""
         return list(self._spread([envelope]))[1:]
 
     def finish(self) -> list[Envelope]:
         """Ends the cores, nearest to the sensor first; returns the messages that they held back."""
-        return [said for core in self._cores for said in self._spread(core.finish())]
+        return [published for core in self._cores for published in self._spread(core.finish())]
 
     def _spread(self, envelopes: Iterable[Envelope]) -> Iterator[Envelope]:
         waiting = deque(envelopes)
         while waiting:
             envelope = waiting.popleft()
             yield envelope
-            hearers = self._hearers_of(envelope.channel)
-            payload = encode(envelope.message) if hearers else b""
-            for core in hearers:
+            receivers = self._receivers_of(envelope.channel)
+            payload = encode(envelope.message) if receivers else b""
+            for core in receivers:
                 message = decode(envelope.channel, payload)
                 waiting.extend(core.handle(Envelope(envelope.channel, envelope.address, message)))
 
-    def _hearers_of(self, channel: Channel) -> list[Core]:
-        known = self._hearers.get(channel.name)
+    def _receivers_of(self, channel: Channel) -> list[Core]:
+        known = self._receivers.get(channel.name)
         if known is None:
-            known = self._hearers[channel.name] = [core for core in self._cores if channel in core.hears]
+            known = self._receivers[channel.name] = [core for core in self._cores if channel in core.inputs]
         return known

@@ -25,7 +25,7 @@ from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.clock import Clock, Later, later
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.exchange import Exchange
-from eigenscan.runtime.health import TWIN_HINT, Monitor
+from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.latched_cache import LatchedCache
 from eigenscan.runtime.logs import configure, logger
@@ -140,8 +140,8 @@ class Node:
         self._stop, self._shared = stop, shared
         self._clock = shared.clock if shared else time
         self.ends: Stopping = ends or stop
-        self._told = (Health.STATUS_UNSPECIFIED, "")
-        self._twins = 0
+        self._reported = (Health.STATUS_UNSPECIFIED, "")
+        self._duplicates = 0
         self._log = (
             logger().bound(service=service.name, instance=settings.instance)
             if shared
@@ -154,7 +154,7 @@ class Node:
             service.name,
             settings.instance,
             _package_version(service.name),
-            settings=settings.told(),
+            settings=settings.answering_json(),
             clock=self._clock,
         )
         slack = WHOLE_SITE_SLACK if service.whole_site else 1
@@ -181,7 +181,7 @@ class Node:
         core.start()
         while not self._stop.stopping and core.is_alive() and not self.is_deaf:
             self._stop.wait(HEALTH_PERIOD_S)
-            self.tell()
+            self.report()
         stop_s = self.settings.stop_s
         faulthandler.dump_traceback_later(STOP_ALL * stop_s, exit=True)
         try:
@@ -220,32 +220,32 @@ class Node:
             return EXIT_DEAF
         return EXIT_CORE if self._counters.counts["finish_failed"] else 0
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Publishes the service's health. Call it once a second and at every change."""
         if not self._bus:
             return
-        self._tell(self._bus)
+        self._report(self._bus)
         if self._clock.monotonic() - self._looked >= HEALTH_PERIOD_S:
             self._looked = self._clock.monotonic()
             self.is_deaf = self._bus.is_deaf
         if self.is_deaf:
             self._log.error("deaf", hint="no message of the other services arrives: ending, to be restarted")
 
-    def _tell(self, bus: Bus) -> None:
+    def _report(self, bus: Bus) -> None:
         health = self._monitor.message()
         address = {
             "site": self.settings.site,
             "service": self.service.name,
             "instance": self.settings.instance,
         }
-        bus.say(Envelope(HEALTH, address, health))
-        if (health.status, health.detail) != self._told:
-            self._told = (health.status, health.detail)
+        bus.publish(Envelope(HEALTH, address, health))
+        if (health.status, health.detail) != self._reported:
+            self._reported = (health.status, health.detail)
             self._log.info("status", status=Health.Status.Name(health.status), detail=health.detail)
-        if bus.twins > self._twins:
-            self._twins = bus.twins
-            self._monitor.hear_twin()
-            self._counters.warn("duplicate_instance", hint=TWIN_HINT)
+        if bus.duplicates > self._duplicates:
+            self._duplicates = bus.duplicates
+            self._monitor.note_duplicate()
+            self._counters.warn("duplicate_instance", hint=DUPLICATE_HINT)
 
     def run_core(self) -> None:
         """Makes the core and runs it to its last message, in this thread."""
@@ -272,13 +272,13 @@ class Node:
         bus = self._connect(core, session)
         apart = self._port.channels
 
-        def say(envelope: Envelope) -> None:
-            (self._port if envelope.channel in apart else bus).say(envelope)
+        def publish(envelope: Envelope) -> None:
+            (self._port if envelope.channel in apart else bus).publish(envelope)
 
         work = Work(
             core,
             self.inbox,
-            say if apart else bus.say,
+            publish if apart else bus.publish,
             self._keep,
             self._monitor,
             self._counters,
@@ -311,12 +311,12 @@ class Node:
         else:
             bus = self._bus = Bus(session)
         apart = (*self._port.channels, TICK)
-        hears = [channel for channel in core.hears if channel not in apart]
-        bus.offer([channel for channel in core.says if channel not in apart], address)
+        inputs = [channel for channel in core.inputs if channel not in apart]
+        bus.offer([channel for channel in core.outputs if channel not in apart], address)
         if self.service.whole_site and settings.robot == "*":
-            bus.listen_all(hears, f"{settings.site}/**", self.inbox)
+            bus.listen_all(inputs, f"{settings.site}/**", self.inbox)
         else:
-            bus.listen(hears, address, self.inbox, self._remember(hears))
+            bus.listen(inputs, address, self.inbox, self._remember(inputs))
         bus.announce(settings.site, self.service.name, settings.instance)
         if settings.deaf_after:
             watchdog = ReceiveWatchdog(round(settings.deaf_after / HEALTH_PERIOD_S))
@@ -324,12 +324,14 @@ class Node:
         self._port.open(self.inbox)
         return bus
 
-    def _remember(self, hears: Sequence[Channel]) -> list[Arrival]:
+    def _remember(self, inputs: Sequence[Channel]) -> list[Arrival]:
         """Gives the core the samples that are cached on disk, and returns them."""
         if self.settings.keep is None:
             return []
         self._latched_cache = LatchedCache(self.settings.keep)
-        known = [sample for sample in self._latched_cache.read(self.settings.site) if sample.channel in hears]
+        known = [
+            sample for sample in self._latched_cache.read(self.settings.site) if sample.channel in inputs
+        ]
         for sample in known:
             self.inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
         return known

@@ -18,7 +18,7 @@ class Port(Protocol):
         """Connects, and puts received messages into `inbox` from now on, as samples of `channels`."""
         ...
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Publishes one message of `channels`."""
         ...
 
@@ -35,7 +35,7 @@ class NoPort:
     def open(self, inbox: Inbox) -> None:
         """Nothing to connect."""
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Never called: there are no channels."""
 
     def close(self) -> None:

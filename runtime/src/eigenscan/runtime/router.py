@@ -34,14 +34,14 @@ class RouterSettings(ServiceSettings):
 class RouterCore:
     """Does nothing: Zenoh's session itself routes."""
 
-    hears: tuple[Channel, ...] = ()
-    says: tuple[Channel, ...] = ()
+    inputs: tuple[Channel, ...] = ()
+    outputs: tuple[Channel, ...] = ()
 
     def start(self) -> Iterable[Envelope]:
         """Nothing."""
         return ()
 
-    def handle(self, _heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, _received: Envelope) -> Iterable[Envelope]:
         """Nothing."""
         return ()
 

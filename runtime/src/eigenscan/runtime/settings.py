@@ -112,7 +112,7 @@ class ServiceSettings(BaseModel):
         own = [kind.model_fields for kind in cores if not issubclass(kind, ServiceSettings)]
         return _SERVED.union(*own)
 
-    def told(self) -> str:
+    def answering_json(self) -> str:
         """What the core's answers may depend on, as JSON."""
         return self.model_dump_json(include=set(self.answering()))
 

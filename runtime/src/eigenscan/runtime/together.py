@@ -33,7 +33,7 @@ from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.runtime.work import CONDITION_PERIOD_S, Work
 from eigenscan.schemas.channels import ContractError
 
-Told = list[tuple[Service[Any], ServiceSettings]]
+Chosen = list[tuple[Service[Any], ServiceSettings]]
 
 SWITCH_S = 0.0005
 """Longest time that a thread holds the interpreter while another waits, s. With Python's default, 5 ms, a
@@ -58,28 +58,28 @@ Groups = Sequence[tuple[Sequence[str], Sequence[str]]]
 
 def main(groups: Callable[[], Groups], find: Callable[[str], Service[Any]]) -> None:
     """Runs services, nearest to the sensor first, until SIGTERM or SIGINT; then exits."""
-    exit_with("together", lambda: read(groups(), find), lambda told, stop: Together(told, stop).run())
+    exit_with("together", lambda: read(groups(), find), lambda chosen, stop: Together(chosen, stop).run())
 
 
-def read(groups: Groups, find: Callable[[str], Service[Any]]) -> Told:
+def read(groups: Groups, find: Callable[[str], Service[Any]]) -> Chosen:
     """Settings of each service. Raises SettingsError if one process cannot have them."""
-    told: Told = []
+    chosen: Chosen = []
     for names, flags in groups:
         for name in names:
             service = find(name)
-            told.append((service, load(service.kind, name, list(flags))))
-    if len({service.name for service, _ in told}) < len(told):
+            chosen.append((service, load(service.kind, name, list(flags))))
+    if len({service.name for service, _ in chosen}) < len(chosen):
         raise SettingsError("a service is named twice: name each once")
-    if len({(settings.zenoh, service.mode) for service, settings in told}) > 1:
+    if len({(settings.zenoh, service.mode) for service, settings in chosen}) > 1:
         raise SettingsError("zenoh: must be the same for all services of a process")
-    return _own_ports(told)
+    return _own_ports(chosen)
 
 
-def _own_ports(told: Told) -> Told:
+def _own_ports(chosen: Chosen) -> Chosen:
     """If several have the same metrics port, gives them that one and the following ones, in order."""
     taken: set[int] = set()
-    result: Told = []
-    for service, settings in told:
+    result: Chosen = []
+    for service, settings in chosen:
         port = settings.metrics_port
         while port and port in taken:
             port += 1
@@ -92,14 +92,14 @@ def _own_ports(told: Told) -> Told:
 class Together:
     """The services of one process."""
 
-    def __init__(self, told: Told, stop: StopEvent) -> None:
-        first = told[0][1]
+    def __init__(self, chosen: Chosen, stop: StopEvent) -> None:
+        first = chosen[0][1]
         configure(first.log_level, first.log_format)
         self._stop, self._later = stop, Later(stop)
         self._ready = threading.Condition()
-        opening = open_meanwhile(first.zenoh, told[0][0].mode)
+        opening = open_meanwhile(first.zenoh, chosen[0][0].mode)
         self._shared = Shared(opening, Exchange(), self._ready)
-        self._stop_s = max(settings.stop_s for _, settings in told)
+        self._stop_s = max(settings.stop_s for _, settings in chosen)
         self.nodes = [
             Node(
                 service,
@@ -108,7 +108,7 @@ class Together:
                 shared=self._shared,
                 ends=self._later if service.whole_site else None,
             )
-            for service, settings in told
+            for service, settings in chosen
         ]
 
     def run(self) -> int:
@@ -146,7 +146,7 @@ class Together:
         while not self._stop.stopping and all(thread.is_alive() for thread in threads.values()):
             self._stop.wait(HEALTH_PERIOD_S)
             for node in self.nodes:
-                node.tell()
+                node.report()
             if any(node.is_deaf for node in self.nodes):
                 return
 

@@ -34,7 +34,7 @@ class Work:
         self,
         core: Core,
         inbox: Inbox,
-        say: Callable[[Envelope], None],
+        publish: Callable[[Envelope], None],
         keep: Callable[[Arrival], None],
         monitor: Monitor,
         counters: Counters,
@@ -52,18 +52,18 @@ class Work:
         when the work is stopped. `lives_on`: the input without which there is nothing to do.
         """
         self._drain_s = drain_s
-        self._core, self._inbox, self._say_one, self._keep = core, inbox, say, keep
+        self._core, self._inbox, self._publish_one, self._keep = core, inbox, publish, keep
         self._monitor, self._counters, self._stop, self._prompt = monitor, counters, stop, prompt
         self._clock, self._lives_on = clock, lives_on
         self._fed_at = -math.inf
-        self._due, self._tick_due = 0.0, (0.0 if TICK in core.hears else math.inf)
+        self._due, self._tick_due = 0.0, (0.0 if TICK in core.inputs else math.inf)
         self._too_late = 0
         self._turn = threading.Lock()
         """Held by the thread that runs the core."""
 
     def begin(self) -> None:
         """Publishes the first messages of the core."""
-        self._say(self._core.start())
+        self._publish(self._core.start())
 
     def run(self) -> None:
         """Works until stopped, then publishes what the core holds back."""
@@ -106,7 +106,7 @@ class Work:
             pass
         try:
             with self._turn:
-                self._say(self._core.finish())
+                self._publish(self._core.finish())
         except Exception as error:
             self._counters.set_aside("finish_failed", "", error, trace=True)
 
@@ -129,34 +129,34 @@ class Work:
             message = arrival.message
             if message is None:
                 message = decode(channel, arrival.payload, arrival.encoding)
-            heard = Envelope(channel, address, message, arrival.time)
+            received = Envelope(channel, address, message, arrival.time)
         except ContractError as error:
             self._counters.set_aside("undecodable", arrival.key, error)
             return
-        self._give(heard, arrival.key)
+        self._give(received, arrival.key)
         if channel.qos.latched:
             self._keep(arrival)
         if channel.qos.rate_hz:  # channels with a rate have stamps
-            self._monitor.dealt_with(channel.name, heard.stamp)
+            self._monitor.dealt_with(channel.name, received.stamp)
 
-    def _give(self, heard: Envelope, key: str) -> None:
+    def _give(self, received: Envelope, key: str) -> None:
         """Lets the core handle a message, and publishes its answers."""
-        name = heard.channel.name
+        name = received.channel.name
         self._counters.counts[f"heard_{name}"] += 1
         began = self._clock.perf_counter()
-        if heard.channel is self._lives_on:
+        if received.channel is self._lives_on:
             self._fed_at = self._clock.monotonic()
         try:
-            self._say(self._core.handle(heard))
+            self._publish(self._core.handle(received))
         except Exception as error:
             # the next scan may be fine
             if not self._stop.stopping:
                 self._counters.set_aside("core_failed", key, error, trace=True)
         self._monitor.handled(name, self._clock.perf_counter() - began)
 
-    def _say(self, envelopes: Iterable[Envelope]) -> None:
+    def _publish(self, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
-            self._say_one(envelope)
+            self._publish_one(envelope)
             self._counters.counts[f"said_{envelope.channel.name}"] += 1
 
     def _condition(self) -> Condition:

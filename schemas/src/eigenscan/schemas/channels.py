@@ -95,20 +95,20 @@ class Channel:
     message: type[Message]
     qos: Qos = field(default_factory=Qos)
     about: str = ""
-    said_by: tuple[Role, ...] = (Role.ROBOT,)
+    published_by: tuple[Role, ...] = (Role.ROBOT,)
 
     @property
     def to_one_robot(self) -> bool:
         """Whether the site publishes it to a robot, on the robot's own key."""
-        return "robot" in self.fields and any(role is not Role.ROBOT for role in self.said_by)
+        return "robot" in self.fields and any(role is not Role.ROBOT for role in self.published_by)
 
     @property
-    def heard_by(self) -> tuple[Role, ...]:
+    def received_by(self) -> tuple[Role, ...]:
         """Who may receive it through the site's router.
 
         The site receives all; a robot what no robot publishes, and what the site publishes to it alone.
         """
-        robots = Role.ROBOT not in self.said_by or self.to_one_robot
+        robots = Role.ROBOT not in self.published_by or self.to_one_robot
         return tuple(role for role in Role if role is not Role.ROBOT or robots)
 
     @cached_property

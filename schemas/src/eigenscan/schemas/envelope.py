@@ -59,14 +59,14 @@ class Core(Protocol):
     must not raise for it.
     """
 
-    hears: tuple[Channel, ...]
-    says: tuple[Channel, ...]
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
 
     def start(self) -> Iterable[Envelope]:
         """Messages to publish before any is received."""
         ...
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Handles one message; returns the messages to publish."""
         ...
 

@@ -87,8 +87,8 @@ def _air(channel: Channel) -> tuple[str, ...]:
     limit = f"up to {hz:g} Hz" if math.isfinite(hz) else "all"
     return (
         f"`{channel.name}`",
-        ", ".join(role.value for role in channel.said_by),
-        ", ".join(role.value for role in channel.heard_by),
+        ", ".join(role.value for role in channel.published_by),
+        ", ".join(role.value for role in channel.received_by),
         (limit if hz else "stays on the robot") + ("; from the site: all" if channel.to_one_robot else ""),
     )
 

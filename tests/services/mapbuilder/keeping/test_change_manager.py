@@ -91,7 +91,7 @@ def _full(*_: object) -> None:
 
 def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> None:
     core, manifest = start(folder, "off"), folder / "manifest.json"
-    assert core.hears == (TICK, LIDAR_KIND)
+    assert core.inputs == (TICK, LIDAR_KIND)
     good = manifest.read_text()
     manifest.write_text("{")
     assert list(core.handle(PULSE)) == []
@@ -105,7 +105,7 @@ def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> 
 def test_a_map_alone_cannot_be_kept() -> None:
     with pytest.raises(ValidationError, match="eigenscan build"):
         MapbuilderOptions(map="map.yaml", changes="propose")
-    assert MapbuilderCore(MapbuilderSettings(), KNOWN).hears == (LIDAR_KIND,)
+    assert MapbuilderCore(MapbuilderSettings(), KNOWN).inputs == (LIDAR_KIND,)
 
 
 def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE) -> tuple[ChangeManager, str]:
@@ -120,7 +120,7 @@ def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE)
 def test_a_folder_that_is_made_of_a_map_is_kept_true_and_outlives_a_start(tmp_path: Path) -> None:
     folder = tmp_path / "model"
     core, first = from_map(folder, KNOWN)
-    assert {SCAN, POSE} <= set(core.hears)
+    assert {SCAN, POSE} <= set(core.inputs)
     come_by(core, range(5))
     assert "eigenscan models accept" in core.condition().detail
     accept(folder, choose_proposal(versions(folder), None, folder).folder)

@@ -179,7 +179,7 @@ def change_after(
     for k, patrol in enumerate(patrols):
         for received in patrol.messages(grid, k * every_s):
             if received.channel in (SCAN, POSE):
-                found = detector.hear(received)
+                found = detector.receive(received)
                 change = change if found is None else found
     return change, detector
 
@@ -204,7 +204,7 @@ def test_a_person_who_stands_for_an_hour_is_no_change() -> None:
     for k in range(7):
         patrol = Patrol(k, standing=standing if 1 <= k <= 5 else ())
         for received in patrol.messages(KNOWN, k * 900.0 + (3600.0 if k == 6 else 0.0)):
-            assert not detector.hear(received)
+            assert not detector.receive(received)
         if k == 5:
             assert detector.counts["looks_counted"] > 500
 
@@ -232,9 +232,9 @@ def test_a_wrong_robot_among_right_ones_neither_hides_nor_makes_a_change() -> No
     for k in range(5):
         liar, honest = Patrol(50 + k, seconds=30.0, off=(0.0, -5.0, 0.0)), Patrol(k)
         for received in liar.messages(MOVED, k * VISIT_S + 200.0, robot="liar"):
-            found = detector.hear(received) or found
+            found = detector.receive(received) or found
         for received in honest.messages(MOVED, k * VISIT_S + 400.0):
-            found = detector.hear(received) or found
+            found = detector.receive(received) or found
     assert found
     gone = (KNOWN.cells == OCCUPIED) & (MOVED.cells == FREE)
     assert not (found.gone & ~binary_dilation(gone, iterations=3)).any()

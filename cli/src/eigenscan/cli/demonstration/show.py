@@ -148,7 +148,7 @@ class Demonstration:
         stage.epoch = time.time_ns()
         last_scan = self._time(int(stage.times[stage.scan_ticks[-1]]))
         with ThreadPoolExecutor(1, "simulation") as pool:
-            robot = pool.submit(publish, stage.messages(), view.say, self._speed, stop)
+            robot = pool.submit(publish, stage.messages(), view.publish, self._speed, stop)
             patience = time.monotonic() + stage.scenario.seconds / self._speed + LAST_WORDS_S
             try:
                 while not self._stop.stopping:

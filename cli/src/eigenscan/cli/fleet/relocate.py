@@ -54,7 +54,7 @@ def relocate(
     with FleetView(connect(zenoh), site) as view:
         _wait_for_tracker(view, robot, seconds)
         before = _taken_up(view, robot)
-        view.say(Envelope(RELOCATION, {"site": site, "robot": robot}, _word(pose, sigma)))
+        view.publish(Envelope(RELOCATION, {"site": site, "robot": robot}, _word(pose, sigma)))
         if not view.until(lambda: _taken_up(view, robot) > before, seconds):
             raise FailedError(
                 f"{robot} did not answer within {seconds:.0f} s: its link is down, or --zenoh is not the "

@@ -21,8 +21,8 @@ class MapbuilderCore:
     so that whoever has a set has received all its models.
     """
 
-    hears: tuple[Channel, ...] = (LIDAR_KIND,)
-    says: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE)
+    inputs: tuple[Channel, ...] = (LIDAR_KIND,)
+    outputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE)
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class MapbuilderCore:
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The eigenspaces for a kind of lidar that a projector lacks."""
         if received.channel == LIDAR_KIND and self._site is not None:
-            return self._spaces.hear(self._site, received.open(LidarKind))
+            return self._spaces.receive(self._site, received.open(LidarKind))
         return ()
 
     def finish(self) -> Iterable[Envelope]:

@@ -54,7 +54,7 @@ class Spaces:
         for analysis in self._kinds:
             yield from self._publish(site, analysis)
 
-    def hear(self, site: SiteModel, asked: model_pb2.LidarKind) -> Iterator[Envelope]:
+    def receive(self, site: SiteModel, asked: model_pb2.LidarKind) -> Iterator[Envelope]:
         """The spaces for a kind of lidar; none where they are published already, or it makes no sense."""
         declared = site.regions[0].space.analysis
         if not (1 <= asked.beams <= ANALYSIS_TURN and 0 < asked.cap <= declared.embedding.cap):

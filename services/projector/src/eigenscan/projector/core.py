@@ -50,8 +50,8 @@ ASK_AGAIN_NS = 10_000_000_000
 class ProjectorCore:
     """Hears the site's models and every scan of its robots; says what poses explain each scan."""
 
-    hears: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SCAN)
-    says: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND)
+    inputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SCAN)
+    outputs: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND)
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class ProjectorCore:
         self._view: SensorView | None = None
         self._focus = Focus()
         if settings.focus:
-            self.hears = (*ProjectorCore.hears, POSE)
+            self.inputs = (*ProjectorCore.inputs, POSE)
         self._assembler = ModelSetAssembler()
         self._site: Site | None = None
         self._counts: Counter[str] = Counter()
@@ -85,22 +85,22 @@ class ProjectorCore:
         """Nothing is held back."""
         return []
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
-        if heard.channel == SCAN:
-            return self._scan(heard)
-        if heard.channel == POSE:
-            self._focus.hear(heard.address["robot"], heard.open(PoseEstimate))
-        elif heard.channel == MAP:
-            self._take("map", lambda: self._assembler.put_map(heard.open(Grid)))
-        elif heard.channel == MODEL:
-            self._take("model", lambda: self._assembler.put_model(heard.open(RegionModel)))
-        elif heard.channel == SPACE:
-            self._take_space(heard.open(model_pb2.RegionSpace))
-        elif heard.channel == LOCALIZE_ASKED:
-            return [self._one_shot(heard)]
-        elif heard.channel == MODEL_SET:
-            self._take("model_set", lambda: self._assembler.put_set(heard.open(ModelSet)))
+        if received.channel == SCAN:
+            return self._scan(received)
+        if received.channel == POSE:
+            self._focus.receive(received.address["robot"], received.open(PoseEstimate))
+        elif received.channel == MAP:
+            self._take("map", lambda: self._assembler.put_map(received.open(Grid)))
+        elif received.channel == MODEL:
+            self._take("model", lambda: self._assembler.put_model(received.open(RegionModel)))
+        elif received.channel == SPACE:
+            self._take_space(received.open(model_pb2.RegionSpace))
+        elif received.channel == LOCALIZE_ASKED:
+            return [self._one_shot(received)]
+        elif received.channel == MODEL_SET:
+            self._take("model_set", lambda: self._assembler.put_set(received.open(ModelSet)))
         return []
 
     def condition(self) -> Condition:
@@ -176,12 +176,12 @@ class ProjectorCore:
         )
         yield Envelope(LIDAR_KIND, address, kind)
 
-    def _scan(self, heard: Envelope) -> list[Envelope]:
+    def _scan(self, received: Envelope) -> list[Envelope]:
         if self._site is None:
             self._counts["scan_without_model"] += 1
             return []
-        scan = heard.open(Scan)
-        address = {**heard.address, "projector": self._instance}
+        scan = received.open(Scan)
+        address = {**received.address, "projector": self._instance}
         try:
             seen = observe(scan)
             mount = from_message(scan.mount)
@@ -196,17 +196,17 @@ class ProjectorCore:
         self._counts["scan_projected"] += 1
         return self._answer(address, scan, seen, mount, self._site)
 
-    def _one_shot(self, heard: Envelope) -> Envelope:
+    def _one_shot(self, received: Envelope) -> Envelope:
         """The reply to a query, or why there is none."""
         self._counts["queries"] += 1
         try:
             if self._site is None:
                 raise QueryError(f"no answer yet: {self._refused or self._assembler.missing}")
-            reply = answer(heard.open(LocalizeQuery), self._site, self._settings)
+            reply = answer(received.open(LocalizeQuery), self._site, self._settings)
         except QueryError as error:
             self._counts["queries_refused"] += 1
-            return Envelope(LOCALIZE_REFUSED, heard.address, StringValue(value=str(error)))
-        return Envelope(LOCALIZE_ANSWERED, heard.address, reply)
+            return Envelope(LOCALIZE_REFUSED, received.address, StringValue(value=str(error)))
+        return Envelope(LOCALIZE_ANSWERED, received.address, reply)
 
     def _answer(
         self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site
@@ -218,15 +218,17 @@ class ProjectorCore:
         if scope.regions is None and self._settings.focus:
             at = nanoseconds(scan.timestamp)
             self._focus.searched_whole(address["robot"], address["lidar"], at, candidates.ordinary)
-        said = [
+        published = [
             Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates, scope)),
         ]
         if len(candidates.poses):
-            said.append(Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates)))
-        said.extend(self._ask(address, scan, site, view))
+            published.append(
+                Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates))
+            )
+        published.extend(self._ask(address, scan, site, view))
         if is_new:
             self._begin(view)
-        return said
+        return published
 
     def _scope(self, address: dict[str, str], scan: Scan, site: Site) -> Scope:
         """What is searched: all, but where the tracker is sure and all was searched lately."""

@@ -67,7 +67,7 @@ class Focus:
     def __init__(self) -> None:
         self._robots: RecentlyUsed[str, _Known] = RecentlyUsed()
 
-    def hear(self, robot: str, estimate: PoseEstimate) -> None:
+    def receive(self, robot: str, estimate: PoseEstimate) -> None:
         """Takes a pose."""
         known = self._robots.use(robot, _Known)
         known.poses.append((nanoseconds(estimate.timestamp), estimate))

@@ -71,7 +71,7 @@ class LocalizePort:
         threading.Thread(target=self._feed, args=(inbox,), name="localize", daemon=True).start()
         self._declared = self._session.declare_queryable(self._key, self._on_query, complete=self._complete)
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Answers the query that is at the core."""
         present = self._present.get(envelope.address["query"])
         if present is None:

@@ -29,14 +29,14 @@ def warm_up(settings: ProjectorSettings) -> int:
     model = _model(grid)
     announced = model_set([model], grid.version, "map", grid.free_area)
     scans = [Envelope(SCAN, address, _scan(grid, time)) for time in (1, 2)]
-    heard = [
+    received = [
         Envelope(MAP, address, to_message(grid, "map")),
         Envelope(MODEL, address, model.to_message()),
         Envelope(MODEL_SET, address, announced),
         *scans,
     ]
     _look_at(model)  # only what is large needs it
-    return sum(len(list(core.handle(envelope))) for envelope in heard)
+    return sum(len(list(core.handle(envelope))) for envelope in received)
 
 
 def _look_at(model: RegionModel) -> None:

@@ -23,25 +23,25 @@ class About:
         self._models: dict[str, str] = {}
         self._speaking: set[str] = set()
 
-    def hear(self, received: Envelope) -> None:
+    def receive(self, received: Envelope) -> None:
         """Takes what belongs here, from any message."""
         if received.channel is HEALTH:
             health = received.open(Health)
-            told = {"version": health.package_version, "settings": health.settings}
+            entry = {"version": health.package_version, "settings": health.settings}
             who = f"{health.service}/{health.instance}"
             if who not in self._services and len(self._services) >= MOST_SERVICES:
                 return
-            self._services[who] = json.dumps(told)
+            self._services[who] = json.dumps(entry)
             self._speaking.add(who)
         elif received.channel is MODEL_SET:
             models = received.open(ModelSet)
             regions = {entry.region: entry.version for entry in models.entries}
-            told = {"version": models.version, "map": models.map_version}
-            self._models[received.key] = json.dumps(told | {"regions": regions})
+            entry = {"version": models.version, "map": models.map_version}
+            self._models[received.key] = json.dumps(entry | {"regions": regions})
 
     def begin_file(self) -> None:
         """Forgets who did not speak since the last call: robots come and go."""
-        self._services = {who: told for who, told in self._services.items() if who in self._speaking}
+        self._services = {who: entry for who, entry in self._services.items() if who in self._speaking}
         self._speaking.clear()
 
     @property

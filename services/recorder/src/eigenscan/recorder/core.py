@@ -40,8 +40,8 @@ class Sink(Protocol):
 class RecorderCore:
     """Receives every channel and publishes nothing. Files, sockets and the clock belong to the sinks."""
 
-    hears: tuple[Channel, ...] = (*CHANNELS, TICK)
-    says: tuple[Channel, ...] = ()
+    inputs: tuple[Channel, ...] = (*CHANNELS, TICK)
+    outputs: tuple[Channel, ...] = ()
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._sinks = tuple(sinks)

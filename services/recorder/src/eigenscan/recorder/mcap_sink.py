@@ -95,7 +95,7 @@ class McapSink:
             self._fail(error, now)
         if received.channel.qos.latched:
             self._latched[received.key] = received
-        self._about.hear(received)
+        self._about.receive(received)
         self._note_pace(self._stopwatch() - before)
 
     def tick(self) -> None:

@@ -64,23 +64,23 @@ class Uploads:
             return file.read(min(request.length, MOST_RECORDED_BYTES))
 
     def _part(self, path: Path) -> RecordingPart:
-        told = path.stat()
-        key = path.name, told.st_size, told.st_mtime_ns
+        stat = path.stat()
+        key = path.name, stat.st_size, stat.st_mtime_ns
         if key in self._closed:
             return self._closed[key]
         span = closed_span(path)
         if span is not None:
             part = RecordingPart(
-                name=path.name, size=told.st_size, begin_ns=span[0], end_ns=span[1], closed=True
+                name=path.name, size=stat.st_size, begin_ns=span[0], end_ns=span[1], closed=True
             )
             self._closed[key] = part
             return part
         begin = first_time(path)
         return RecordingPart(
             name=path.name,
-            size=told.st_size,
-            begin_ns=told.st_mtime_ns if begin is None else begin,
-            end_ns=told.st_mtime_ns,
+            size=stat.st_size,
+            begin_ns=stat.st_mtime_ns if begin is None else begin,
+            end_ns=stat.st_mtime_ns,
         )
 
     def _on_query(self, query: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
 from eigenscan.ros_bridge.cloud import CloudError, Slice
 from eigenscan.ros_bridge.diagnostics import diagnostics
 from eigenscan.ros_bridge.endpoints import NODE, Endpoint, endpoints
@@ -56,7 +56,7 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from google.protobuf.wrappers_pb2 import BytesValue
 
-Hearer = Callable[[bytes], Iterable[Envelope]]
+Receiver = Callable[[bytes], Iterable[Envelope]]
 Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
 """From a request to its response, and what is said because of it."""
 
@@ -64,8 +64,8 @@ Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
 class RosBridgeCore:
     """One robot's bridge. What it receives from ROS and publishes there are CDR bytes, by endpoint."""
 
-    hears: tuple[Channel, ...] = (ROS_HEARD, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP, HEALTH)
-    says: tuple[Channel, ...] = (ROS_SAID, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
+    inputs: tuple[Channel, ...] = (ROS_RECEIVED, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP, HEALTH)
+    outputs: tuple[Channel, ...] = (ROS_PUBLISHED, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
 
     def __init__(
         self, settings: RosBridgeSettings, site: str = DEFAULT_SITE, robot: str = DEFAULT_ROBOT
@@ -91,22 +91,22 @@ class RosBridgeCore:
         self._estimate: PoseEstimate | None = None  # since the tracker's last health
         sources = (*self._ends.scans, *self._ends.clouds)
         self._lacks = "no scan yet on " + ", ".join(source.name for source in sources)
-        self._hearers = dict(self._make_hearers())
+        self._receivers = dict(self._make_receivers())
         self._answerers = dict(self._make_answerers())
 
     def start(self) -> Iterable[Envelope]:
         """Nothing is said unasked."""
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """What the message is on the other side; one that is none there is counted."""
         try:
-            if heard.channel is ROS_HEARD:
-                data = heard.open(BytesValue).value
-                return list(self._hearers[heard.address["endpoint"]](data))
-            if heard.channel is ROS_ASKED:
-                return self._answer(heard)
-            return list(self._tell_ros(heard))
+            if received.channel is ROS_RECEIVED:
+                data = received.open(BytesValue).value
+                return list(self._receivers[received.address["endpoint"]](data))
+            if received.channel is ROS_ASKED:
+                return self._answer(received)
+            return list(self._report_to_ros(received))
         except cdr.CdrError:
             self._counts["set_aside_not_cdr"] += 1
         except MapError:
@@ -125,21 +125,21 @@ class RosBridgeCore:
         status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
         return Condition(status, lacks or self._not_taken, dict(self._counts))
 
-    def _make_hearers(self) -> Iterator[tuple[str, Hearer]]:
+    def _make_receivers(self) -> Iterator[tuple[str, Receiver]]:
         sources = (*self._ends.scans, *self._ends.clouds)
         names = lidar_names([source.name for source in sources])
         for source in sources:
             take = self._scan if source in self._ends.scans else self._scan_of_cloud
-            yield source.chunk, self._scan_hearer(source, names[source.name], take)
-        for endpoint, hearer in (
-            (self._ends.odometry, self._hear_odometry),
-            (self._ends.transforms, self._hear_transforms),
-            (self._ends.static_transforms, self._hear_transforms),
-            (self._ends.initial_pose, self._hear_initial_pose),
-            (self._ends.bond, self._hear_bond),
+            yield source.chunk, self._scan_receiver(source, names[source.name], take)
+        for endpoint, receiver in (
+            (self._ends.odometry, self._receive_odometry),
+            (self._ends.transforms, self._receive_transforms),
+            (self._ends.static_transforms, self._receive_transforms),
+            (self._ends.initial_pose, self._receive_initial_pose),
+            (self._ends.bond, self._receive_bond),
         ):
             if endpoint:
-                yield endpoint.chunk, hearer
+                yield endpoint.chunk, receiver
 
     def _make_answerers(self) -> Iterator[tuple[str, Answerer]]:
         ends = self._ends
@@ -155,8 +155,8 @@ class RosBridgeCore:
         for end in ends.parameters:
             yield end.chunk, partial(self._answer_parameters, self._parameters[end.node], end.kind)
 
-    def _scan_hearer(self, endpoint: Endpoint, lidar: str, take: Callable[[Any], RawScan]) -> Hearer:
-        def hear(data: bytes) -> Iterator[Envelope]:
+    def _scan_receiver(self, endpoint: Endpoint, lidar: str, take: Callable[[Any], RawScan]) -> Receiver:
+        def receive(data: bytes) -> Iterator[Envelope]:
             body = cdr.decode(endpoint.kind, data)
             try:
                 message = take(body)
@@ -167,7 +167,7 @@ class RosBridgeCore:
             self._lacks = ""
             yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
 
-        return hear
+        return receive
 
     def _scan(self, body: Any) -> RawScan:
         mount, upside_down = self._mounts.of(frame_name(body.header.frame_id))
@@ -179,7 +179,7 @@ class RosBridgeCore:
         self._counts["cloud_points_not_finite"] += not_finite
         return message
 
-    def _hear_odometry(self, data: bytes) -> Iterator[Envelope]:
+    def _receive_odometry(self, data: bytes) -> Iterator[Envelope]:
         if self._odometry_in_tf:  # two tellers of one odometry need not agree
             return
         message = odometry(cdr.decode(cdr.ODOMETRY, data))
@@ -188,9 +188,9 @@ class RosBridgeCore:
             return
         yield self._moved(message)
 
-    def _hear_transforms(self, data: bytes) -> Iterator[Envelope]:
+    def _receive_transforms(self, data: bytes) -> Iterator[Envelope]:
         transforms = cdr.decode(cdr.TRANSFORMS, data).transforms
-        self._mounts.hear(transforms)
+        self._mounts.receive(transforms)
         for item in transforms:
             if self._odom_frame and frame_name(item.header.frame_id) == self._odom_frame:
                 message = odometry_of_tf(item)
@@ -201,10 +201,10 @@ class RosBridgeCore:
                 yield self._moved(message)
 
     def _moved(self, message: Odometry) -> Envelope:
-        self._mounts.hear_base(message.body_frame_id)
+        self._mounts.receive_base(message.body_frame_id)
         return Envelope(ODOMETRY, self._address, message)
 
-    def _hear_initial_pose(self, data: bytes) -> Iterable[Envelope]:
+    def _receive_initial_pose(self, data: bytes) -> Iterable[Envelope]:
         return self._relocated(cdr.decode(cdr.POSE_WITH_COVARIANCE, data))
 
     def _relocated(self, pose: Any) -> list[Envelope]:
@@ -221,10 +221,10 @@ class RosBridgeCore:
         self._not_taken = ""
         return [Envelope(RELOCATION, self._address, message)]
 
-    def _hear_bond(self, data: bytes) -> Iterator[Envelope]:
+    def _receive_bond(self, data: bytes) -> Iterator[Envelope]:
         beat = self._lifecycle.beat(data)
-        if beat and self._ends.bond_said:
-            yield _said(self._ends.bond_said, beat)
+        if beat and self._ends.bond_published:
+            yield _published(self._ends.bond_published, beat)
 
     def _answer(self, asked: Envelope) -> list[Envelope]:
         """Always answers: who asks would wait for ever."""
@@ -249,32 +249,32 @@ class RosBridgeCore:
     ) -> tuple[bytes, Iterable[Envelope]]:
         return parameters.answer(kind, request), ()
 
-    def _tell_ros(self, heard: Envelope) -> Iterator[Envelope]:
+    def _report_to_ros(self, received: Envelope) -> Iterator[Envelope]:
         ends = self._ends
-        if heard.channel is MAP:
-            grid = heard.open(Grid)
+        if received.channel is MAP:
+            grid = received.open(Grid)
             self._map_frames.add(grid.frame_id)
             if ends.map:
-                yield _said(ends.map, occupancy_grid(grid))
+                yield _published(ends.map, occupancy_grid(grid))
             return
-        if heard.channel is HEALTH:
-            yield from self._diagnose(heard.open(Health))
-        elif heard.channel is POSE:
-            self._estimate = heard.open(PoseEstimate)
+        if received.channel is HEALTH:
+            yield from self._diagnose(received.open(Health))
+        elif received.channel is POSE:
+            self._estimate = received.open(PoseEstimate)
         if not self._lifecycle.active:
             return
-        if heard.channel is POSE:
-            estimate = heard.open(PoseEstimate)
+        if received.channel is POSE:
+            estimate = received.open(PoseEstimate)
             if ends.pose and estimate.state == STATE_LOCALIZED:
-                yield _said(ends.pose, pose_with_covariance(estimate))
+                yield _published(ends.pose, pose_with_covariance(estimate))
             floor = floor_name(estimate)
             if ends.floor and floor != self._floor:
                 self._floor = floor
-                yield _said(ends.floor, floor)
-        elif heard.channel is TRANSFORM and ends.map_to_odom:
-            yield _said(ends.map_to_odom, transforms(heard.open(FrameTransform), self._ahead))
-        elif heard.channel is TRACKS and ends.particles:
-            yield _said(ends.particles, particle_cloud(heard.open(Tracks)))
+                yield _published(ends.floor, floor)
+        elif received.channel is TRANSFORM and ends.map_to_odom:
+            yield _published(ends.map_to_odom, transforms(received.open(FrameTransform), self._ahead))
+        elif received.channel is TRACKS and ends.particles:
+            yield _published(ends.particles, particle_cloud(received.open(Tracks)))
 
     def _diagnose(self, health: Health) -> Iterator[Envelope]:
         if not self._ends.diagnostics or health.instance != self._address["robot"]:
@@ -282,8 +282,8 @@ class RosBridgeCore:
         estimate = self._estimate
         if health.service == "tracker":
             self._estimate = None
-        yield _said(self._ends.diagnostics, diagnostics(health, estimate))
+        yield _published(self._ends.diagnostics, diagnostics(health, estimate))
 
 
-def _said(endpoint: Endpoint, data: bytes) -> Envelope:
-    return Envelope(ROS_SAID, {"endpoint": endpoint.chunk}, BytesValue(value=data))
+def _published(endpoint: Endpoint, data: bytes) -> Envelope:
+    return Envelope(ROS_PUBLISHED, {"endpoint": endpoint.chunk}, BytesValue(value=data))

@@ -109,7 +109,7 @@ class Endpoints:
     parameters: tuple[Endpoint, ...]
     """Services of both nodes, the bridge's own and the lifecycle node."""
     bond: Endpoint | None
-    bond_said: Endpoint | None
+    bond_published: Endpoint | None
     pose: Endpoint | None
     map_to_odom: Endpoint | None
     particles: Endpoint | None
@@ -134,10 +134,10 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
     def at(name: str, kind: str, role: Role, qos: Qos, of: str = NODE) -> Endpoint | None:
         return Endpoint(qualified(settings.namespace, name), kind, role, qos, of) if name else None
 
-    def heard(name: str, kind: str, qos: Qos) -> Endpoint | None:
+    def received(name: str, kind: str, qos: Qos) -> Endpoint | None:
         return at(name, kind, Role.SUBSCRIPTION, qos)
 
-    def said(name: str, kind: str, qos: Qos) -> Endpoint | None:
+    def published(name: str, kind: str, qos: Qos) -> Endpoint | None:
         return at(name, kind, Role.PUBLISHER, qos)
 
     def service(name: str, kind: str) -> Endpoint | None:
@@ -153,32 +153,32 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         if of
         for name, kind in _PARAMETERS
     ]
-    scans = [heard(name, LASER_SCAN, _SENSOR) for name in settings.scan]
-    clouds = [heard(name, POINT_CLOUD, _SENSOR) for name in settings.points]
+    scans = [received(name, LASER_SCAN, _SENSOR) for name in settings.scan]
+    clouds = [received(name, POINT_CLOUD, _SENSOR) for name in settings.points]
     return Endpoints(
         scans=tuple(scan for scan in scans if scan),
         clouds=tuple(cloud for cloud in clouds if cloud),
-        odometry=heard(settings.odom, ODOMETRY, _COMMAND),
-        transforms=heard(settings.tf, TRANSFORMS, _TF),
+        odometry=received(settings.odom, ODOMETRY, _COMMAND),
+        transforms=received(settings.tf, TRANSFORMS, _TF),
         static_transforms=(
-            heard(settings.tf_static, TRANSFORMS, Qos(100, transient_local=True))
+            received(settings.tf_static, TRANSFORMS, Qos(100, transient_local=True))
             if settings.mounts_from_tf
             else None
         ),
-        initial_pose=heard(settings.initial_pose, POSE_WITH_COVARIANCE, _COMMAND),
+        initial_pose=received(settings.initial_pose, POSE_WITH_COVARIANCE, _COMMAND),
         set_initial_pose=service(settings.set_initial_pose, SET_INITIAL_POSE),
         global_localization=service(settings.global_localization, EMPTY_SERVICE),
         nomotion_update=service(settings.nomotion_update, EMPTY_SERVICE),
         lifecycle=tuple(each for each in lifecycle if each and node),
         parameters=tuple(each for each in parameters if each),
         bond=bond(Role.SUBSCRIPTION),
-        bond_said=bond(Role.PUBLISHER),
-        pose=said(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),
-        map_to_odom=said(settings.tf if settings.tf_broadcast else "", TRANSFORMS, _TF),
-        particles=said(settings.particles, PARTICLE_CLOUD, _SENSOR),
-        floor=said(settings.floor, STRING, _LATCHED),
-        diagnostics=said(settings.diagnostics, DIAGNOSTICS, _COMMAND),
-        map=said(settings.map, OCCUPANCY_GRID, _LATCHED),
+        bond_published=bond(Role.PUBLISHER),
+        pose=published(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),
+        map_to_odom=published(settings.tf if settings.tf_broadcast else "", TRANSFORMS, _TF),
+        particles=published(settings.particles, PARTICLE_CLOUD, _SENSOR),
+        floor=published(settings.floor, STRING, _LATCHED),
+        diagnostics=published(settings.diagnostics, DIAGNOSTICS, _COMMAND),
+        map=published(settings.map, OCCUPANCY_GRID, _LATCHED),
     )
 
 

@@ -33,18 +33,18 @@ class Mounts:
         self._tree = TransformTree()
         self._known: dict[str, Mount] = {}
 
-    def hear_base(self, frame: str) -> None:
+    def receive_base(self, frame: str) -> None:
         """The frame that odometry moves; it is the base unless the settings name another."""
         if not self._given and self._base != (frame or DEFAULT_BASE):
             self._base = frame or DEFAULT_BASE
             self._known.clear()
 
-    def hear(self, transforms: Any) -> None:
+    def receive(self, transforms: Any) -> None:
         """Takes a TFMessage."""
         for item in transforms:
             move, turn = item.transform.translation, item.transform.rotation
             parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
-            self._tree.hear(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
+            self._tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
 
     def of(self, frame: str) -> Mount:
         """The mount of the sensor with that frame. Raises MountError where there is none, or not yet."""

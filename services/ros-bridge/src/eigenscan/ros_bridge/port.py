@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import zenoh
-from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_HEARD, ROS_SAID
+from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
 from eigenscan.ros_bridge.endpoints import Dialect, Endpoint, Role, endpoints
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
@@ -29,7 +29,7 @@ PATIENT_REQUESTS = 64
 class RosPort:
     """Publishes and receives ROS 2's endpoints in one dialect."""
 
-    channels: tuple[Channel, ...] = (ROS_HEARD, ROS_SAID, ROS_ASKED, ROS_ANSWERED)
+    channels: tuple[Channel, ...] = (ROS_RECEIVED, ROS_PUBLISHED, ROS_ASKED, ROS_ANSWERED)
 
     def __init__(self, settings: RosBridgeOptions) -> None:
         self._settings = settings
@@ -58,7 +58,7 @@ class RosPort:
         liveliness = session.liveliness()
         self._declared.extend(liveliness.declare_token(key) for key in dialect.tokens(self._endpoints))
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Publishes CDR bytes on the topic that the address names, or responds with them to the request."""
         data, endpoint = envelope.open(BytesValue).value, envelope.address["endpoint"]
         if envelope.channel is ROS_ANSWERED:
@@ -111,11 +111,11 @@ class _Intake:
     """Puts the messages of one endpoint into the inbox."""
 
     def __init__(self, endpoint: Endpoint, inbox: Inbox) -> None:
-        self._key = ROS_HEARD.key({"endpoint": endpoint.chunk})
+        self._key = ROS_RECEIVED.key({"endpoint": endpoint.chunk})
         self._inbox = inbox
 
     def put(self, data: bytes) -> None:
-        self._inbox.put(ROS_HEARD, self._key, encode(BytesValue(value=data)), encoding(ROS_HEARD))
+        self._inbox.put(ROS_RECEIVED, self._key, encode(BytesValue(value=data)), encoding(ROS_RECEIVED))
 
     def on_sample(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:

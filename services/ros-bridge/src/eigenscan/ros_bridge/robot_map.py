@@ -19,16 +19,16 @@ def take_map(settings: RosBridgeOptions, patience_s: float) -> GridMap:
     """
     name = qualified(settings.namespace, settings.map)
     endpoint = Endpoint(name, cdr.OCCUPANCY_GRID, Role.SUBSCRIPTION, Qos(1, transient_local=True))
-    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     with open_towards_ros(settings, patience_s) as session:
         subscriber = subscribe(
             session,
             dialect_of(settings, session).key(endpoint),
             endpoint,
-            lambda sample: heard.put(sample.payload.to_bytes()),
+            lambda sample: received.put(sample.payload.to_bytes()),
         )
         try:
-            data = heard.get(timeout=patience_s)
+            data = received.get(timeout=patience_s)
         except queue.Empty:
             raise MapError(
                 f"no map on {name} of domain {settings.domain} for {patience_s:g} s: does a map_server run, "

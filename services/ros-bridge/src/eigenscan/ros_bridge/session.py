@@ -23,15 +23,15 @@ def subscribe(
 ) -> Any:
     """Subscriber of a topic; of a transient local one also receives what was published before it came."""
     # in the session's own thread: a thread's turn less
-    heard = zenoh.handlers.Callback(on_sample, indirect=False)
+    received = zenoh.handlers.Callback(on_sample, indirect=False)
     # on /tf its own messages would come back
     remote = zenoh.Locality.REMOTE
     if not endpoint.qos.transient_local:
-        return session.declare_subscriber(key, heard, allowed_origin=remote)
+        return session.declare_subscriber(key, received, allowed_origin=remote)
     return zenoh.ext.declare_advanced_subscriber(
         session,
         key,
-        heard,
+        received,
         allowed_origin=remote,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=endpoint.qos.depth),
         recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),

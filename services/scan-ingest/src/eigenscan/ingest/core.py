@@ -62,8 +62,8 @@ class _Lidar:
 class ScanIngestCore:
     """Normalizes the scans of any number of lidars; see the README for the rules."""
 
-    hears: tuple[Channel, ...] = (SCAN_RAW,)
-    says: tuple[Channel, ...] = (SCAN, SCAN_MOTION)
+    inputs: tuple[Channel, ...] = (SCAN_RAW,)
+    outputs: tuple[Channel, ...] = (SCAN, SCAN_MOTION)
 
     def __init__(self, settings: ScanIngestSettings) -> None:
         self._settings = settings
@@ -125,12 +125,12 @@ class ScanIngestCore:
 
     def _motion(self, lidar: _Lidar, received: Envelope, scan: Scan, ranges: Ranges) -> Iterator[Envelope]:
         mount = (scan.mount.x, scan.mount.y, scan.mount.theta)
-        told = lidar.watch.hear(
+        motion = lidar.watch.receive(
             nanoseconds(scan.timestamp), ranges, scan.angle_min, scan.angle_increment, mount
         )
-        if told is None:
+        if motion is None:
             return
-        since, moved = told
+        since, moved = motion
         message = ScanMotion(timestamp=scan.timestamp, since=stamp(since), repeats=lidar.watch.repeats)
         if moved is not None:
             message.explained, message.longest_step = moved.explained, lidar.watch.longest_step

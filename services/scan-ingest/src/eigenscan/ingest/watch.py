@@ -62,7 +62,7 @@ class Watch:
         """Notes where the beams of a raw scan start."""
         self._layouts.append((*(round(value, 3) for value in mount), round(angle_min, 1)))
 
-    def hear(
+    def receive(
         self, stamp: int, ranges: Ranges, angle_min: float, step: float, mount: Pose
     ) -> tuple[int, Motion | None] | None:
         """What a canonical scan tells: since when, ns, and the motion since then.

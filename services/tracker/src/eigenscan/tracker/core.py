@@ -80,8 +80,8 @@ class _Tracked:
 class TrackerCore:
     """Hypotheses become one honest pose (paper, section 7); one state per robot."""
 
-    hears: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, SCAN_MOTION, RELOCATION, MODEL_SET)
-    says: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
+    inputs: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, SCAN_MOTION, RELOCATION, MODEL_SET)
+    outputs: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
@@ -111,13 +111,13 @@ class TrackerCore:
             return ()
         seen = observe(heard.open(Hypotheses), heard.address, self._settings, self._counts)
         self._counts["hypotheses_heard"] += 1
-        return list(self._say(address, robot, robot.tracker.hear(seen)))
+        return list(self._publish(address, robot, robot.tracker.hear(seen)))
 
     def finish(self) -> Iterable[Envelope]:
         """Estimates for the hypotheses that still waited for odometry."""
         said: list[Envelope] = []
         for (site, name), robot in self._robots.items():
-            said.extend(self._say({"site": site, "robot": name}, robot, robot.tracker.finish()))
+            said.extend(self._publish({"site": site, "robot": name}, robot, robot.tracker.finish()))
         return said
 
     def condition(self) -> Condition:
@@ -171,7 +171,7 @@ class TrackerCore:
         robot.odom_frame = message.frame_id or DEFAULT_ODOM_FRAME
         robot.body_frame = message.body_frame_id or DEFAULT_BODY_FRAME
         position = message.pose.position
-        yield from self._say(
+        yield from self._publish(
             address,
             robot,
             robot.tracker.hear_odometry(
@@ -197,7 +197,7 @@ class TrackerCore:
                 ),
             )
 
-    def _say(
+    def _publish(
         self, address: Mapping[str, str], robot: _Tracked, estimates: list[Estimate]
     ) -> Iterator[Envelope]:
         for estimate in estimates:

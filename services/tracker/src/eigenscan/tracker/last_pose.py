@@ -25,14 +25,14 @@ KEEP_EVERY_NS = 1_000_000_000
 class Remembering:
     """A tracker whose robots' last claims are kept in a folder, a file a robot, and that begins there."""
 
-    hears: tuple[Channel, ...]
-    says: tuple[Channel, ...]
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
 
     def __init__(
         self, tracker: Core, options: TrackerOptions, folder: Path, clock: Callable[[], int] = time.time_ns
     ) -> None:
-        self._tracker, self._told, self._folder, self._clock = tracker, options, folder, clock
-        self.hears, self.says = tracker.hears, (*tracker.says, RELOCATION)
+        self._tracker, self._options, self._folder, self._clock = tracker, options, folder, clock
+        self.inputs, self.outputs = tracker.inputs, (*tracker.outputs, RELOCATION)
         self._kept_at: dict[str, int] = {}
         self._not_kept = 0
         folder.mkdir(parents=True, exist_ok=True)
@@ -40,16 +40,16 @@ class Remembering:
     def start(self) -> Iterator[Envelope]:
         """Where the robots were, as far as it is known and not too old."""
         yield from self._tracker.start()
-        for path in sorted(self._folder.glob(f"{self._told.site}.*.pose")):
-            robot = path.name.removeprefix(f"{self._told.site}.").removesuffix(".pose")
+        for path in sorted(self._folder.glob(f"{self._options.site}.*.pose")):
+            robot = path.name.removeprefix(f"{self._options.site}.").removesuffix(".pose")
             try:
                 last = Relocation.FromString(path.read_bytes())
             except DecodeError:
                 continue  # the machine went down while it was written
             age = (self._clock() - nanoseconds(last.timestamp)) * 1e-9
-            if holds(self._told.robot, robot) and 0.0 <= age <= self._told.last_pose_age:
-                address = {"site": self._told.site, "robot": robot}
-                yield Envelope(RELOCATION, address, aged(last, age, self._told))
+            if holds(self._options.robot, robot) and 0.0 <= age <= self._options.last_pose_age:
+                address = {"site": self._options.site, "robot": robot}
+                yield Envelope(RELOCATION, address, aged(last, age, self._options))
 
     def handle(self, heard: Envelope) -> Iterator[Envelope]:
         """What the tracker says; a claim among it is kept, once a second."""
@@ -77,7 +77,7 @@ class Remembering:
         last = Relocation(
             timestamp=pose.timestamp, frame_id=pose.frame_id, pose=pose.pose, covariance=pose.covariance
         )
-        path = self._folder / f"{self._told.site}.{robot}.pose"
+        path = self._folder / f"{self._options.site}.{robot}.pose"
         partial = path.with_suffix(".partial")
         try:
             partial.write_bytes(last.SerializeToString())

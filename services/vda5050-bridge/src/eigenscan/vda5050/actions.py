@@ -52,14 +52,14 @@ class Action:
         """FINISHED or FAILED, and why."""
         self.status, self.result = status, result
 
-    def told(self, major: int) -> dict[str, str]:
+    def state_fields(self, major: int) -> dict[str, str]:
         """ActionState of the standard."""
-        told = {"actionId": self.name, "actionType": self.kind, "actionStatus": self.status}
+        state_fields = {"actionId": self.name, "actionType": self.kind, "actionStatus": self.status}
         if self.result:
-            told["resultDescription" if major == 2 else "actionResult"] = self.result
-        return told
+            state_fields["resultDescription" if major == 2 else "actionResult"] = self.result
+        return state_fields
 
-    def hear(self, estimate: PoseEstimate, pose: Array) -> None:
+    def receive(self, estimate: PoseEstimate, pose: Array) -> None:
         """Follows the tracker: the scans confirm the position that was set, or contradict it."""
         if self.target is None or not self.is_open:
             return
@@ -96,34 +96,34 @@ class Actions:
         """Those that set the position and have not ended."""
         return [one for one in self._all.values() if one.is_open and one.target is not None]
 
-    def told(self, major: int) -> list[dict[str, str]]:
+    def state_fields(self, major: int) -> list[dict[str, str]]:
         """All of them, oldest first."""
-        return [one.told(major) for one in self._all.values()]
+        return [one.state_fields(major) for one in self._all.values()]
 
 
 def read_message(data: bytes, major: int, manufacturer: str, serial: str) -> dict[str, Any]:
     """The JSON object of a message for this robot. Raises MessageError naming what is wrong."""
     try:
-        said = json.loads(data, parse_constant=_no_number)
+        published = json.loads(data, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         raise MessageError(f"is no JSON: {error}") from None
-    if not isinstance(said, dict):
+    if not isinstance(published, dict):
         raise MessageError("is no JSON object")
-    number = said.get("headerId")
+    number = published.get("headerId")
     if isinstance(number, bool) or not isinstance(number, int):
         raise MessageError(f"headerId: {number!r} is no integer")
-    version = said.get("version")
+    version = published.get("version")
     if not isinstance(version, str) or version.partition(".")[0] != str(major):
         raise MessageError(f"version: {version!r} is not {major}.x")
     for field, expected in (("manufacturer", manufacturer), ("serialNumber", serial)):
-        if said.get(field) != expected:
-            raise MessageError(f"{field}: {said.get(field)!r:.60} is not {expected!r}")
-    return said
+        if published.get(field) != expected:
+            raise MessageError(f"{field}: {published.get(field)!r:.60} is not {expected!r}")
+    return published
 
 
-def actions_of(said: dict[str, Any]) -> list[dict[str, Any]]:
+def actions_of(published: dict[str, Any]) -> list[dict[str, Any]]:
     """Actions of a message that have type and id. Raises MessageError."""
-    listed = said.get("actions", said.get("instantActions"))
+    listed = published.get("actions", published.get("instantActions"))
     if not isinstance(listed, list):
         raise MessageError("actions: is no array")
     for number, one in enumerate(listed):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from eigenscan.schemas.channels import Channel, Qos
 from google.protobuf.wrappers_pb2 import BytesValue
 
-MQTT_HEARD = Channel("mqtt_heard", "heard/{topic}", BytesValue, Qos(depth=256), "input from the broker")
-MQTT_SAID = Channel("mqtt_said", "said/{topic}", BytesValue, about="output to the broker")
+MQTT_RECEIVED = Channel("mqtt_heard", "heard/{topic}", BytesValue, Qos(depth=256), "input from the broker")
+MQTT_PUBLISHED = Channel("mqtt_said", "said/{topic}", BytesValue, about="output to the broker")
 
 ORDER, INSTANT_ACTIONS = "order", "instantActions"
 """Topics that fleet managers publish."""

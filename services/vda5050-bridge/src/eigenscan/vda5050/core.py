@@ -38,8 +38,8 @@ from eigenscan.vda5050.channels import (
     BROKER,
     FACTSHEET,
     INSTANT_ACTIONS,
-    MQTT_HEARD,
-    MQTT_SAID,
+    MQTT_PUBLISHED,
+    MQTT_RECEIVED,
     ORDER,
     STATE,
     VISUALIZATION,
@@ -56,8 +56,8 @@ MOVING_M, MOVING_RAD, OVER_NS = 0.05, 0.05, 500_000_000
 class Vda5050Core:
     """One robot's bridge. What it publishes lacks `timestamp`: its shell has a clock."""
 
-    hears: tuple[Channel, ...] = (MQTT_HEARD, POSE, MODEL_SET, HEALTH, TICK)
-    says: tuple[Channel, ...] = (MQTT_SAID, RELOCATION)
+    inputs: tuple[Channel, ...] = (MQTT_RECEIVED, POSE, MODEL_SET, HEALTH, TICK)
+    outputs: tuple[Channel, ...] = (MQTT_PUBLISHED, RELOCATION)
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class Vda5050Core:
         self._numbers: Counter[str] = Counter()
         self._last_number: dict[str, int] = {}
         self._shown = 0  # ns, stamp of the pose on the topic visualization
-        self._told: dict[str, Any] = {}
+        self._last_state: dict[str, Any] = {}
         self._counts: Counter[str] = Counter()
 
     def start(self) -> Iterable[Envelope]:
@@ -100,23 +100,23 @@ class Vda5050Core:
             return Condition(Health.STATUS_WAITING, "no pose arrives from the tracker", counts)
         return Condition(Health.STATUS_OK, "", counts)
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Follows the tracker; answers fleet managers."""
-        said: list[Envelope] = []
-        if heard.channel is MQTT_HEARD:
-            said += self._hear_broker(heard.address["topic"], heard.open(BytesValue).value)
-        elif heard.channel == POSE:
-            said += self._hear_pose(heard.open(PoseEstimate))
-        elif heard.channel == MODEL_SET:
-            message = heard.open(ModelSet)
+        published: list[Envelope] = []
+        if received.channel is MQTT_RECEIVED:
+            published += self._receive_broker(received.address["topic"], received.open(BytesValue).value)
+        elif received.channel == POSE:
+            published += self._receive_pose(received.open(PoseEstimate))
+        elif received.channel == MODEL_SET:
+            message = received.open(ModelSet)
             self._maps = self._maps.with_models(message)
             self._now.maps, self._now.map_version = self._maps.ids(), message.map_version
-        elif heard.channel == HEALTH:
-            self._hear_health(heard.address, heard.open(Health))
-        elif heard.channel is TICK:
+        elif received.channel == HEALTH:
+            self._receive_health(received.address, received.open(Health))
+        elif received.channel is TICK:
             self._tick()
-        said += self._state_if_due()
-        return said
+        published += self._state_if_due()
+        return published
 
     @property
     def _is_silent(self) -> bool:
@@ -135,7 +135,7 @@ class Vda5050Core:
             if action.ticks >= self._settings.position_s:
                 action.end("FAILED", f"no pose was claimed within {self._settings.position_s} s")
 
-    def _hear_pose(self, estimate: PoseEstimate) -> Iterator[Envelope]:
+    def _receive_pose(self, estimate: PoseEstimate) -> Iterator[Envelope]:
         self._silent = 0
         if not is_finite(estimate):
             self._counts["set_aside_pose_not_finite"] += 1
@@ -145,7 +145,7 @@ class Vda5050Core:
         pose, at = from_message(estimate.pose), nanoseconds(estimate.timestamp)
         self._drive(at, pose)
         for action in self._now.actions.setting:
-            action.hear(estimate, pose)
+            action.receive(estimate, pose)
         hz = self._settings.visualization_hz
         if hz and not 0 <= at - self._shown < 1e9 / hz:
             self._shown = at
@@ -161,31 +161,31 @@ class Vda5050Core:
             self._now.driving = driven > MOVING_M * seconds or turned > MOVING_RAD * seconds
             self._before = at, pose
 
-    def _hear_health(self, address: Mapping[str, str], health: Health) -> None:
+    def _receive_health(self, address: Mapping[str, str], health: Health) -> None:
         if address["service"] == "tracker" and address["instance"] == self._address["robot"]:
             degraded = health.status == Health.STATUS_DEGRADED
             self._tracker = (health.detail or "the tracker is degraded") if degraded else ""
 
-    def _hear_broker(self, topic: str, data: bytes) -> Iterator[Envelope]:
+    def _receive_broker(self, topic: str, data: bytes) -> Iterator[Envelope]:
         if topic == BROKER:
             self._broker = data.decode()
             if not self._broker:
-                self._told = {}  # who listens now knows nothing
-                yield from self._say_factsheet()
+                self._last_state = {}  # who listens now knows nothing
+                yield from self._publish_factsheet()
             return
         if self._settings.only_visualization:
             return
         try:
-            said = read_message(data, self._settings.major, self._settings.manufacturer, self._serial)
-            listed = actions_of(said) if topic == INSTANT_ACTIONS else []
+            published = read_message(data, self._settings.major, self._settings.manufacturer, self._serial)
+            listed = actions_of(published) if topic == INSTANT_ACTIONS else []
         except MessageError as error:
             self._counts[f"set_aside_{topic}"] += 1
             self._refuse("VALIDATION_FAILURE", f"{topic}: {error}")
             return
-        self._check_number(topic, said["headerId"])
+        self._check_number(topic, published["headerId"])
         if topic == ORDER:
             self._counts["refused_orders"] += 1
-            reference = {"orderId": str(said.get("orderId", ""))}
+            reference = {"orderId": str(published.get("orderId", ""))}
             self._refuse("MOBILE_ROBOT_NOT_AVAILABLE", "the localizer takes no orders", **reference)
             return
         self._refusal = None
@@ -201,29 +201,29 @@ class Vda5050Core:
             self._counts["header_id_gaps"] += 1
         self._last_number[topic] = number
 
-    def _act(self, said: dict[str, Any]) -> Iterator[Envelope]:
-        kind, name = said["actionType"], said["actionId"]
+    def _act(self, published: dict[str, Any]) -> Iterator[Envelope]:
+        kind, name = published["actionType"], published["actionId"]
         if name in self._now.actions:
             self._counts["repeated_actions"] += 1
             return
         action = Action(name, kind)
         if kind in SET_POSITION:
-            yield from self._set_position(action, said)
+            yield from self._set_position(action, published)
         elif kind == FACTSHEET_REQUEST:
             action.end("FINISHED")
-            yield from self._say_factsheet()
+            yield from self._publish_factsheet()
         elif kind == STATE_REQUEST:
             action.end("FINISHED")
-            self._told = {}
+            self._last_state = {}
         else:
             action.end("FAILED", f"{kind!r:.60} is not supported by the localizer")
             self._counts["unsupported_actions"] += 1
             self._refuse("INVALID_INSTANT_ACTION", action.result, actionId=name)
         self._now.actions.add(action)
 
-    def _set_position(self, action: Action, said: dict[str, Any]) -> Iterator[Envelope]:
+    def _set_position(self, action: Action, published: dict[str, Any]) -> Iterator[Envelope]:
         try:
-            map_id, pose, node = position_of(said)
+            map_id, pose, node = position_of(published)
             try:
                 target = self._maps.to_site(map_id, pose)
             except KeyError:
@@ -246,17 +246,17 @@ class Vda5050Core:
         self._refusal = messages.error(kind, "WARNING", words, **references)
 
     def _visualization(self) -> Iterator[Envelope]:
-        told = position(self._estimate, self._maps, self._localized, self._settings.major)
-        if told is None:
+        fields = position(self._estimate, self._maps, self._localized, self._settings.major)
+        if fields is None:
             return
-        body: dict[str, Any] = {messages.position_field(self._settings): told}
+        body: dict[str, Any] = {messages.position_field(self._settings): fields}
         if self._settings.major == 3:
             body["referenceStateHeaderId"] = max(self._numbers[STATE] - 1, 0)
-        yield from self._say(VISUALIZATION, body)
+        yield from self._publish(VISUALIZATION, body)
 
-    def _say_factsheet(self) -> Iterator[Envelope]:
+    def _publish_factsheet(self) -> Iterator[Envelope]:
         if not self._settings.only_visualization:
-            yield from self._say(FACTSHEET, messages.factsheet(self._settings))
+            yield from self._publish(FACTSHEET, messages.factsheet(self._settings))
 
     def _state_if_due(self) -> Iterator[Envelope]:
         """The state, where more than the position has changed, or it is time."""
@@ -265,14 +265,14 @@ class Vda5050Core:
         now = self._now
         now.position = position(self._estimate, self._maps, self._localized, self._settings.major)
         now.errors = [*self._localization_errors(), *([self._refusal] if self._refusal else [])]
-        told = messages.state(now, self._settings)
+        fields = messages.state(now, self._settings)
         field = messages.position_field(self._settings)
-        lasting = {key: value for key, value in told.items() if key != field}
+        lasting = {key: value for key, value in fields.items() if key != field}
         lasting[field] = self._localized, (now.position or {}).get("mapId")
-        if lasting == self._told and self._since_state < self._settings.state_interval:
+        if lasting == self._last_state and self._since_state < self._settings.state_interval:
             return
-        self._told, self._since_state = lasting, 0.0
-        yield from self._say(STATE, told)
+        self._last_state, self._since_state = lasting, 0.0
+        yield from self._publish(STATE, fields)
 
     def _localization_errors(self) -> list[dict[str, Any]]:
         if self._localized:
@@ -289,7 +289,7 @@ class Vda5050Core:
             return "the pose is not finite"
         return State.Name(self._estimate.state).removeprefix("STATE_").lower()
 
-    def _say(self, topic: str, body: dict[str, Any]) -> Iterator[Envelope]:
+    def _publish(self, topic: str, body: dict[str, Any]) -> Iterator[Envelope]:
         if self._broker:
             return
         header = {
@@ -300,4 +300,4 @@ class Vda5050Core:
         }
         self._numbers[topic] += 1
         data = json.dumps(header | body, allow_nan=False).encode()
-        yield Envelope(MQTT_SAID, {"topic": topic}, BytesValue(value=data))
+        yield Envelope(MQTT_PUBLISHED, {"topic": topic}, BytesValue(value=data))

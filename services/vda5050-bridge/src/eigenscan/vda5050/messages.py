@@ -28,18 +28,18 @@ class Situation:
 
 def error(kind: str, level: str, words: str, **references: str) -> dict[str, Any]:
     """One error of a state."""
-    told: dict[str, Any] = {"errorType": kind, "errorLevel": level, "errorDescription": words}
+    fields: dict[str, Any] = {"errorType": kind, "errorLevel": level, "errorDescription": words}
     if references:
-        told["errorReferences"] = [
+        fields["errorReferences"] = [
             {"referenceKey": key, "referenceValue": value} for key, value in references.items()
         ]
-    return told
+    return fields
 
 
 def state(now: Situation, settings: Vda5050Settings) -> dict[str, Any]:
     """The topic state."""
     second = settings.major == 2
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "maps": [
             {"mapId": name, "mapVersion": now.map_version or "unknown", "mapStatus": "ENABLED"}
             for name in now.maps
@@ -61,18 +61,18 @@ def state(now: Situation, settings: Vda5050Settings) -> dict[str, Any]:
             }
         ],
     }
-    listed = now.actions.told(settings.major)
+    listed = now.actions.state_fields(settings.major)
     if second:
-        told["actionStates"] = listed
-        told["batteryState"] = {"batteryCharge": 0.0, "charging": False}
-        told["safetyState"] = {"eStop": "NONE", "fieldViolation": False}
+        fields["actionStates"] = listed
+        fields["batteryState"] = {"batteryCharge": 0.0, "charging": False}
+        fields["safetyState"] = {"eStop": "NONE", "fieldViolation": False}
     else:
-        told["actionStates"], told["instantActionStates"] = [], listed
-        told["powerSupply"] = {"stateOfCharge": 0.0, "charging": False}
-        told["safetyState"] = {"activeEmergencyStop": "NONE", "fieldViolation": False}
+        fields["actionStates"], fields["instantActionStates"] = [], listed
+        fields["powerSupply"] = {"stateOfCharge": 0.0, "charging": False}
+        fields["safetyState"] = {"activeEmergencyStop": "NONE", "fieldViolation": False}
     if now.position is not None:
-        told[position_field(settings)] = now.position
-    return told
+        fields[position_field(settings)] = now.position
+    return fields
 
 
 def position_field(settings: Vda5050Settings) -> str:
@@ -82,11 +82,11 @@ def position_field(settings: Vda5050Settings) -> str:
 
 def factsheet(settings: Vda5050Settings) -> dict[str, Any]:
     """The topic factsheet: what the bridge does; sizes and loads are the settings' to say."""
-    told = _factsheet_2() if settings.major == 2 else _factsheet_3()
+    fields = _factsheet_2() if settings.major == 2 else _factsheet_3()
     for name, given in settings.factsheet.items():
-        own = told.get(name)
-        told[name] = own | given if isinstance(own, dict) and isinstance(given, dict) else given
-    return told
+        own = fields.get(name)
+        fields[name] = own | given if isinstance(own, dict) and isinstance(given, dict) else given
+    return fields
 
 
 def _parameters() -> list[dict[str, Any]]:

@@ -18,8 +18,8 @@ from eigenscan.vda5050.channels import (
     CONNECTION,
     FACTSHEET,
     INSTANT_ACTIONS,
-    MQTT_HEARD,
-    MQTT_SAID,
+    MQTT_PUBLISHED,
+    MQTT_RECEIVED,
     ORDER,
 )
 from eigenscan.vda5050.options import Vda5050Options
@@ -39,7 +39,7 @@ CLOSE_S = 0.5
 class MqttPort:
     """Publishes and receives a robot's topics of VDA 5050."""
 
-    channels: tuple[Channel, ...] = (MQTT_HEARD, MQTT_SAID)
+    channels: tuple[Channel, ...] = (MQTT_RECEIVED, MQTT_PUBLISHED)
 
     def __init__(self, options: Vda5050Options) -> None:
         self._options = options
@@ -55,7 +55,7 @@ class MqttPort:
             self._client.tls_set_context(ssl.create_default_context(cafile=options.ca_file))
         self._client.reconnect_delay_set(*RECONNECT_S)
         self._client.on_connect = self._on_connect
-        self._client.on_connect_fail = lambda *_: self._tell("cannot be reached")
+        self._client.on_connect_fail = lambda *_: self._report("cannot be reached")
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
 
@@ -66,7 +66,7 @@ class MqttPort:
         self._client.connect_async(host, port, keepalive=KEEP_ALIVE_S)
         self._client.loop_start()
 
-    def say(self, envelope: Envelope) -> None:
+    def publish(self, envelope: Envelope) -> None:
         """Publishes one message, dated now."""
         topic = envelope.address["topic"]
         body = {"timestamp": _now(), **json.loads(envelope.open(BytesValue).value)}
@@ -94,7 +94,7 @@ class MqttPort:
             raise SettingsError(f"password_file: {error}") from error
 
     def _connection(self, state: str) -> str:
-        told = {
+        fields = {
             "headerId": self._numbers[CONNECTION],
             "timestamp": _now(),
             "version": self._options.version,
@@ -103,27 +103,27 @@ class MqttPort:
             "connectionState": state,
         }
         self._numbers[CONNECTION] += 1
-        return json.dumps(told)
+        return json.dumps(fields)
 
-    def _tell(self, words: str) -> None:
+    def _report(self, words: str) -> None:
         self._put(BROKER, words.encode())
 
     def _put(self, topic: str, data: bytes) -> None:
         assert self._inbox is not None
-        key = MQTT_HEARD.key({"topic": topic})
-        self._inbox.put(MQTT_HEARD, key, encode(BytesValue(value=data)), encoding(MQTT_HEARD))
+        key = MQTT_RECEIVED.key({"topic": topic})
+        self._inbox.put(MQTT_RECEIVED, key, encode(BytesValue(value=data)), encoding(MQTT_RECEIVED))
 
     def _on_connect(self, client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self._tell(f"refuses: {reason}")
+            self._report(f"refuses: {reason}")
             return
         if not self._options.only_visualization:
             client.subscribe([(self._topic(name), 0) for name in (INSTANT_ACTIONS, ORDER)])
             client.publish(self._topic(CONNECTION), self._connection("ONLINE"), qos=1, retain=True)
-        self._tell("")
+        self._report("")
 
     def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
-        self._tell(f"connection lost: {reason}")
+        self._report(f"connection lost: {reason}")
 
     def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         topic = message.topic.rpartition("/")[2]

@@ -59,7 +59,7 @@ def position(estimate: PoseEstimate | None, maps: Maps, localized: bool, major: 
     if maps.floors and not estimate.floor:  # on none of the maps
         return None
     pose = from_message(estimate.floor_pose if estimate.floor else estimate.pose)
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "x": float(pose[0]),
         "y": float(pose[1]),
         "theta": max(-math.pi, min(math.pi, float(pose[2]))),
@@ -67,11 +67,11 @@ def position(estimate: PoseEstimate | None, maps: Maps, localized: bool, major: 
         "positionInitialized" if major == 2 else "localized": localized,
     }
     if math.isfinite(estimate.confidence):
-        told["localizationScore"] = max(0.0, min(1.0, estimate.confidence))
+        fields["localizationScore"] = max(0.0, min(1.0, estimate.confidence))
     deviation = deviation_range(estimate)
     if localized and deviation is not None:
-        told["deviationRange"] = deviation
-    return told
+        fields["deviationRange"] = deviation
+    return fields
 
 
 def deviation_range(estimate: PoseEstimate) -> float | None:

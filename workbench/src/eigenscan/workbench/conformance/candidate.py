@@ -23,12 +23,12 @@ class Candidate:
     EIGENSCAN_NAME. Raises UsageError if the command cannot be started.
     """
 
-    def __init__(self, command: Sequence[str], told: Mapping[str, str], log: Path) -> None:
+    def __init__(self, command: Sequence[str], places: Mapping[str, str], log: Path) -> None:
         self.log = log
-        words = [_filled(word, told) for word in command]
+        words = [_filled(word, places) for word in command]
         if not shutil.which(words[0]):
             raise UsageError(f"{words[0]}: is no program that can be started: check the command after --")
-        own = {f"EIGENSCAN_{name.upper()}": value for name, value in told.items()}
+        own = {f"EIGENSCAN_{name.upper()}": value for name, value in places.items()}
         with log.open("wb") as file:
             self._process = subprocess.Popen(
                 words,
@@ -84,7 +84,7 @@ class Candidate:
         return code, time.monotonic() - before
 
 
-def _filled(word: str, told: Mapping[str, str]) -> str:
-    for name, value in told.items():
+def _filled(word: str, places: Mapping[str, str]) -> str:
+    for name, value in places.items():
         word = word.replace(f"{{{name}}}", value)
     return word

@@ -53,24 +53,27 @@ def _presence(seen: Observed, patience: float) -> Iterator[Check]:
         held = f", only {', '.join(others)}" if others else ""
         lives = f"; {seen.ended_early}" if seen.ended_early else ""
         yield Check("presence", clause, FAILED, f"no liveliness token on {key}{held}{lives}")
-    told = [one for one in seen.received if one.channel is HEALTH]
-    if not told:
+    healths = [one for one in seen.received if one.channel is HEALTH]
+    if not healths:
         yield Check("health", "Health", FAILED, "it never publishes eigenscan.Health")
         return
-    end = seen.stopped_at - (seen.stopped[1] if seen.stopped else 0.0) if seen.stopped else told[-1].at
-    gaps = np.diff([one.at for one in told if one.at <= end] + [end])
+    end = seen.stopped_at - (seen.stopped[1] if seen.stopped else 0.0) if seen.stopped else healths[-1].at
+    gaps = np.diff([one.at for one in healths if one.at <= end] + [end])
     problems = []
     if len(gaps) and gaps.max() > HEALTH_GAP_S * patience:
         problems.append(f"silent for {gaps.max():.1f} s, health is due once a second")
-    named = {(one.address["service"], one.address["instance"]) for one in told}
+    named = {(one.address["service"], one.address["instance"]) for one in healths}
     if named != {(seen.profile.name, seen.instance)}:
         problems.append(f"it calls itself {sorted(named)}, not {seen.profile.name} {seen.instance}")
     if not seen.ready:
-        newest = told[-1].message
+        newest = healths[-1].message
         detail = newest.detail if isinstance(newest, Health) else ""
         problems.append(f"it does not become ready: {detail or 'no detail'}")
     yield check(
-        "health", "Health", problems, f"said {len(told)} times, at most {max(gaps, default=0):.1f} s apart"
+        "health",
+        "Health",
+        problems,
+        f"{len(healths)} messages, at most {max(gaps, default=0):.1f} s apart",
     )
 
 
@@ -152,10 +155,10 @@ def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
     published = {
         one.key: encode(one.message)
         for one in seen.received
-        if one.message is not None and one.channel in seen.profile.says
+        if one.message is not None and one.channel in seen.profile.outputs
     }
     problems = []
-    for channel in seen.profile.says:
+    for channel in seen.profile.outputs:
         start = LATCHED_TEMPLATE.format(site=site, channel=channel.name, session="")
         if not any(token.startswith(start) for token in seen.tokens):
             problems.append(f"no liveliness token on {start}{{session}}")

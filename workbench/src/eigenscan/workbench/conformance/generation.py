@@ -90,11 +90,14 @@ def _answered(
     loop = Loopback(cores)
     loop.start()
     for model in models:
-        loop.hear(model)
+        loop.receive(model)
     last = 0
     for timed in messages:
         last = timed.time + LATENCY_NS
-        for time, envelope in [(timed.time, timed.envelope), *((last, e) for e in loop.hear(timed.envelope))]:
+        for time, envelope in [
+            (timed.time, timed.envelope),
+            *((last, e) for e in loop.receive(timed.envelope)),
+        ]:
             if envelope.channel in _KEPT:
                 yield Timed(time, envelope)
     yield from (Timed(last, envelope) for envelope in loop.finish() if envelope.channel in _KEPT)

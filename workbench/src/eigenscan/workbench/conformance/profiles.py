@@ -42,8 +42,8 @@ class Profile:
     name: str
     file: str
     """The vectors that it is played."""
-    hears: tuple[Channel, ...]
-    says: tuple[Channel, ...]
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
     asks: Channel | None
     """The channel whose messages each need an answer."""
     answers: tuple[Channel, ...]
@@ -58,7 +58,7 @@ class Profile:
     @property
     def latched(self) -> tuple[Channel, ...]:
         """Its inputs that are published only once."""
-        return tuple(channel for channel in self.hears if channel.qos.latched)
+        return tuple(channel for channel in self.inputs if channel.qos.latched)
 
 
 PROFILES: dict[str, Profile] = {

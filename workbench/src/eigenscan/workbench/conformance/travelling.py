@@ -13,7 +13,7 @@ from eigenscan.workbench.conformance.trial import Observed
 
 def travelling(seen: Observed) -> Iterator[Check]:
     """Checks of keys, schemas and quality of service."""
-    says = {*seen.profile.says, HEALTH}
+    outputs = {*seen.profile.outputs, HEALTH}
     keys: list[str] = []
     schemas: list[str] = []
     qos: list[str] = []
@@ -21,14 +21,14 @@ def travelling(seen: Observed) -> Iterator[Check]:
         address = {name: one.address[name] for name in ("site", "robot") if name in one.address}
         if one.channel is None:
             keys.append(f"{one.key} is no key of the contract")
-        elif one.channel not in says:
+        elif one.channel not in outputs:
             keys.append(f"{one.key}: {one.channel.name} is not an output of a {seen.profile.name}")
         elif any(seen.address[name] != value for name, value in address.items()):
             keys.append(f"{one.key}: is not of the robot or site that it serves")
         else:
             qos += _qos_faults(one, one.channel)
     for one in seen.received:
-        if one.channel in says and one.channel is not None:
+        if one.channel in outputs and one.channel is not None:
             wanted = encoding(one.channel)
             if one.message is None:
                 schemas.append(f"{one.key}: {one.fault or 'a deletion'}")
@@ -36,7 +36,7 @@ def travelling(seen: Observed) -> Iterator[Check]:
                 schemas.append(f"{one.key}: encoding {one.encoding!r}, the contract has {wanted!r}")
     count, spoken = (
         len(seen.received),
-        {one.channel.name for one in seen.received if one.channel in says and one.channel},
+        {one.channel.name for one in seen.received if one.channel in outputs and one.channel},
     )
     yield check("keys", "Keys", keys, f"{count} samples on {', '.join(sorted(spoken))}")
     yield check("schema", "Samples", schemas, f"{count} samples decode and name their schema")

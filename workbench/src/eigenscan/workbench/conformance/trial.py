@@ -203,7 +203,7 @@ class Trial:
 
     def _publish(self, envelope: Envelope) -> None:
         self._seen.published.append(Published(envelope, time.time_ns()))
-        self._bus.say(envelope)
+        self._bus.publish(envelope)
 
     def _settle(self, candidate: Candidate) -> None:
         """Until each question has its answers, or nothing but health comes for a while."""
@@ -254,12 +254,12 @@ class Trial:
                 other.entries.extend(reversed(envelope.open(ModelSet).entries))
                 other.version = set_version(other.map_version, [entry.version for entry in other.entries])
                 self._seen.other_set = other.version
-                self._bus.say(Envelope(MODEL_SET, envelope.address, other))
+                self._bus.publish(Envelope(MODEL_SET, envelope.address, other))
                 time.sleep(1.0)
 
     def _join_late(self) -> None:
         """Receives latched channels as one that comes when all is published."""
-        inbox, channels = Inbox(), self._seen.profile.says
+        inbox, channels = Inbox(), self._seen.profile.outputs
         with Bus(open_session(self._others)) as late:
             late.listen(channels, {"site": self._site}, inbox)
             deadline = time.monotonic() + self._terms.settle_s * self._terms.patience + self._token_s

@@ -38,10 +38,12 @@ class Vectors:
         return [t for t in self.inputs if t.time <= cut], [t for t in self.inputs if t.time > cut]
 
 
-def load(file: str, hears: Iterable[Channel], says: Iterable[Channel], address: dict[str, str]) -> Vectors:
+def load(
+    file: str, inputs: Iterable[Channel], outputs: Iterable[Channel], address: dict[str, str]
+) -> Vectors:
     """The vectors in `file` for a service with these channels, under other names of site and robot."""
-    received, published = set(hears), set(says)
-    latched, inputs, reference = [], [], []
+    received, published = set(inputs), set(outputs)
+    latched, timed, reference = [], [], []
     for record in read(folder() / file):
         own = record.envelope
         names = {name: value for name, value in address.items() if name in own.channel.fields}
@@ -51,5 +53,5 @@ def load(file: str, hears: Iterable[Channel], says: Iterable[Channel], address: 
         elif own.channel in received and own.channel.qos.latched:
             latched.append(envelope)
         elif own.channel in received:
-            inputs.append(Timed(record.log_time, envelope))
-    return Vectors(tuple(latched), tuple(inputs), tuple(reference))
+            timed.append(Timed(record.log_time, envelope))
+    return Vectors(tuple(latched), tuple(timed), tuple(reference))

@@ -28,15 +28,15 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
     """The true poses that a simulator wrote into a recording; None if there are none."""
     if not isinstance(open_log(path), RecordingLog):
         return None
-    told: dict[str, dict[int, Pose]] = {}
+    truths: dict[str, dict[int, Pose]] = {}
     with suppress(RecordingError):  # the file is cut: its first part counts
         for record in read(path):
             received = record.envelope
             if received.channel == TRUTH:
-                poses = told.setdefault(received.address["robot"], {})
+                poses = truths.setdefault(received.address["robot"], {})
                 poses[received.stamp] = from_pose3(received.open(PoseInFrame).pose)
     # one robot alone is judged under any name, as its scans are
-    poses = told.get(robot) or (next(iter(told.values())) if len(told) == 1 else {})
+    poses = truths.get(robot) or (next(iter(truths.values())) if len(truths) == 1 else {})
     return _trajectory(poses) if poses else None
 
 

@@ -87,7 +87,7 @@ class Pipeline:
 
     def _teach(self, core: Core) -> None:
         for model in self._models:
-            if model.channel in core.hears:
+            if model.channel in core.inputs:
                 list(core.handle(model))
 
     def _cold(self) -> tuple[Loopback, TrackerCore]:
@@ -104,36 +104,43 @@ class Pipeline:
     def run(self, received: Iterable[Envelope]) -> Run:
         """Receives raw scans and odometry in the order given, from a cold start."""
         loop, tracker = self._cold()
-        said, cpu_ms, scans, published = list[_Published](), list[float](), list[int](), list[Envelope]()
+        answers_published, cpu_ms, scans, published = (
+            list[_Published](),
+            list[float](),
+            list[int](),
+            list[Envelope](),
+        )
         spent = at_last_scan = 0
         loop.start()
         for envelope in received:
             before, owed = time.process_time_ns(), self._remembering.owed_ns
-            answers = loop.hear(envelope)
+            answers = loop.receive(envelope)
             spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
-            said += _poses(answers, spent)
+            answers_published += _poses(answers, spent)
             published += answers
             if envelope.channel == SCAN_RAW:
                 scans.append(envelope.stamp)
                 cpu_ms.append((spent - at_last_scan) / 1e6)
                 at_last_scan = spent
         rest = loop.finish()
-        said += _poses(rest, spent)
+        answers_published += _poses(rest, spent)
         condition = tracker.condition()
         fault = condition.detail if condition.status == Health.STATUS_DEGRADED else ""
         published += rest
-        stream = _stream(said, _nis(said, published), np.sort(np.asarray(scans, dtype=np.int64)))
+        stream = _stream(
+            answers_published, _nis(answers_published, published), np.sort(np.asarray(scans, dtype=np.int64))
+        )
         return Run(stream, np.asarray(cpu_ms), explained_at_claims(published), fault)
 
     def answer(self, scan: Envelope) -> Answer:
         """Receives one raw scan: no odometry, no tracking, no prior."""
         loop = Loopback([ScanIngestCore(self._settings.ingest), self._projector])
         before = time.process_time_ns()
-        said = [*loop.hear(scan), *loop.finish()]
+        answers_published = [*loop.receive(scan), *loop.finish()]
         cpu_ms = (time.process_time_ns() - before) / 1e6
         listed = [
             hypothesis
-            for envelope in said
+            for envelope in answers_published
             if envelope.channel == HYPOTHESES
             for hypothesis in envelope.open(Hypotheses).hypotheses
         ]
@@ -157,7 +164,7 @@ def _poses(envelopes: Sequence[Envelope], spent: int) -> list[_Published]:
     return [_Published(e.open(PoseEstimate), spent / 1e9) for e in envelopes if e.channel == POSE]
 
 
-def _nis(said: Sequence[_Published], published: Sequence[Envelope]) -> NDArray[np.float64]:
+def _nis(answers_published: Sequence[_Published], published: Sequence[Envelope]) -> NDArray[np.float64]:
     """Normalised innovation squared (n,) of each pose's track, by the tracks of its stamp; NaN: it has none.
 
     Two lidars may share a stamp: their tracks come in the order of their poses.
@@ -167,15 +174,17 @@ def _nis(said: Sequence[_Published], published: Sequence[Envelope]) -> NDArray[n
         if envelope.channel == TRACKS:
             tracks[envelope.stamp].append(envelope.open(Tracks))
     found = []
-    for each in said:
+    for each in answers_published:
         beside = tracks[nanoseconds(each.estimate.timestamp)].popleft().tracks
         own = (t.nis for t in beside if t.id == each.estimate.track_id and t.HasField("nis"))
         found.append(next(own, np.nan))
     return np.asarray(found, dtype=np.float64)
 
 
-def _stream(said: list[_Published], nis: NDArray[np.float64], scans: NDArray[np.int64]) -> Stream:
-    estimates = [each.estimate for each in said]
+def _stream(
+    answers_published: list[_Published], nis: NDArray[np.float64], scans: NDArray[np.int64]
+) -> Stream:
+    estimates = [each.estimate for each in answers_published]
     stamps = np.asarray([nanoseconds(e.timestamp) for e in estimates], dtype=np.int64)
     states = np.asarray([e.state for e in estimates], dtype=np.int64)
     return Stream(
@@ -189,6 +198,6 @@ def _stream(said: list[_Published], nis: NDArray[np.float64], scans: NDArray[np.
             [covariance_from_message(e.covariance) for e in estimates], dtype=np.float64
         ).reshape(-1, 3, 3),
         nis=nis,
-        cpu_s=np.asarray([each.cpu_s for each in said], dtype=np.float64),
+        cpu_s=np.asarray([each.cpu_s for each in answers_published], dtype=np.float64),
         scans=np.searchsorted(scans, stamps),
     )

@@ -34,9 +34,9 @@ class Remembering:
 
     def __init__(self, core: Core) -> None:
         self._core = core
-        self.hears, self.says = core.hears, core.says
+        self.inputs, self.outputs = core.inputs, core.outputs
         # with other inputs an answer may depend on more than the scan
-        self._pure = set(core.hears) <= {MAP, MODEL, MODEL_SET, SPACE, SCAN}
+        self._pure = set(core.inputs) <= {MAP, MODEL, MODEL_SET, SPACE, SCAN}
         self._known: OrderedDict[tuple[str, bytes], _Answer] = OrderedDict()
         self.owed_ns = 0
 

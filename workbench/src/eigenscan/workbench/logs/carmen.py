@@ -93,8 +93,12 @@ class _Survey:
     def range_max(self, kind: str, stated: float) -> float:
         """Limit of a kind's ranges, m: the least of those in the line, the parameters and the ranges."""
         named = self.parameters.get("robot_front_laser_max", 0.0) if LIDAR_OF[kind] == "front" else 0.0
-        told = (stated, named, saturation(self.samples[kind].ranges if kind in self.samples else np.empty(0)))
-        return min((limit for limit in told if limit > 0.0), default=0.0)
+        limits = (
+            stated,
+            named,
+            saturation(self.samples[kind].ranges if kind in self.samples else np.empty(0)),
+        )
+        return min((limit for limit in limits if limit > 0.0), default=0.0)
 
     def mount(self, kind: str) -> NDArray[np.float64]:
         """Median of the mounts if they agree; otherwise (a corrected log) the parameters' mount."""

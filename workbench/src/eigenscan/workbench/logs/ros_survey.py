@@ -74,7 +74,7 @@ class Survey:
         moved = [frame for frame in usual if frame in self.moves]
         return next(iter([*moved, *usual, *self.moves]), None)
 
-    def hear(self, message: BagMessage) -> None:
+    def receive(self, message: BagMessage) -> None:
         """Takes note of the first message of a topic, and of transforms."""
         body = message.message
         if hasattr(body, "transforms"):
@@ -99,7 +99,7 @@ class Survey:
     def _receive_transform(self, item: Any, recorded: int) -> None:
         move, turn = item.transform.translation, item.transform.rotation
         parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
-        self.tree.hear(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
+        self.tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
         if ODOMETRY_FRAME.fullmatch(parent):
             self.moves.setdefault(child, (parent, _offset(item.header, recorded)))
 
@@ -117,7 +117,7 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
     transforms = of_kind.get(TRANSFORMS, [])
     survey = Survey(options)
     for message in bag.messages([*lidars, *transforms, *([odometry] if odometry else [])]):
-        survey.hear(message)
+        survey.receive(message)
         if survey.complete(lidars, odometry):
             break
     _check_base(bag, survey)
@@ -174,8 +174,8 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
     for topic in sorted(survey.frames, key=lambda topic: (-survey.spans[topic], len(topic), topic)):
         frame = survey.frames[topic]
         matrix = survey.tree.between(base, frame) if base else None
-        told = names[topic] in survey.options.mounts
-        placed = planar(np.eye(4) if matrix is None or told else matrix)
+        is_given = names[topic] in survey.options.mounts
+        placed = planar(np.eye(4) if matrix is None or is_given else matrix)
         height = plane if matrix is None else float(matrix[2, 3])
         elsewhere = plane is not None and height is not None and abs(height - plane) > SAME_PLANE_M
         if frame in frames and not asked:
@@ -185,7 +185,7 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
         elif elsewhere and not asked:
             counters["lidars_at_another_height"] += 1
         else:
-            counters["lidars_without_mount"] += matrix is None and not told
+            counters["lidars_without_mount"] += matrix is None and not is_given
             plane = height if plane is None else plane
             frames.add(frame)
             lidars[topic] = Lidar(names[topic], *placed)

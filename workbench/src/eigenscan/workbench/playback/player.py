@@ -32,14 +32,14 @@ class Player:
     def __init__(
         self,
         score: Score,
-        say: Callable[[Envelope], None],
+        publish: Callable[[Envelope], None],
         controls: Controls,
         moved: Callable[[int, bool], None],
         speed: float = 1.0,
         clock: Callable[[], int] | None = None,
     ) -> None:
         """With `clock`, ns since the epoch, stamps are shifted to the present."""
-        self._score, self._publish, self._controls, self._moved = score, say, controls, moved
+        self._score, self._publish, self._controls, self._moved = score, publish, controls, moved
         self._metronome, self._clock = Metronome(speed), clock
         self._paused = self._stepping = False
         self._at = score.begin

@@ -31,11 +31,11 @@ class Instance:
     """Source of its settings, as text."""
     core: Core
     faults: list[str] = field(default_factory=list)
-    hears: tuple[Channel, ...] = field(init=False)
-    says: tuple[Channel, ...] = field(init=False)
+    inputs: tuple[Channel, ...] = field(init=False)
+    outputs: tuple[Channel, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.hears, self.says = self.core.hears, self.core.says
+        self.inputs, self.outputs = self.core.inputs, self.core.outputs
 
     def start(self) -> Iterable[Envelope]:
         """As its core."""
@@ -82,13 +82,15 @@ def _instances(survey: Survey, service: Service) -> list[str | None]:
     """Names; None for the one that nothing is known of."""
     if service.instance_field and survey.projectors:
         return [*sorted(survey.projectors)]
-    told = sorted(name for (of, name), told in survey.told.items() if of == service.name and told.settings)
-    return [*told] or [None]
+    reported = sorted(
+        name for (of, name), reported in survey.reported.items() if of == service.name and reported.settings
+    )
+    return [*reported] or [None]
 
 
 def _instance(survey: Survey, service: Service, name: str | None, changes: Mapping[str, str]) -> Instance:
-    told = survey.told.get((service.name, name)) if name is not None else None
-    text = (told.settings if told else "") or survey.settings.get(service.name, "")
+    reported = survey.reported.get((service.name, name)) if name is not None else None
+    text = (reported.settings if reported else "") or survey.settings.get(service.name, "")
     values, source = _recorded(survey, service, text)
     if name is not None:
         values["instance"] = name

@@ -59,7 +59,7 @@ def play(
     wanted = [envelope for envelope in first if envelope.channel in received]
     for envelope in sorted(wanted, key=lambda one: received.index(one.channel)):
         yield Event(Side.RECEIVED, survey.begin, envelope)
-        yield from _replayed(survey.begin, loop.hear(envelope))
+        yield from _replayed(survey.begin, loop.receive(envelope))
     _check_ready(survey, instances)
     theirs, own = {channel.name for channel in published}, {channel.name for channel in received}
     for record in read(survey.path):
@@ -69,7 +69,7 @@ def play(
             yield Event(Side.RECORDED, record.log_time, envelope)
         elif envelope.channel.name in own and not _is_early(envelope, early, models):
             yield Event(Side.RECEIVED, record.log_time, envelope)
-            yield from _replayed(record.log_time, loop.hear(envelope))
+            yield from _replayed(record.log_time, loop.receive(envelope))
     yield from _replayed(survey.end, loop.finish())
 
 
@@ -85,7 +85,7 @@ def _replayed(time: int, published: Iterable[Envelope]) -> Iterator[Event]:
 def _check(survey: Survey, services: tuple[Service, ...]) -> None:
     """Raises UsageError if the recording lacks an input that the first service needs."""
     first = services[0]
-    for channel in first.hears:
+    for channel in first.inputs:
         needed = not channel.qos.latched and channel not in DISPENSABLE
         if needed and not survey.counts[channel]:
             raise UsageError(
@@ -95,7 +95,7 @@ def _check(survey: Survey, services: tuple[Service, ...]) -> None:
 
 def _check_ready(survey: Survey, instances: Sequence[Instance]) -> None:
     for instance in instances:
-        if MODEL not in instance.hears:
+        if MODEL not in instance.inputs:
             continue
         condition = instance.condition()
         if condition.status == Health.STATUS_WAITING:

@@ -71,8 +71,8 @@ def pace(outcome: Outcome) -> str:
 
 def _lines(outcome: Outcome) -> Iterator[str]:
     for instance in outcome.instances:
-        told = outcome.survey.told.get((instance.service.name, instance.name))
-        then = f", recorded with version {told.version}" if told and told.version else ""
+        reported = outcome.survey.reported.get((instance.service.name, instance.name))
+        then = f", recorded with version {reported.version}" if reported and reported.version else ""
         yield f"{instance.service.name} {instance.name}: {instance.source}{then}"
     received = ", ".join(f"{count} {channel.name}" for channel, count in outcome.received.items() if count)
     yield f"heard {received}; {pace(outcome)}"

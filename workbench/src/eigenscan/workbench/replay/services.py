@@ -24,23 +24,23 @@ class Service:
     name: str
     options: type[ServiceSettings]
     make: Callable[[Any], Core]
-    hears: tuple[Channel, ...]
-    says: tuple[Channel, ...]
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
     instance_field: str | None = None
 
 
 SCAN_INGEST = Service(
-    "scan-ingest", ScanIngestOptions, ScanIngestCore, ScanIngestCore.hears, ScanIngestCore.says
+    "scan-ingest", ScanIngestOptions, ScanIngestCore, ScanIngestCore.inputs, ScanIngestCore.outputs
 )
 PROJECTOR = Service(
     "projector",
     ProjectorOptions,
     lambda options: ProjectorCore(options, options.instance),
-    ProjectorCore.hears,
-    ProjectorCore.says,
+    ProjectorCore.inputs,
+    ProjectorCore.outputs,
     "projector",
 )
-TRACKER = Service("tracker", TrackerOptions, TrackerCore, TrackerCore.hears, TrackerCore.says)
+TRACKER = Service("tracker", TrackerOptions, TrackerCore, TrackerCore.inputs, TrackerCore.outputs)
 
 PARTS: tuple[Service, ...] = (SCAN_INGEST, PROJECTOR, TRACKER)
 """Nearest to the sensor first."""
@@ -58,10 +58,10 @@ ARRIVAL: dict[Channel, str] = {
 
 def published_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:
     """Channels that these services speak on."""
-    return tuple(channel for service in services for channel in service.says)
+    return tuple(channel for service in services for channel in service.outputs)
 
 
 def received_by(cores: Sequence[Core], published: tuple[Channel, ...]) -> tuple[Channel, ...]:
     """Channels that must come from the recording: the cores receive, but do not publish them."""
-    channels = (channel for core in cores for channel in core.hears if channel not in published)
+    channels = (channel for core in cores for channel in core.inputs if channel not in published)
     return tuple(dict.fromkeys(channels))

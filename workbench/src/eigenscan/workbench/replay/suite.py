@@ -128,7 +128,7 @@ def _spoken(found: Survey) -> tuple[str, ...]:
     return tuple(
         name
         for name, services in CHOICES.items()
-        if len(services) == 1 and any(found.counts[channel] for channel in services[0].says)
+        if len(services) == 1 and any(found.counts[channel] for channel in services[0].outputs)
     )
 
 

@@ -17,7 +17,7 @@ from eigenscan.workbench.replay.services import PARTS, published_by
 
 
 @dataclass
-class Told:
+class Reported:
     """An instance's entries in its recorded health."""
 
     version: str = ""
@@ -26,7 +26,7 @@ class Told:
     restarts: int = 0
     counters: dict[str, int] = field(default_factory=dict)
 
-    def hear(self, health: Health) -> None:
+    def receive(self, health: Health) -> None:
         """Takes its next word."""
         received = {name: count for name, count in health.counters.items() if name != "waiting"}
         self.restarts += any(count > received.get(name, 0) for name, count in self.counters.items())
@@ -64,7 +64,7 @@ class Survey:
     sites: set[str] = field(default_factory=set)
     projectors: dict[str, set[str]] = field(default_factory=dict)
     """Robots of each projector, from its messages."""
-    told: dict[tuple[str, str], Told] = field(default_factory=dict)
+    reported: dict[tuple[str, str], Reported] = field(default_factory=dict)
     """By service and instance."""
     remembered: dict[str, str] = field(default_factory=dict)
     """By service: the sign that it ran before the recording began."""
@@ -83,7 +83,7 @@ class Survey:
         self.end = max(self.end, record.log_time)
         if channel is HEALTH:
             health = envelope.open(Health)
-            self.told.setdefault((health.service, health.instance), Told()).hear(health)
+            self.reported.setdefault((health.service, health.instance), Reported()).receive(health)
         if channel.qos.latched:
             self.latched.setdefault(key, envelope)
         if channel in _PUBLISHED:

@@ -130,21 +130,24 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
         for service, sign in survey.remembered.items():
             if service == instance.service.name:
                 yield f"{name} ran before the recording began ({sign}): what it remembered is not in the file"
-        told = survey.told.get((instance.service.name, instance.name))
-        if told and told.restarts:
-            yield f"{name} was started again {told.restarts} times: what it forgot then is not forgotten here"
-        if told and told.settings_changed:
+        reported = survey.reported.get((instance.service.name, instance.name))
+        if reported and reported.restarts:
+            yield f"{name} was started again {reported.restarts} times: the replay keeps what it forgot then"
+        if reported and reported.settings_changed:
             yield f"{name} was given other settings while it was recorded: here the first hold to the end"
-        for channel, count in told.lost.items() if told else ():
+        for channel, count in reported.lost.items() if reported else ():
             yield f"{name} lost {count} {channel}: its inbox was full; here it receives all that is recorded"
-        late = told.counters.get("odometry_came_late", 0) if told else 0
+        late = reported.counters.get("odometry_came_late", 0) if reported else 0
         if late:
             yield (
                 f"{name} answered {late} scans before their odometry had come, as its patience ended: "
                 "here it may be in time, and answers differ from there on"
             )
-        for each in instance.hears:
-            received, held = told.counters.get(f"heard_{each.name}", 0) if told else 0, survey.counts[each]
+        for each in instance.inputs:
+            received, held = (
+                reported.counters.get(f"heard_{each.name}", 0) if reported else 0,
+                survey.counts[each],
+            )
             if not each.qos.latched and received > held:
                 yield (
                     f"{name} had received {received} {each.name}, the recording holds {held}: "

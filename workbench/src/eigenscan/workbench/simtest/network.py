@@ -322,13 +322,13 @@ class Network:
             else:
                 by_session[each.session].append(each)
         crossing: dict[str, bool] = {}
-        for to, hearers in by_session.items():
+        for to, receivers in by_session.items():
             if to.machine != session.machine:
                 if to.machine not in crossing:
                     crossing[to.machine] = self._may_cross(session.machine, to.machine, sample.key_expr)
                 if not crossing[to.machine]:
                     continue
-            self._send(session, to, partial(self._deliver_all, hearers, sample), block=block)
+            self._send(session, to, partial(self._deliver_all, receivers, sample), block=block)
 
     def _may_cross(self, machine: str, to: str, key: str) -> bool:
         """What a site's routers let through, and how often."""
@@ -339,7 +339,9 @@ class Network:
         if machine == "site":
             own = found[1].get("robot", to) == to
             return (
-                own and Role.ROBOT in channel.heard_by and any(r is not Role.ROBOT for r in channel.said_by)
+                own
+                and Role.ROBOT in channel.received_by
+                and any(r is not Role.ROBOT for r in channel.published_by)
             )
         if channel.qos.air_hz == 0.0:
             return False
@@ -349,18 +351,18 @@ class Network:
         self._crossed[to, key] = now
         return True
 
-    def _deliver_all(self, hearers: list[Declared], sample: Sample) -> None:
-        for each in hearers:
+    def _deliver_all(self, receivers: list[Declared], sample: Sample) -> None:
+        for each in receivers:
             self._deliver(each, sample)
 
-    def _deliver(self, hearer: Declared, sample: Sample) -> None:
-        session = hearer.session
+    def _deliver(self, receiver: Declared, sample: Sample) -> None:
+        session = receiver.session
         if not session.is_open or session.is_mute:
             return
-        if hearer.fills_inbox:
+        if receiver.fills_inbox:
             found = channel_of(sample.key_expr)
             session.arrived[found[0].name if found else "foreign_key"] += 1
-        hearer.callback(sample)
+        receiver.callback(sample)
         self.arrived(session)
 
     def _send(self, session: Session, to: Session, action: Callable[[], None], *, block: bool) -> None:

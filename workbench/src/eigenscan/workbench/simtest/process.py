@@ -156,14 +156,14 @@ class Process:
             return
         if self._stop.is_woken:
             self._stop.is_woken = False
-            self.node.tell()
+            self.node.report()
         self._schedule(0.0 if len(self.node.inbox) else CONDITION_PERIOD_S)
 
     def _tell_later(self, life: int) -> None:
         def tell() -> None:
             if self._life != life or not self.is_up or self.node is None:
                 return
-            self.node.tell()
+            self.node.report()
             if self.node.is_deaf:
                 self.end("deaf")
                 return

@@ -140,8 +140,8 @@ class Robot:
 class SyntheticProjector:
     """In a projector's place: answers scans with lists whose truth is known."""
 
-    hears: tuple[Channel, ...] = (SCAN,)
-    says: tuple[Channel, ...] = (HYPOTHESES,)
+    inputs: tuple[Channel, ...] = (SCAN,)
+    outputs: tuple[Channel, ...] = (HYPOTHESES,)
 
     def __init__(self, robots: dict[str, Robot], settings: ServiceSettings) -> None:
         self._robots, self._instance = robots, settings.instance
@@ -151,13 +151,13 @@ class SyntheticProjector:
         """Nothing."""
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The list of a scan."""
-        scan = heard.open(Scan)
-        robot = self._robots[heard.address["robot"]]
+        scan = received.open(Scan)
+        robot = self._robots[received.address["robot"]]
         if nanoseconds(scan.timestamp) in robot.truth:
             self._answered += 1
-            address = {**heard.address, "projector": self._instance}
+            address = {**received.address, "projector": self._instance}
             yield Envelope(HYPOTHESES, address, robot.hypotheses(scan))
 
     def finish(self) -> Iterable[Envelope]:

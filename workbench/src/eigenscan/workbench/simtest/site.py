@@ -66,20 +66,20 @@ class Observer:
 
     def __init__(self, core: Core, agenda: Agenda, on_condition: Callable[[], None], keeps: bool) -> None:
         self._core, self._agenda, self._on_condition, self._keeps = core, agenda, on_condition, keeps
-        self.hears, self.says = core.hears, core.says
+        self.inputs, self.outputs = core.inputs, core.outputs
         self.life = Life(agenda.now)
 
     def start(self) -> Iterable[Envelope]:
         """As the core."""
         return self._core.start()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """As the core."""
-        if self._keeps and heard.channel is not TICK:
+        if self._keeps and received.channel is not TICK:
             self.life.handled.append(
-                (self._agenda.now, heard.channel, heard.key, hash(encode(heard.message)))
+                (self._agenda.now, received.channel, received.key, hash(encode(received.message)))
             )
-        return self._core.handle(heard)
+        return self._core.handle(received)
 
     def finish(self) -> Iterable[Envelope]:
         """As the core."""
@@ -137,7 +137,7 @@ class Machine:
             if not self.is_on or self._boots != boot or self._driver is None:
                 return
             one = make(self._site.agenda.now, self.clock.time_ns())
-            self._site.say(self._driver, one)
+            self._site.publish(self._driver, one)
             self._site.agenda.after(period, publish)
 
         self._site.agenda.after(first, publish)
@@ -181,7 +181,7 @@ class Site:
         for name, machine in self.machines.items():
             machine.power_on(Random(f"{self.seed} boot {name}"))
 
-    def say(self, session: Session, one: Envelope) -> None:
+    def publish(self, session: Session, one: Envelope) -> None:
         """Publishes for a driver."""
         session.declare_publisher(one.key, encoding(one.channel)).put(encode(one.message))
 

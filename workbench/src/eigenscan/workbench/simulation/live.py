@@ -40,7 +40,7 @@ class Metronome:
 
 def publish(
     messages: Iterable[Timed],
-    say: Callable[[Envelope], None],
+    publish: Callable[[Envelope], None],
     speed: float = 1.0,
     stop: threading.Event | None = None,
 ) -> None:
@@ -50,4 +50,4 @@ def publish(
         rest = metronome.rest(timed.time)
         if stopped.wait(rest) if rest > 0.0 else stopped.is_set():
             return
-        say(timed.envelope)
+        publish(timed.envelope)

@@ -119,16 +119,16 @@ def drive(
     `changes` by service: settings that are different.
     """
 
-    def told(service: str) -> dict[str, object]:
+    def chosen(service: str) -> dict[str, object]:
         return {**of_service(method, service), **changes.get(service, {})}
 
     grid, rng = square_room(niche), np.random.default_rng(seed)
-    mapbuilder = MapbuilderSettings.model_validate(told("mapbuilder"))
+    mapbuilder = MapbuilderSettings.model_validate(chosen("mapbuilder"))
     models = MapbuilderCore(mapbuilder, build_site(grid, mapbuilder.plan)).start()
-    projector = ProjectorCore(ProjectorSettings.model_validate(told("projector")))
-    tracker = TrackerCore(TrackerSettings.model_validate(told("tracker")))
+    projector = ProjectorCore(ProjectorSettings.model_validate(chosen("projector")))
+    tracker = TrackerCore(TrackerSettings.model_validate(chosen("tracker")))
     for model in models:
-        if model.channel in projector.hears:
+        if model.channel in projector.inputs:
             list(projector.handle(model))
     loop = Loopback([ScanIngestCore(ScanIngestSettings()), projector, tracker])
     loop.start()
@@ -147,10 +147,10 @@ def drive(
             ranges=ranges.tolist(),
         )
         published = [
-            *loop.hear(
+            *loop.receive(
                 Envelope(ODOMETRY, ROBOT, Odometry(timestamp=at, frame_id="odom", pose=to_pose3(driven)))
             ),
-            *loop.hear(Envelope(SCAN_RAW, {**ROBOT, "lidar": "front"}, scan)),
+            *loop.receive(Envelope(SCAN_RAW, {**ROBOT, "lidar": "front"}, scan)),
         ]
         (listed,) = (each.open(Hypotheses) for each in published if each.channel is HYPOTHESES)
         (tracks,) = (each.open(Tracks) for each in published if each.channel is TRACKS)

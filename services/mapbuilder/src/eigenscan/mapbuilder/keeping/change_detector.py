@@ -39,7 +39,7 @@ class ChangeDetector:
         same = grid.cells.shape == own.cells.shape and grid.resolution == own.resolution
         return same and bool(np.array_equal(grid.origin, own.origin))
 
-    def hear(self, received: Envelope) -> Change | None:
+    def receive(self, received: Envelope) -> Change | None:
         """The change that is known now, at the end of each visit; else None."""
         robot, judge = received.address["robot"], self._agreement.share
         views: list[View] = []

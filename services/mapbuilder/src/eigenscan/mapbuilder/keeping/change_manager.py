@@ -37,7 +37,7 @@ class ChangeManager:
     use by hand, it only proposes.
     """
 
-    says: tuple[Channel, ...] = MapbuilderCore.says
+    outputs: tuple[Channel, ...] = MapbuilderCore.outputs
 
     def __init__(
         self,
@@ -56,8 +56,8 @@ class ChangeManager:
             self._open()
         self._publish = settings.changes == "publish"
         self._keeps = settings.changes != "off" and store.is_writable
-        own = MapbuilderCore.hears
-        self.hears: tuple[Channel, ...] = (TICK, *own, SCAN, POSE) if self._keeps else (TICK, *own)
+        own = MapbuilderCore.inputs
+        self.inputs: tuple[Channel, ...] = (TICK, *own, SCAN, POSE) if self._keeps else (TICK, *own)
         self._counts: Counter[str] = Counter()
         self._proposed = self._accepted = ""
         self._saved = 0
@@ -76,7 +76,7 @@ class ChangeManager:
         """Publishes what has come into use since; of a scan or a pose, what the robots' visits made of it."""
         if received.channel is TICK:
             yield from self._follow()
-        elif received.channel in MapbuilderCore.hears:
+        elif received.channel in MapbuilderCore.inputs:
             if self._core is not None:
                 yield from self._core.handle(received)
         elif self._detector is not None:
@@ -150,7 +150,7 @@ class ChangeManager:
 
     def _receive(self, detector: ChangeDetector, received: Envelope) -> None:
         """Takes a scan or a pose; at the end of a visit a change may follow."""
-        change = detector.hear(received)
+        change = detector.receive(received)
         if change is not None:
             self._counts["visits"] += 1
             self._problem = ""

@@ -57,8 +57,8 @@ class Source:
     @property
     def _made_of(self) -> str:
         """Tells this map and these settings from others, hex."""
-        told = self.settings.model_dump_json(include=set(MapbuilderSettings.model_fields) - KEEPING)
-        return hashlib.sha256(f"{self.grid.version}\n{told}".encode()).hexdigest()
+        settings_json = self.settings.model_dump_json(include=set(MapbuilderSettings.model_fields) - KEEPING)
+        return hashlib.sha256(f"{self.grid.version}\n{settings_json}".encode()).hexdigest()
 
 
 def _mark(folder: Path) -> Path:
