@@ -1,8 +1,7 @@
-"""The one analysis of a region: builder, projector and pictures have their eigenspaces from here.
+"""The analysis of a region, which gives builder, projector and pictures the same eigenspaces.
 
-A lidar of any step is taken at 2 degrees. So what an eigenspace depends on, besides the region's panoramas,
-is the embedding with its cap, how many beams the field of view has at that step, and how many components
-stay.
+A lidar of any step is sampled at 2 degrees. So an eigenspace depends on the region's panoramas, the embedding
+with its cap, the number of beams at that step, and the number of components.
 """
 
 from __future__ import annotations
@@ -21,23 +20,23 @@ ANALYSIS_TURN = 180
 COMPONENTS = 16
 """Principal components kept: docs/reports.md."""
 SEARCH_SPACING = 0.5
-"""m, between the positions that are searched in eigenspace; the finer ones refine what was found."""
+"""Distance between positions that are searched in eigenspace, m; finer positions refine a result."""
 HEADING_STRIDE = 3
 """Headings of the analysis grid from one searched heading to the next: 6 degrees."""
 USUAL_SHARE = 0.999
-"""Of a region's own scans whose error is usual there."""
+"""Share of a region's own scans whose error counts as usual."""
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """What decides a region's eigenspace besides its panoramas: J `beams`, M `components`."""
+    """Parameters of a region's eigenspace besides its panoramas: J `beams`, M `components`."""
 
     embedding: Embedding = field(default_factory=lambda: Embedding.of("ring"))
     beams: int = ANALYSIS_TURN // 2 + 1
     components: int = COMPONENTS
 
     def of(self, sensor: Sensor) -> Analysis:
-        """The same for another lidar. Where its first beam looks makes no difference."""
+        """The same for another lidar. The direction of its first beam does not matter."""
         coarse, cap = coarse_sensor(sensor), self.embedding.cap
         if coarse.range_max > 0:
             cap = min(cap, coarse.range_max)
@@ -62,7 +61,7 @@ class RegionSpace:
 
     @property
     def analysis(self) -> Analysis:
-        """What made it."""
+        """The analysis that made this space."""
         return Analysis(self.embedding, self.space.beams, len(self.space.eigenvalues))
 
 
@@ -70,7 +69,7 @@ def coarse_sensor(sensor: Sensor) -> Sensor:
     """The sensor at the analysis step, over the same field of view."""
     step = 2.0 * np.pi / ANALYSIS_TURN
     span = sensor.angle_increment * (sensor.beams - 1)
-    # half a beam more is one more, whatever rounding made of it
+    # half a beam more counts as one more, for any rounding
     beams = min(int(np.floor(span / step + 0.5 + 1e-9)) + 1, ANALYSIS_TURN)
     return Sensor(sensor.angle_min, step, beams, sensor.range_max)
 
@@ -95,7 +94,7 @@ def region_space(
 ) -> tuple[RegionSpace, NDArray[np.float32]]:
     """Eigenspace of panoramas (P, ANALYSIS_TURN), m, and the coefficients of those `at` (S,).
 
-    As of `sampled`. Raises ValueError where there is nothing to analyse.
+    The panoramas are those of `sampled`. Raises ValueError without panoramas.
     """
     embedding = analysis.embedding
     channels = embedding(panoramas)

@@ -29,19 +29,19 @@ DAMAGE = (
     SyntaxError,  # of numpy's headers
     zipfile.LargeZipFile,
 )
-"""What reading a damaged archive may raise, beside OSError."""
+"""Errors that a damaged archive may raise, besides OSError."""
 MOST_BYTES = 2**26
-"""Of the arrays of an archive; of a large archive MOST_TIMES its own size."""
+"""Most bytes of the arrays of an archive; for a large archive MOST_TIMES its own size."""
 MOST_TIMES = 20
 """Ranges of a region shrink to a third, at best to a tenth."""
 
 
 @contextmanager
 def opened(path: Path, most_bytes: int = MOST_BYTES) -> Iterator[Any]:
-    """The arrays of an archive by name, each read when it is asked for.
+    """The arrays of an archive by name; each is read on access.
 
-    Raises ValueError where they take more than `most_bytes` and more than the archive's size allows: what a
-    few kilobytes unfold to must not fill the memory. Raises OSError, and one of DAMAGE.
+    Raises ValueError if they take more than `most_bytes` and more than the archive's size allows, so that a
+    few kilobytes cannot fill the memory. Raises OSError, and one of DAMAGE.
     """
     with path.open("rb") as raw:
         with zipfile.ZipFile(raw) as archive:

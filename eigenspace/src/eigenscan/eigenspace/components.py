@@ -1,11 +1,10 @@
 """Principal components of all windows of a set of panoramas (paper, section 2), with F channels a beam.
 
-Every heading of every position is in the set. So the mean of a channel is one constant, and the covariance of
+The set has every heading of every position. So the mean of a channel is one constant, and the covariance of
 channel f at beam j and channel g at beam l depends on j - l only: it is block Toeplitz, and exact by one FFT
 a panorama instead of N outer products. With one channel it is the Toeplitz matrix of plain ranges.
-
-What comes of it is rounded to single precision, as it travels: whoever analyses the same panoramas has the
-same bits as who was told.
+The result is rounded to single precision, as on the wire, so an analysis of the same panoramas gives the same
+bits as a received one.
 """
 
 from __future__ import annotations
@@ -114,10 +113,10 @@ def error_squares(
 
 @cache
 def one_blas_thread() -> None:
-    """From the first analysis on, linear algebra has one thread in this process, and sums have one order.
+    """Limits linear algebra in this process to one thread, so that sums have one order.
 
-    Our matrices are small, several are solved at once, and OpenBLAS's threads spin while they wait for
-    a busy core: on a loaded robot that made an analysis a hundred times slower.
+    Our matrices are small, several are solved at once, and OpenBLAS's threads spin while they wait for a busy
+    core: on a loaded robot that made an analysis a hundred times slower.
     """
     threadpool_limits(1, user_api="blas")
 

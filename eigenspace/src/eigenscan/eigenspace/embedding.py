@@ -1,9 +1,9 @@
-"""What of a range enters the eigenspace: the paper's clipped range, or its place on a ring.
+"""Maps a range into the eigenspace: the paper's clipped range, or its place on a ring.
 
 On a ring a range is an angle, 2 pi r / circumference, and enters as cosine and sine. Two ranges are then
 never farther apart than the ring's diameter: a beam that is wrong by metres (a person, an open door) counts
-little more than one that is wrong by a metre, where in plain ranges it counts with the square of its error.
-A beam without a wall in sight says "at least as far as I look": it counts as the cap in both.
+little more than one that is wrong by a metre, whereas plain ranges count with the square of the error. A beam
+without a wall in sight means "at least this far": it counts as the cap in both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Kind = Literal["ring", "range"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 CIRCUMFERENCE = 10.0
-"""m around the ring: a quarter of it, 2.5 m, is what two ranges can differ by before more says no more."""
+"""Length of the ring, m: two ranges that differ by more than a quarter of it, 2.5 m, count little more."""
 CAPS: dict[Kind, float] = {"ring": 1.2 * CIRCUMFERENCE, "range": 15.0}
 """m. On the ring all walls beyond lie at one place, among the near ones and not opposite to them."""
 
@@ -42,7 +42,7 @@ class Embedding:
 
     @classmethod
     def of(cls, kind: Kind, cap: float | None = None) -> Embedding:
-        """With the usual cap of its kind where none is given."""
+        """An embedding with the usual cap of its kind, unless given."""
         return cls(kind, CAPS[kind] if cap is None else cap)
 
     @property

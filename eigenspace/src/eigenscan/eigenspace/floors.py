@@ -1,4 +1,4 @@
-"""The floors of a site: parts of its one map that lie apart, each with a map frame of its own."""
+"""The floors of a site: separate parts of its one map, each with its own map frame."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ class Floor:
         return cls(message.name, from_message(message.origin), outline)
 
     def to_json(self) -> dict[str, Any]:
-        """What the manifest states of it."""
+        """Its entry in the manifest."""
         return {"name": self.name, "origin": self.origin.tolist(), "outline": self.outline.tolist()}
 
     @classmethod
     def from_json(cls, published: dict[str, Any]) -> Floor:
-        """Inverse of to_json. Raises KeyError, TypeError or ValueError for what it did not make."""
+        """Inverse of to_json. Raises KeyError, TypeError or ValueError for other content."""
         return cls(
             str(published["name"]),
             np.array(published["origin"], dtype=np.float64).reshape(3),
@@ -63,12 +63,12 @@ class Floor:
 
 
 def floor_of(floors: Iterable[Floor], pose: ArrayLike) -> Floor | None:
-    """The floor that a pose (3,) in the site's frame is on; None where there is none."""
+    """The floor of a pose (3,) in the site's frame; None if it is on none."""
     return next((floor for floor in floors if floor.holds(pose)), None)
 
 
 def usable_floors(message: ModelSet) -> tuple[Floor, ...]:
-    """The floors of a set; what is no floor (no name, no outline, numbers that are none) is left out."""
+    """The floors of a set, without invalid ones (no name, no outline, bad numbers)."""
     return tuple(Floor.from_message(published) for published in message.floors if _is_floor(published))
 
 

@@ -35,7 +35,7 @@ LAYOUT = 2
 
 @dataclass(frozen=True)
 class SiteModel:
-    """A map and the models of its regions; a set belongs together. `floors`: none where it is one map."""
+    """A map and the models of its regions; a set belongs together. `floors`: none if it is one map."""
 
     grid: GridMap
     frame_id: str
@@ -43,7 +43,7 @@ class SiteModel:
     floors: tuple[Floor, ...] = ()
 
     def to_message(self) -> model_pb2.ModelSet:
-        """The set as the contract says it."""
+        """The set as a message of the contract."""
         return set_of(
             [model.entry for model in self.regions],
             self.grid.version,
@@ -53,7 +53,7 @@ class SiteModel:
         )
 
     def check_method(self, method: str) -> None:
-        """Raises ModelError where a method searches other eigenspaces than these models hold."""
+        """Raises ModelError if a method needs other eigenspaces than these models have."""
         wanted, made = of_service(method, "mapbuilder"), self.regions[0].space.analysis
         held = {"embedding": made.embedding.kind, "components": made.components}
         if any(wanted.get(name, value) != value for name, value in held.items()):
@@ -71,11 +71,10 @@ def write_models(
     outlines: str | None = None,
     others: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Writes `folder`, in place of a model folder that is there.
+    """Writes `folder`; replaces an existing model folder.
 
-    `picture` is a PNG, `outlines` GeoJSON, `others` files that go with it, by name.
-
-    Raises ModelError where something else than a model folder is there or it cannot be written.
+    `picture` is a PNG, `outlines` GeoJSON, `others` further files by name.
+    Raises ModelError if something else exists there, or if it cannot be written.
     """
     contents = {model.region: pack_region(model) for model in site.regions}
 
@@ -152,10 +151,10 @@ def _manifest(message: model_pb2.ModelSet) -> dict[str, Any]:
 
 
 def read_models(folder: Path) -> SiteModel:
-    """Models of a folder that write_models made.
+    """Reads the models in a folder that write_models wrote.
 
-    Raises ModelError naming the file where it is missing, of another layout, or does not have the
-    version that the manifest states.
+    Raises ModelError that names a file if it is missing, has another layout, or another version than the
+    manifest states.
     """
     manifest = _read_manifest(folder / MANIFEST)
     try:

@@ -24,9 +24,9 @@ RANGE_UNIT = 0.002
 NO_WALL = np.uint16(65535)
 _MOST_BEAMS = 65536
 MOST_BYTES = 2**28
-"""Of a region's panoramas, inflated: 7,000 m2 at 0.25 m and 0.5 degrees. What is more is an attack."""
+"""Most bytes of a region's panoramas, inflated: 7,000 m2 at 0.25 m and 0.5 degrees. More is hostile."""
 MOST_SMALL_BYTES, MOST_TIMES = 2**26, 100
-"""A region whose panoramas take more than the first shrinks to a tenth at best, never to a hundredth."""
+"""A region with more bytes of panoramas than the first shrinks to a tenth at best, never to a hundredth."""
 MOST_CELLS_APART = 10**6
 """Grid steps of a position from the region's origin, at most."""
 _COMPRESSION = 1
@@ -34,7 +34,7 @@ _COMPRESSION = 1
 
 
 class ModelError(ValueError):
-    """A model that cannot be used; the message names the region and what is wrong."""
+    """A model that cannot be used; the message names the region and the fault."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RegionModel:
     """The panoramas of one region's positions, and its eigenspace for the declared lidar.
 
     `index` (P, 2) int32: grid indices (x, y) of the positions, `spacing` m apart, from `origin` (2,) m in the
-    frame `frame_id`. `ranges` (P, N) uint16 in steps of `range_unit` m; NO_WALL where no wall is in sight.
+    frame `frame_id`. `ranges` (P, N) uint16 in steps of `range_unit` m; NO_WALL if no wall is in sight.
     `outline` (K, 2) m.
     """
 
@@ -68,7 +68,7 @@ class RegionModel:
         ranges: NDArray[np.uint16],
         outline: NDArray[np.float64],
     ) -> RegionModel:
-        """Of panoramas, with the eigenspace that `analysis` makes of them. Raises ValueError without any."""
+        """Makes a model of panoramas and their eigenspace. Raises ValueError without panoramas."""
         space, _ = _derived(ranges, RANGE_UNIT, index, spacing, analysis)
         return cls(region, frame_id, spacing, origin, index, ranges, space, outline)
 
@@ -91,12 +91,12 @@ class RegionModel:
 
     @property
     def panoramas(self) -> NDArray[np.float32]:
-        """Ranges (P, N), m, +inf where no wall is in sight."""
+        """Ranges (P, N), m, +inf if no wall is in sight."""
         return _metres(self.ranges, self.range_unit)
 
     @property
     def analysed(self) -> NDArray[np.float32]:
-        """Panoramas (P, ANALYSIS_TURN), m, at the step of the analysis: what eigenspaces are made of."""
+        """Panoramas (P, ANALYSIS_TURN), m, at the step of the analysis, from which eigenspaces are made."""
         return resample(self.panoramas, ANALYSIS_TURN)
 
     @cached_property
@@ -117,7 +117,7 @@ class RegionModel:
 
     @property
     def entry(self) -> model_pb2.ModelSet.Entry:
-        """What a set says of the model."""
+        """The model's entry in a set."""
         size = self.to_message().ByteSize()
         return model_pb2.ModelSet.Entry(region=self.region, version=self.version, size=size)
 
@@ -147,9 +147,9 @@ class RegionModel:
 
     @classmethod
     def from_message(cls, message: model_pb2.RegionModel) -> RegionModel:
-        """Model of a message. Raises ModelError where it is of another format, damaged or empty.
+        """Model of a message. Raises ModelError if it has another format, is damaged or empty.
 
-        Of the first release's format the eigenspace is derived, by the default analysis. The version stays
+        For the first release's format the eigenspace is derived by the default analysis. The version stays
         the received one, so such a model is searched and not published again.
         """
         check(message)
@@ -195,7 +195,7 @@ def _metres(ranges: NDArray[np.uint16], unit: float) -> NDArray[np.float32]:
 
 
 def quantize(panoramas: NDArray[np.float32], unit: float = RANGE_UNIT) -> NDArray[np.uint16]:
-    """Ranges of any shape, m, in steps of `unit`; NO_WALL for +inf and for what does not fit."""
+    """Ranges of any shape, m, in steps of `unit`; NO_WALL for +inf and for ranges that do not fit."""
     with np.errstate(invalid="ignore"):
         steps = np.rint(panoramas * np.float32(1.0 / unit))
         return np.where(steps < NO_WALL, steps, np.float32(NO_WALL)).astype(np.uint16)

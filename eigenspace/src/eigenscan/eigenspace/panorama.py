@@ -61,8 +61,8 @@ def windows(panoramas: NDArray[np.float32], index: ArrayLike, beams: int) -> NDA
 def resample(panoramas: NDArray[np.float32], turn: int) -> NDArray[np.float32]:
     """Panoramas (..., N) at another angular step, (..., turn).
 
-    Between two beams 1 / r is interpolated, which is exact to second order on a straight wall; where they
-    see different walls (or one of them none) the nearer beam in angle counts.
+    Between two beams 1 / r is interpolated, which is exact to second order on a straight wall. If they see
+    different walls (or one of them none) the nearer beam in angle counts.
     """
     have = panoramas.shape[-1]
     if turn == have:

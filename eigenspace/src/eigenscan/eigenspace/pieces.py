@@ -1,7 +1,7 @@
-"""Regions that a build has finished, in files of their own: what is there need not be built again.
+"""Finished regions of a build, each in a file, so that they need not be built again.
 
-MODEL.pieces/ lies beside the MODEL that it is to become. A piece is named by the hash of all that its model
-is made of, appears whole or not at all, and is checked when it is found again.
+MODEL.pieces/ lies beside the future MODEL. A piece is named by the hash of all inputs of its model, appears
+whole or not at all, and is checked before use.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from eigenscan.schemas.model_pb2 import ModelSet
 
 @dataclass(frozen=True)
 class Piece:
-    """A finished region: its file, what a set says of it, and the share of the variance its space holds."""
+    """A finished region: its file, its entry in a set, and the share of the variance that its space holds."""
 
     path: Path
     entry: ModelSet.Entry
@@ -33,10 +33,10 @@ class Piece:
 
 
 class Pieces:
-    """The finished regions of a model `folder`. To be entered: one build at a time.
+    """The finished regions of a model `folder`. Use `with`: one build at a time.
 
-    Raises ModelError where the folder is something that models must not replace, another build is at it, or
-    the pieces cannot be written.
+    Raises ModelError if the folder is no model folder, another build uses it, or the pieces cannot be
+    written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -66,7 +66,7 @@ class Pieces:
         self._lock.close()
 
     def find(self, key: str) -> Piece | None:
-        """The piece of that key; None where there is none, or it is damaged."""
+        """The piece of that key; None if it is missing or damaged."""
         try:
             piece = _described(self._path(key))
             read_region(piece.path, piece.entry.version)
@@ -75,7 +75,7 @@ class Pieces:
         return piece
 
     def keep(self, key: str, content: bytes) -> Piece:
-        """Writes a piece. Raises ModelError where it cannot."""
+        """Writes a piece. Raises ModelError if it cannot."""
         path = self._path(key)
         try:
             path.with_suffix(".half").write_bytes(content)

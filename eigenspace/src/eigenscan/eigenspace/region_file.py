@@ -38,7 +38,7 @@ def _arrays(model: RegionModel) -> dict[str, Any]:
 
 
 def read_region(path: Path, version: str) -> RegionModel:
-    """The model in `path`. Raises ModelError where it cannot be read or is of another version."""
+    """Reads the model in `path`. Raises ModelError if it is unreadable or has another version."""
     try:
         with opened(path) as file:
             model = _from_arrays(file)

@@ -33,7 +33,7 @@ def write_spaces(made: Mapping[str, RegionSpace], path: Path) -> None:
 
 
 def read_spaces(path: Path) -> dict[str, RegionSpace]:
-    """Inverse of write_spaces. Raises ModelError for what is no such file, or holds no sound spaces."""
+    """Inverse of write_spaces. Raises ModelError for another file, or for invalid spaces."""
     try:
         with opened(path) as file:
             arrays = {name: file[name] for name in file.files}
@@ -43,7 +43,7 @@ def read_spaces(path: Path) -> dict[str, RegionSpace]:
             for r, version in enumerate(versions)
         }
         for own in found.values():
-            space_from_message(space_to_message(own))  # what the wire would refuse
+            space_from_message(space_to_message(own))  # raises for spaces that the wire would refuse
         if not found or len({own.analysis for own in found.values()}) > 1:
             raise ValueError("expected spaces of one analysis")
     except (OSError, *DAMAGE) as error:

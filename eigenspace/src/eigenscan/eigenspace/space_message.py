@@ -17,7 +17,7 @@ _NUMBERS: dict[Kind, model_pb2.Eigenspace.Embedding] = {
 _KINDS = {number: kind for kind, number in _NUMBERS.items()}
 MOST_COMPONENTS = 256
 ROUNDING = 1e-3
-"""Of a vector's length."""
+"""Largest error of a vector's length."""
 
 
 def space_to_message(one: RegionSpace) -> model_pb2.Eigenspace:

@@ -1,7 +1,7 @@
-"""The versions of a model folder: MODEL is the one in use, MODEL.versions/ holds those that it replaced.
+"""The versions of a model folder: MODEL is in use, MODEL.versions/ holds those that it replaced.
 
-Each is a whole model folder of its own. One takes another's place in a single step of the file system, so
-whoever opens MODEL finds one or the other, never half of one.
+Each is a whole model folder. A swap is a single step of the file system, so a reader of MODEL finds one or
+the other, never half of one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from eigenscan.eigenspace.model import ModelError
 
 MANIFEST = "manifest.json"
 PROPOSAL = "proposal.json"
-"""In a version that was never in use: what is proposed, and as `since` the version that it is to replace."""
+"""In a version that was never in use: the proposal, and in `since` the version that it is to replace."""
 CHANGE = "change.json"
 """The same in a version that was accepted."""
 KEPT = 5
@@ -40,14 +40,14 @@ class Version:
 
 
 def kept_in(folder: Path) -> Path:
-    """Where the versions that `folder` replaced are."""
+    """The folder of the versions that `folder` replaced."""
     return folder.with_name(folder.name + ".versions")
 
 
 def versions(folder: Path) -> list[Version]:
-    """The version in use, first, then those kept, the newest built first.
+    """The version in use, first, then the kept ones, the newest built first.
 
-    Raises ModelError where `folder` holds no models. What is no model folder among the kept is skipped.
+    Raises ModelError if `folder` holds no models. Other folders among the kept ones are skipped.
     """
     current = _describe(folder)
     if current is None:
@@ -58,9 +58,9 @@ def versions(folder: Path) -> list[Version]:
 
 
 def choose(found: Sequence[Version], version: str | None, folder: Path) -> Version:
-    """The kept version whose hash begins with `version`; without one the newest built before the one in use.
+    """The kept version whose hash begins with `version`; without it, the newest before the one in use.
 
-    `found`: as `versions` gives it. Raises ModelError where there is none, or more than one.
+    `found`: the result of `versions`. Raises ModelError if none or several match.
     """
     current, *others = found
     kept = [v for v in others if not v.proposed_for]
@@ -75,7 +75,7 @@ def choose(found: Sequence[Version], version: str | None, folder: Path) -> Versi
 def choose_proposal(found: Sequence[Version], version: str | None, folder: Path) -> Version:
     """The proposal whose hash begins with `version`, or the only one; else as `choose`.
 
-    Raises ModelError also where it was made for another version than the one in use.
+    Also raises ModelError if it was made for another version than the one in use.
     """
     current, *others = found
     proposed = [v for v in others if v.proposed_for]
@@ -137,7 +137,7 @@ def replace(folder: Path, fresh: Path) -> None:
 
 
 def exchange(one: Path, other: Path) -> None:
-    """Swaps two folders of one file system, in a single step where the system can (Linux, renameat2)."""
+    """Swaps two folders of one file system, in a single step if the system can (Linux, renameat2)."""
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "renameat2"):
         names = os.fsencode(one), os.fsencode(other)
@@ -150,7 +150,7 @@ def exchange(one: Path, other: Path) -> None:
 
 
 def _describe(folder: Path) -> Version | None:
-    """What a folder's manifest states of it; None where it is no model folder."""
+    """A folder's version by its manifest; None if it is no model folder."""
     manifest = folder / MANIFEST
     try:
         published = json.loads(manifest.read_text(encoding="utf-8"))

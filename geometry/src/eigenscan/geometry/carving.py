@@ -17,7 +17,7 @@ MARGIN = 2
 class Carving:
     """Counts (H, W) int32 on a grid whose cell (0, 0) has its outer corner at `low` (2,), m.
 
-    `hits`: rays that ended in the cell; `passes`: rays that went through it to end elsewhere.
+    `hits`: rays that ended in the cell; `passes`: rays that passed it.
     """
 
     hits: NDArray[np.int32]
@@ -38,7 +38,7 @@ class Carving:
         """Counts rays from `viewpoints` (2,) or (K, 2) to the walls at `ends` (K, 2), m, all on the grid."""
         to = np.ascontiguousarray((np.asarray(ends, dtype=np.float64) - self.low) / self.resolution)
         start = (np.asarray(viewpoints, dtype=np.float64) - self.low) / self.resolution
-        # always an array of its own: one signature, compiled once
+        # always a new array: one signature, compiled once
         _count(self.hits, self.passes, np.broadcast_to(start, to.shape).copy(), to)
 
     def to_map(self, share: float = 0.25, least_hits: int = 2) -> GridMap:

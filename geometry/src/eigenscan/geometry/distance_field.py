@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 FAR = 1e3
-"""Distance given where a map has no wall at all, m."""
+"""Distance in a map without any wall, m."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ def distance_tiles(
 ) -> Iterator[tuple[tuple[slice, slice], NDArray[np.float64]]]:
     """Parts of a raster (H, W), and the distance of each of their cells to the nearest cell not in `space`.
 
-    Distances are between cell centres, in cells, and exact as far as `farthest`; those beyond it are only
-    known to be beyond. +inf where no cell of the raster lies outside of `space`.
+    Distances are between cell centres, in cells, and exact up to `farthest`; farther ones are only known to
+    be farther. +inf if every cell is in `space`.
     """
     height, width = space.shape
     for top in range(0, height, tile):
@@ -43,7 +43,7 @@ def _distances(space: NDArray[np.bool_], part: tuple[slice, slice], farthest: fl
             found = np.full(space[part].shape, np.inf)
         else:
             found = np.asarray(distance_transform_edt(crop))[inner]
-        # what lies outside of the crop is at least a halo away
+        # cells outside of the crop are at least a halo away
         if crop.shape == space.shape or halo >= min(farthest, float(found.max())):
             return found
         halo *= 2

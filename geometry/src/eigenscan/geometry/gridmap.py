@@ -22,7 +22,7 @@ FIELD = "occupancy"
 COARSEST_M = 1.0
 """m a cell, at most: in coarser ones there are no rooms; mostly a slip of the decimal point."""
 FINEST_M = 0.001
-"""m a cell, at least: no lidar tells walls apart more finely, and cells without end would take all memory."""
+"""Least cell size, m: no lidar is finer, and endless cells would fill the memory."""
 FARTHEST_M = 1e7
 """m from the map frame's origin, at most: the farthest that grid coordinates of the Earth (UTM) reach."""
 MOST_CELLS = 400_000_000
@@ -34,7 +34,7 @@ IMAGE_FORMATS = ("PPM", "PNG", "BMP", "JPEG", "TIFF", "GIF")
 _MOST_YAML_BYTES = 10_000
 MOST_NESTED = 20
 _DAMAGE = (ValueError, SyntaxError, ArithmeticError, LookupError, TypeError, struct.error, MemoryError)
-"""What Pillow's readers raise over damaged images."""
+"""Errors of Pillow's readers for damaged images."""
 _SAVED_UNKNOWN = 205.0
 """Grey that map savers write for unknown; a free_thresh above 0.196, such as Nav2's 0.25, makes it free."""
 
@@ -95,10 +95,10 @@ class GridMap:
 
 
 def read_map(path: Path) -> GridMap:
-    """Map of a map_server yaml (modes trinary, scale and raw).
+    """Reads the map of a map_server yaml (modes trinary, scale and raw).
 
-    In a trinary image the savers' grey for unknown, 205, stays unknown whatever free_thresh says.
-    Raises MapError naming the file, the field and the fix.
+    In a trinary image the savers' grey for unknown, 205, stays unknown for any free_thresh. Raises MapError
+    that names the file, the field and the fix.
     """
     import yaml  # here: a projector reads no files, and is to be back soon after a crash
 
@@ -145,7 +145,7 @@ def read_image(path: Path, metres_per_pixel: float) -> GridMap:
 
 
 def _plain_yaml(path: Path) -> str:
-    """The text of a map_server yaml. Raises MapError for what only an attack or a slip makes of it."""
+    """The text of a map_server yaml. Raises MapError for hostile files and other files."""
     import yaml
 
     if path.exists() and not path.is_file():
@@ -211,7 +211,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     if not is_file:
         raise MapError(f"{path}: image {file} is no file: name the pgm or png beside this file")
     pixels = _pixels(path, file)
-    # what each sum of red, green and blue means, as a table: there may be pixels by the hundred million
+    # a table over all sums of red, green and blue, because there may be hundreds of millions of pixels
     sums = pixels if pixels.ndim == 2 else pixels[..., :3].sum(axis=-1, dtype=np.uint16)
     grey = np.arange(256.0) if pixels.ndim == 2 else np.arange(766.0) / 3.0
     transparent = pixels[..., 3] == 0 if pixels.ndim == 3 and pixels.shape[-1] == 4 else None
@@ -281,7 +281,7 @@ def to_message(grid: GridMap, frame_id: str) -> Grid:
 
 
 def from_message(message: Grid) -> GridMap:
-    """Inverse of to_message. Raises MapError where the grid is not of that form."""
+    """Inverse of to_message. Raises MapError if the grid has another form."""
     width = message.column_count
     if not width or message.row_stride != width or message.cell_stride != 1 or len(message.data) % width:
         raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")

@@ -1,6 +1,6 @@
-"""From the beams of a driver to the beams of the contract: order, limits, angular grid.
+"""Converts a driver's beams to the contract's: order, limits, angular grid.
 
-NaN is missing (nothing is known), +inf is a beam that came back empty (REP 117).
+NaN is missing (nothing is known), +inf is a beam without a return (REP 117).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TURN = 2.0 * math.pi
 
 SMALLEST_STEP = 1e-6  # rad; no lidar comes near it
 
-FARTHEST = 1e5  # m; a range or a limit beyond it is none
+FARTHEST = 1e5  # m; a larger range or limit counts as none
 
 NO_RETURN_SHARE = 0.999
 """Share of the stated maximum from which a range is no return: drivers round their marker for it."""
@@ -50,7 +50,7 @@ class Sweep:
 def orient(sweep: Sweep, upside_down: bool) -> Sweep:
     """Same beams, counter-clockwise seen from above, angle_min in [-pi, pi).
 
-    Raises ScanError where the angles make no sense: not finite, no step, over a turn.
+    Raises ScanError for invalid angles: not finite, no step, over a turn.
     """
     ranges, first, step = sweep.ranges, sweep.angle_min, sweep.angle_increment
     count = len(ranges)
@@ -71,9 +71,9 @@ def orient(sweep: Sweep, upside_down: bool) -> Sweep:
 
 
 def limits(range_min: float, range_max: float) -> tuple[float, float]:
-    """Both limits, m, as the contract has them; a maximum of 0, infinity or the like is not stated.
+    """Both limits, m, as in the contract; a maximum of 0 or infinity means none.
 
-    Raises ScanError where they contradict each other.
+    Raises ScanError if they contradict each other.
     """
     low, high = max(range_min, 0.0), 0.0 if range_max > FARTHEST else range_max
     if not (low < FARTHEST and high >= 0.0) or 0.0 < high <= low:
@@ -97,7 +97,7 @@ def limit(ranges: Ranges, range_min: float, range_max: float) -> Ranges:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Where the wanted directions (K,) lie between the beams that a sweep has."""
+    """Places of the wanted directions (K,) between a sweep's beams."""
 
     first: float  # rad, first direction
     left: NDArray[np.int64]

@@ -42,7 +42,7 @@ class RayCaster:
 
     @classmethod
     def of(cls, grid: GridMap) -> RayCaster:
-        """Caster for `grid`; keep it where a map is cast against more than once."""
+        """Caster for `grid`; keep it if you cast against a map more than once."""
         wall = np.pad(grid.cells == OCCUPIED, 1)
         unknown = np.pad(grid.cells == UNKNOWN, 1, constant_values=True)
         dark = np.zeros_like(unknown)
@@ -66,7 +66,7 @@ class RayCaster:
         return found
 
     def in_dark(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN: rays from there show nothing."""
+        """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN, where rays show nothing."""
         dark: NDArray[np.bool_] = _stop_at(self.leap, self.to_cells(points)) == DARK
         return dark
 

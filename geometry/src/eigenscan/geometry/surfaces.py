@@ -1,8 +1,7 @@
-"""Where in a map's walls the surfaces are that a lidar meets: in their middle, as far as anybody can tell.
+"""Estimates the surfaces in a map's walls that a lidar meets: the walls' middles.
 
-Walls that were drawn by a robot that was not sure of its way, or in coarse cells, are thicker than the
-building's. The surface lies anywhere in them, and nearest to all of it is their middle. In a map with thin
-walls every wall is its own middle, and nothing changes.
+Walls that a robot mapped with an uncertain pose, or in coarse cells, are thicker than the building's. The
+surface lies anywhere in them; the middle has the least error. In a map with thin walls nothing changes.
 """
 
 from __future__ import annotations
@@ -16,17 +15,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter
 
 DEEPEST_M = 1.0
-"""m inside a wall, beyond which it is as deep: what is thicker is no wall."""
+"""Depth in a wall, m, beyond which it counts as equally deep: thicker objects are no walls."""
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """A map's walls thinned to where their surfaces are.
+    """A map's walls, thinned to their estimated surfaces.
 
-    `grid` is the map itself where all walls are thin. Walls up to `thickness`, m, are thinned to the line in
-    their middle, thicker ones (a cupboard, a pillar) by half of it on each side. It is the thickness of an
-    ordinary wall: of half of the cells that face free ground the wall is at least as thick.
+    `grid` is the map itself if all walls are thin. Walls up to `thickness`, m, are thinned to the line in
+    their middle, thicker ones (a cupboard, a pillar) by half of it on each side. `thickness` is that of an
+    ordinary wall: half of the cells that face free ground belong to walls at least as thick.
     """
 
     grid: GridMap
@@ -56,7 +55,7 @@ class Surfaces:
             return cls(grid, found)
         thinned = grid.cells.copy()
         thinned[gone] = UNKNOWN
-        # only what free ground reaches without crossing the middle is free
+        # only ground reached without crossing the middle is free
         reached = binary_dilation(
             thinned == FREE, np.ones((3, 3), dtype=bool), int(np.ceil(cells)) + 1, mask=gone
         )
@@ -65,7 +64,7 @@ class Surfaces:
 
 
 def faces_of(grid: GridMap) -> GridMap:
-    """The map with only those wall cells that face what is no wall, in any of the eight directions.
+    """The map with only those wall cells that have a neighbour, in any of eight directions, without a wall.
 
     The others are UNKNOWN.
     """
@@ -75,8 +74,8 @@ def faces_of(grid: GridMap) -> GridMap:
 
 
 def _depth(wall: NDArray[np.bool_], deepest: float) -> NDArray[np.float32]:
-    """Depth (H, W), cells, of each wall cell's centre below the wall's outline; 0 where there is none."""
-    # what lies beyond the map's edge is no wall
+    """Depth (H, W), cells, of each wall cell's centre below the wall's outline; 0 elsewhere."""
+    # there is no wall beyond the map's edge
     padded = np.pad(wall, 1)
     depth = np.zeros(padded.shape, dtype=np.float32)
     for part, distance in distance_tiles(padded, deepest):

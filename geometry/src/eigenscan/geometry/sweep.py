@@ -24,11 +24,11 @@ _DIAGONAL = 1.5
 
 @dataclass(frozen=True)
 class Visits:
-    """Stops and points in the order in which rays meet them, backwards.
+    """Stops and points in the reverse order in which rays meet them.
 
-    There is one run `bounds[i]:bounds[i + 1]` for each i = 2 * quadrant + (1 where |dy| > |dx|), with
-    quadrant = (dx < 0) + 2 * (dy < 0). `x`, `y` (V,): column and row, in cells, of a stop's near corner or
-    of a point. `what` (V,): the point's index, WALL_VISIT or DARK_VISIT.
+    There is one run `bounds[i]:bounds[i + 1]` for each i = 2 * quadrant + (1 if |dy| > |dx|), with quadrant =
+    (dx < 0) + 2 * (dy < 0). `x`, `y` (V,): column and row, in cells, of a stop's near corner or of a point.
+    `what` (V,): the point's index, WALL_VISIT or DARK_VISIT.
     """
 
     x: NDArray[np.float64]

@@ -1,11 +1,10 @@
-"""Symmetric 3 by 3 matrices in bulk, compiled: numpy takes longer to start than a scan's few hundred take.
+"""Symmetric 3 by 3 matrices in bulk, compiled, because numpy's overhead exceeds the work on a few hundred.
 
-Inside, a matrix is its upper triangle row by row, six numbers, so that nothing is put in memory. What ends in
-`_each` takes n matrices, and is compiled when it is imported.
-
-Only what has one signature is kept on disk (CONTRIBUTING.md, compiled code): the small functions are compiled
-into those that use them. numba's `guvectorize` keeps a kernel and its wrapper in two files, which fit each
-other only by luck where several processes compile at the same time.
+Inside, a matrix is its upper triangle row by row, six numbers without an array. Functions that end in `_each`
+take n matrices and are compiled at import.
+Only functions with one signature are cached on disk (CONTRIBUTING.md, compiled code): the small ones are
+compiled into their callers. numba's `guvectorize` keeps a kernel and its wrapper in two files, which may not
+fit if several processes compile at the same time.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 WALL, DARK = np.uint8(255), np.uint8(254)
-"""Values of `leap` where a ray ends: at a wall, and where nothing is known."""
+"""Values of `leap` at which a ray ends: at a wall, and in unknown space."""
 LEAPS_PER_CELL = 4.0
 _PARALLEL = 1e-12
 _OVER = 1e-6

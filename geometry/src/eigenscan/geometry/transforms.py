@@ -1,4 +1,4 @@
-"""Where the frames of a robot are, from its transforms (REP 105)."""
+"""Poses of a robot's frames, from its transforms (REP 105)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class TransformTree:
     def receive(
         self, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]
     ) -> None:
-        """`rotation` is x, y, z, w. What is not finite, or no rotation, is passed over."""
+        """`rotation` is x, y, z, w. Invalid values are ignored."""
         turned = rotation_matrix(rotation)
         if turned is None or not is_place(translation) or child in self._parents:
             return
@@ -38,7 +38,7 @@ class TransformTree:
         )
 
     def between(self, base: str, frame: str) -> Matrix | None:
-        """Pose (4, 4) of `frame` in `base`; None where they are not connected."""
+        """Pose (4, 4) of `frame` in `base`; None if they are not connected."""
         from_base, from_frame = self._line(base), self._line(frame)
         for ancestor, to_frame in from_frame.items():
             if ancestor in from_base:
@@ -65,7 +65,7 @@ def is_place(coordinates: Sequence[float]) -> bool:
 
 
 def rotation_matrix(quaternion: Sequence[float]) -> Matrix | None:
-    """Rotation (3, 3) of a quaternion x, y, z, w of any length; None where it is none."""
+    """Rotation (3, 3) of a quaternion x, y, z, w of any length; None if it is invalid."""
     q = np.asarray(quaternion, dtype=np.float64)
     if not np.all(np.abs(q) < FARTHEST) or np.linalg.norm(q) < 1e-6:
         return None
@@ -80,7 +80,7 @@ def rotation_matrix(quaternion: Sequence[float]) -> Matrix | None:
 
 
 def planar(matrix: Matrix) -> tuple[NDArray[np.float64], bool] | None:
-    """Pose (3,) on the plane and whether the frame is upside down; None where it is tilted."""
+    """Pose (3,) on the plane and whether the frame is upside down; None if it is tilted."""
     if abs(matrix[2, 2]) < HORIZONTAL:
         return None
     pose = np.array([matrix[0, 3], matrix[1, 3], np.arctan2(matrix[1, 0], matrix[0, 0])])

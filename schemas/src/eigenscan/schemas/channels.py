@@ -88,7 +88,7 @@ class Qos:
 
 @dataclass(frozen=True)
 class Channel:
-    """One kind of message and where it is published."""
+    """One kind of message and its keys."""
 
     name: str
     template: str
@@ -104,9 +104,10 @@ class Channel:
 
     @property
     def received_by(self) -> tuple[Role, ...]:
-        """Who may receive it through the site's router.
+        """Roles that may receive it through the site's router.
 
-        The site receives all; a robot what no robot publishes, and what the site publishes to it alone.
+        The site receives all. A robot receives channels that no robot publishes, and the site's messages to
+        itself.
         """
         robots = Role.ROBOT not in self.published_by or self.to_one_robot
         return tuple(role for role in Role if role is not Role.ROBOT or robots)
@@ -130,7 +131,7 @@ class Channel:
     def key(self, address: Mapping[str, str]) -> str:
         """Full key for `address`; fields of other channels are ignored.
 
-        Raises ContractError where a field is missing or is not one plain key chunk.
+        Raises ContractError if a field is missing or is not one plain key chunk.
         """
         for name in self.fields:
             value = address.get(name, "")
@@ -141,7 +142,7 @@ class Channel:
     def selector(self, address: Mapping[str, str] | None = None) -> str:
         """Key expression for all keys of this channel with the fields that `address` gives.
 
-        Raises ContractError where a field is neither one plain key chunk nor `*`.
+        Raises ContractError if a field is neither one plain key chunk nor `*`.
         """
         given = address or {}
         for name in self.fields:
@@ -151,7 +152,7 @@ class Channel:
         return self.template.format_map({name: given.get(name, "*") for name in self.fields})
 
     def parse(self, key: str) -> dict[str, str] | None:
-        """Address in `key`, or None where the key is not of this channel."""
+        """Address in `key`; None if the key belongs to another channel."""
         match = self._pattern.fullmatch(key)
         return match.groupdict() if match else None
 
@@ -321,17 +322,17 @@ RECORDINGS_ASKED = ("parts", "bytes")
 """`parts`: which files there are (RecordingParts); `bytes`: a piece of one of them (RecordingRequest)."""
 
 MOST_RECORDED_BYTES = 1_048_576
-"""Of one answer: more would hold up what else leaves the robot."""
+"""Largest answer: a longer one would delay the robot's other messages."""
 
 LOCALIZE_TEMPLATE = "{site}/localize"
-"""Key on which projectors answer where one scan was taken: a LocalizeQuery, answered by a LocalizeReply."""
+"""Key on which projectors answer a LocalizeQuery with a LocalizeReply."""
 
 MOST_ASKED_BYTES = 131_072
-"""Of one such query: a scan of 20,000 beams is shorter."""
+"""Largest query: a scan of 20,000 beams is shorter."""
 
 
 def find(key: str) -> tuple[Channel, dict[str, str]] | None:
-    """Channel and address of a key, or None where the key is not ours."""
+    """Channel and address of a key; None for a foreign key."""
     for channel in CHANNELS:
         address = channel.parse(key)
         if address is not None:
@@ -340,7 +341,7 @@ def find(key: str) -> tuple[Channel, dict[str, str]] | None:
 
 
 def by_name(name: str) -> Channel:
-    """Channel called `name`. Raises ContractError where there is none."""
+    """Channel called `name`. Raises ContractError if there is none."""
     for channel in CHANNELS:
         if channel.name == name:
             return channel

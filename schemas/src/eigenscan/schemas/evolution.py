@@ -44,7 +44,7 @@ def contract() -> FileDescriptorSet:
 
 
 def breaks(earlier: FileDescriptorSet, later: FileDescriptorSet) -> list[str]:
-    """What `later` took away or changed of `earlier`: a line for each field or enum value."""
+    """Removed or changed parts of `earlier`: a line for each field or enum value."""
     before, now = dict(_entries(earlier)), dict(_entries(later))
     found = []
     for (place, number), meaning in before.items():

@@ -1,4 +1,4 @@
-"""What an extra of a distribution brings: imported where it is needed, named where it is missing."""
+"""Imports of a distribution's extra, with an error that names the extra."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def needs(extra: str, error: type[BaseException] = ImportError) -> Iterator[None]:
-    """Around imports. Raises `error` naming the extra, such as `eigenscan-tracker[node]`, where one fails.
+    """Use around imports. If one fails, raises `error` that names the extra.
 
-    With SystemExit a program ends with that one line.
+    The name is such as `eigenscan-tracker[node]`. With SystemExit a program ends with that line.
     """
     try:
         yield

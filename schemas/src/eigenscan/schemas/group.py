@@ -1,7 +1,7 @@
 """Groups of robots: names and patterns, joined by commas, such as `a-*,b-7`; `*` is every robot.
 
-A `*` within a name stands for any characters, none included. A service that serves a group serves each robot
-that fits from when it first speaks; nothing is to be told or started again.
+A `*` within a name stands for any characters, or none. A service of a group serves each matching robot from
+its first message, without a restart.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from eigenscan.schemas.channels import Channel, ContractError, is_chunk
 
 EVERY = "*"
 MOST_PATTERNS = 200
-"""Of one group: services tell theirs to the whole site, whose programs look through them for each robot."""
+"""Most patterns of a group, because every program of the site compares them with each robot's name."""
 
 
 @lru_cache(maxsize=64)
 def patterns(group: str) -> tuple[str, ...]:
-    """The names and patterns of a group. Raises ContractError where one cannot be a robot's name."""
+    """The names and patterns of a group. Raises ContractError for an invalid name."""
     parts = group.split(",", MOST_PATTERNS)
     if len(parts) > MOST_PATTERNS:
         raise ContractError(f"a group of more than {MOST_PATTERNS} names: use patterns, such as a-*")
@@ -34,7 +34,7 @@ def patterns(group: str) -> tuple[str, ...]:
 
 
 def is_one(group: str) -> bool:
-    """True where the group is one robot by its name."""
+    """Whether the group is one robot by its name."""
     found = patterns(group)
     return len(found) == 1 and "*" not in found[0]
 
@@ -45,7 +45,7 @@ def holds(group: str, robot: str) -> bool:
 
 
 def _fits(pattern: str, robot: str) -> bool:
-    """Takes each piece where it first stands: a regular expression would try all places for all pieces."""
+    """Matches each piece at its first place; a regular expression would try all places for all pieces."""
     first, *rest = pattern.split("*")
     if not rest:
         return robot == pattern
@@ -80,8 +80,8 @@ def selectors(channel: Channel, address: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def instance_name(group: str) -> str:
-    """What an instance that serves a group is called by default: the robot's name; 0 for every robot.
+    """Default name of an instance that serves a group: the robot's name; 0 for every robot.
 
-    A pattern's * becomes a +, which a key may hold.
+    A pattern's * becomes a +, which a key may contain.
     """
     return "0" if group == EVERY else ",".join(patterns(group)).replace("*", "+")

@@ -1,4 +1,4 @@
-"""Settings of several services that belong together, by a method's name: the one place that says which."""
+"""Settings of several services that belong to one method, by the method's name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ METHODS: Mapping[str, Settings] = MappingProxyType(
                 "association": "tetrahedra",  # 5.1, figures 5 and 7
                 "margin": 0.25,  # headings are 6 degrees apart, not 0.5: sheets bend between them
                 "interpolation": "ratios",  # 5.2
-                "verification": "eigenspace",  # poses are what the eigenspace says
+                "verification": "eigenspace",  # poses come from the eigenspace alone
                 "obstacles": "reconstruction",  # section 6
                 "published": 300,  # all volumes that enclose the scan
             },
@@ -39,7 +39,7 @@ METHODS: Mapping[str, Settings] = MappingProxyType(
 
 
 def of_service(method: str, service: str) -> dict[str, Setting]:
-    """What a method sets of a service, by field. Raises ValueError for a method that there is not."""
+    """A method's settings of a service, by field. Raises ValueError for an unknown method."""
     if method not in METHODS:
         raise ValueError(f"method {method!r}: choose one of {', '.join(METHODS)}")
     return dict(METHODS[method].get(service, {}))

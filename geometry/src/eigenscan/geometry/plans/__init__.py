@@ -22,9 +22,9 @@ class PlanOptions:
 
 
 def read_plan(path: Path, options: PlanOptions) -> GridMap:
-    """The map at `path`: a map_server yaml, an image (a unit is a pixel), or a DXF or SVG drawing.
+    """Reads the map at `path`: a map_server yaml, an image (a unit is a pixel), or a DXF or SVG drawing.
 
-    Raises MapError naming the file, what is wrong, and the fix.
+    Raises MapError that names the file, the fault and the fix.
     """
     kind, scale = path.suffix.lower(), options.metres_per_unit
     if kind not in IMAGES | DRAWINGS:

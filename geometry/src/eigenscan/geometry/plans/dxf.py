@@ -14,9 +14,9 @@ from eigenscan.geometry.plans.raster import Walls
 from eigenscan.geometry.pose import Array
 
 OUTLINES = frozenset({"LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE"})
-"""What may be a wall. Text, dimensions and hatches are not."""
+"""Types that may be walls. Text, dimensions and hatches are not."""
 DAMAGE = (ArithmeticError, LookupError, TypeError, AttributeError, RecursionError, MemoryError, StopIteration)
-"""What the library raises over values that make no sense."""
+"""Errors of the library for invalid values."""
 MOST_CURVED = 300_000
 """Points of all curves of a drawing: more than any floor has."""
 _POINT = np.dtype((np.float64, 2))
@@ -75,7 +75,7 @@ def _read(path: Path, drawing: Any, metres_per_unit: float | None, layers: Colle
 
 
 def _check_size(drawing: Any) -> None:
-    """Raises TooMuchError where its blocks repeat each other without end."""
+    """Raises TooMuchError if its blocks multiply each other."""
     known = {block.name.lower() for block in drawing.blocks}
 
     def parts(name: str) -> Any:
@@ -90,7 +90,7 @@ def _check_size(drawing: Any) -> None:
 
 
 def _walls(space: Iterable[Any]) -> Iterator[tuple[str, Any]]:
-    """Layers and what may be a wall; in a block, layer 0 is the layer that the block is placed on."""
+    """Layers and possible walls; in a block, layer 0 is the layer of the block."""
     from ezdxf.disassemble import recursive_decompose
 
     for item in space:

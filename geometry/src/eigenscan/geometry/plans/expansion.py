@@ -1,4 +1,4 @@
-"""How much a drawing becomes once what it refers to again and again is put in place."""
+"""Counts the shapes of a drawing after all references are resolved."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class TooMuchError(ValueError):
 
 
 def placed(start: str, refers: Callable[[str], Iterable[tuple[str, int]]], own: Callable[[str], int]) -> int:
-    """Shapes that `start` becomes: `own` ones, and those of what it `refers` to, so many times each.
+    """Number of shapes of `start`: its `own`, and those that it `refers` to, times their counts.
 
-    Raises TooMuchError; takes time in proportion to the references, not to what they become.
+    Raises TooMuchError; takes time in proportion to the references, not to the result.
     """
     totals: dict[str, int] = {}
     begun: set[str] = set()

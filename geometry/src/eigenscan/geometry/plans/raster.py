@@ -1,4 +1,4 @@
-"""Walls drawn as lines become cells: walls occupied, what they enclose free, what is outside unknown."""
+"""Turns walls drawn as lines into cells: walls occupied, enclosed space free, the outside unknown."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from scipy.ndimage import distance_transform_edt, label, maximum
 DOORWAY = 1.2
 """m: an opening no wider than this does not let the outside in."""
 ROOM = 0.5
-"""m: what nowhere is so far from its walls is the inside of a wall, a pillar or a table, and no room."""
+"""Enclosed space that is nowhere this far from its walls, m, is the inside of a wall, a pillar or a table."""
 MOST_DRAWN_CELLS = 100_000_000
-"""500 m by 500 m at 5 cm: what is inside is found with some 40 bytes a cell."""
+"""500 m by 500 m at 5 cm; finding the inside needs some 40 bytes a cell."""
 MARGIN = 2.0
 """m of outside around the drawing: more than half a doorway, so that the outside goes around it."""
 
@@ -32,12 +32,12 @@ class Walls:
 
 
 def rasterize(path: Path, walls: Walls, resolution: float) -> GridMap:
-    """The map of `walls`, its frame that of the drawing. Raises MapError where nothing is enclosed."""
+    """The map of `walls`, in the drawing's frame. Raises MapError if nothing is enclosed."""
     drawn = [line for line in (*walls.lines, *walls.filled) if len(line) > 1]
     if not drawn:
         raise MapError(f"{path}: no wall in it: check --layer")
     points = np.concatenate(drawn)
-    if not (np.abs(points) <= FARTHEST_M).all():  # also what is no number
+    if not (np.abs(points) <= FARTHEST_M).all():  # also if they are no numbers
         raise MapError(f"{path}: farther than {FARTHEST_M:g} m from its origin: check --metres-per-unit")
     low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     width, height = np.ceil((high - low) / resolution).astype(np.int64).tolist()
@@ -76,7 +76,7 @@ def _draw(walls: Walls, low: Array, resolution: float, size: tuple[int, int]) ->
 
 
 def _outside(clear: Array, resolution: float) -> NDArray[np.bool_]:
-    """Where one comes from the edge without passing a doorway; `clear` (H, W): m to the nearest wall."""
+    """Cells reached from the edge without passing a doorway; `clear` (H, W): m to the nearest wall."""
     parts, _ = label(clear > DOORWAY / 2)
     outside: NDArray[np.bool_] = distance_transform_edt(parts != parts[0, 0]) * resolution <= DOORWAY / 2
     return outside

@@ -1,4 +1,4 @@
-"""Walls of an SVG drawing: what has a stroke, and what is filled with a dark colour."""
+"""Reads walls of an SVG drawing: strokes, and areas with a dark fill."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SMOOTH = 0.05
 MOST_POINTS = 1000
 """A curve becomes at most so many."""
 CHORDS = 4
-"""By which a curve's length is taken."""
+"""Number of chords that approximate a curve's length."""
 MOST_CURVED = 50_000
 """Points of all curves of a drawing: more than any floor has, and a second's work."""
 DARK = 128
-"""A fill whose mean of red, green and blue (0..255) is below this is a wall; paper is not."""
+"""A fill with a mean of red, green and blue (0..255) below this is a wall; paper is not."""
 
 
 def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str]) -> Walls:
@@ -56,7 +56,7 @@ def read_svg(path: Path, metres_per_unit: float | None, layers: Collection[str])
 
 
 DAMAGE = (ArithmeticError, LookupError, TypeError, AttributeError, RecursionError, MemoryError)
-"""What the library raises over values that make no sense."""
+"""Errors of the library for invalid values."""
 
 
 def _walls(path: Path, drawing: Any, metres_per_unit: float, layers: Collection[str]) -> Walls:
@@ -81,7 +81,7 @@ def _walls(path: Path, drawing: Any, metres_per_unit: float, layers: Collection[
 
 
 def _check_size(path: Path) -> None:
-    """Raises TooMuchError where its <use> elements repeat each other without end."""
+    """Raises TooMuchError if its <use> elements multiply each other."""
     root = ElementTree.parse(path).getroot()
     elements = {str(number): element for number, element in enumerate(root.iter())}
     names = {element: name for name, element in elements.items()}
@@ -138,7 +138,7 @@ def _at(segment: Any, shares: Array) -> Array:
 
 
 def _length(curve: Any) -> float:
-    """About the curve's length, in its units: an exact one is sought for seconds where a curve is wild."""
+    """Approximate length of a curve, in its units; an exact one may take seconds."""
     length = float(np.hypot(*np.diff(_at(curve, np.linspace(0.0, 1.0, CHORDS + 1)), axis=0).T).sum())
     return length if math.isfinite(length) else 0.0
 

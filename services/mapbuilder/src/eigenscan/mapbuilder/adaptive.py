@@ -1,10 +1,9 @@
-"""Positions that lie closer where the manifold of scans bends or breaks (paper, section 4).
+"""Places positions more densely where the manifold of scans bends or breaks (paper, section 4).
 
-Between the corners of a square of positions a panorama is interpolated. Where that is off by more than the
-bound, at the square's middle or at the middle of a side, the square is cut into four, twice at most: in
-doorways and around convex corners, and hardly anywhere else. The error is the root mean square over all
-directions. It is that of the scans of all headings too, and as projecting shortens, no coefficient vector is
-farther off than it says.
+A panorama is interpolated between the corners of a square of positions. If its error exceeds the bound at the
+square's middle or at the middle of a side, the square is cut into four, at most twice: in doorways, around
+convex corners, and hardly anywhere else. The error is the root mean square over all directions, so it holds
+for the scans of all headings. A projection only shortens, so no coefficient vector has a larger error.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ from numpy.typing import NDArray
 Index = NDArray[np.int64]
 
 HALVINGS = 2
-"""Of the spacing, at most: where it is 0.5 m no two positions are closer than 0.125 m."""
+"""Most halvings of the spacing: from 0.5 m, no two positions are closer than 0.125 m."""
 _BEAMS = 180
 _SQUARES_AT_ONCE = 2000
 _CORNERS = np.array([[0, 0], [2, 0], [0, 2], [2, 2]])
 _BETWEEN = np.array([[1, 1], [1, 0], [0, 1], [2, 1], [1, 2]])
 _WEIGHTS = np.array([[1, 1, 1, 1], [1, 1, 0, 0], [1, 0, 1, 0], [0, 1, 0, 1], [0, 0, 1, 1]], dtype=np.float32)
-"""Of the corners, at each place between them."""
+"""Weights of the corners, at each place between them."""
 
 
 def adaptive_positions(grid: GridMap, plan: Plan, halvings: int = HALVINGS) -> tuple[Positions, float]:
-    """Positions on the grid of `plan.spacing` and between, where `plan.error` asks for it.
+    """Positions on the grid of `plan.spacing`, and between them if `plan.error` requires it.
 
-    Also the share of the places midway between positions, by area, where the interpolated panorama is within
-    `plan.error`. The positions' own spacing is the closest that there can be.
+    Also the share of the places midway between positions, by area, whose interpolated panorama is within
+    `plan.error`. The spacing of the result is the smallest possible one.
     """
     whole = 2 ** (halvings + 1)
     unit = plan.spacing / whole
@@ -75,8 +74,7 @@ class _Scene:
     def errors(self, squares: Index, half: int) -> NDArray[np.float64]:
         """Errors (S, 5), m, between the corners of squares (S, 2) of side 2 * `half`, in units of `unit` m.
 
-        NaN where nobody can stand, +inf where nobody can at any corner that the panorama would be
-        interpolated from.
+        NaN for an occupied place; +inf if all the corners for its interpolation are occupied.
         """
         if not len(squares):
             return np.empty((0, len(_BETWEEN)))

@@ -42,7 +42,7 @@ class Backdrop:
         return [(_MARGIN + float(x), _MARGIN + float(self.size[1] - y)) for x, y in cells]
 
     def legend(self, pen: ImageDraw.ImageDraw, text: str) -> None:
-        """The scale, and what is to be said of the picture."""
+        """Draws the scale and a text."""
         y = 2 * _MARGIN + int(self.size[1])
         per_metre = self.scale / self.grid.resolution
         metres = next((m for m in (50, 20, 10, 5, 2, 1) if m * per_metre < 300), 1)

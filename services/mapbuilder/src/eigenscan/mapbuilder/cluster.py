@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
 _AHEAD = 2
-"""Shards that a worker has at hand; so what waits in memory does not grow with the site."""
+"""Shards queued at a worker, so the waiting memory does not grow with the site."""
 _PATIENCE_S = 20
-"""For a scheduler to answer."""
+"""Longest wait for a scheduler, s."""
 
 
 class ClusterError(ValueError):
@@ -82,7 +82,7 @@ class Workers(AbstractContextManager["Workers"]):
     def build(
         self, caster: RayCaster, plan: Plan, waiting: Sequence[Shard]
     ) -> Iterator[tuple[int, list[bytes]]]:
-        """Engine, as of `sharded`. Raises ClusterError where a worker cannot build."""
+        """Engine, as in `sharded`. Raises ClusterError if a worker cannot build."""
         from distributed import as_completed
 
         client = self.client

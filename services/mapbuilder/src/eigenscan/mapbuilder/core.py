@@ -1,4 +1,4 @@
-"""The service without its shell: says a site's map and models."""
+"""The core: publishes a site's map and models."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from eigenscan.schemas.model_pb2 import LidarKind, ModelSet
 
 
 class MapbuilderCore:
-    """Builds the models of a map, or takes those that were built before, and says them once.
+    """Builds the models of a map, or takes finished ones, and publishes them once.
 
-    All its channels are latched: a late subscriber gets them without asking twice. The set is published last,
-    so that whoever has a set has received all its models.
+    All its channels are latched, so late subscribers get them with one query. The set comes last, so a
+    subscriber that has it has received all its models.
     """
 
     inputs: tuple[Channel, ...] = (LIDAR_KIND,)
@@ -39,10 +39,10 @@ class MapbuilderCore:
         self._published: dict[str, str] = {}
 
     def start(self) -> Iterator[Envelope]:
-        """The map at once, then the models. Raises ModelError where the map has no free position."""
+        """Publishes the map at once, then the models. Raises ModelError if the map has no free position."""
         if isinstance(self._source, GridMap):
             yield self._map(self._source, self._settings.frame_id)
-            from eigenscan.mapbuilder.site import build_site  # half of its start is for who builds only
+            from eigenscan.mapbuilder.site import build_site  # half of the start time, needed only to build
 
             yield from self._announce(build_site(self._source, self._settings.plan))
         else:
@@ -79,7 +79,7 @@ class MapbuilderCore:
         return Envelope(MAP, self._address, to_message(grid, frame_id))
 
     def _announce(self, site: SiteModel) -> Iterator[Envelope]:
-        """The models that nobody has been told of, then the set."""
+        """The models that are not published yet, then the set."""
         *models, whole = announce_models(site, self._address["site"])
         for model, published in zip(site.regions, models, strict=True):
             if self._published.get(model.region) != model.version:

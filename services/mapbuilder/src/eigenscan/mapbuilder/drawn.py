@@ -16,10 +16,10 @@ from skimage.measure import approximate_polygon, find_contours, label
 
 
 def divide_as_drawn(grid: GridMap, drawn: Sequence[GivenRegion], division: Division) -> Regions:
-    """Regions of the free space inside the polygons, in their order; what lies in none belongs to none.
+    """Regions of the free space inside the polygons, in their order; other space belongs to none.
 
-    Where polygons overlap, the smallest has it. All reach into their neighbours by the margin, as regions
-    that were found do. Raises RegionsError, which names the region that holds no free space.
+    Of overlapping polygons the smallest counts. All reach into their neighbours by the margin, like found
+    regions. Raises RegionsError that names a region without free space.
     """
     block = max(1, round(division.raster / grid.resolution))
     free = _any_in_block(grid.cells == FREE, block)

@@ -45,7 +45,7 @@ def read_regions(path: Path) -> tuple[GivenRegion, ...]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RegionsError(f"{path}: cannot be read: {error.strerror}: check the path") from error
-    except (ValueError, RecursionError) as error:  # what is nested too deep as well
+    except (ValueError, RecursionError) as error:  # also if it is nested too deeply
         raise RegionsError(f"{path}: is not JSON: {error}") from error
     features = data.get("features") if isinstance(data, dict) else None
     if not isinstance(features, list) or data.get("type") != "FeatureCollection" or not features:

@@ -25,7 +25,7 @@ class Plan:
     range_cap: float | None = None
     """None: the usual one of the embedding."""
     field_of_view: float = float(np.pi)
-    """Of the declared lidar: the one that the published eigenspaces are for."""
+    """Of the declared lidar, for which eigenspaces are published."""
     components: int = COMPONENTS
     frame_id: str = "map"
     division: Division = field(default_factory=Division)
@@ -33,7 +33,7 @@ class Plan:
 
     @property
     def analysis(self) -> Analysis:
-        """What makes eigenspaces of panoramas."""
+        """The analysis that makes eigenspaces of panoramas."""
         embedding = Embedding.of(self.embedding, self.range_cap)
         return Analysis(embedding, beams_of(self.field_of_view), self.components)
 

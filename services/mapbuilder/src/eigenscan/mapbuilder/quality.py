@@ -1,4 +1,4 @@
-"""What can be said of a map before any robot drives in it: how thick its walls are, and what is in sight."""
+"""Measures a map before any robot uses it: thickness of its walls, and the walls in sight."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from eigenscan.geometry.surfaces import Surfaces
 from numpy.typing import NDArray
 
 IN_SIGHT_M = 20.0
-"""What is farther does not count as in sight."""
+"""Walls farther away, m, do not count as in sight."""
 PLACES, BEAMS = 500, 72
-"""Of the positions at most, and the directions that are looked along from each."""
+"""Most positions, and the directions from each."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """A map's cells, m; how thick an ordinary wall is in it, m, and whether walls are thinned for that.
+    """A map's cells, m; the thickness of an ordinary wall, m, and whether walls are thinned for it.
 
-    Then the share of all beams that meet a wall within the range looked for, and how far it is, m, in the
-    median; NaN where none does.
+    Then the share of all beams that meet a wall within range, and the median distance, m; NaN if none does.
     """
 
     cell_m: float
@@ -32,7 +31,7 @@ class Quality:
 
     @property
     def expectation(self) -> str:
-        """What follows for who is to be found in it, in words; empty where nothing is out of the ordinary."""
+        """Consequences for localization, as text; empty for an ordinary map."""
         return (
             "thicker than a lidar's error: a surface may lie anywhere in them, and fewer scans are sure"
             if self.thinned

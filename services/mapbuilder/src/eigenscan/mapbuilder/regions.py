@@ -1,8 +1,8 @@
-"""Rooms and hallways: the free space cut at its narrow places, in overlapping regions.
+"""Finds rooms and hallways: cuts the free space at its narrow places into overlapping regions.
 
 The distance to the nearest wall is largest in the middle of a room and has a saddle in each doorway. A
-watershed from the maxima cuts at the saddles; maxima count as one room where the saddle between them is not
-much narrower than the lesser of them. The criterion is a ratio, so it holds for closets and for halls.
+watershed from the maxima cuts at the saddles. Maxima belong to one room if the saddle between them is not
+much narrower than the smaller of them. The criterion is a ratio, so it holds for closets and for halls.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Division:
     largest: float = 150.0
     """A larger piece is halved across its longer axis until it fits."""
     clutter: float = 1.0
-    """Furniture and specks whose extent is below this do not part a room."""
+    """Furniture and specks smaller than this, m, do not divide a room."""
     raster: float = 0.1
     """Cell size at which space is divided."""
 
@@ -93,7 +93,7 @@ def divide(grid: GridMap, division: Division) -> Regions:
 def reached(
     core: NDArray[np.int32], space: NDArray[np.bool_], margin: float
 ) -> tuple[tuple[NDArray[np.bool_], int, int], ...]:
-    """What each region of `core` holds with the overlap, in `space`, as in Regions; `margin` in cells."""
+    """Cells of each region of `core` with the overlap, in `space`, as in Regions; `margin` in cells."""
     boxes = find_objects(core)
     return tuple(_grown(core, space, number, box, round(margin)) for number, box in enumerate(boxes, 1))
 

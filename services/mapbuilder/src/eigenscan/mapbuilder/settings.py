@@ -1,4 +1,4 @@
-"""What mapbuilder's answers depend on, besides what it receives."""
+"""Settings that may change the mapbuilder's answers."""
 
 from __future__ import annotations
 

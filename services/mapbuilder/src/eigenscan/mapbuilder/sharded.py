@@ -29,7 +29,7 @@ class Engine(Protocol):
 
 
 _SHARDS_PER_WORKER = 4
-"""At least, so that workers end at about the same time."""
+"""Least number of shards for each worker, so that they end at about the same time."""
 
 
 def build_pieces(
@@ -40,9 +40,9 @@ def build_pieces(
     progress: Progress = lambda _step, _share: None,
     engine: Engine | None = None,
 ) -> tuple[Mapping[str, Piece], int]:
-    """All pieces of the site by the names of their regions, and how many of them were there before.
+    """All pieces of the site by their regions' names, and the number of those that existed before.
 
-    They are those that build_site gives, whatever the engine, which is this process's threads by default.
+    They equal those of build_site, with any engine; the default is this process's threads.
     """
     progress("regions", 0.0)
     version = grid.version

@@ -1,7 +1,7 @@
-"""Shards: neighbouring regions that are built together, each shard by itself, on any thread or computer.
+"""Shards: neighbouring regions that are built together, each shard on any thread or computer.
 
-What a position sees does not depend on the shard that it is cast in. So however a site is cut into shards,
-and whoever builds them, the models are the same to the last bit.
+The panorama of a position does not depend on its shard. So the models are the same to the last bit for any
+division and any worker.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CAST_AT_ONCE = 16_000
 around a shard are swept for each, so smaller ones cost more: at 4,000 a third more, at 1,000 three times."""
 
 CAST_AGAINST = "surfaces"
-"""What of a map panoramas are cast against; a piece of a build before that is another one."""
+"""The map's cells that rays meet; pieces of builds with others differ."""
 
 Built = TypeVar("Built")
 
@@ -45,7 +45,7 @@ class Area:
 
     def key(self, map_version: str, plan: Plan) -> str:
         """SHA-256, hex, of all that its model is made of."""
-        # how regions and positions were found and who builds them makes no difference to what is given
+        # only inputs that change a model count, not the division or the worker
         how = replace(plan, threads=1, error=0.0, division=type(plan.division)())
         digest = hashlib.sha256(
             repr((CAST_AGAINST, map_version, how, self.name, self.positions.spacing)).encode()
@@ -77,7 +77,7 @@ def shards(areas: Sequence[Area], most: int = CAST_AT_ONCE) -> list[Shard]:
 def build_shard(
     caster: RayCaster, plan: Plan, shard: Shard, finish: Callable[[RegionModel], Built]
 ) -> Iterator[Built]:
-    """What `finish` makes of each of the shard's models, in their order, on the plan's threads."""
+    """The results of `finish` for each of the shard's models, in order, on the plan's threads."""
     index = np.concatenate([area.positions.index for area in shard])
     held, where = np.unique(index, axis=0, return_inverse=True)
     points = replace(shard[0].positions, index=held).points

@@ -1,4 +1,4 @@
-"""From a map to the models of its regions: the whole way, without files or messages."""
+"""Builds the models of a map's regions, without files or messages."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ __all__ = ["Layout", "Plan", "Progress", "build_site", "lay_out"]
 
 @dataclass(frozen=True)
 class Layout:
-    """Where models are to be built; `names`: of the regions that hold positions, by number from 0."""
+    """Positions and regions of the models; `names`: of regions that hold positions, by number from 0."""
 
     positions: Positions
     regions: Regions
     names: dict[int, str]
     within: float = math.nan
-    """Share of the places between positions where `plan.error` holds; NaN where none was asked for."""
+    """Share of the places between positions where `plan.error` holds; NaN without that bound."""
 
     @cached_property
     def areas(self) -> tuple[Area, ...]:
-        """What is to be built, by the regions' names."""
+        """The areas to build, by the regions' names."""
         inside = self.regions.members(self.positions.points)
         areas = [
             Area(name, self.positions.at(inside[n]), self.regions.outline(n))
@@ -54,9 +54,9 @@ class Layout:
 
 
 def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Layout:
-    """Positions and regions of a map's surfaces; the regions as they are found, or as `drawn`.
+    """Positions and regions of a map's surfaces; the regions as found, or as `drawn`.
 
-    Raises ModelError where no position is free, RegionsError where a drawn region holds none.
+    Raises ModelError if no position is free, RegionsError if a drawn region holds none.
     """
     within = math.nan
     grid = Surfaces.of(grid).grid
@@ -88,7 +88,7 @@ def build_site(
     progress: Progress = lambda _step, _share: None,
     layout: Layout | None = None,
 ) -> SiteModel:
-    """Models of all regions of the map, where `layout` says. Raises ModelError where no position is free."""
+    """Models of all regions of the map, as in `layout`. Raises ModelError if no position is free."""
     progress("regions", 0.0)
     areas = (layout or lay_out(grid, plan)).areas
     caster, models = RayCaster.of(Surfaces.of(grid).grid), list[RegionModel]()

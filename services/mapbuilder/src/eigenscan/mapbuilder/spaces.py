@@ -18,14 +18,14 @@ from eigenscan.schemas.channels import SPACE
 from eigenscan.schemas.envelope import Envelope
 
 KINDS = 8
-"""Of lidars that a site's mapbuilder makes eigenspaces for; a robot with another one derives its own."""
+"""Kinds of lidars for which a site's mapbuilder makes eigenspaces; further ones derive their own."""
 
 Made = dict[str, RegionSpace]
 """Spaces for one kind of lidar by the version of the region's model."""
 
 
 class SpaceStore(Protocol):
-    """Where spaces outlive the process."""
+    """Keeps spaces between runs of the process."""
 
     def load_spaces(self) -> dict[Analysis, Made]:
         """All that is kept with the models in use."""
@@ -37,7 +37,7 @@ class SpaceStore(Protocol):
 
 
 class Spaces:
-    """Answers what kinds of lidar robots bring; says each region's space for each kind once."""
+    """Answers the robots' kinds of lidar; publishes each region's space for each kind once."""
 
     def __init__(self, site_name: str, settings: MapbuilderSettings, store: SpaceStore | None = None) -> None:
         self._site_name, self._settings, self._store = site_name, settings, store
@@ -55,7 +55,7 @@ class Spaces:
             yield from self._publish(site, analysis)
 
     def receive(self, site: SiteModel, asked: model_pb2.LidarKind) -> Iterator[Envelope]:
-        """The spaces for a kind of lidar; none where they are published already, or it makes no sense."""
+        """Publishes the spaces for a kind of lidar; nothing if they exist already, or it is invalid."""
         declared = site.regions[0].space.analysis
         if not (1 <= asked.beams <= ANALYSIS_TURN and 0 < asked.cap <= declared.embedding.cap):
             self.counts["lidar_kind_malformed"] += 1
@@ -78,7 +78,7 @@ class Spaces:
         return same and analysis != declared and (analysis in self._kinds or len(self._kinds) < KINDS)
 
     def _publish(self, site: SiteModel, analysis: Analysis) -> Iterator[Envelope]:
-        """The spaces of one kind that were not published yet, made where there are none."""
+        """The unpublished spaces of one kind, computed if they do not exist."""
         made = self._kinds[analysis]
         lacking = [model for model in site.regions if model.version not in made]
         threads = self._settings.plan.threads if lacking else 1

@@ -1,4 +1,4 @@
-"""ROS 2 messages to and from CDR bytes, and the hashes that tell their types apart."""
+"""Converts ROS 2 messages to and from CDR bytes, and holds their type hashes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def decode(kind: str, data: bytes) -> Any:
     """The message of type `kind` in `data`. Raises CdrError."""
     try:
         return _store().deserialize_cdr(data, kind)
-    except Exception as error:  # the library raises whatever it stumbles over in damaged bytes
+    except Exception as error:  # the library raises many errors for damaged bytes
         raise CdrError(f"{len(data)} bytes are no {kind}: {error}") from error
 
 

@@ -58,11 +58,11 @@ from google.protobuf.wrappers_pb2 import BytesValue
 
 Receiver = Callable[[bytes], Iterable[Envelope]]
 Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
-"""From a request to its response, and what is said because of it."""
+"""Function from a request to its response, and the messages to publish."""
 
 
 class RosBridgeCore:
-    """One robot's bridge. What it receives from ROS and publishes there are CDR bytes, by endpoint."""
+    """The bridge of one robot. Its messages from and to ROS are CDR bytes, by endpoint."""
 
     inputs: tuple[Channel, ...] = (ROS_RECEIVED, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP, HEALTH)
     outputs: tuple[Channel, ...] = (ROS_PUBLISHED, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
@@ -70,7 +70,7 @@ class RosBridgeCore:
     def __init__(
         self, settings: RosBridgeSettings, site: str = DEFAULT_SITE, robot: str = DEFAULT_ROBOT
     ) -> None:
-        """`site` and `robot` are what it says of ROS's messages in the contract's keys."""
+        """`site` and `robot`: names for the contract's keys."""
         self._address = {"site": site, "robot": robot}
         self._ahead = round(settings.transform_tolerance * 1e9)
         self._ends = endpoints(settings)
@@ -95,11 +95,11 @@ class RosBridgeCore:
         self._answerers = dict(self._make_answerers())
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing is said unasked."""
+        """Publishes nothing."""
         return ()
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
-        """What the message is on the other side; one that is none there is counted."""
+        """Converts a message to the other side; counts one without a counterpart."""
         try:
             if received.channel is ROS_RECEIVED:
                 data = received.open(BytesValue).value
@@ -118,7 +118,7 @@ class RosBridgeCore:
         return ()
 
     def condition(self) -> Condition:
-        """Waiting until scans come through, with what they lack, and while a lifecycle manager says so."""
+        """WAITING until scans arrive, with the missing parts, and while a lifecycle manager pauses it."""
         lacks = self._lacks
         if not self._lifecycle.active:
             lacks = f"publishes no pose: a lifecycle manager has it {self._lifecycle.state}"
@@ -227,7 +227,7 @@ class RosBridgeCore:
             yield _published(self._ends.bond_published, beat)
 
     def _answer(self, asked: Envelope) -> list[Envelope]:
-        """Always answers: who asks would wait for ever."""
+        """Answers every request, because a client would wait without end."""
         answerer = self._answerers[asked.address["endpoint"]]
         because: Iterable[Envelope] = ()
         try:

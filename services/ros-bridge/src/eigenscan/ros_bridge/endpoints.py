@@ -39,7 +39,7 @@ NODE = "eigenscan"
 
 
 class Role(Enum):
-    """What an endpoint does, by the names that ROS 2's graph has for it on Zenoh."""
+    """Roles of an endpoint, with ROS 2's names for them on Zenoh."""
 
     PUBLISHER = "MP"
     SUBSCRIPTION = "MS"
@@ -93,7 +93,7 @@ _PARAMETERS = (
 
 @dataclass(frozen=True)
 class Endpoints:
-    """All endpoints of one bridge; None where it is switched off."""
+    """All endpoints of one bridge; None for those that are switched off."""
 
     scans: tuple[Endpoint, ...]
     clouds: tuple[Endpoint, ...]
@@ -128,7 +128,7 @@ class Endpoints:
 
 
 def endpoints(settings: RosBridgeSettings) -> Endpoints:
-    """What `settings` ask for."""
+    """The endpoints of `settings`."""
     node = settings.lifecycle
 
     def at(name: str, kind: str, role: Role, qos: Qos, of: str = NODE) -> Endpoint | None:
@@ -202,9 +202,9 @@ class Dialect(Protocol):
         ...
 
     def attachment(self, endpoint: Endpoint, number: int, time: int) -> bytes | None:
-        """What travels beside the message number `number`, counted from 1, said at `time` (ns)."""
+        """Zenoh's attachment of message `number` (from 1), published at `time` (ns)."""
         ...
 
     def reply_attachment(self, request: bytes, time: int) -> bytes | None:
-        """What travels beside the reply to a service's request that had `request` beside it."""
+        """Zenoh's attachment of a reply to a request with attachment `request`."""
         ...

@@ -1,4 +1,4 @@
-"""From ROS 2's messages to the contract's. `body` is a message as `cdr.decode` gives it, or of a bag."""
+"""Converts ROS 2's messages to the contract's. `body`: a message from `cdr.decode` or from a bag."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike
 OCCUPIED_FROM, FREE_BELOW = 65, 20
 """%, as map_server's defaults (occupied_thresh 0.65, free_thresh 0.196); between them nothing is known."""
 _SHORTEST = 1e-6
-"""Of a quaternion: ROS nodes that know no orientation say zeros."""
+"""Least norm of a quaternion: some ROS nodes publish zeros for an unknown orientation."""
 _PLANAR = np.array([0, 1, 5])
 """x, y and yaw among ROS's x, y, z, roll, pitch, yaw."""
 
 
 def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawScan:
-    """Of a LaserScan; `mount` (3,) is the sensor in the base frame, `time` in ns."""
+    """Converts a LaserScan; `mount` (3,): the sensor in the base frame; `time` in ns."""
     increment = float(body.angle_increment)
     if increment == 0.0 and len(body.ranges) > 1:
         increment = (float(body.angle_max) - float(body.angle_min)) / (len(body.ranges) - 1)
@@ -45,7 +45,7 @@ def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawSc
 
 
 def odometry(body: Any) -> Odometry | None:
-    """Of an Odometry; None where its pose is none."""
+    """Converts an Odometry; None if its pose is invalid."""
     pose = on_plane(body.pose.pose.position, body.pose.pose.orientation)
     if pose is None:
         return None
@@ -62,7 +62,7 @@ def odometry(body: Any) -> Odometry | None:
 
 
 def odometry_of_tf(item: Any) -> Odometry | None:
-    """Of a TransformStamped from the odometry's frame to the robot's base; None where it is no pose."""
+    """Converts a TransformStamped from the odometry frame to the robot's base; None if it is invalid."""
     pose = on_plane(item.transform.translation, item.transform.rotation)
     if pose is None:
         return None
@@ -75,7 +75,7 @@ def odometry_of_tf(item: Any) -> Odometry | None:
 
 
 def relocation(body: Any) -> Relocation | None:
-    """Of a PoseWithCovarianceStamped that an operator clicked; None where its pose is none."""
+    """Converts an operator's PoseWithCovarianceStamped; None if its pose is invalid."""
     pose = on_plane(body.pose.pose.position, body.pose.pose.orientation)
     if pose is None:
         return None
@@ -92,7 +92,7 @@ def relocation(body: Any) -> Relocation | None:
 
 
 def grid_map(body: Any) -> GridMap:
-    """Of an OccupancyGrid, by map_server's thresholds. Raises MapError where it is no map."""
+    """Converts an OccupancyGrid, by map_server's thresholds. Raises MapError if it is no map."""
     width, height, resolution = int(body.info.width), int(body.info.height), float(body.info.resolution)
     origin = on_plane(body.info.origin.position, body.info.origin.orientation)
     values = np.asarray(body.data)
@@ -106,9 +106,9 @@ def grid_map(body: Any) -> GridMap:
 
 
 def on_plane(position: Any, orientation: Any) -> tuple[float, float, float] | None:
-    """x, y, yaw of a point and a quaternion, height and tilt left out; None where they are no pose.
+    """x, y, yaw of a point and a quaternion, without height and tilt; None if they are invalid.
 
-    In plain floats: odometry comes far more often than scans.
+    It uses plain floats, because odometry is far more frequent than scans.
     """
     at, q = position, orientation
     norm = math.hypot(q.x, q.y, q.z, q.w)
@@ -119,7 +119,7 @@ def on_plane(position: Any, orientation: Any) -> tuple[float, float, float] | No
 
 
 def stated_covariance(values: Any) -> list[float]:
-    """All 36 numbers, row by row; none where they are all zero, which means not known, or not finite."""
+    """All 36 numbers, row by row; none if they are all zero, which means unknown, or not finite."""
     covariance = np.asarray(values, dtype=np.float64)
     stated: list[float] = covariance.tolist() if np.isfinite(covariance).all() and covariance.any() else []
     return stated

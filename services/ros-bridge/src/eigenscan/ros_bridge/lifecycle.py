@@ -1,7 +1,7 @@
-"""Nav2's lifecycle manager brings AMCL up and watches over it; the bridge answers in AMCL's name.
+"""Answers Nav2's lifecycle manager in AMCL's name.
 
-It works from the start and without a manager. What a manager asks for is granted in every state, so that a
-manager that is started again finds it as it would find an AMCL that is started again with it.
+It works from the start and without a manager. It grants a manager's requests in every state, so a restarted
+manager finds it as it would find a restarted AMCL.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TRANSITIONS = {
 }
 """lifecycle_msgs/Transition: label and the state that it leads to."""
 INSTANCE = "eigenscan"
-"""Of this side of the bond; the manager's is a UUID."""
+"""Name of this side of the bond; the manager's is a UUID."""
 
 
 class Lifecycle:
@@ -42,7 +42,7 @@ class Lifecycle:
 
     @property
     def active(self) -> bool:
-        """Whether it may say where the robot is."""
+        """Whether it may publish the robot's pose."""
         return self._state == ACTIVE
 
     @property

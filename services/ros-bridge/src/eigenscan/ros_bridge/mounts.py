@@ -1,4 +1,4 @@
-"""Where the lidars sit on the robot, from tf."""
+"""Finds the mounts of the lidars in tf."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Mount = tuple[NDArray[np.float64], bool]
 
 
 class MountError(ValueError):
-    """No mount for a scan; `reason` is a counter's name, the message tells the user what to do."""
+    """A scan without a mount; `reason` is a counter's name, and the message has the fix."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
@@ -47,7 +47,7 @@ class Mounts:
             self._tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
 
     def of(self, frame: str) -> Mount:
-        """The mount of the sensor with that frame. Raises MountError where there is none, or not yet."""
+        """The mount of the sensor with that frame. Raises MountError if there is none yet."""
         if not self._from_tf:
             return np.zeros(3), False
         if frame not in self._known:

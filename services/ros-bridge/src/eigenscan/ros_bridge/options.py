@@ -12,7 +12,7 @@ from eigenscan.schemas.group import is_one
 from pydantic import Field, field_validator, model_validator
 
 ROUTER = "tcp/localhost:7447"
-"""Where rmw_zenohd and zenoh-bridge-ros2dds listen."""
+"""Default address of rmw_zenohd and zenoh-bridge-ros2dds."""
 
 
 class _Process(ServiceSettings):

@@ -1,4 +1,4 @@
-"""From the contract's messages to ROS 2's, as AMCL and a map_server say them."""
+"""Converts the contract's messages to ROS 2's, as AMCL and a map_server publish them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def particle_cloud(tracks: Tracks) -> bytes:
 
 
 def occupancy_grid(grid: Grid) -> bytes:
-    """OccupancyGrid of a map. Raises MapError where the grid is none of the contract's."""
+    """OccupancyGrid of a map. Raises MapError if the grid is not the contract's."""
     area = from_message(grid)
     # unknown is -1 in ROS; the other values are the same
     cells = np.where(area.cells == UNKNOWN, -1, area.cells.astype(np.int16)).astype(np.int8)

@@ -1,7 +1,7 @@
-"""What ROS 2's parameter services tell of the bridge: its settings, to be read and not to be set.
+"""Answers ROS 2's parameter services with the bridge's settings, read-only.
 
-`ros2 param list`, `get`, `describe` and `dump` ask for them, and a parameter client waits until all five
-services are there.
+`ros2 param list`, `get`, `describe` and `dump` use them. A parameter client waits until all five services
+exist.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Parameters:
 
     @classmethod
     def of_amcl(cls, settings: RosBridgeSettings) -> Parameters:
-        """Those that AMCL has as well, by AMCL's names."""
+        """The settings that AMCL has too, by AMCL's names."""
         parameters = {name: _parameter(settings, ours) for name, ours in AMCL_NAMES.items()}
         first_scan = _Parameter(settings.scan[0], _about(settings, "scan"))
         return cls(parameters | {"scan_topic": first_scan})

@@ -21,7 +21,7 @@ from eigenscan.schemas.wire import encode, encoding
 from google.protobuf.wrappers_pb2 import BytesValue
 
 HEARTBEAT_S = 1.0
-"""After what is said once on a transient local topic: who lost it asks again."""
+"""Interval of heartbeats on transient local topics, by which a subscriber notices a lost message, s."""
 PATIENT_REQUESTS = 64
 """More than these at a time to one service are not waited for."""
 
@@ -79,7 +79,7 @@ class RosPort:
 
 
 class _Publisher:
-    """One topic that is said; a late joiner of a transient local one gets the last message."""
+    """One published topic; a late subscriber of a transient local one gets the last message."""
 
     def __init__(self, session: zenoh.Session, dialect: Dialect, endpoint: Endpoint) -> None:
         self._dialect, self._endpoint = dialect, endpoint
@@ -148,7 +148,7 @@ class _Service:
         if query is None:
             return
         beside = query.attachment.to_bytes() if query.attachment else b""
-        with query, contextlib.suppress(zenoh.ZError):  # who asked is gone
+        with query, contextlib.suppress(zenoh.ZError):  # the asker is gone
             if response:
                 attachment = self._dialect.reply_attachment(beside, time.time_ns())
                 query.reply(self._key, response, attachment=attachment)

@@ -17,7 +17,7 @@ _ATTACHMENT = struct.Struct("<qqB16s")  # number, ns, length of the id, id
 _ID_LENGTH = 16
 _DEFAULT_DEPTH = 42
 _NO_HASH = "TypeHashNotSupported"
-"""In ROS 2 Humble, which came before the hashes."""
+"""The hash in ROS 2 Humble, which has none."""
 
 
 class RmwZenoh:

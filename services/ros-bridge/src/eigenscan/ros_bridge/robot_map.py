@@ -1,4 +1,4 @@
-"""The map that a robot already has: a map_server's, or what its SLAM has made so far."""
+"""Takes the robot's own map, from a map_server or from SLAM."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
 
 
 def take_map(settings: RosBridgeOptions, patience_s: float) -> GridMap:
-    """The robot's OccupancyGrid, waited for at most so long.
+    """The robot's OccupancyGrid; waits at most `patience_s` for it.
 
-    Raises MapError where none comes, or it is none; ContractError where no session opens.
+    Raises MapError if none arrives or it is invalid; ContractError if no session opens.
     """
     name = qualified(settings.namespace, settings.map)
     endpoint = Endpoint(name, cdr.OCCUPANCY_GRID, Role.SUBSCRIPTION, Qos(1, transient_local=True))

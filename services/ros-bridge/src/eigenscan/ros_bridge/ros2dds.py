@@ -1,7 +1,7 @@
-"""The dialect of zenoh-bridge-ros2dds, beside a robot whose ROS 2 speaks a DDS.
+"""The dialect of zenoh-bridge-ros2dds, for a robot whose ROS 2 uses DDS.
 
-A message's key is its topic, and nothing travels beside it. The bridge takes liveliness tokens as those of
-another bridge: it then shows the topics to ROS before anything is said on them.
+A message's key is its topic, without an attachment. The bridge takes our liveliness tokens for those of
+another bridge, so it shows the topics to ROS before the first message.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class Ros2Dds:
         return
 
     def reply_attachment(self, _request: bytes, _time: int) -> None:
-        """Nothing: the bridge itself remembers who asked."""
+        """None: the bridge itself remembers the asker."""
         return
 
 
 def qos_chunk(qos: Qos, kind_hash: str) -> str:
-    """No key; reliability, durability, history and depth by DDS's numbers, where they are not DDS's defaults.
+    """No key; reliability, durability, history and depth by DDS's numbers, unless they are DDS's defaults.
 
     Then user data, as ROS 2 writes it.
     """

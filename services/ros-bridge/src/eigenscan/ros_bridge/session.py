@@ -21,10 +21,10 @@ _THIS_MACHINE = ("localhost", "127.0.0.1", "[::1]")
 def subscribe(
     session: zenoh.Session, key: str, endpoint: Endpoint, on_sample: Callable[[zenoh.Sample], None]
 ) -> Any:
-    """Subscriber of a topic; of a transient local one also receives what was published before it came."""
-    # in the session's own thread: a thread's turn less
+    """Subscriber of a topic; on a transient local one it also receives earlier messages."""
+    # in the session's own thread, which saves a thread switch
     received = zenoh.handlers.Callback(on_sample, indirect=False)
-    # on /tf its own messages would come back
+    # on /tf, its own messages would return
     remote = zenoh.Locality.REMOTE
     if not endpoint.qos.transient_local:
         return session.declare_subscriber(key, received, allowed_origin=remote)
@@ -40,7 +40,7 @@ def subscribe(
 
 
 def dialect_of(settings: RosBridgeOptions, session: zenoh.Session) -> Dialect:
-    """How the robot speaks, for what is declared on `session`."""
+    """The robot's dialect, for declarations on `session`."""
     zid = str(session.zid())
     if settings.dialect == "ros2dds":
         return Ros2Dds(zid)
@@ -49,9 +49,10 @@ def dialect_of(settings: RosBridgeOptions, session: zenoh.Session) -> Dialect:
 
 
 def open_towards_ros(settings: RosBridgeOptions, patience_s: float | None = None) -> zenoh.Session:
-    """A peer of the ROS nodes on this machine; the client of a router that is on another.
+    """A peer of the ROS nodes on this machine, or the client of a router on another one.
 
-    That router is waited for, for ever unless a patience is given. Raises ContractError where none opens.
+    It waits for that router, without end if there is no `patience_s`. Raises ContractError if no session
+    opens.
     """
     if settings.ros_zenoh:
         return open_session(settings.ros_zenoh)

@@ -1,4 +1,4 @@
-"""What ros-bridge's answers depend on, besides its inputs."""
+"""Settings that may change ros-bridge's answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The core: raw scans in, canonical scans out, what cannot be used is counted by reason."""
+"""The core: converts raw scans to canonical scans, and counts rejected ones by reason."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ FARTHEST_MOUNT = 100.0
 """m of a lidar from its robot's base, at most: no robot is as large."""
 RECENT = 50
 GAP_NS = 1_000_000_000
-"""Between two scans: the lidar paused, or its clock was set forward; its stamps do not tell which."""
+"""Time between two scans, ns, beyond which the lidar paused, or its clock was set forward; stamps do not show
+which."""
 NAMED = 5
-"""Of a lidar's latest RECENT scans so many that are covered or late tell of a fault, not of a moment."""
+"""Number of covered or late scans among a lidar's latest RECENT that shows a fault."""
 
 
 @dataclass
 class _Lidar:
-    """What is remembered of one lidar of one robot."""
+    """State of one lidar of one robot."""
 
     newest: int | None = None  # ns, stamp of the last scan published
     late: int = 0  # scans in a row that lie before it
@@ -42,7 +43,7 @@ class _Lidar:
 
     @property
     def fault(self) -> str:
-        """What is wrong with it, in words that follow its name; empty: nothing."""
+        """Its fault, as words after its name; empty if there is none."""
         repeats, recent = self.watch.repeats, list(self.recent)
         if repeats + 1 >= FROZEN:
             return f"frozen: {repeats + 1} identical scans (or a simulated robot without noise stands)"
@@ -100,7 +101,7 @@ class ScanIngestCore:
         return ()
 
     def condition(self) -> Condition:
-        """DEGRADED where a lidar is frozen, covered or not one alone, or most scans were set aside."""
+        """DEGRADED if a lidar is frozen, covered or duplicated, or if most scans were rejected."""
         counters = dict(self._counts)
         if not self._recent:
             return Condition(Health.STATUS_WAITING, "no scan received yet", counters)
@@ -210,7 +211,7 @@ class ScanIngestCore:
         return raw.mount, raw.upside_down
 
     def _limits(self, raw: RawScan) -> tuple[float, float]:
-        """Both limits, m, by the settings where they say so. Raises ScanError."""
+        """Both limits, m; the settings win over the scan's. Raises ScanError."""
         settings = self._settings
         low = raw.range_min if settings.range_min is None else settings.range_min
         high = raw.range_max if settings.range_max is None else settings.range_max

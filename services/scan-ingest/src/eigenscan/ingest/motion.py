@@ -39,9 +39,10 @@ LEAST_POINTS = 15
 LEAST_SUPPORT = 0.08
 """Share of the points that must fix a direction: fewer, at the ends of a hallway, slide along with it."""
 SHIFTS = np.array([-0.3, -0.15, 0.15, 0.3])
-"""m along the direction that is fixed worst, from which the scan is laid once more: what a robot drives."""
+"""m along the worst determined direction, from which the match starts again: what a robot drives meanwhile.
+"""
 APART_M, AS_WELL = 0.05, 0.04
-"""Two motions so far apart along it are two; so much of the beams tells which of them it was."""
+"""Distance along it, m, from which two motions differ, and the share of beams that decides between them."""
 FITS = 0.4
 """Share of the later scan that the earlier one has to explain."""
 ON_LINE = 0.06
@@ -85,7 +86,7 @@ class Motion:
 
     @property
     def covariance(self) -> Array:
-        """(3, 3) in m^2, m rad, rad^2; a metre or a radian where the scans show nothing."""
+        """(3, 3) in m^2, m rad, rad^2; a metre or a radian where the scans determine nothing."""
         return np.asarray(np.linalg.inv(self.information + np.eye(3)), dtype=np.float64)
 
 
@@ -93,7 +94,7 @@ NOTHING_IN_COMMON = Motion((0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0)
 
 
 def points_of(ranges: Array, angle_min: float, step: float, mount: Pose, stamp: int) -> Points:
-    """The beams of a canonical scan, whose missing ranges are NaN or infinite."""
+    """The end points of a canonical scan's beams, without missing ranges (NaN or infinite)."""
     ranged = np.isfinite(ranges)
     ranges = np.where(ranged, ranges, np.nan)
     angles = angle_min + step * np.arange(len(ranges)) + mount[2]
@@ -116,7 +117,7 @@ def points_of(ranges: Array, angle_min: float, step: float, mount: Pose, stamp: 
 
 
 def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
-    """Motion from an earlier scan of a lidar to a later one; `guess` is tried beside what the ranges say."""
+    """Motion from a lidar's earlier scan to a later one; starts from `guess` and from the ranges' turn."""
     if before.ranges.shape != after.ranges.shape or abs(before.angle_min - after.angle_min) > before.step:
         return NOTHING_IN_COMMON
     chosen = np.flatnonzero(after.ranged)
@@ -130,10 +131,10 @@ def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
 
 
 def _held_along(before: Points, points: Array, found: Motion) -> Motion:
-    """The motion, or one further along that fits better; without what two that fit alike differ by.
+    """The motion, or one further along that fits better; if two fit alike, their difference is undetermined.
 
-    In a hallway walls fit wherever one is along it, and few beams tell how far one came: also a wrong motion
-    is then a minimum that the fit does not leave.
+    In a hallway, walls fit at any distance along it, and few beams show the distance. The fit then does not
+    leave a wrong minimum.
     """
     x, y = np.linalg.eigh(found.information[:2, :2])[1][:, 0].tolist()
     tried = [found, *_lay(before, points, np.array(found.delta) + SHIFTS[:, None] * np.array([x, y, 0.0]))]
@@ -163,7 +164,7 @@ def _first_turn(before: Points, after: Points) -> float:
     known = inside & np.isfinite(off)
     alike = known.sum(axis=1)
     cost = np.where(known, np.minimum(off, FAR_OFF), 0.0).sum(axis=1) / np.maximum(alike, 1)
-    # of turns that are as good the smallest, and none that few beams speak for
+    # of equally good turns the smallest, and none with little support by beams
     cost = np.where(2 * alike >= alike.max(), cost + 1e-3 * np.abs(shifts) * before.step, inf)
     return float(shifts[int(np.argmin(cost))]) * before.step
 
@@ -194,14 +195,14 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         used = visible & (distance2.take(nearest) <= reach**2)
         line = near.take(nearest)
         normal_x, normal_y = before.normals[:, 0].take(line), before.normals[:, 1].take(line)
-        # of a beam without a line the normal is zero, and so is how far off it is
+        # the normal and the error of a beam without a line are zero
         off = -(normal_x * (before.xy[:, 0].take(line) - x) + normal_y * (before.xy[:, 1].take(line) - y))
         weight = np.where(used, 1.0 / (1.0 + (off / (2.0 * NOISE)) ** 2), 0.0)
         rows[..., 0], rows[..., 1] = normal_x, normal_y
         rows[..., 2] = normal_y * turned_x - normal_x * turned_y
         weighted = rows * weight[..., None]
         information = np.einsum("kni,knj->kij", rows, weighted)
-        # where the scans show nothing the motion stays as it was
+        # where the scans determine nothing, the motion stays
         pull = np.einsum("kni,kn->ki", weighted, off)
         step = np.linalg.solve(information + 0.1 * np.eye(3), -pull[..., None])[..., 0]
         moved += step
@@ -219,7 +220,7 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
 
 
 def _supported(information: Array, points: int) -> Array:
-    """The information without what too few of the points say of a direction."""
+    """The information without directions that too few points support."""
     values, directions = np.linalg.eigh(information[:2, :2])
     kept = np.eye(3)
     for value, direction in zip(values, directions.T, strict=True):

@@ -1,4 +1,4 @@
-"""What scan-ingest's answers depend on, besides what it receives."""
+"""Settings that may change scan-ingest's answers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ EVERY_LIDAR = "*"
 
 
 class Mount(BaseModel):
-    """Where a lidar sits on its robot."""
+    """Mount of a lidar on its robot."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 Ranges = NDArray[np.float32]
 
 MATCH_EVERY_NS, PERIODS = 150_000_000, 20
-"""Between two scans that are laid on each other, on the mean of so many: robots move little in less.
+"""Time between two compared scans, on the mean of PERIODS: a robot moves little meanwhile.
 
-On the mean, for a driver may publish several scans of the past seconds at once.
+The mean counts, because a driver may publish several scans at once.
 """
 STEP_M, STEP_RAD, STEP_NS = 0.15, 0.12, 600_000_000
-"""After this much motion or time it is told: several times what a match errs by.
+"""Motion or time after which it is published: several times the error of a match.
 
 That is 5 cm and 0.06 rad at most in 99 of 100 on jarvis and intel.
 """
@@ -26,16 +26,17 @@ LONGEST_NS = 5_000_000_000
 FROZEN = 20
 """Identical scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
 ONE_VALUE_M = 0.1
-"""Spread of the middle nine tenths of the ranges below which all beams say one value: nothing looks like it
-but a cover, or a round room whose centre the robot stands in."""
+"""Spread of the middle nine tenths of the ranges, m, below which all beams have one value: only a cover does,
+or a round room with the robot at its centre."""
 LEAST_BEAMS, LEAST_SPAN = 10, np.pi / 2.0
 """Fewer beams, or a narrower sector (rad), may well see one value."""
 LAYOUTS, ALTERNATIONS = 20, 4
-"""So many times among the last scans the layout went back to the one before: two lidars say them."""
+"""Number of times among the last scans that the layout returned to the one before: two lidars publish them.
+"""
 
 
 class Watch:
-    """What scans of one lidar say of each other."""
+    """Compares the scans of one lidar with each other."""
 
     def __init__(self) -> None:
         self.repeats = 0
@@ -47,7 +48,7 @@ class Watch:
         self._skipped = 0
         self._compared = 0
         self.longest_step = 0.0
-        """s, longest between two scans that were compared, of what was told last."""
+        """Longest time between two compared scans of the last published motion, s."""
         self._velocity: Pose = (0.0, 0.0, 0.0)
         self._layouts: deque[tuple[float, ...]] = deque(maxlen=LAYOUTS)
 
@@ -59,15 +60,15 @@ class Watch:
         return back >= ALTERNATIONS
 
     def receive_layout(self, mount: Pose, angle_min: float) -> None:
-        """Notes where the beams of a raw scan start."""
+        """Records the layout of a raw scan's beams."""
         self._layouts.append((*(round(value, 3) for value in mount), round(angle_min, 1)))
 
     def receive(
         self, stamp: int, ranges: Ranges, angle_min: float, step: float, mount: Pose
     ) -> tuple[int, Motion | None] | None:
-        """What a canonical scan tells: since when, ns, and the motion since then.
+        """Handles a canonical scan; returns the start of an interval, ns, and the motion since then.
 
-        None where it is too early to decide; no motion where the scan repeats the one before.
+        None if it is too early; no motion if the scan repeats the one before.
         """
         last, self._last = self._last, ranges
         if last is not None and np.array_equal(last, ranges, equal_nan=True):
@@ -113,7 +114,7 @@ class Watch:
 
 
 def one_value(ranges: Ranges, step: float) -> bool:
-    """Whether all beams of a canonical scan, `step` rad apart, say one value: a covered lidar."""
+    """Whether all beams of a canonical scan, `step` rad apart, have one value: a covered lidar."""
     if len(ranges) * step < LEAST_SPAN:
         return False
     known = ranges[np.isfinite(ranges)]

@@ -1,1 +1,1 @@
-"""A robot's pose for fleet managers that speak VDA 5050, and their word of where it is."""
+"""Publishes a robot's pose to fleet managers by VDA 5050, and accepts their relocations."""

@@ -18,7 +18,7 @@ SET_POSITION = ("initPosition", "initializePosition")
 """Its name in version 2 and in version 3; both are taken."""
 STATE_REQUEST, FACTSHEET_REQUEST = "stateRequest", "factsheetRequest"
 KEPT = 32
-"""Actions whose end is told in the state; the oldest goes first."""
+"""Finished actions that the state lists; the oldest are dropped first."""
 NEAR_M, NEAR_RAD = 1.0, math.radians(30.0)
 """A pose that is claimed so near to the one that was set confirms it: clicks are as far off."""
 SETTLED_TICKS = 2
@@ -26,7 +26,7 @@ SETTLED_TICKS = 2
 
 
 class MessageError(ValueError):
-    """A message from the broker that is none of the standard; it names the field."""
+    """An invalid message from the broker; the text names the field."""
 
 
 @dataclass
@@ -102,7 +102,7 @@ class Actions:
 
 
 def read_message(data: bytes, major: int, manufacturer: str, serial: str) -> dict[str, Any]:
-    """The JSON object of a message for this robot. Raises MessageError naming what is wrong."""
+    """The JSON object of a message for this robot. Raises MessageError that names the fault."""
     try:
         published = json.loads(data, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:

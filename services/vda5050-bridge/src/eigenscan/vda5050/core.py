@@ -50,11 +50,11 @@ from eigenscan.vda5050.settings import Vda5050Settings
 from google.protobuf.wrappers_pb2 import BytesValue
 
 MOVING_M, MOVING_RAD, OVER_NS = 0.05, 0.05, 500_000_000
-"""A robot drives that moves so far, m or rad, in a second; poses are compared over so long, ns."""
+"""A robot drives if it moves this far, m or rad, in a second; poses this many ns apart are compared."""
 
 
 class Vda5050Core:
-    """One robot's bridge. What it publishes lacks `timestamp`: its shell has a clock."""
+    """The bridge of one robot. Its messages lack `timestamp`, because only the shell has a clock."""
 
     inputs: tuple[Channel, ...] = (MQTT_RECEIVED, POSE, MODEL_SET, HEALTH, TICK)
     outputs: tuple[Channel, ...] = (MQTT_PUBLISHED, RELOCATION)
@@ -84,7 +84,7 @@ class Vda5050Core:
         self._counts: Counter[str] = Counter()
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing is said before there is a broker."""
+        """Publishes nothing before a broker is connected."""
         return ()
 
     def finish(self) -> Iterable[Envelope]:
@@ -170,7 +170,7 @@ class Vda5050Core:
         if topic == BROKER:
             self._broker = data.decode()
             if not self._broker:
-                self._last_state = {}  # who listens now knows nothing
+                self._last_state = {}  # a new subscriber knows nothing
                 yield from self._publish_factsheet()
             return
         if self._settings.only_visualization:
@@ -242,7 +242,7 @@ class Vda5050Core:
         yield Envelope(RELOCATION, self._address, word)
 
     def _refuse(self, kind: str, words: str, **references: str) -> None:
-        """Told in the state until a message is taken."""
+        """Reports the error in the state until a message is accepted."""
         self._refusal = messages.error(kind, "WARNING", words, **references)
 
     def _visualization(self) -> Iterator[Envelope]:

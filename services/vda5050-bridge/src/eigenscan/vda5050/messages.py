@@ -15,7 +15,7 @@ UNKNOWN = "battery, loads, safety, orders: not known to the localizer"
 
 @dataclass
 class Situation:
-    """All that a state tells."""
+    """The content of a state."""
 
     position: dict[str, Any] | None = None
     driving: bool = False
@@ -81,7 +81,7 @@ def position_field(settings: Vda5050Settings) -> str:
 
 
 def factsheet(settings: Vda5050Settings) -> dict[str, Any]:
-    """The topic factsheet: what the bridge does; sizes and loads are the settings' to say."""
+    """The topic factsheet: the bridge's abilities; sizes and loads come from the settings."""
     fields = _factsheet_2() if settings.major == 2 else _factsheet_3()
     for name, given in settings.factsheet.items():
         own = fields.get(name)

@@ -35,7 +35,7 @@ class Vda5050Options(Vda5050Settings, ServiceSettings):
 
     @property
     def topics(self) -> str:
-        """What all topics begin with."""
+        """Begin of all topics."""
         interface = self.interface or {2: "uagv/v2", 3: "vda5050/v3"}[self.major]
         return f"{interface}/{self.manufacturer}/{self.serial}"
 

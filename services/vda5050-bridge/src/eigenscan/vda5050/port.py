@@ -1,4 +1,4 @@
-"""The bridge's connection to the MQTT broker: kept up, with a last will; the clock of what is published."""
+"""The bridge's connection to the MQTT broker: reconnects, sets a last will, and stamps messages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ KEEP_ALIVE_S = 15
 RECONNECT_S = (1, 10)
 """First and longest wait before it connects again."""
 MOST_BYTES = 262_144
-"""Of a message that is taken."""
+"""Largest message that is read."""
 CLOSE_S = 0.5
 
 
@@ -74,7 +74,7 @@ class MqttPort:
             self._client.publish(self._topic(topic), json.dumps(body), qos=0, retain=topic == FACTSHEET)
 
     def close(self) -> None:
-        """Says that it goes, and goes."""
+        """Publishes the end and disconnects."""
         if self._client.is_connected() and not self._options.only_visualization:
             last = self._client.publish(
                 self._topic(CONNECTION), self._connection("OFFLINE"), qos=1, retain=True
@@ -127,7 +127,7 @@ class MqttPort:
 
     def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         topic = message.topic.rpartition("/")[2]
-        # longer than any action: the core refuses what is cut off
+        # longer than any action: the core refuses a cut message
         self._put(topic, bytes(message.payload[:MOST_BYTES]))
 
 

@@ -1,4 +1,4 @@
-"""Where the robot is, in the standard's words: its map, its position there, and how far that may be off."""
+"""The robot's position in the standard's terms: its map, its position there, and the deviation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 USUAL_RISK = 1e-3
-"""With which a deviation range may be exceeded where the tracker states no protection level."""
+"""Risk of the deviation range if the tracker has no protection level."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Maps:
     floors: Mapping[str, Array] = field(default_factory=dict)
 
     def with_models(self, message: ModelSet) -> Maps:
-        """Those of a new model set; floors whose origin is none are left out."""
+        """The maps of a new model set, without floors whose origin is invalid."""
         floors = {floor.name: from_message(floor.origin) for floor in message.floors if floor.name}
         usable = {name: origin for name, origin in floors.items() if np.isfinite(origin).all()}
         return Maps(self.own, message.frame_id, usable)
@@ -35,7 +35,7 @@ class Maps:
         return list(self.floors) or [self.own]
 
     def to_site(self, map_id: str, pose: Array) -> Array:
-        """A pose (3,) on a map in the site's frame. Raises KeyError where there is no such map."""
+        """A pose (3,) on a map, in the site's frame. Raises KeyError for an unknown map."""
         if not self.floors and map_id == self.own:
             return pose
         return compose(self.floors[map_id], pose)
@@ -48,12 +48,12 @@ def is_finite(estimate: PoseEstimate) -> bool:
 
 
 def claims(estimate: PoseEstimate | None) -> bool:
-    """Whether a tracker says to act on it."""
+    """Whether the tracker claims the pose."""
     return estimate is not None and estimate.state == STATE_LOCALIZED
 
 
 def position(estimate: PoseEstimate | None, maps: Maps, localized: bool, major: int) -> dict[str, Any] | None:
-    """AgvPosition (version 2) or mobileRobotPosition (3); None where no pose is known."""
+    """AgvPosition (version 2) or mobileRobotPosition (3); None if no pose is known."""
     if estimate is None or not estimate.track_id:
         return None
     if maps.floors and not estimate.floor:  # on none of the maps
@@ -75,7 +75,7 @@ def position(estimate: PoseEstimate | None, maps: Maps, localized: bool, major: 
 
 
 def deviation_range(estimate: PoseEstimate) -> float | None:
-    """m: the protection radius where there is one, or what the covariance allows; None: not known.
+    """m: the protection radius, or else a bound from the covariance; None if unknown.
 
     The true position is farther off with at most the protection level's risk r: for a normal distribution
     P(|d| > R) <= exp(-R^2 / (2 s^2)), where s is the greatest standard deviation.

@@ -1,4 +1,4 @@
-"""What the bridge's answers depend on, besides its inputs."""
+"""Settings that may change the bridge's answers."""
 
 from __future__ import annotations
 

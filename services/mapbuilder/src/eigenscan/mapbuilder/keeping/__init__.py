@@ -1,1 +1,1 @@
-"""Keeping the map true (paper, section 8): what robots see, visit after visit, becomes a new version."""
+"""Keeps the map true (paper, section 8): changes that robots see in several visits become a new version."""

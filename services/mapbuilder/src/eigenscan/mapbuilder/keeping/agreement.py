@@ -1,4 +1,4 @@
-"""How well a view agrees with the map: a robot that disagrees much is not where it claims to be."""
+"""Measures how well a view agrees with the map: much disagreement shows a wrong pose."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Agreement:
         self._near = binary_dilation(grid.cells == OCCUPIED, row**2 + column**2 <= reach**2)
 
     def contradicts(self, view: View) -> NDArray[np.bool_]:
-        """Which beams (B,) went through a wall, even if the pose is a little off: no beam that grazes one."""
+        """Which beams (B,) went through a wall, also for a slightly wrong pose; no grazing beams."""
         poses = np.repeat(view.pose[None], len(ASIDE), axis=0)
         poses[:, :2] += ASIDE
         predicted = self._caster.cast(poses, view.bearings, view.ranges)
         return np.asarray((predicted < view.ranges - 2 * MARGIN).all(axis=0))
 
     def share(self, view: View) -> float:
-        """Share of the beams that end at the wall that the map predicts; 0 where there is no beam."""
+        """Share of the beams that end at the predicted wall; 0 without any beam."""
         if not len(view.ranges):
             return 0.0
         predicted = self._caster.cast(view.pose, view.bearings, view.ranges + 2 * LONGEST_ERROR)[0]

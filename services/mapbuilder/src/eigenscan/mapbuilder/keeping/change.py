@@ -1,4 +1,4 @@
-"""From the visits' word to a changed map: what is lasting, and no wall that was mapped a little off."""
+"""Derives a changed map from the visits: lasting changes only, and no wall that is mapped slightly off."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_propagation, find_objects, label
 
 TOLERANCE = 0.15
-"""m from a mapped wall within which what is struck is that wall."""
+"""Distance from a mapped wall, m, within which a hit belongs to that wall."""
 SMALLEST = 0.2
 """m, the longer side of the smallest thing that is a change."""
 NEAR = 0.5
 """m between pieces of one thing, for people."""
 DEEPEST = 1.0
-"""m beyond what was removed that unknown ground is opened: the inside of a cabinet, not the next building."""
+"""Depth of unknown space behind a removed wall that becomes free, m: the inside of a cabinet, not the next
+building."""
 POCKET_M2 = 2.0
 """Free ground that a new thing cuts off is its inside up to this area, and a room beyond."""
 _EIGHT = np.ones((3, 3), dtype=bool)
@@ -59,17 +60,17 @@ class Change:
 
 
 def find_change(grid: GridMap, run: NDArray[np.int8], visits: int) -> Change:
-    """What `visits` visits in a row say otherwise than the map, and half as many of the cells beside.
+    """Cells that `visits` visits in a row see unlike the map, and neighbours with half as many.
 
     `run` (H, W) as in Evidence.
     """
     cells, half = grid.cells, max(1, visits // 2)
     reach = max(1, round(TOLERANCE / grid.resolution))
     wall, free = cells == OCCUPIED, cells == FREE
-    # from its face inwards: what lies behind a face that stands is crossed by beams that graze it
+    # from its face inwards: beams that graze a remaining face cross the cells behind it
     face = wall & _grown(free, 1)
     gone = _things(face & (run <= -visits), wall & (run <= -half), grid.resolution)
-    # its rim at a wall that stays, where a beam's end is too near to prove anything
+    # its rim at a remaining wall, where a beam's end is too near to prove anything
     gone = _grown(gone, reach, wall & (run <= 0))
     near = _grown(wall & ~gone, reach)
     new = _things(free & ~near & (run >= visits), free & ~near & (run >= half), grid.resolution)

@@ -1,4 +1,4 @@
-"""The site's memory of what its robots saw, and the changes that follow from it."""
+"""Collects the evidence of a site's robots, and detects changes from it."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
 
 class ChangeDetector:
-    """Receives scans and poses of all robots of a site; reports what has changed at the end of a visit."""
+    """Receives scans and poses of all robots of a site; returns the changes at the end of a visit."""
 
     def __init__(self, grid: GridMap, evidence: Evidence, visits: int, frame_id: str = "map") -> None:
         self.evidence = evidence
         self.counts: Counter[str] = Counter()
         self._visits, self._frame_id = visits, frame_id
         self._observers: RecentlyUsed[str, dict[str, TrustedObserver]] = RecentlyUsed()
-        """By robot, then lidar."""
+        """By robot, then by lidar."""
         self.trust(grid)
 
     def trust(self, grid: GridMap) -> None:
-        """Goes by this map from now on. It must have the cells of the one before."""
+        """Uses this map from now on. It must have the same cells as the one before."""
         self._grid, self._agreement = grid, Agreement(grid)
 
     def fits(self, grid: GridMap) -> bool:
-        """Whether a map has the same cells, whatever is in them."""
+        """Whether a map has the same cells, with any content."""
         own = self._grid
         same = grid.cells.shape == own.cells.shape and grid.resolution == own.resolution
         return same and bool(np.array_equal(grid.origin, own.origin))

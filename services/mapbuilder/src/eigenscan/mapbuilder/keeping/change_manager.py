@@ -1,7 +1,6 @@
-"""The mapbuilder over a model folder: it publishes what came into use there, and keeps what the robots saw.
+"""The mapbuilder over a model folder: it publishes the folder's models and keeps the robots' evidence.
 
-The disk is of the shell, as is when it is looked at; what is seen, what changed and what follows from it are
-decided without it.
+Only this part uses the disk; the evidence and its changes are computed without it.
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ if TYPE_CHECKING:
     from eigenscan.mapbuilder.keeping.change_detector import ChangeDetector
 
 SAVE_EVERY = 200
-"""Views between two savings of a running visit: what a killed process loses."""
+"""Views between two saves of a running visit, which a killed process loses."""
 
 
 class ChangeManager:
-    """Publishes the models of a folder and keeps them true; what cannot be written beside is only published.
+    """Publishes the models of a folder and keeps them true; in a read-only folder it only publishes.
 
-    With a `source` the folder is made of that map first, where that is due. Once another version is put in
-    use by hand, it only proposes.
+    With a `source`, it first builds the folder from that map, if necessary. After an operator has selected
+    another version, it only proposes.
     """
 
     outputs: tuple[Channel, ...] = MapbuilderCore.outputs
@@ -46,9 +45,9 @@ class ChangeManager:
         site: str = DEFAULT_SITE,
         source: Source | None = None,
     ) -> None:
-        """`site` is the first chunk of the keys that it speaks on.
+        """`site`: the first chunk of its keys.
 
-        Raises ModelError where the folder cannot be read and there is no source.
+        Raises ModelError if the folder cannot be read and there is no source.
         """
         self._store, self._settings, self._site_name, self._source = store, settings, site, source
         self._core: MapbuilderCore | None = None
@@ -66,14 +65,14 @@ class ChangeManager:
         self._detector: ChangeDetector | None = None
 
     def start(self) -> Iterator[Envelope]:
-        """The map and the models in use. Raises ModelError where they cannot be read or made."""
+        """Publishes the map and the models in use. Raises ModelError if they cannot be read or built."""
         core = self._core or self._make(self._source)
         yield from core.start()
         if self._keeps:
             self._detector = self._adopt(self._site)
 
     def handle(self, received: Envelope) -> Iterator[Envelope]:
-        """Publishes what has come into use since; of a scan or a pose, what the robots' visits made of it."""
+        """Publishes models that have come into use; handles scans and poses as evidence."""
         if received.channel is TICK:
             yield from self._follow()
         elif received.channel in MapbuilderCore.inputs:
@@ -83,13 +82,13 @@ class ChangeManager:
             self._receive(self._detector, received)
 
     def finish(self) -> tuple[Envelope, ...]:
-        """Nothing is held back; what was seen is put on disk."""
+        """Publishes nothing; writes the evidence to disk."""
         if self._detector is not None:
             self._save(self._detector)
         return ()
 
     def condition(self) -> Condition:
-        """OK once all models are published, and what is proposed; degraded where the store cannot be used."""
+        """OK once all models are published, with the proposal; DEGRADED if the store cannot be used."""
         if self._core is None:
             return Condition(Health.STATUS_WAITING, "building models")
         own = self._core.condition()
@@ -110,7 +109,7 @@ class ChangeManager:
         return self._core
 
     def _make(self, source: Source | None) -> MapbuilderCore:
-        """Makes the folder of its map where that is due, or what is there cannot be read."""
+        """Builds the folder from its map if necessary, or if it cannot be read."""
         assert source is not None  # without one it was opened at once
         if not source.is_due(self._store.folder):
             try:
@@ -121,7 +120,7 @@ class ChangeManager:
         return self._open()
 
     def _follow(self) -> Iterator[Envelope]:
-        """The models in use in the store, where they are others than those that were published."""
+        """Publishes the store's models in use if they have changed."""
         try:
             site = self._store.renewed()
         except ModelError as error:
@@ -165,7 +164,7 @@ class ChangeManager:
 
     def _adopt(self, site: SiteModel) -> ChangeDetector:
         from eigenscan.mapbuilder.keeping.change_detector import (
-            ChangeDetector,  # half of its start is for who keeps a map
+            ChangeDetector,  # half of the start time, needed only to keep a map
         )
 
         self._site, self._saved = site, 0
@@ -183,7 +182,7 @@ class ChangeManager:
                 self._counts["changes_published"] += 1
 
     def _propose(self, change: Change) -> None:
-        from eigenscan.mapbuilder.keeping.proposal import Proposal  # what builds and draws: when it is needed
+        from eigenscan.mapbuilder.keeping.proposal import Proposal  # builds and draws: imported when needed
 
         proposal = Proposal.of(self._site, change, self._settings)
         self._store.propose(proposal.site, proposal.about, proposal.picture)

@@ -1,4 +1,4 @@
-"""Where a robot reports that it is, and whether that goes on from where it was sure to be."""
+"""A robot's claimed pose, and whether it continues from a sure one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Pose = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Claim:
-    """A base pose in the map, and the same by odometry where there is one."""
+    """A base pose in the map, and in the odometry frame if there is one."""
 
     stamp: int
     base: Pose
@@ -41,7 +41,7 @@ class Claim:
 
     @classmethod
     def of(cls, pose: PoseEstimate) -> Claim | None:
-        """The claim of a tracker; None where its numbers make no sense."""
+        """The claim of a tracker's pose; None for invalid numbers."""
         base, frame = _of(pose.pose), _of(pose.map_to_odom) if pose.has_odometry else None
         if not all(map(math.isfinite, (*base, *(frame or ())))):
             return None
@@ -59,7 +59,7 @@ class Claim:
         return _between(self.odometry, other.odometry)
 
     def leads_to(self, other: Claim) -> bool:
-        """Whether the robot can have come from here to where it claims to be there."""
+        """Whether the robot can have come from here to the other claim."""
         passed = other.stamp - self.stamp
         if not 0 <= passed <= FARTHEST_NS:
             return False

@@ -1,4 +1,4 @@
-"""What the visits say of each cell: the memory from which a lasting change is told from a passer-by."""
+"""Evidence of the visits for each cell, which distinguishes a lasting change from a passer-by."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 VIEWS = 3
-"""Views, from places that differ, that a visit must have of a cell to say anything of it."""
+"""Views from different places that a visit needs of a cell."""
 BESIDE = 0.1
 """m that a beam's end may be off."""
 MOST = 255
 LONGEST = 100
-"""Visits that are counted; more say no more."""
+"""Largest number of visits that counts."""
 DAY_NS = 86_400 * 1_000_000_000
 
 
@@ -24,11 +24,10 @@ DAY_NS = 86_400 * 1_000_000_000
 class Evidence:
     """Counts (H, W) on a map's cells.
 
-    A visit is a stretch of time of a fixed length: however many robots come by in it, and however often, it
-    counts once. So what stands for less than n - 2 such lengths can never be seen by n visits.
-
-    `run` int8: consecutive visits that say the same, above 0 occupied, below 0 seen through. `struck` and
-    `crossed` uint8: views of the running visit. `visit`: its number, from the epoch; -1: none yet.
+    A visit is a stretch of time of a fixed length: all robots and scans in it count once. So an object that
+    stands for less than n - 2 such lengths is never seen by n visits.
+    `run` int8: consecutive visits that agree, above 0 occupied, below 0 seen through. `struck` and `crossed`
+    uint8: views of the running visit. `visit`: its number, from the epoch; -1: none yet.
     """
 
     run: NDArray[np.int8]
@@ -51,10 +50,10 @@ class Evidence:
         )
 
     def turn_to(self, stamp: int) -> bool:
-        """Ends the running visit where `stamp`, ns, lies in a later one; True where that was so.
+        """Ends the running visit if `stamp`, ns, lies in a later one; returns whether it did.
 
-        What is late counts for the running visit. A jump of more than a day is a clock that was set, or a
-        long silence: the running visit is dropped, so that clocks which differ cannot make visits.
+        A late stamp counts for the running visit. A jump of more than a day is a clock that was set, or a
+        long silence: the running visit is dropped, so that different clocks cannot make visits.
         """
         number = stamp // self.length_ns
         ahead = number - self.visit

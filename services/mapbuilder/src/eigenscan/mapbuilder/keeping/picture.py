@@ -1,4 +1,4 @@
-"""A picture of a change, for people: what is new in red, what is gone in blue, each framed."""
+"""Draws a change: new walls in red, removed ones in blue, each in a frame."""
 
 from __future__ import annotations
 

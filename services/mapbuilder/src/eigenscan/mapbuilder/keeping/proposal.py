@@ -1,4 +1,4 @@
-"""What follows from a change: models made anew, and what the operator is told of them."""
+"""Builds the models after a change, with a text for the operator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 
 @dataclass(frozen=True)
 class Proposal:
-    """Models that fit what was seen. `about` goes beside them, `words` say the change in short."""
+    """Models that fit the evidence. `about`: a file beside them; `words`: the change in short."""
 
     site: SiteModel
     about: Mapping[str, Any]
@@ -24,7 +24,7 @@ class Proposal:
 
     @classmethod
     def of(cls, site: SiteModel, change: Change, settings: MapbuilderSettings) -> Proposal:
-        """Of a change of the models in use. Raises ModelError where none can be made."""
+        """The proposal for a change of the models in use. Raises ModelError if no models can be built."""
         fresh, places = rebuild(site, change.grid, settings.plan), change.places()
         new = sum(place.is_new for place in places)
         words = f"{new} new, {len(places) - new} gone on {settings.visits} visits in a row"

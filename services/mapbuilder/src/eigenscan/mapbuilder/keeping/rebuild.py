@@ -1,4 +1,4 @@
-"""A site's models after a change: those of the regions that see it are made anew, the others stay."""
+"""Builds a site's models after a change: only regions that see it; the others stay."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
     and panoramas that do not see it stay bit for bit. A region that it covers whole stays as it is.
     """
     spacing, known = site.regions[0].spacing, Surfaces.of(site.grid)
-    # by the same thickness, so that nothing differs where the map does not
+    # by the same thickness, so that unchanged places stay equal
     before, now = known.grid, Surfaces.of(grid, known.thickness).grid
     old, new = (free_positions(surfaces, spacing, plan.clearance).index for surfaces in (before, now))
     given = _without(new, old)
@@ -36,9 +36,9 @@ def rebuild(site: SiteModel, grid: GridMap, plan: Plan) -> SiteModel:
 
 @dataclass(frozen=True)
 class _Rebuild:
-    """The maps of before and now, and the grid positions (n, 2) that the change took and gave.
+    """The old and the new map, and the grid positions (n, 2) that the change took and gave.
 
-    With each given one how far it is from the nearest that there was.
+    Each given position has its distance from the nearest old one.
     """
 
     plan: Plan
@@ -49,7 +49,7 @@ class _Rebuild:
     nearest: NDArray[np.float64]
 
     def after(self, model: RegionModel) -> RegionModel:
-        """The model itself where nothing that it holds is different."""
+        """The model itself if the change does not touch it."""
         stays = ~_among(model.index, self.taken)
         if not stays.any():
             return model

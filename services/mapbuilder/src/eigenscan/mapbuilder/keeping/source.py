@@ -1,6 +1,6 @@
-"""A model folder made of a map: at the first start, and again where the map or how it is built changed.
+"""Builds a model folder from a map, at the first start and after a change of the map or the settings.
 
-What the folder was made of is in a file beside it, so that accepted changes outlive a start.
+A file beside the folder holds their hash, so accepted changes survive a restart.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class Source:
             return True
 
     def build(self, folder: Path) -> None:
-        """Puts models of the map in use in `folder`; those that were there are kept as an older version.
+        """Puts models of the map into use in `folder`; the former ones are kept as an older version.
 
-        Raises ModelError where the map has no free position or the folder cannot be written, and OSError.
+        Raises ModelError if the map has no free position or the folder cannot be written, and OSError.
         """
         from eigenscan.mapbuilder.drawn import outlines
         from eigenscan.mapbuilder.geojson import to_geojson
@@ -56,7 +56,7 @@ class Source:
 
     @property
     def _made_of(self) -> str:
-        """Tells this map and these settings from others, hex."""
+        """Hash of this map and these settings, hex."""
         settings_json = self.settings.model_dump_json(include=set(MapbuilderSettings.model_fields) - KEEPING)
         return hashlib.sha256(f"{self.grid.version}\n{settings_json}".encode()).hexdigest()
 

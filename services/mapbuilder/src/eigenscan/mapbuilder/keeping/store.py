@@ -1,4 +1,4 @@
-"""Where a kept map lives: the model folder, what is proposed for it, and the evidence beside it."""
+"""Files of a kept map: the model folder, its proposal, and the evidence beside it."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.keeping.evidence import Evidence
 
 _BYTES_A_CELL = 64
-"""Of evidence, at most."""
+"""Most bytes of evidence for a cell."""
 PICTURE = "change.png"
 SPACES = "spaces"
-"""In a model folder: eigenspaces for lidars unlike the declared one, a file for each kind."""
+"""Subfolder of a model folder: eigenspaces for other lidars than the declared one, a file for each kind."""
 
 
 class Store:
-    """A model folder that others may change at any time. Whatever is written appears whole or not at all."""
+    """A model folder that others may change at any time. Each write appears whole or not at all."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -52,9 +52,9 @@ class Store:
         return os.access(self.folder.resolve().parent, os.W_OK)
 
     def renewed(self) -> SiteModel | None:
-        """The models in use where they are others than the last that this gave.
+        """The models in use if they differ from those returned last.
 
-        Raises ModelError, once for each state of the folder that cannot be read.
+        Raises ModelError, once for each unreadable state of the folder.
         """
         try:
             found = (self.folder / MANIFEST).stat()
@@ -88,7 +88,7 @@ class Store:
         return found
 
     def save_spaces(self, analysis: Analysis, made: Mapping[str, RegionSpace]) -> None:
-        """Keeps eigenspaces for another lidar with the models in use, where there is a place for them."""
+        """Writes eigenspaces for another lidar beside the models in use, if the folder allows it."""
         try:
             write_spaces(made, self.folder / SPACES / f"{analysis.name}.npz")
         except OSError:
@@ -114,15 +114,15 @@ class Store:
         )
 
     def accept(self) -> None:
-        """Puts the proposal in use. Raises ModelError where it was made for another version."""
+        """Puts the proposal into use. Raises ModelError if it was made for another version."""
         accept(self.folder, choose_proposal(versions(self.folder), None, self.folder).folder)
 
     def withdraw(self) -> None:
-        """Deletes what is proposed."""
+        """Deletes the proposal."""
         withdraw(self.folder)
 
     def load(self, grid: GridMap, visit_s: float) -> Evidence:
-        """The evidence of these cells; none where the file is missing, damaged or of other cells."""
+        """The evidence of these cells; none if the file is missing, damaged or for other cells."""
         evidence = Evidence.of(grid, visit_s)
         try:
             with opened(self._evidence, MOST_BYTES + _BYTES_A_CELL * grid.cells.size) as file:
@@ -161,5 +161,5 @@ class Store:
 
 
 def _cells(grid: GridMap) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """What tells the cells of two maps apart, whatever is in them."""
+    """Identifies the cells of a map, without their content."""
     return np.array([*grid.cells.shape, grid.resolution, *grid.origin])

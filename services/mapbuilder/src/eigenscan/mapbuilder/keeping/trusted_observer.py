@@ -23,7 +23,7 @@ LEAST_BEAMS = 20
 AGREES, MOSTLY_AGREES = 0.3, 0.7
 """Least share of agreeing beams: of a view, for a room may have changed much, and on average of RECORD."""
 RECORD, LEAST_RECORD = 50, 25
-"""Views on which a robot is judged, at most and at least: what changed is a part of 10 m of way."""
+"""Most and fewest views on which a robot is judged: a change is a part of 10 m of its way."""
 PROBATION = 10
 """Views that must follow before one counts: at least 2 m of way, or turns of 100 degrees."""
 WAITING = 64
@@ -33,10 +33,10 @@ Judge = Callable[[View], float]
 
 
 class TrustedObserver:
-    """One lidar of one robot. Scans and poses are matched by their stamps, in whatever order they come.
+    """One lidar of one robot. Scans and poses are matched by stamps, in any order of arrival.
 
-    Sure poses that go on from each other by odometry count. What was seen between two of them, where the
-    robot was unsure or claimed to be elsewhere for a while, counts at the places that odometry leads over.
+    Sure poses count if odometry connects them. Views between two of them, while the robot was unsure or
+    claimed another place, count at the poses that odometry gives.
     """
 
     def __init__(self, counts: Counter[str]) -> None:
@@ -86,7 +86,7 @@ class TrustedObserver:
         return []
 
     def _start_anew(self, claim: Claim) -> None:
-        """What is not yet borne out is forgotten."""
+        """Forgets the views that are not confirmed yet."""
         self._counts["looks_withdrawn"] += len(self._held)
         self._counts["looks_unsure"] += len(self._between)
         self._held.clear()
@@ -111,9 +111,9 @@ class TrustedObserver:
         return self._borne_out()
 
     def _judge(self, view: View, share: float) -> None:
-        """Holds a view that agrees; forgets all that are held where the robot's record is not good enough.
+        """Holds a view that agrees; drops all held views if the robot's record is too bad.
 
-        What was bridged over is not judged for itself: in a corner where much has changed nothing may agree.
+        Views between sure poses are not judged, because in a corner with many changes nothing may agree.
         """
         self._shares.append(share)
         if share >= AGREES:
@@ -132,7 +132,7 @@ class TrustedObserver:
         return [self._held.popleft() for _ in range(count)]
 
     def _view(self, base: ArrayLike, scan: Scan) -> View | None:
-        """The beams that can tell which cell they end in; None where they are too few."""
+        """The beams that show the cell of their end; None if there are too few."""
         ranges = np.array(scan.ranges, dtype=np.float64)
         bearings = scan.angle_min + np.arange(len(ranges), dtype=np.float64) * scan.angle_increment
         sensor = compose(base, from_message(scan.mount))

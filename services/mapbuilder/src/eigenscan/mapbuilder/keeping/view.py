@@ -1,4 +1,4 @@
-"""One view: a scan from a known pose, and what it shows of the map's cells."""
+"""One view: a scan from a known pose, and the map's cells that it shows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MARGIN = 0.1
 class View:
     """Beams from a sensor at `pose` (3,), map frame, at `stamp`, ns: `bearings` (B,), rad, `ranges` (B,), m.
 
-    Only beams that ended on something near enough to tell which cell.
+    Only beams whose end is near enough to show its cell.
     """
 
     stamp: int
@@ -42,9 +42,9 @@ class Marks:
 
 
 def mark(view: View, grid: GridMap, through: NDArray[np.bool_]) -> Marks:
-    """What the view shows of the grid's cells. A cell that any beam struck was not looked through.
+    """The grid's cells that the view shows. A cell that any beam struck does not count as seen through.
 
-    `through` (B,): beams that may tell of mapped walls that they went through them.
+    `through` (B,): beams that may show that they passed a mapped wall.
     """
     place = grid.to_grid(view.pose[:2])
     ends = grid.to_grid(view.points())

@@ -11,7 +11,7 @@ from eigenscan.mapbuilder.mapping.cloud import Cloud
 from numpy.typing import ArrayLike, NDArray
 
 SIGMA = 0.05
-"""m, of a point about its wall: range noise, and what a wall is not straight."""
+"""Standard deviation of a point from its wall, m: range noise, and walls that are not straight."""
 ALIGNED = 0.7
 """Cosine of the angle within which two walls are one; the two faces of a thin wall are opposite."""
 AGREE = 0.15
@@ -21,11 +21,11 @@ REACHES = (0.6, 0.6, 0.4, 0.4, 0.25, 0.25, 0.15, 0.15)
 FINE = (0.25, 0.15, 0.15, 0.15)
 """The same from a start that is known to be close."""
 STRETCH = 4.0
-"""Points count this much less than if they were independent: what bends a wall moves many of them."""
+"""Factor by which points count less than independent ones, because a bent wall moves many of them."""
 FLOOR = np.diag([0.01, 0.01, np.deg2rad(0.2)]) ** 2
-"""Covariance that no alignment is better than: walls that are not flat, beams that are not where they say."""
+"""Least covariance of an alignment: walls are not flat, and beams not exact."""
 WEAKEST = np.diag([1.0, 1.0, 0.5]) ** 2
-"""Covariance along what nothing fixes, such as the run of a hallway."""
+"""Covariance along undetermined directions, such as along a hallway."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def on_walls(reference: Cloud, cloud: Cloud, pose: Array, within: float = AGREE)
 
 
 def _lines(reference: Cloud, cloud: Cloud, pose: Array, reach: float) -> tuple[Array, Array]:
-    """For each matched point its offset from its wall, and how d of compose(pose, d) changes it, first."""
+    """For each matched point its offset from its wall, and the first derivative by d in compose(pose, d)."""
     points = transform(pose, cloud.points)
     distance, match = reference.tree.query(points, distance_upper_bound=reach)
     match = np.minimum(match, len(reference.points) - 1)

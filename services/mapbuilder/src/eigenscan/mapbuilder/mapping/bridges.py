@@ -1,8 +1,8 @@
-"""Parts of a log that nothing led from one to the other, joined where enough of what they show is the same.
+"""Joins parts of a log without a connection, if enough of their walls agree.
 
-A single hallway looks like another. So each of a part's submaps is compared with all of the rest, anywhere
-and at any heading; each match votes for the pose of the whole part that it implies, and only votes of
-several submaps that agree, and by far outvote all others, join it.
+A single hallway looks like another. So each submap of a part is compared with all others, anywhere and at any
+heading. Each match votes for a pose of the whole part, and only votes of several submaps that agree, and
+outnumber all others by far, join it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SAME = 1.0, float(np.deg2rad(15.0))
 
 
 def bridge(closer: Closer) -> None:
-    """Joins what can be joined to the largest part; the others stay apart."""
+    """Joins parts to the largest one where possible; the others stay apart."""
     while True:
         numbers, counts = np.unique(closer.part, return_counts=True)
         main, *others = numbers[np.argsort(-counts, kind="stable")].tolist()
@@ -65,5 +65,5 @@ def _joined(closer: Closer, part: int, main: int) -> bool:
 
 
 def _frame(closer: Closer, vote: Edge) -> Array:
-    """Where a match puts the frame of its second submap's part, in the first one's."""
+    """The frame of the second submap's part in the first one's, by one match."""
     return compose(compose(closer.poses[vote.first], vote.pose), inverse(closer.poses[vote.second]))

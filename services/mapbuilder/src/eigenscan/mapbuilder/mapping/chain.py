@@ -1,7 +1,7 @@
-"""Scans one after another: each is aligned on those just before it, with odometry or without.
+"""Aligns each scan with the ones before it, with odometry or without.
 
-A scan becomes a keyframe where the robot has moved on. What cannot be aligned begins a new part, at once or,
-with odometry to lean on, after a while; only a bridge can join it to the others.
+A scan becomes a keyframe after the robot has moved on. A scan that cannot be aligned begins a new part: at
+once, or with odometry after a while. Only a bridge can join it to the others.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ NS = 1e9
 _INERTIA_S = 0.5
 """Over which speed is averaged: stamps of a log may be uneven."""
 _STRAINED = 7.8
-"""Squared Mahalanobis distance of a scan from where it is expected that one in twenty exceeds (chi2, 3)."""
+"""Squared Mahalanobis distance of a scan from its expected pose that one in twenty exceeds (chi2, 3)."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One scan as it was received: `stamp` in ns, `mount` (3,) of the sensor in the base frame.
+    """One received scan: `stamp` in ns, `mount` (3,) of the sensor in the base frame.
 
-    `odometry` (3,): the base in the odometry frame at the stamp; None where it is not known.
+    `odometry` (3,): the base in the odometry frame at the stamp; None if unknown.
     """
 
     stamp: int
@@ -47,7 +47,7 @@ class Step:
     least_points: int = 20
     """A scan with fewer is left out."""
     good: float = 0.6
-    """Share of points on walls below which the scan is also looked for around where it was expected."""
+    """Share of points on walls below which a scan is also searched around its expected pose."""
     enough: float = 0.35
     """Share below which it is not aligned at all."""
     blind: int = 10
@@ -76,11 +76,11 @@ class Keyframe:
 
 @dataclass
 class Chain:
-    """What became of the scans so far."""
+    """The placed scans so far."""
 
     keyframes: list[Keyframe] = field(default_factory=list)
     places: list[tuple[int, int, Array]] = field(default_factory=list)
-    """For each scan that is placed: its number, its keyframe's, and its pose seen from there."""
+    """For each placed scan: its number, its keyframe's, and its pose in the keyframe."""
     left_out: int = 0
     """Scans with too few points, or that odometry alone placed before a part ended."""
     jumps: int = 0
@@ -102,7 +102,7 @@ class Chainer:
         self._aligned: Sweep | None = None
 
     def add(self, number: int, sweep: Sweep) -> None:
-        """Places one scan, or leaves it out where it has too few points to say anything."""
+        """Places one scan; leaves out one with too few points."""
         cloud = Cloud.of(sweep.outline, sweep.mount).thinned(self._step.cell)
         if np.count_nonzero(cloud.lengths) < self._step.least_points:
             self.chain.left_out += 1
@@ -118,7 +118,7 @@ class Chainer:
             self._place(number, sweep, cloud, found)
             self._aligned = sweep
         elif self._beside(sweep):
-            # it looks elsewhere than the lidar before it, and shows what that one will see
+            # the lidar looks elsewhere than the one before, and shows what that one will see
             self._place(number, sweep, cloud, Alignment(expected, prior + FLOOR, found.share))
         elif leads and len(self._blind) < self._step.blind:
             # a blocked lidar: odometry alone, until the walls are seen again
@@ -159,10 +159,10 @@ class Chainer:
         return compose(pose, self._velocity * seconds), _free(seconds), False
 
     def _align(self, cloud: Cloud, expected: Array, prior: Array, leads: bool) -> Alignment:
-        """On the keyframes just before, from where the scan is expected.
+        """Aligns with the keyframes just before, from the expected pose.
 
-        Where the scan and the expectation do not go together, also from other starts. Then what is likeliest
-        counts. Odometry may be wrong, so against it costs no more than what is just unlikely; inertia is not.
+        If scan and expectation disagree, it also tries other starts and takes the likeliest. Odometry may be
+        wrong, so a contradiction costs no more than an unlikely error; inertia is not wrong in that way.
         """
         assert self._local is not None
         assert self._last is not None
@@ -177,7 +177,7 @@ class Chainer:
             starts += list(peaks[:4])
         free = _free(self._seconds)
         others = [align(self._local, cloud, start, free) for start in starts]
-        # against odometry only what is convincing by itself
+        # against odometry, only a convincing match counts
         others = [one for one in others if not leads or one.share >= self._step.good]
         local, most = self._local, _STRAINED if leads else np.inf
 
@@ -213,11 +213,11 @@ def _odometry_covariance(way: float, turn: float) -> Array:
 
 
 def _strain(expected: Array, prior: Array, pose: Array) -> float:
-    """Squared Mahalanobis distance of `pose` from where it was expected."""
+    """Squared Mahalanobis distance of `pose` from the expected one."""
     step = between(expected, pose)
     return float(step @ np.linalg.solve(prior, step))
 
 
 def _free(seconds: float) -> Array:
-    """Covariance (3, 3) of going on as before: what a robot may have sped up, slowed down, or turned."""
+    """Covariance (3, 3) of constant motion: speed changes and turns of a robot."""
     return np.diag([0.05 + 0.5 * seconds, 0.05 + 0.5 * seconds, 0.05 + 1.0 * seconds]) ** 2

@@ -1,8 +1,8 @@
-"""Loop closures: where a stretch of the way shows what an earlier one showed.
+"""Loop closures: places where the robot returns to an earlier stretch of its way.
 
-Each new submap is correlated with the earlier ones that may lie under it. The drift since the last closure
-tells how far to look. A match counts where the walls of both agree, neither shows a wall where the other saw
-free space, and no other pose does nearly as well; what still is wrong, the pose graph rejects.
+Each new submap is correlated with earlier ones near it. The drift since the last closure bounds the search. A
+match counts if the walls of both agree, neither shows a wall in the other's free space, and no other pose
+fits nearly as well. The pose graph rejects the remaining wrong ones.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Closing:
     """When two submaps are one place. Lengths in m, angles in rad."""
 
     reach: float = 8.0
-    """Submaps whose middles are farther apart than this, and than the drift, are not compared."""
+    """Submaps with middles farther apart than this, m, and the drift, are not compared."""
     drift: float = 0.05
-    """Of the way since the last closure, that the estimate may be off."""
+    """Error of the estimate as a share of the way since the last closure."""
     turn_drift: float = float(np.deg2rad(1.0))
     """The same of the heading, for each m of way."""
     visits: int = 4
@@ -44,7 +44,7 @@ class Closing:
     score: float = 0.7
     """Least score of `compare`."""
     ambiguous: float = 0.85
-    """Of the best match, from which on another one makes it ambiguous."""
+    """Share of the best match's score from which another match makes it ambiguous."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Closer:
     edges: list[Edge] = field(default_factory=list)
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     part: list[int] = field(default_factory=list)
-    """For each submap the part that it is in by now."""
+    """Part of each submap."""
     _since: float = 0.0
 
     def add(self, submap: Submap) -> None:
@@ -101,7 +101,7 @@ class Closer:
             self._since = 0.0
 
     def _join(self, other: int, number: int, window: Array) -> bool:
-        """Adds the edge between two submaps if they match within `window` of where they are believed."""
+        """Adds the edge between two submaps if they match within `window` of their estimated poses."""
         expected = between(self.poses[other], self.poses[number])
         match = self.match(other, number, expected, window)
         if match is not None:
@@ -113,7 +113,7 @@ class Closer:
         self.poses, _ = optimise(self.poses, self.edges)
 
     def _candidates(self, number: int, slack: float) -> list[int]:
-        """Of each earlier pass of the same part the submap whose middle is nearest, nearest first."""
+        """The nearest submap of each earlier pass of the same part, nearest first."""
         last = number - self.rules.adjacent
         middles = self._middles()
         away = np.hypot(*(middles - middles[number]).T)[: max(last + 1, 0)]
@@ -130,9 +130,9 @@ class Closer:
     def match(
         self, one: int, other: int, expected: Array, window: Array, strict: float = 1.0
     ) -> Match | None:
-        """Pose of submap `other` seen from `one`, where it is sure, within `window` of `expected`.
+        """Pose of submap `other` seen from `one`, if it is sure, within `window` of `expected`.
 
-        `window` (2,), m and rad; `strict` scales the overlap that is asked.
+        `window` (2,), m and rad; `strict`: factor on the required overlap.
         """
         first, second = self.submaps[one], self.submaps[other]
         poses, heights = correlate(first.ground, second.cloud, expected, window)
@@ -152,7 +152,7 @@ class Closer:
         return Match(pose, float(nets[best]))
 
     def again(self) -> None:
-        """Looks once more for closures, now that all submaps lie where they should be."""
+        """Searches closures again with the optimised poses."""
         known = {(edge.first, edge.second) for edge in self.edges}
         found = False
         for number in range(len(self.submaps)):

@@ -1,4 +1,4 @@
-"""What one scan saw, as points on walls with the direction of the wall through each: what is aligned."""
+"""One scan's end points on walls, with the direction of the wall at each, for the alignment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 @dataclass(frozen=True)
 class Outline:
-    """What one scan saw: ranges (B,), m, along bearings (B,), rad, ascending; only finite ranges count."""
+    """One scan: ranges (B,), m, along bearings (B,), rad, ascending; only finite ranges count."""
 
     bearings: Array
     ranges: Array
@@ -88,7 +88,7 @@ class Cloud:
 
     @cached_property
     def normals(self) -> Array:
-        """Unit normals (K, 2) of the walls; 0 where the point is on no wall."""
+        """Unit normals (K, 2) of the walls; 0 for a point on no wall."""
         normal = np.column_stack([-np.sin(self.directions), np.cos(self.directions)])
         return np.where(self.lengths[:, None] > 0, normal, 0.0)
 

@@ -27,10 +27,10 @@ def composite(
     resolution: float = 0.05,
     progress: Progress = lambda _step, _share: None,
 ) -> Mapped:
-    """Map of scans of which nothing is known but what they saw, `resolution` in m per cell.
+    """Map of scans without poses, `resolution` in m per cell.
 
-    Every pair is matched from nothing, as submaps of two parts are; the surest pairs join first, to what
-    the first scan is in. Raises MappingError where no two scans join.
+    Every pair is matched without a prior, like submaps of two parts. The surest pairs join first, to the part
+    of the first scan. Raises MappingError if no two scans join.
     """
     numbers = [k for k, sweep in enumerate(sweeps) if len(sweep.outline.ranges) >= _LEAST_POINTS]
     frames = [
@@ -73,7 +73,7 @@ def composite(
 
 
 def _drawn(sweeps: Sequence[Sweep], poses: Array, resolution: float) -> GridMap:
-    """Free where a scan looked through, between its beams too; occupied where one ended."""
+    """Free cells between and along beams; occupied cells at their ends."""
     sensors = [compose(pose, sweep.mount) for sweep, pose in zip(sweeps, poses, strict=True)]
     points = [transform(at, sweep.outline.points) for sweep, at in zip(sweeps, sensors, strict=True)]
     reach = np.vstack([*points, *(at[None, :2] for at in sensors)])

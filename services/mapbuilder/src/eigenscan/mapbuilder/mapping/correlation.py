@@ -1,9 +1,8 @@
-"""Where a cloud may lie on another, from nothing: the correlation of paper section 3, on two axes at once.
+"""Finds poses of a cloud on another without a prior: the correlation of paper section 3, on two axes at once.
 
-The histograms of the walls' directions, cross-correlated, give the rotation (Weiss et al. 1995). The
-histograms of x and of y are the projections of one plane histogram: that one is correlated as a whole,
-so that rooms side by side do not blur each other. Where a wall falls into space that was seen free, it
-counts against the pose.
+Cross-correlated histograms of the walls' directions give the rotation (Weiss et al. 1995). The histograms of
+x and of y are projections of one plane histogram; that one is correlated as a whole, so that neighbouring
+rooms do not blur each other. A wall in space that was seen free counts against the pose.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ DIRECTIONS = 360
 ROTATIONS, SHIFTS = 6, 3
 """Peaks that are followed."""
 AGAINST = 0.5
-"""What a wall in free space takes away, of what one on a wall gives."""
+"""Weight of a wall in free space, relative to one on a wall."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Ground:
 
     @cached_property
     def raster(self) -> Array:
-        """Cells (H, W): 1 on walls, fading over a cell; -AGAINST in free space; 0 where nothing is known."""
+        """Cells (H, W): 1 on walls, fading over a cell; -AGAINST in free space; 0 in unknown space."""
         wall, free = _cells(self.cloud.points) - self.low, _cells(self.free) - self.low
         shape = np.concatenate([wall, free]).max(axis=0) + 3
         raster = np.zeros((shape[1], shape[0]))
@@ -67,10 +66,10 @@ def direction_histogram(cloud: Cloud) -> Array:
 
 
 def correlate(ground: Ground, cloud: Cloud, expected: ArrayLike, window: ArrayLike) -> tuple[Array, Array]:
-    """Poses (K, 3) of the cloud on the ground where the correlation peaks, and its heights (K,), best first.
+    """Poses (K, 3) of the cloud at peaks of its correlation with the ground, and heights (K,), best first.
 
-    Only within `window` (2,), m and rad, of `expected` (3,): how far the cloud's middle and its heading
-    may be from there. A height of 1: every point on a wall.
+    Only within `window` (2,), m and rad, of `expected` (3,): the distance of the cloud's middle, and of its
+    heading. A height of 1: every point is on a wall.
     """
     expected, (reach, turn) = np.asarray(expected, dtype=np.float64), np.asarray(window, dtype=np.float64)
     middle = cloud.points.mean(axis=0)
@@ -136,7 +135,7 @@ def _cells(points: Array) -> NDArray[np.int64]:
 def apart(
     poses: Array, pose: Array, metres: float = 0.5, radians: float = float(np.deg2rad(10.0))
 ) -> NDArray[np.bool_]:
-    """Which of the poses (K, 3) are elsewhere than `pose`."""
+    """Which of the poses (K, 3) differ from `pose`."""
     step = between(pose, poses)
     elsewhere: NDArray[np.bool_] = (np.hypot(step[:, 0], step[:, 1]) > metres) | (
         np.abs(step[:, 2]) > radians

@@ -1,7 +1,7 @@
-"""Poses that agree best with all relative poses that were measured between them; wrong ones are rejected.
+"""Optimises poses by all relative poses measured between them, and rejects wrong ones.
 
 The optimisation is gtsam's: Levenberg-Marquardt inside graduated non-convexity (Yang et al. 2020), which
-starts from least squares and turns, step by step, into a cost that ignores what cannot be made to fit.
+starts from least squares and turns, step by step, into a cost that ignores edges that cannot fit.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Edge:
 
 
 def residuals(edges: Sequence[Edge], poses: ArrayLike) -> Array:
-    """For each edge the error (E, 3) that the poses (K, 3) leave in it, in its standard deviations."""
+    """Error (E, 3) of each edge at the poses (K, 3), in its standard deviations."""
     poses = np.asarray(poses, dtype=np.float64)
     if not edges:
         return np.zeros((0, 3))
@@ -62,9 +62,9 @@ def parts(count: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
 
 
 def optimise(poses: ArrayLike, edges: Sequence[Edge]) -> tuple[Array, NDArray[np.bool_]]:
-    """Optimised poses (K, 3), from `poses` on, and which of the edges (E,) were kept.
+    """Optimised poses (K, 3), starting at `poses`, and which of the edges (E,) were kept.
 
-    The first node of each connected part stays where it is. Raises MappingExtraError without gtsam.
+    The first node of each connected part stays. Raises MappingExtraError without gtsam.
     """
     check_installed()
     import gtsam

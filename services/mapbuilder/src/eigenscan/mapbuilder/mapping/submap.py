@@ -1,4 +1,4 @@
-"""A stretch of the way as one rigid piece: its walls, what it saw free, and whether two pieces agree."""
+"""A stretch of the way as one rigid piece: its walls, its free space, and its agreement with another."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _CELL = 0.1
 
 @dataclass(frozen=True)
 class Submap:
-    """`first` to `last`: its keyframes. `anchor`: the one whose frame everything is in.
+    """`first` to `last`: its keyframes. `anchor`: the keyframe whose frame it uses.
 
-    `cloud`: thinned walls within REACH of who saw them; `middle` (2,): of the robot's way.
+    `cloud`: thinned walls within REACH of the sensor; `middle` (2,): of the robot's way.
     """
 
     first: int
@@ -68,14 +68,14 @@ class Submap:
 
     @cached_property
     def ground(self) -> Ground:
-        """For correlation."""
+        """Its raster for the correlation."""
         block = round(CELL / _CELL)
         rows, columns = np.nonzero(self.clear[::block, ::block])
         free = self.carved.to_map(np.column_stack([columns * block, rows * block]) + 0.5)
         return Ground(self.cloud, free)
 
     def looks_through(self, points: Array) -> NDArray[np.bool_]:
-        """Which of the points (K, 2), anchor's frame, lie where this piece saw free space."""
+        """Which of the points (K, 2), anchor's frame, lie in space that this piece saw free."""
         column, row = np.floor(self.carved.to_grid(points)).astype(np.int64).T
         height, width = self.clear.shape
         inside: NDArray[np.bool_] = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -90,7 +90,7 @@ class Agreement:
     agree: int
     contradict: int
     points: int
-    """Of the smaller of the two."""
+    """Points of the smaller piece."""
 
     @property
     def overlap(self) -> float:
@@ -99,7 +99,7 @@ class Agreement:
 
     @property
     def score(self) -> float:
-        """-2..1: agreeing less twice the contradicting, of those that say something."""
+        """-2..1: share of agreeing points less twice the share of contradicting ones."""
         return (self.agree - 2 * self.contradict) / max(self.agree + self.contradict, 1)
 
 

@@ -1,7 +1,7 @@
-"""From the scans of a whole log to one map: the whole way, without files or messages.
+"""Makes one map of the scans of a whole log, without files or messages.
 
-Chain (each scan on those before it), closures (submaps, where the way comes back), visits (keyframes on
-what other visits saw), one pose graph, and the occupancy that all rays agree on.
+Chain (each scan aligned with the ones before), closures (the way returns to a place), visits (keyframes
+aligned with other visits), one pose graph, and the occupancy by all rays.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Progress = Callable[[str, float], None]
 """Receives the step's name and the share of that step that is done."""
 
 _CARVED_M, _CARVED_RAD = 0.05, np.deg2rad(2.0)
-"""A scan is carved where the robot has moved this much: one that stands does not outvote one that passes."""
+"""A scan is carved after this motion, m and rad, so a standing robot does not outvote a passing one."""
 
 
 class MappingError(ValueError):
-    """Scans that no map can be made of; the message states why and what to do."""
+    """Scans that cannot make a map; the message has the reason and the fix."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Survey:
     core: int = 12
     """Keyframes of a submap."""
     around: int = 6
-    """Keyframes before and after, whose walls it borrows."""
+    """Number of keyframes before and after whose walls it uses."""
     rounds: int = 2
     """Times that visits are compared and the graph is optimised."""
     step: Step = field(default_factory=Step)
@@ -69,7 +69,7 @@ class Mapped:
     def way(self) -> float:
         """Length of the way, m, in steps of at least 5 cm."""
         kept = [0]
-        for k in range(1, len(self.poses)):  # each step decides where the next one begins
+        for k in range(1, len(self.poses)):  # each step decides the start of the next one
             if np.hypot(*(self.poses[k, :2] - self.poses[kept[-1], :2])) >= _CARVED_M:
                 kept.append(k)
         return float(np.linalg.norm(np.diff(self.poses[kept, :2], axis=0), axis=1).sum())
@@ -201,7 +201,7 @@ def _carved(
     sweeps: Sequence[Sweep], numbers: NDArray[np.int64], poses: Array, resolution: float, progress: Progress
 ) -> GridMap:
     rays: list[tuple[Array, Array]] = []
-    carved: dict[bytes, Array] = {}  # where each lidar was carved last
+    carved: dict[bytes, Array] = {}  # last carved pose of each lidar
     for number, pose in zip(numbers, poses, strict=True):
         sweep = sweeps[number]
         last = carved.get(sweep.mount.tobytes())

@@ -1,4 +1,4 @@
-"""Keyframes aligned on what other visits of the same place saw: the edges that make a map sharp."""
+"""Aligns keyframes with other visits of the same place: these edges make a map sharp."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def visit_edges(
 
 
 def _met(others: NDArray[np.int64], poses: Array, k: int) -> list[int]:
-    """Of each visit, a run in the order of keyframes, the one nearest to `k`; the nearest visits first."""
+    """The keyframe nearest to `k` of each visit (a run of keyframes); the nearest visits first."""
     if not len(others):
         return []
     runs = np.split(others, np.nonzero(np.diff(others) > ANOTHER)[0] + 1)
