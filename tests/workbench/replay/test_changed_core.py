@@ -137,7 +137,7 @@ def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> N
 
 def test_what_was_said_before_a_failure_counts() -> None:
     class Half:
-        hears, outputs = (SCAN,), (HYPOTHESES,)
+        inputs, outputs = (SCAN,), (HYPOTHESES,)
 
         def handle(self, received: Envelope) -> Iterator[Envelope]:
             yield Envelope(HYPOTHESES, {**received.address, "projector": "p"}, Hypotheses())
