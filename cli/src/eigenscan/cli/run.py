@@ -59,6 +59,14 @@ def run(
         ),
     ] = False,
     viewer: Annotated[bool, typer.Option(help="serve the live web viewer on this machine")] = True,
+    foxglove: Annotated[
+        bool,
+        typer.Option(
+            "--foxglove",
+            help="serve Foxglove and Lichtblick too, on ws://127.0.0.1:8765",
+            rich_help_panel="Details",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="folder for recording and logs; out/run-<time> without it"),
@@ -104,7 +112,7 @@ def run(
     flags, mcap = _model_flags(map_or_model, method), folder / "mcap"
     pipeline = Pipeline(
         site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or (),
-        flags=chosen, together=together,
+        flags=chosen, together=together, foxglove=foxglove,
     )  # fmt: skip
     prepare(json_file)
     with events(json_file) as written:

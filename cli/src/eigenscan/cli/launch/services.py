@@ -18,6 +18,9 @@ from eigenscan.schemas.health_pb2 import Health
 READY_S = 180.0
 """Longest wait at the start, s: a large map's models take that long."""
 
+FOXGLOVE_PORT = 8765
+"""The one that Foxglove offers first."""
+
 AWAIT_MODEL = ("mapbuilder", "projector")
 """The services that work once they have the model; the others wait for scans only."""
 
@@ -37,6 +40,7 @@ class Pipeline:
     listen: Sequence[str] = ()  # endpoints for other machines
     flags: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
     together: bool = False  # all services in one process
+    foxglove: bool = False  # serve Foxglove too
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it receives everything."""
@@ -48,6 +52,8 @@ class Pipeline:
             recorder += ["--rrd", str(self.rrd)]
         if self.viewer:
             recorder += ["--viewer-port", "0", "--data-port", "0"]
+        if self.foxglove:
+            recorder += ["--foxglove-port", str(FOXGLOVE_PORT)]
         own = {"recorder": recorder, "mapbuilder": list(self.model_flags)}
         if self.ros2_flags is not None:
             own["ros-bridge"] = list(self.ros2_flags)

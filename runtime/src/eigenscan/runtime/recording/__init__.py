@@ -11,7 +11,7 @@ from eigenscan.runtime.recording.contents import (
 )
 from eigenscan.runtime.recording.files import DAMAGE, REPAIRED, RecordingError, WholeReads, parts
 from eigenscan.runtime.recording.reading import Record, read
-from eigenscan.runtime.recording.writing import PROFILE, RecordingWriter
+from eigenscan.runtime.recording.writing import PROFILE, RecordingWriter, descriptors
 
 __all__ = [
     "DAMAGE",
@@ -24,6 +24,7 @@ __all__ = [
     "WholeReads",
     "closed_span",
     "contents",
+    "descriptors",
     "first_time",
     "is_complete",
     "message_count",

@@ -102,7 +102,7 @@ class RecordingWriter:
             name = channel.schema_name
             if name not in self._schemas:
                 self._schemas[name] = self._writer.register_schema(
-                    name, "protobuf", _descriptors(channel.message)
+                    name, "protobuf", descriptors(channel.message)
                 )
             qos = channel.qos
             self._channels[key] = self._writer.register_channel(
@@ -120,7 +120,7 @@ class RecordingWriter:
         return self._channels[key]
 
 
-def _descriptors(message: type[Message]) -> bytes:
+def descriptors(message: type[Message]) -> bytes:
     """FileDescriptorSet of a message type and its imports, dependencies first."""
     ordered: dict[str, Any] = {}
 

@@ -50,8 +50,14 @@ def make_core(settings: RecorderOptions, clock: Clock = time) -> RecorderCore:
         if picture.url:
             print(f"viewer: {picture.url}", flush=True)
         sinks.append(BackgroundSink(picture))
+    if settings.foxglove_port is not None:
+        with needs("eigenscan-recorder[foxglove]", SettingsError):
+            from eigenscan.recorder.foxglove_sink import FoxgloveSink
+        served = FoxgloveSink(settings.viewer_host, settings.foxglove_port, settings.site)
+        print(f"foxglove: {served.url}", flush=True)
+        sinks.append(BackgroundSink(served))
     if not sinks:
-        raise SettingsError("nothing to record to: give mcap, rrd or viewer_port")
+        raise SettingsError("nothing to record to: give mcap, rrd, viewer_port or foxglove_port")
     return RecorderCore(sinks)
 
 

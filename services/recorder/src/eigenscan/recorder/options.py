@@ -16,7 +16,7 @@ FILES_OF_A_BUDGET = 8
 
 
 class RecorderOptions(ServiceSettings):
-    """Settings of the recorder. At least one of `mcap`, `rrd` and `viewer_port` must be given."""
+    """Settings of the recorder. Give at least one of `mcap`, `rrd`, `viewer_port`, `foxglove_port`."""
 
     robot: str = Field("*", description="robot to record; * records every robot of the site")
     behind_after: float = Field(math.inf, ge=0, description="s; it wants all")
@@ -52,6 +52,9 @@ class RecorderOptions(ServiceSettings):
         ge=0,
         le=65535,
         description="port that the web viewer reads its data from; 0 takes a free one",
+    )
+    foxglove_port: int | None = Field(
+        None, ge=0, le=65535, description="port that Foxglove connects to; 0 takes a free one; default: none"
     )
     viewer_host: str = Field("127.0.0.1", description="address for the viewer and its data")
     viewer_origin: str | None = Field(
