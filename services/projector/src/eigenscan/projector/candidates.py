@@ -1,4 +1,4 @@
-"""What a scan led to: its place in each eigenspace, and the poses that this stands for."""
+"""Result of a search: the scan's place in each eigenspace, and the poses found."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Projected:
 
 @dataclass(frozen=True)
 class Candidates:
-    """n poses of the sensor, most likely first. `region` (n,) proposed each.
+    """n poses of the sensor, most likely first. `region` (n,): the region that proposed each.
 
-    `ordinary` is the support of a place that merely looks similar. `waiting` (R,): regions that were left to
-    later scans, where there are some.
+    `ordinary`: support of a place that merely looks similar. `waiting` (R,): regions left to later scans, if
+    there are any.
     """
 
     poses: Array

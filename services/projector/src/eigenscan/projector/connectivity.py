@@ -1,4 +1,4 @@
-"""Of each patch of the pose space only the best candidate goes on (paper, section 5.1)."""
+"""Keeps only the best candidate of each patch of the pose space (paper, section 5.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where poses lie in the eigenspaces of their regions, as far as the model's own positions tell."""
+"""Places of poses in the eigenspaces of their regions, interpolated from the model's positions."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ ASK_AGAIN_NS = 10_000_000_000
 
 
 class ProjectorCore:
-    """Hears the site's models and every scan of its robots; says what poses explain each scan."""
+    """Receives the site's models and its robots' scans; publishes the poses that explain each scan."""
 
     inputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SCAN)
     outputs: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND)
@@ -60,9 +60,9 @@ class ProjectorCore:
         store: Store | None = None,
         aside: Callable[[Callable[[], None]], None] | None = None,
     ) -> None:
-        """`instance` tells its hypotheses' key from those of the site's other projectors.
+        """`instance`: its name in the keys of its hypotheses, among the site's projectors.
 
-        `store` keeps tables for the next start. `aside` does work that no answer depends on, in a thread.
+        `store` keeps tables for the next start. `aside` runs work that no answer depends on, in a thread.
         """
         self._settings, self._instance = settings, instance
         self._store, self._aside = store, aside
@@ -78,7 +78,7 @@ class ProjectorCore:
         self._refused = ""
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing is said before a scan."""
+        """Publishes nothing before a scan."""
         return []
 
     def finish(self) -> Iterable[Envelope]:
@@ -104,7 +104,7 @@ class ProjectorCore:
         return []
 
     def condition(self) -> Condition:
-        """Waiting without a model; degraded where the newest one was refused."""
+        """WAITING without a model; DEGRADED if the newest one was refused."""
         counts = dict(self._counts) | dict(self._store.counts if self._store else {})
         if self._site is None:
             return Condition(Health.STATUS_WAITING, self._refused or self._assembler.missing, counts)
@@ -115,7 +115,7 @@ class ProjectorCore:
         return Condition(status, detail, counts)
 
     def _progress(self) -> str:
-        """How far the work aside is for the lidar heard last, in words; empty where it is done."""
+        """Progress of the work aside for the last lidar, as text; empty when it is done."""
         tables = self._view.tables if self._view and self._aside else None
         if tables is None or tables.made == len(tables.models):
             return ""
@@ -154,7 +154,7 @@ class ProjectorCore:
         self._spaces[message.model_version, own.analysis] = own
 
     def _begin(self, view: SensorView) -> None:
-        """Lets what a new view lacks be made aside."""
+        """Starts the work aside for a new view."""
         if self._aside is not None:
             self._aside(view.tables.work_aside)
 
@@ -197,7 +197,7 @@ class ProjectorCore:
         return self._answer(address, scan, seen, mount, self._site)
 
     def _one_shot(self, received: Envelope) -> Envelope:
-        """The reply to a query, or why there is none."""
+        """The reply to a query, or the reason that there is none."""
         self._counts["queries"] += 1
         try:
             if self._site is None:
@@ -231,7 +231,7 @@ class ProjectorCore:
         return published
 
     def _scope(self, address: dict[str, str], scan: Scan, site: Site) -> Scope:
-        """What is searched: all, but where the tracker is sure and all was searched lately."""
+        """The regions to search: all, unless the tracker is sure and all were searched lately."""
         if not self._settings.focus:
             return WHOLE
         robot, lidar = address["robot"], address["lidar"]

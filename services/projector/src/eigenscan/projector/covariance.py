@@ -13,7 +13,7 @@ POINT_SIGMA = 0.05
 INDEPENDENCE = 0.25
 """Independent points per point: neighbours err alike."""
 PRIOR = np.diag([0.25, 0.25, np.deg2rad(5.0)]) ** 2
-"""Where the walls do not hold a pose (along a hallway), the grid that it started from does."""
+"""Covariance along directions that the walls do not determine (along a hallway): that of the grid."""
 _HELD = np.linalg.inv(PRIOR)
 FLOOR = np.diag([0.03, 0.03, np.deg2rad(1.0)]) ** 2
 """No pose is surer than this: the map's own error."""
@@ -22,7 +22,7 @@ FLOOR = np.diag([0.03, 0.03, np.deg2rad(1.0)]) ** 2
 def pose_covariances(information: Array, inexactness: float = 0.0) -> Array:
     """Covariances (n, 3, 3) of poses from J'WJ (n, 3, 3) of their points' distances.
 
-    `inexactness`, m: how far a wall's surface may be from where it is taken to be (standard deviation).
+    `inexactness`, m: standard deviation of a wall's surface from its assumed place.
     """
     certain = information * (INDEPENDENCE / (POINT_SIGMA**2 + inexactness**2))
     covariances: Array = inverse_each(certain + _HELD)

@@ -1,6 +1,6 @@
-"""Which regions a scan is likeliest of, by some of its beams against every panorama, before tables are made.
+"""Ranks the regions for a scan by some of its beams against every panorama, before tables exist.
 
-An eigenspace does not tell that: offices alike have spaces alike. Their panoramas do.
+An eigenspace cannot do that: similar offices have similar spaces. Their panoramas differ.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 BEAMS = 24
-"""Of the scan, evenly spread."""
+"""Number of the scan's beams, evenly spread."""
 CAP, WRONG = 10.0, 1.0
 """m: beyond the first ranges are alike; a beam that is off by more than the second is as wrong as any."""
 _TURNED = ANALYSIS_TURN // HEADING_STRIDE

@@ -1,4 +1,4 @@
-"""Where the tracker says that a robot is, so that a large site need not be searched whole at every scan."""
+"""Limits the search of a large site to the region around the tracker's pose."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FULL_EVERY = 1_000_000_000
 SETTLED = 300_000_000
 """ns before a scan: younger poses do not count, for they come before it or after it by chance."""
 STALE = 1_500_000_000
-"""ns before a scan: an older pose says nothing of it."""
+"""Age beyond which a pose is not used, ns before a scan."""
 MARGIN_M, SIGMAS, SPEED = 2.0, 3.0, 2.0
 """Reach around a pose: m, standard deviations, and m/s since then."""
 _REMEMBERED = 128
@@ -51,17 +51,17 @@ class Reach:
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known of one robot: its poses, and by lidar when the whole site was searched, and with what."""
+    """State of one robot: its poses, and for each lidar the last search of the whole site."""
 
     poses: deque[tuple[int, PoseEstimate]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     full: dict[str, tuple[int, float]] = field(default_factory=dict)
 
 
 class Focus:
-    """Poses heard of each robot, and when each of its lidars last searched the whole site.
+    """Poses of each robot, and the time at which each of its lidars last searched the whole site.
 
-    What it tells of a scan depends on the stamps of scan and poses, not on the order of their arrival, where
-    a pose comes within SETTLED of its stamp.
+    Its answers depend on the stamps of scan and poses, not on their order of arrival, if a pose arrives
+    within SETTLED of its stamp.
     """
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class Focus:
         known.poses.append((nanoseconds(estimate.timestamp), estimate))
 
     def searched_whole(self, robot: str, lidar: str, stamp: int, ordinary: float) -> None:
-        """Remembers a search of the whole site, and what support an ordinary place of it had."""
+        """Records a search of the whole site, and the support of an ordinary place in it."""
         self._robots.use(robot, _Known).full[lidar] = stamp, ordinary
 
     def ordinary(self, robot: str, lidar: str) -> float:
@@ -81,7 +81,7 @@ class Focus:
         return self._robots.use(robot, _Known).full[lidar][1]
 
     def reach(self, robot: str, lidar: str, stamp: int, frame_id: str) -> Reach | None:
-        """Where the robot can be at `stamp`, ns; None where the whole site is to be searched."""
+        """The reach of the robot at `stamp`, ns; None if the whole site must be searched."""
         robot_known = self._robots.use(robot, _Known)
         last, _ = robot_known.full.get(lidar, (0, 0.0))
         if not 0 <= stamp - last < FULL_EVERY:

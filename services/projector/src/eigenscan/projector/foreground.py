@@ -1,7 +1,7 @@
-"""Narrow things that stand free before a farther background: legs, people, chairs.
+"""Finds narrow things that stand free before a farther background: legs, people, chairs.
 
-They are rarely in a map, and where they are, little is lost without them. So a scan is searched with and
-without them; where poses are weighed beam by beam they count again.
+Maps rarely contain them, and without them little is lost. So a scan is searched with and without them. When
+poses are weighed beam by beam, they count again.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Candidates as the paper has them: what the eigenspace says of a scan, without a look at the map's walls."""
+"""Candidates as in the paper: from the eigenspace alone, without the map's walls."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Walls as intervals: where a beam that meets a wall would leave it again, and how far it got away from it.
+"""Walls as intervals: where a beam enters and leaves a wall, and how far it gets beyond.
 
-A wall's surface lies anywhere in the wall as it is drawn. So a beam has gone through a wall only where it got
-clear of all that is drawn, and the farther it got the surer: a beam along a wall is metres long in it.
+A wall's surface lies anywhere in the wall as drawn. So a beam has passed a wall only if it leaves everything
+that is drawn, and more surely the farther it gets: a beam along a wall is metres long in it.
 """
 
 from __future__ import annotations

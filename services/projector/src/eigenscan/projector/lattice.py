@@ -1,4 +1,4 @@
-"""All positions of the site once, on the model's own grid, with what the sensor would see from them."""
+"""All positions of the site on the model's grid, with the sensor's view from each."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from scipy.spatial import cKDTree
 class Lattice:
     """P positions (P, 2) m, map frame; panoramas (P, N) m on the analysis grid, +inf: no wall in sight.
 
-    `neighbours` (P, 9): index of the position one step of the model's grid, `spacing` m, away, -1 where there
-    is none; itself at 4. `regions` holds for each region the indices of its positions, `searched` those (S,)
-    of them that are searched, `cells` (S, 2) their place on the search grid; `finer` tells whether there are
-    others.
+    `neighbours` (P, 9): index of the position one step of the model's grid, `spacing` m, away, -1 if there is
+    none; itself at 4. `regions`: for each region the indices of its positions, `searched` those (S,) that are
+    searched, `cells` (S, 2) their place on the search grid; `finer`: whether there are others.
     """
 
     positions: NDArray[np.float64]

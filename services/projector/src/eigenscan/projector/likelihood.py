@@ -1,8 +1,8 @@
-"""How much likelier a scan is at a pose than at a place that the map does not show.
+"""Computes how much likelier a scan is at a pose than at a place outside the map.
 
-A beam speaks for a pose where it ends on a wall, and against it where it went through one. A beam that ends
-before its wall (a person, furniture) does neither. What the beams say is averaged, less what they say of
-places that merely look similar.
+A beam that ends on a wall supports a pose; a beam through a wall contradicts it. A beam that ends before its
+wall (a person, furniture) does neither. The mean over the beams counts, less the support of places that
+merely look similar.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ Array = NDArray[np.float64]
 WALL_SCALE = 0.15
 """m from a wall at which an end point counts half: noise, the map's resolution, rest of the pose's error."""
 THROUGH_WEIGHT = 0.8
-"""What a beam through a wall says against a pose, in beams on a wall."""
+"""Weight of a beam through a wall against a pose, in beams on a wall."""
 ORDINARY_RANK = 10
-"""The support of so manieth place after the best tells what a place gets that merely looks similar."""
+"""Rank, after the best, of the place whose support counts as that of a similar place."""
 NATS, STRANGE, SIMILAR = 33.0, 0.08, 0.54
-"""ln odds per support; the support that counts for nothing: STRANGE, and SIMILAR times an ordinary place's.
+"""ln odds per support; and the support that counts as zero: STRANGE, and SIMILAR times an ordinary place's.
 
-More careful than the maximum likelihood of what is right in single scans (docs/reports.md): scans
-that follow each other err alike.
+Less than the maximum likelihood of single scans (docs/reports.md), because the errors of consecutive scans
+are correlated.
 """
 
 
@@ -59,10 +59,10 @@ def beyond_walls(clear: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def ordinary_support(supports: Array, parts: int = 1) -> float:
-    """What an ordinary place gets, by the supports (n,) of places, best first.
+    """Support of an ordinary place, from the supports (n,) of places, best first.
 
-    Of a site that is searched in `parts`, each holds its share of the places that look similar, so that what
-    all parts say compares.
+    If a site is searched in `parts`, each has its share of the similar places, so the results of all parts
+    are comparable.
     """
     if not len(supports):
         return 0.0
@@ -73,8 +73,8 @@ def ordinary_support(supports: Array, parts: int = 1) -> float:
 def log_likelihood(supports: Array, ordinary: float) -> Array:
     """Values (n,) of ln p(scan | pose) / p(scan | unknown place) for supports (n,) of places, best first.
 
-    A plain scan (a wall, a corner) finds support in many places, also of a foreign building: what an ordinary
-    place gets is no evidence.
+    A plain scan (a wall, a corner) has support in many places, even of another building, so the support of an
+    ordinary place is no evidence.
     """
     odds: Array = NATS * (supports - STRANGE - SIMILAR * ordinary)
     return odds

@@ -34,7 +34,7 @@ class ModelSetAssembler:
 
     @property
     def missing(self) -> str:
-        """What the newest set still waits for, in words; empty where nothing is."""
+        """The missing parts of the newest set, as text; empty if it is complete."""
         announced = self._announced
         if announced is None:
             return "no model"
@@ -89,7 +89,7 @@ class ModelSetAssembler:
             self._announced = None  # it stays refused, however often one of its parts comes again
             raise
         self._given = announced.version
-        # only what the next set may share is kept
+        # only models that the next set may share are kept
         self._models = {model.version: model for model in regions}
         self._grids = {announced.map_version: grid}
         floors = usable_floors(announced)

@@ -41,5 +41,5 @@ SERVICE = Service(
 
 
 def main() -> None:
-    """Runs the projector until it is told to stop."""
+    """Runs the projector until SIGTERM or SIGINT."""
     run(SERVICE)

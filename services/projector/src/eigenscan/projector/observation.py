@@ -13,7 +13,7 @@ from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
 
 NEAREST = 0.25
-"""m: a shorter beam met a cover or the robot itself and says nothing of the building."""
+"""Least range, m: a shorter beam met a cover or the robot itself."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,7 @@ def windows_at(headings: NDArray[np.float64], angle_min: float) -> NDArray[np.in
 
 
 def observe(scan: Scan) -> Observation:
-    """Observation of a canonical scan.
-
-    Raises ValueError where its angular grid makes no sense.
-    """
+    """Observation of a canonical scan. Raises ValueError for an invalid angular grid."""
     beams = len(scan.ranges)
     step = scan.angle_increment
     if not beams or not (0.0 < step < np.pi and np.isfinite(scan.angle_min)):

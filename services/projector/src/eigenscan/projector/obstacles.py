@@ -1,4 +1,4 @@
-"""What the best pose does not explain: mask and unexpected obstacles (paper, section 6)."""
+"""Finds the parts of a scan that the best pose does not explain: mask and obstacles (paper, section 6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where one scan was taken, asked for once: candidates, their probabilities, and "at none of these"."""
+"""Answers a query for one scan: candidates, their probabilities, and that of all other places."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MOST_BEAMS = 20_000
-"""Of a scan: no lidar has more."""
+"""Most beams of a scan: no lidar has more."""
 REACH = 3.0
-"""m, from the base to the sensor at most: regions so far outside of what is allowed are searched too."""
+"""Largest distance from the base to the sensor, m: regions this far outside of the allowed ones are searched
+too."""
 _FIELDS = {
     "no_beams": "scan.ranges: no beams",
     "too_many_beams": f"scan.ranges: more than {MOST_BEAMS} beams",
@@ -48,7 +49,7 @@ class QueryError(ValueError):
 
 @dataclass(frozen=True)
 class Allowed:
-    """Where the robot may be. `near` (3,): map frame. `regions` (R,): what is searched; None: all."""
+    """Allowed poses of the robot. `near` (3,): map frame. `regions` (R,): searched regions; None: all."""
 
     near: Array | None
     radius: float
@@ -59,7 +60,7 @@ class Allowed:
 
     @classmethod
     def of(cls, query: LocalizeQuery, site: Site) -> Allowed:
-        """What a query says. Raises QueryError naming the field."""
+        """The limits in a query. Raises QueryError that names the field."""
         floor = _floor(query.floor, site.floors)
         near = _near(query, floor)
         if query.region and query.region not in site.regions:
@@ -78,7 +79,7 @@ class Allowed:
         return cls(near, query.radius, turn, floor, query.region, None if kept.all() else kept)
 
     def holds(self, poses: Array, regions: Sequence[str]) -> Flags:
-        """Which base poses (n, 3), found in `regions`, may be right (n,)."""
+        """Which base poses (n, 3), found in `regions`, are allowed (n,)."""
         kept = np.ones(len(poses), dtype=bool)
         if self.near is not None:
             away = np.hypot(*(poses[:, :2] - self.near[:2]).T)

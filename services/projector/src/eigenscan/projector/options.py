@@ -1,4 +1,4 @@
-"""What a projector can be told."""
+"""Options of a projector."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ProjectorOptions(ProjectorSettings, ServiceSettings):
     @model_validator(mode="before")
     @classmethod
     def _named_by_part(cls, given: Any) -> Any:
-        """Two parts of one site are two instances, without being told."""
+        """Names the instance by its part, so two parts of one site differ."""
         if not isinstance(given, dict) or "instance" in given:
             return given
         robot, part = str(given.get("robot", DEFAULT_ROBOT)), str(given.get("part", "1/1"))

@@ -21,7 +21,7 @@ from google.protobuf.wrappers_pb2 import StringValue
 WAITING = 8
 """Queries that wait at most; a further one is refused at once."""
 PATIENCE_S = 10.0
-"""Zenoh's default timeout of a query: who asked is gone after it."""
+"""Zenoh's default timeout of a query, after which nobody waits for the answer."""
 
 
 @dataclass
@@ -34,7 +34,7 @@ class _Open:
     answered: threading.Event = field(default_factory=threading.Event)
 
     def reply(self, payload: bytes, encoded: str) -> None:
-        with self.query, contextlib.suppress(zenoh.ZError):  # who asked is gone
+        with self.query, contextlib.suppress(zenoh.ZError):  # the asker is gone
             self.query.reply(self.query.key_expr, payload, encoding=zenoh.Encoding(encoded))
         self.answered.set()
 
@@ -62,7 +62,7 @@ class LocalizePort:
         """Takes the session that the service has."""
         self._session, self._share = session, options.localize_share
         self._key = LOCALIZE_TEMPLATE.format(site=options.site)
-        self._complete = options.share[1] == 1  # of the parts of a site, each answers for its own
+        self._complete = options.share[1] == 1  # each projector of a divided site answers for its own part
 
     def open(self, inbox: Inbox) -> None:
         """Answers from now on."""
@@ -82,7 +82,7 @@ class LocalizePort:
             present.reply(encode(envelope.message), encoding(LOCALIZE_ANSWERED))
 
     def close(self) -> None:
-        """Refuses what waits."""
+        """Refuses the waiting queries."""
         with self._changed:
             self._closed = True
             left = [*self._waiting, *self._present.values()]

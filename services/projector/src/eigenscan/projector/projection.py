@@ -32,7 +32,7 @@ TraceCallback = Callable[[str, Array], None]
 """Called after each stage with its name and the sensor poses (n, 3) that it leaves."""
 
 PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
-"""Of the candidates this near to each other only the best is refined."""
+"""Of candidates this near to each other only the best is refined."""
 USUAL_AREA = 1000.0
 """m2, up to which the refined candidates are enough: in a larger site more places look like the right one."""
 SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
@@ -42,7 +42,7 @@ POLISHED = 48
 UNKNOWN_GROUND = 0.1
 """Support that a pose loses off the known part of the map."""
 FOREGROUND_SHARE = 0.1
-"""Of the beams on free-standing things, from which on the scan is also searched without them."""
+"""Share of beams on free-standing things from which the scan is also searched without them."""
 CLIMBING = 300
 """Candidates that also look at the model's finer positions around them."""
 SURELY_LARGER = 2.0

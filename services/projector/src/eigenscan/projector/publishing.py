@@ -1,4 +1,4 @@
-"""Candidates and obstacles as the contract says them: base poses in the map frame."""
+"""Converts candidates and obstacles to messages: base poses in the map frame."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
 def hypotheses_message(
     scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates, scope: Scope
 ) -> Hypotheses:
-    """The list of what was found in `scope`, most likely first."""
+    """The hypotheses found in `scope`, most likely first."""
     base, covariances = to_base(found.poses, found.covariances, mount)
     energy = found.projected.error_energy
     told = told_regions(found)
@@ -127,7 +127,7 @@ def _searched(scope: Scope, found: Candidates) -> NDArray[np.bool_] | None:
 
 
 def told_regions(found: Candidates) -> NDArray[np.int64]:
-    """Regions (r,) whose projections are said: of large sites the candidates' and the best explained."""
+    """Regions (r,) whose projections are published: on large sites the candidates' and the best ones."""
     energy = found.projected.error_energy
     projected = np.flatnonzero(np.isfinite(energy))
     if len(projected) <= TOLD:
@@ -139,7 +139,7 @@ def told_regions(found: Candidates) -> NDArray[np.int64]:
 def obstacles_message(
     scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
 ) -> Obstacles:
-    """What the most likely pose does not explain; `mount` (3,): the lidar in the base frame."""
+    """Obstacles at the most likely pose; `mount` (3,): the lidar in the base frame."""
     pose, mask = found.poses[0], _mask(site, seen, found)
     message = Obstacles(
         timestamp=scan.timestamp,

@@ -1,4 +1,4 @@
-"""The obstacle mask of the paper's section 6: the scan beside what its coefficients make of it."""
+"""The obstacle mask of the paper's section 6: the scan beside its reconstruction from the coefficients."""
 
 from __future__ import annotations
 

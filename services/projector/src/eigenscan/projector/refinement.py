@@ -1,8 +1,8 @@
-"""Polishing poses below the grid: end points of the beams on the map's distance field.
+"""Refines poses below the grid: end points of the beams on the map's distance field.
 
-Gauss-Newton with Geman-McClure weights whose scale shrinks, so that a pose slides into the nearest good fit
-and single foreign points lose their say. Many poses slide on a coarse field, the best of them are polished
-on the map's own. Between the cells' centres the distance is extrapolated along its gradient.
+Gauss-Newton with Geman-McClure weights whose scale shrinks, so a pose moves into the nearest good fit and
+single foreign points lose their weight. Many poses are refined on a coarse field, the best of them on the
+map's own. Between the cells' centres the distance is extrapolated along its gradient.
 """
 
 from __future__ import annotations

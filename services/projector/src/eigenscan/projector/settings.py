@@ -1,4 +1,4 @@
-"""What a projector's answers depend on, besides what it hears."""
+"""Settings that may change a projector's answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from eigenscan.projector.association import kinds
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 PART = r"[1-9]\d*/[1-9]\d*"
-"""What `part` looks like."""
+"""Form of `part`."""
 
 
 class ProjectorSettings(BaseModel):

@@ -1,4 +1,4 @@
-"""Which part of a site a projector searches."""
+"""The part of a site that a projector searches."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ Part = tuple[int, int]
 
 
 def own_share(regions: tuple[RegionModel, ...], part: Part) -> tuple[RegionModel, ...]:
-    """Every n-th region in the order of their names, from the k-th on: all projectors of a site agree.
+    """Every n-th region in the order of their names, from the k-th on, alike in all projectors of a site.
 
-    Regions that lie side by side go to different shares, so that each has some of every kind.
-    Raises ModelError where none is left.
+    Neighbouring regions go to different parts, so each part has some of every kind. Raises ModelError if none
+    is left.
     """
     k, n = part
     own = tuple(sorted(regions, key=lambda model: model.region)[k - 1 :: n])

@@ -1,4 +1,4 @@
-"""A whole set made ready for scans, and what each sensor would see of it."""
+"""A model set prepared for scans, with the view of each sensor."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from eigenscan.projector.wall_field import WallField
 from numpy.typing import NDArray
 
 KEPT_SENSORS = 8
-"""Sensor grids whose subspaces are kept; the longest unused one goes first."""
+"""Sensor grids whose subspaces are kept; the least recently used one is dropped first."""
 Panoramas = NDArray[np.float32]
 
 STEPS_ASIDE = 2
@@ -75,12 +75,12 @@ class SensorView:
 
     @property
     def embedding(self) -> Embedding:
-        """Of the analysis."""
+        """The embedding of the analysis."""
         return self.tables.analysis.embedding
 
     @property
     def spaces(self) -> Subspaces:
-        """Of the regions that are ready, and of others where they are known."""
+        """Spaces of the regions that are ready, and of others if known."""
         return self.tables.subspaces
 
     @property
@@ -90,7 +90,7 @@ class SensorView:
 
     @property
     def ratios(self) -> Ratios | None:
-        """Interpolates what was associated, where settings ask for it."""
+        """Interpolates matches, if the settings ask for it."""
         return self.tables.ratios
 
     @property

@@ -1,6 +1,6 @@
-"""Tables that outlive a process: a folder for each kind of lidar and set of models, a file for each array.
+"""Keeps tables on disk: a folder for each kind of lidar and model set, a file for each array.
 
-They are mapped, not read: what a scan does not search costs nothing. What cannot be used is set aside.
+They are mapped, not read, so unsearched parts cost nothing. Unusable files are renamed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ASIDE = ".damaged"
 
 
 class TableFolder:
-    """A Store (see tables) in `folder`. `counts`: what was taken, kept and set aside, by reason."""
+    """A Store (see tables) in `folder`. `counts`: arrays loaded, saved and rejected, by reason."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -32,11 +32,11 @@ class TableFolder:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What was taken, kept and set aside, by reason."""
+        """Arrays loaded, saved and rejected, by reason."""
         return dict(self._counts)
 
     def load(self, name: str, like: Mapping[str, NDArray[Any]]) -> Arrays | None:
-        """Arrays kept as `name`, mapped copy-on-write; None where none have these shapes and types."""
+        """Arrays saved as `name`, mapped copy-on-write; None if none have these shapes and types."""
         place = self._folder / name
         if not place.is_dir():
             return None
@@ -56,7 +56,7 @@ class TableFolder:
         return found
 
     def save(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keeps arrays, in the place of what has that name; whole or not at all."""
+        """Saves arrays in place of those with that name; whole or not at all."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             fresh = Path(tempfile.mkdtemp(prefix=".", dir=self._folder))
@@ -74,7 +74,7 @@ class TableFolder:
             self._counts["tables_kept"] += 1
 
     def set_aside(self, name: str) -> None:
-        """Renames what is kept as `name`, where that is not done already."""
+        """Renames the arrays saved as `name`, unless that was done already."""
         self._counts["tables_damaged"] += 1
         aside = self._folder / f"{name}{ASIDE}"
         shutil.rmtree(aside, ignore_errors=True)
@@ -90,5 +90,5 @@ class TableFolder:
 
 
 def in_a_thread(work: Any) -> None:
-    """Does `work` behind what the process answers meanwhile."""
+    """Runs `work` in a thread of low priority."""
     threading.Thread(target=work, name="tables", daemon=True).start()

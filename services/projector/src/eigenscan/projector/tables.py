@@ -1,7 +1,7 @@
-"""What a site's regions are to one kind of lidar, made region by region as scans ask for them.
+"""Tables of a site's regions for one kind of lidar, made region by region when scans need them.
 
-A scan waits for PER_SCAN regions at most, those that explain it best; what it then searches depends on the
-messages before it alone. Work aside only makes earlier what a later scan would otherwise wait for.
+A scan waits for at most PER_SCAN regions, those that explain it best. The regions that it then searches
+depend only on earlier messages. Work aside only makes tables earlier.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 Flags = NDArray[np.bool_]
 Given = Mapping[tuple[str, Analysis], RegionSpace]
-"""Spaces that were heard, by the version of the region's model and what they are for."""
+"""Received spaces, by the version of the region's model and their analysis."""
 
 TABLE = 1
 """Counts changes of how a table is made: kept ones of an earlier kind are not used."""
@@ -46,19 +46,19 @@ class Store(Protocol):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What was taken, kept and set aside, by reason."""
+        """Arrays loaded, saved and rejected, by reason."""
         ...
 
     def load(self, name: str, like: Mapping[str, NDArray[Any]]) -> Arrays | None:
-        """Arrays kept as `name`, writable; None where there are none, or of other shapes or types."""
+        """Arrays saved as `name`, writable; None if there are none, or of other shapes or types."""
         ...
 
     def save(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keeps arrays, in the place of what has that name."""
+        """Saves arrays in place of those with that name."""
         ...
 
     def set_aside(self, name: str) -> None:
-        """Hears that part of what it gave is damaged."""
+        """Records that part of the loaded arrays is damaged."""
         ...
 
 
@@ -102,7 +102,7 @@ class Tables:
 
     @property
     def is_known(self) -> bool:
-        """Whether all regions' eigenspaces are published, or were heard."""
+        """Whether the eigenspaces of all regions are published or received."""
         if not self._known.all():
             self._learn()
         return bool(self._known.all())
@@ -118,7 +118,7 @@ class Tables:
         return int(np.count_nonzero(self._made | self._unchecked))
 
     def admit(self, wanted: Flags, order: NDArray[np.float64]) -> None:
-        """Makes ready some of the regions `wanted` (R,), those first whose `order` (R,) is least."""
+        """Prepares some of the regions `wanted` (R,), those with the least `order` (R,) first."""
         waiting = np.flatnonzero(wanted & ~self.ready)
         for r in waiting[np.argsort(order[waiting], kind="stable")][: self.patience]:
             self._make(int(r))
@@ -131,7 +131,7 @@ class Tables:
             self.ready[r] = True
 
     def work_aside(self) -> None:
-        """Makes what is left, for scans to come; nothing that is said depends on how far this is."""
+        """Prepares the remaining regions for later scans; no answer depends on its progress."""
         if self.sweep is None:
             return
         for r in range(len(self.models)):
@@ -141,7 +141,7 @@ class Tables:
         self._save()
 
     def _learn(self) -> None:
-        """Takes the spaces that are published for this kind of lidar, or were heard since."""
+        """Takes the spaces published for this kind of lidar, or received since."""
         for r in np.flatnonzero(~self._known):
             model = self.models[int(r)]
             own = model.space if model.space.analysis == self.analysis else None
@@ -185,7 +185,7 @@ class Tables:
 
     @property
     def _name(self) -> str:
-        """Tells these regions and this analysis from all others."""
+        """Identifies these regions and this analysis."""
         what = repr((TABLE, self.analysis, [model.version for model in self.models]))
         return f"{self.analysis.name}-{hashlib.sha256(what.encode()).hexdigest()[:24]}"
 
@@ -196,7 +196,7 @@ class Tables:
         return {**of_table, **of_spaces, "usual_error": self.usual_error}
 
     def _load(self) -> None:
-        """Takes what was kept; each region is checked when it is asked for."""
+        """Loads saved tables; each region is checked on first use."""
         if self._store is None or self.sweep is None or self._sums is None:
             return
         kept = self._store.load(self._name, {**self._arrays(), "sums": self._sums})
@@ -211,7 +211,7 @@ class Tables:
         self._unchecked[:] = True
 
     def _save(self) -> None:
-        """Keeps all tables, where they are not kept already."""
+        """Saves all tables, unless they are saved already."""
         if self._store is not None and self._sums is not None and self._made.all():
             sums = np.array([self._sum(r) for r in range(len(self.models))], dtype=np.uint32)
             if not np.array_equal(sums, self._sums):

@@ -1,9 +1,8 @@
-"""How well predicted scans explain a scan: one-sided truncated L1 over windows of the panoramas.
+"""Compares predicted scans with a scan: one-sided truncated L1 over windows of the panoramas.
 
-A beam that ends in the wall, between where it enters it and where it would leave it, costs nothing.
-
-Each candidate of the search lattice is tried at the neighbouring headings, and the better ones also at the
-neighbouring positions of the model's own grid.
+A beam that ends in the wall, between the ranges at which it enters and leaves it, costs nothing. Each
+candidate of the search lattice is tried at the neighbouring headings, and the better ones also at the
+neighbouring positions of the model's grid.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _SHARES = 2048
 _LANES = 32
 """Such numbers in the widest vector registers."""
 EMPTY_WEIGHT = 0.5
-"""Of a beam that came back empty to a short-sighted sensor: dark and slanted walls give none either."""
+"""Weight of a beam without a return of a short-range sensor: dark and slanted walls give none either."""
 
 
 def predicted(panoramas: NDArray[np.float32], beams: int, range_max: float) -> Steps:

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 REACH = 1.0
-"""m: farther from any wall the distance says no more, and its gradient is 0."""
+"""Distance from any wall, m, beyond which the field is constant and its gradient 0."""
 _DISTANCE_STEPS, _SLOPE_STEPS = 4095, 511
 _DISTANCE_UNIT, _SLOPE_UNIT = np.float32(REACH / _DISTANCE_STEPS), np.float32(1.0 / _SLOPE_STEPS)
 

@@ -22,7 +22,7 @@ _CAP_M, _BEAMS, _SPACING_M = 15.0, 180, 0.25
 
 
 def warm_up(settings: ProjectorSettings) -> int:
-    """Gives two scans of a small made-up room to a core of its own; the number of messages it said."""
+    """Gives two scans of a small simulated room to a separate core; returns the number of its messages."""
     core = ProjectorCore(settings)
     address = {"site": "warm-up", "robot": "warm-up", "lidar": "warm-up", "region": "room"}
     grid = _room()

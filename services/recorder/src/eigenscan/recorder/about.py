@@ -1,4 +1,4 @@
-"""What a file states about its site: who ran, with which settings, on which models."""
+"""The metadata of a file: services with their settings, and models."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class About:
         self._speaking: set[str] = set()
 
     def receive(self, received: Envelope) -> None:
-        """Takes what belongs here, from any message."""
+        """Takes metadata from any message."""
         if received.channel is HEALTH:
             health = received.open(Health)
             entry = {"version": health.package_version, "settings": health.settings}
@@ -40,7 +40,7 @@ class About:
             self._models[received.key] = json.dumps(entry | {"regions": regions})
 
     def begin_file(self) -> None:
-        """Forgets who did not speak since the last call: robots come and go."""
+        """Forgets services that were silent since the last call, because robots come and go."""
         self._services = {who: entry for who, entry in self._services.items() if who in self._speaking}
         self._speaking.clear()
 

@@ -33,7 +33,7 @@ class BackgroundSink:
 
     @property
     def problem(self) -> str:
-        """That of the sink."""
+        """The sink's problem."""
         return self._sink.problem
 
     @property
@@ -57,7 +57,7 @@ class BackgroundSink:
         """It is at work all the time."""
 
     def close(self) -> None:
-        """Gives what waits DRAIN_S, then closes the sink."""
+        """Gives waiting messages DRAIN_S, then closes the sink."""
         with self._news:
             self._end_at = time.monotonic() + DRAIN_S
             self._news.notify()

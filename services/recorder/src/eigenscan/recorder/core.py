@@ -12,7 +12,7 @@ from eigenscan.schemas.tick import TICK
 
 
 class Sink(Protocol):
-    """Takes every message. Trouble of its own is a `problem`, not an exception."""
+    """Takes every message. It reports a fault as `problem`, and raises no exception."""
 
     @property
     def problem(self) -> str:
@@ -21,7 +21,7 @@ class Sink(Protocol):
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What was taken and what was lost."""
+        """Numbers of messages written and lost."""
         ...
 
     def write(self, received: Envelope) -> None:
@@ -29,11 +29,11 @@ class Sink(Protocol):
         ...
 
     def tick(self) -> None:
-        """Does what is due by the clock, while nothing comes; about once a second."""
+        """Does work that is due by the clock, about once a second, also without messages."""
         ...
 
     def close(self) -> None:
-        """Completes what was written. Nothing may be written after it."""
+        """Completes the output. Nothing may be written after it."""
         ...
 
 

@@ -14,7 +14,7 @@ SUFFIX = ".mcap"
 
 @dataclass(frozen=True)
 class Limits:
-    """What a file, and all files of a recorder together, may take; None: no limit."""
+    """Limits of a file, and of all files of a recorder; None: no limit."""
 
     file_bytes: int | None = None
     file_ns: int | None = None
@@ -27,7 +27,7 @@ class Limits:
 
 
 def _is_written(path: Path) -> bool:
-    """Whether somebody's RecordingWriter has the file open; it holds a lock on it."""
+    """Whether a RecordingWriter of any process has the file open; it holds a lock on it."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

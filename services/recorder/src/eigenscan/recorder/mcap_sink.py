@@ -24,15 +24,14 @@ LATEST = 2**63 - 1
 
 
 class McapSink:
-    """Writes to a new file in `target` (a folder), or to `target` itself where it ends in .mcap.
+    """Writes to a new file in the folder `target`, or to `target` itself if it ends in .mcap.
 
-    A file that exists is left alone: the next free of `name-2.mcap`, `name-3.mcap` is taken. What is
-    older than `flush_s` is in the hands of the operating system; after the last message up to a second later.
-    A file that reaches its limits is closed, and the next one begun; where all take too much the oldest go.
-    Where the disk fails, messages are counted as lost, and every RETRY_S a new file is tried. Each file
-    starts with the newest latched messages, so that it explains itself, and ends with what services told of
-    themselves, as metadata. A file that has as many keys as MCAP can number is closed like one that reached
-    its limits.
+    An existing file is left alone: the next free one of `name-2.mcap`, `name-3.mcap` is used. Messages older
+    than `flush_s` are written to the operating system; after the last message that takes up to a second. A
+    file at its limits is closed and the next one begun; if all take too much, the oldest are deleted. If the
+    disk fails, messages count as lost, and a new file is tried every RETRY_S. Each file starts with the
+    newest latched messages, so that it is complete, and ends with the services' metadata. A file with as many
+    keys as MCAP can number is closed too.
     """
 
     def __init__(
@@ -61,7 +60,7 @@ class McapSink:
 
     @property
     def path(self) -> Path | None:
-        """The file in use; None while there is none."""
+        """The file in use; None if there is none."""
         return self._writer.path if self._writer else None
 
     @property
@@ -91,7 +90,7 @@ class McapSink:
             else:
                 writer.write(received, now, _published(received) or now)
                 self._flush(writer, now)
-        except Exception as error:  # whatever it is, the next messages must not be lost with this one
+        except Exception as error:  # for any error, the next messages must not be lost too
             self._fail(error, now)
         if received.channel.qos.latched:
             self._latched[received.key] = received
@@ -99,7 +98,7 @@ class McapSink:
         self._note_pace(self._stopwatch() - before)
 
     def tick(self) -> None:
-        """Hands over what is due, although nothing more comes."""
+        """Writes due messages, also if no more arrive."""
         now = self._clock()
         if self._writer is not None and self._pending:
             try:
@@ -118,7 +117,7 @@ class McapSink:
             self._writer = None
 
     def _follow_back(self, now: int) -> None:
-        """The clock was set back: what is due is due as soon as it would have been."""
+        """After the clock was set back, moves the due times back too."""
         self._counts["mcap_clock_set_back"] += 1
         back = self._now - now
         self._flushed_at -= back
@@ -151,7 +150,7 @@ class McapSink:
             self._writer = None
 
     def _rotated(self, now: int, key: str) -> RecordingWriter | None:
-        """The file in use, or the next one where that has reached its limits or has no number for `key`."""
+        """The file in use, or the next one if it is at its limits or has no number for `key`."""
         if self._writer and (
             self._limits.is_full(self._writer.size, now - self._opened_at) or not self._writer.has_room(key)
         ):
@@ -163,11 +162,11 @@ class McapSink:
         return self._writer
 
     def _reopen(self, now: int) -> RecordingWriter | None:
-        """The next file, begun with what is latched; None while it is too early to try."""
+        """The next file, with the latched messages; None if it is too early to try."""
         return None if now < self._retry_at else self._begin(now)
 
     def _begin(self, now: int) -> RecordingWriter:
-        """The next file; no trace of it where there is no room for what is latched."""
+        """The next file; deleted again if there is no room for the latched messages."""
         path = self._files.unused(now)
         if self._limits.total_bytes is not None:
             self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes, kept=path)
@@ -188,6 +187,6 @@ class McapSink:
 
 
 def _published(received: Envelope) -> int:
-    """The message's own stamp, ns since the epoch; 0 where it has none."""
+    """The message's own stamp, ns since the epoch; 0 if it has none."""
     stamp = getattr(received.message, "timestamp", None)
     return min(max(nanoseconds(stamp), 0), LATEST) if isinstance(stamp, Timestamp) else 0

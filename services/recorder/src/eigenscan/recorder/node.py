@@ -62,7 +62,7 @@ def make_core(settings: RecorderOptions, clock: Clock = time) -> RecorderCore:
 
 
 def _offer_uploads(settings: RecorderOptions, session: zenoh.Session) -> None:
-    """Lets the site fetch what a robot's recorder wrote."""
+    """Lets the site fetch the files of a robot's recorder."""
     if settings.mcap is not None and settings.uploads and is_one(settings.robot):
         _UPLOADS.append(Uploads(Files(settings.mcap, settings.site)))
         _UPLOADS[-1].offer(session, settings.site, settings.robot)

@@ -12,7 +12,7 @@ from eigenscan.runtime.settings import ServiceSettings
 from pydantic import Field, field_validator, model_validator
 
 FILES_OF_A_BUDGET = 8
-"""Files that a budget holds where the size of one is not given."""
+"""Files in a budget, if their size is not given."""
 
 
 class RecorderOptions(ServiceSettings):

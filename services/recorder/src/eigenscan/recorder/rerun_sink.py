@@ -14,14 +14,14 @@ from eigenscan.schemas.envelope import Envelope
 
 APPLICATION = "eigenscan"
 FLUSH_S = 0.3
-"""What is not handed over after this long at the end is left behind."""
+"""Time to send data at the end, s; the rest is dropped."""
 
 
 class RerunSink:
     """Draws every message. `url` is the page to open, empty without a live viewer."""
 
     def __init__(self, settings: RecorderOptions) -> None:
-        """Opens files and ports. Raises SettingsError or OSError naming what cannot be had."""
+        """Opens files and ports. Raises SettingsError or OSError that names the unavailable one."""
         self._counts: Counter[str] = Counter(drawn=0)
         self._closing = ExitStack()
         self._stream = rr.RecordingStream(APPLICATION)
@@ -45,7 +45,7 @@ class RerunSink:
 
     @property
     def problem(self) -> str:
-        """Empty: a picture that is not seen harms nobody."""
+        """Always empty: a missing picture harms nobody."""
         return ""
 
     @property
@@ -54,7 +54,7 @@ class RerunSink:
         return self._counts
 
     def write(self, received: Envelope) -> None:
-        """Draws the message where it has a picture."""
+        """Draws the message, if it has a picture."""
         self._picture.draw(received)
         self._counts["drawn"] += 1
 

@@ -1,4 +1,4 @@
-"""A robot's recordings for whoever may ask: which files there are, and pieces of them, by query."""
+"""Answers queries for a robot's recordings: the list of files, and pieces of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Uploads:
         self._declared.append(session.declare_queryable(key, self._on_query, complete=True))
 
     def answer(self, what: str, payload: bytes) -> bytes:
-        """The answer to a query for `what`. Raises RecordingError where there is none, or OSError."""
+        """The answer to a query for `what`. Raises RecordingError if there is none, or OSError."""
         if what == "parts":
             return self.parts().SerializeToString()
         if what == "bytes":
@@ -39,7 +39,7 @@ class Uploads:
         raise RecordingError(f"{what!r} is not known: ask for parts or bytes")
 
     def parts(self) -> RecordingParts:
-        """The files, oldest first; what is no recording, or is deleted just now, is left out."""
+        """The files, oldest first, without other files and those deleted meanwhile."""
         found: list[RecordingPart] = []
         for path in self._files.own():
             with suppress(OSError, RecordingError):
@@ -50,15 +50,15 @@ class Uploads:
         return RecordingParts(parts=found)
 
     def read(self, request: RecordingRequest) -> bytes:
-        """The bytes that are asked for, fewer at the file's end, at most MOST_RECORDED_BYTES.
+        """The requested bytes, fewer at the file's end, at most MOST_RECORDED_BYTES.
 
-        Raises RecordingError where this recorder has no such file, or OSError.
+        Raises RecordingError if this recorder has no such file, or OSError.
         """
         path = next((one for one in self._files.own() if one.name == request.name), None)
         if path is None:
             raise RecordingError(f"{request.name}: is not there (any more): old files make room for new ones")
         with path.open("rb") as file:
-            if request.offset >= file.seek(0, 2):  # what no file can reach is no seek either
+            if request.offset >= file.seek(0, 2):  # an offset beyond any file cannot be sought
                 return b""
             file.seek(request.offset)
             return file.read(min(request.length, MOST_RECORDED_BYTES))
@@ -84,12 +84,12 @@ class Uploads:
         )
 
     def _on_query(self, query: Any) -> None:
-        with query, suppress(zenoh.ZError):  # who asked is gone
+        with query, suppress(zenoh.ZError):  # the asker is gone
             what = str(query.key_expr).rpartition("/")[2]
             payload = query.payload.to_bytes() if query.payload is not None else b""
             try:
                 query.reply(query.key_expr, self.answer(what, payload))
             except OSError as error:
                 query.reply_err(f"{error.filename}: {error.strerror}")
-            except ValueError as error:  # RecordingError, and whatever a query may hold
+            except ValueError as error:  # RecordingError, and any other value error of a query
                 query.reply_err(str(error))

@@ -25,7 +25,7 @@ STOP_S = 0.3
 
 
 def free_port(field: str, host: str, port: int) -> int:
-    """`port`, or a free one where it is 0. Raises SettingsError where it is taken."""
+    """`port`, or a free one if it is 0. Raises SettingsError if it is in use."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -40,16 +40,16 @@ def free_port(field: str, host: str, port: int) -> int:
 
 @contextmanager
 def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None = None) -> Iterator[str]:
-    """Serves the viewer's page for as long as the context lasts; gives the link that opens the picture.
+    """Serves the viewer's page while the context lasts; yields the link to the picture.
 
-    The page takes its data from `data_port` of the same host: from whoever serves there, or from
-    `picture`, a .rrd file, which is then served there as well.
+    The page takes its data from `data_port` of the same host: from another server there, or from `picture`, a
+    .rrd file, which is then served there.
     """
     seen_at = "127.0.0.1" if host == "0.0.0.0" else host
     source = f"rerun+http://{seen_at}:{data_port}/proxy"
     served = ["--port", str(data_port), str(picture.resolve())] if picture else [source]
     with TemporaryDirectory(prefix="eigenscan-viewer-") as home:
-        # a home of its own: nothing is sent about its use, and a read-only container will do
+        # an own home folder: no usage data is sent, and a read-only container works
         environment = os.environ | {"HOME": home, "XDG_CONFIG_HOME": home, "XDG_DATA_HOME": home}
         arguments = ["--serve-web", "--bind", host, "--web-viewer-port", str(page_port), *served]
         child = subprocess.Popen(

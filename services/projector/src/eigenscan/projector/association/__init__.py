@@ -1,1 +1,1 @@
-"""Which poses of the site a scan could come from: the paper's associations (section 5) and ours."""
+"""Associations of a scan with poses of the site: the paper's (section 5) and ours."""

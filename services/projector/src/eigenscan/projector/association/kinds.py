@@ -1,4 +1,4 @@
-"""The associations by name, each imported where it is asked for: the names alone are settings, and quick."""
+"""The associations by name, each imported when needed, because the settings need only the names."""
 
 from __future__ import annotations
 

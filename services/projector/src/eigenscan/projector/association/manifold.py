@@ -1,4 +1,4 @@
-"""The sampled manifold of a site's scans, and what an association with it is."""
+"""The sampled manifold of a site's scans, and the interface of an association."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Sheets:
     """One region's family of surfaces in its own eigenspace (paper, section 4): a sheet for each heading.
 
     `coefficients` (P, H, M): [p, h] is the scan at position p and heading h of H over a full turn.
-    `positions` (P, 2) m, map frame, and `cells` (P, 2), their whole-numbered place on the searched grid:
-    positions whose cells differ by one are neighbours on a sheet.
+    `positions` (P, 2) m, map frame, and `cells` (P, 2), their integer places on the searched grid: positions
+    whose cells differ by one are neighbours on a sheet.
     """
 
     coefficients: NDArray[np.float32]
@@ -39,7 +39,7 @@ class Sheets:
         )
 
     def beside(self, dx: int, dy: int) -> Index:
-        """Of each position (P,) the one `dx` and `dy` cells away, -1 where there is none."""
+        """The position `dx` and `dy` cells away from each position (P,), -1 if there is none."""
         low = self.cells.min(axis=0)
         at = self.cells - low + max(abs(dx), abs(dy))
         grid = np.full(at.max(axis=0) + 1 + max(abs(dx), abs(dy)), -1, dtype=np.int64)
@@ -52,9 +52,9 @@ class Sheets:
 class Matches:
     """k poses near a scan in eigenspace, nearest first.
 
-    `rows` (k,): the pose, counted through regions, positions and headings; `squares` (k,): ||S - S'||^2 as
-    far as the subspaces tell; `offsets` (k, 3): where between the grid's poses the scan lies, from the row's
-    own, m, m, rad in the map frame; 0 where the association does not interpolate.
+    `rows` (k,): the pose, counted through regions, positions and headings. `squares` (k,): ||S - S'||^2
+    within the subspaces. `offsets` (k, 3): the scan's place between the grid's poses, from the row's own, m,
+    m, rad in the map frame; 0 without interpolation.
     """
 
     rows: Index

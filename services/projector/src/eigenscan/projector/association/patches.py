@@ -15,7 +15,7 @@ Boxes = tuple[Singles, Singles]
 """Lowest and highest corners (3, n) of boxes in the first three coefficients."""
 
 ROUNDING = 1e-5
-"""Of a corner's weight: a scan on a face counts as enclosed by both sides."""
+"""Tolerance of a corner's weight: a scan on a face counts as enclosed by both sides."""
 
 
 @dataclass(frozen=True)

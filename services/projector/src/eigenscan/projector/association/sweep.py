@@ -19,7 +19,7 @@ BLOCK = 32
 OPENED = 1.5
 """Blocks opened, in geometric means of all blocks and those that the poses looked for would fill."""
 ALWAYS = 64
-"""Blocks that are opened beyond those that the poses looked for would fill, where there are so many."""
+"""Blocks that are opened in addition to those that the wanted poses would fill."""
 _STEPS = 127
 _LEVELS = 256
 _BINS = 1024
@@ -269,7 +269,7 @@ def _add(flat: Bytes, at: np.uint64, query: Singles, m: int, out: Singles) -> No
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _limit_of_sample(values: Singles, count: int) -> np.float32:
-    """About the `count`-th least of `values`, exact where they are few: a sample tells well enough."""
+    """About the `count`-th least of `values`, from a sample; exact for few values."""
     every = max(1, min(count // 128, 16))
     return _limit(values[::every].copy(), -(-count // every))
 

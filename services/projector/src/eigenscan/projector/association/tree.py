@@ -9,7 +9,7 @@ from eigenscan.projector.association.manifold import Array, Association, Index, 
 from scipy.spatial import cKDTree
 
 _NODE_BYTES = 72
-"""Of scipy's tree: bounds, children and counts."""
+"""Bytes of a node of scipy's tree: bounds, children and counts."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""What the traffic looks like, drawn into a Rerun recording."""
+"""Draws the traffic into a Rerun recording."""

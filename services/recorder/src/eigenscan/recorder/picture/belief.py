@@ -1,4 +1,4 @@
-"""What the robot believes beside its pose: hypotheses, tracks, and what the map does not explain."""
+"""Draws hypotheses, tracks, and the scan's unexplained parts."""
 
 from __future__ import annotations
 

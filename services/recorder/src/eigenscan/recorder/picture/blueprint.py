@@ -1,4 +1,4 @@
-"""The layouts: one bar to read from across the room, and below it what each reader asks for first."""
+"""The layouts: a bar with the state, and below it the panels for each reader."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from eigenscan.recorder.picture.layout import Layout
 from numpy.typing import ArrayLike
 
 FIELD_OF_VIEW = np.deg2rad(55.0)
-"""Of the viewer's eye, vertically."""
+"""Vertical field of view of the viewer's camera."""
 UNKNOWN_FLOOR = [112, 137, 134]
-"""As the map's texture shows what is unknown."""
+"""Colour of unknown space in the map's texture."""
 ROOM_AHEAD = 0.06
-"""Of a plot's span, right of the newest: an axis cuts what it writes at its end."""
+"""Space of a plot right of the newest value, as a share of its span: an axis cuts text at its end."""
 MARGIN = 1.14
-"""Of what the eye takes in, to the map: its scale bar is below it."""
+"""Factor from the map to the visible area: the scale bar is below the map."""
 ASPECT = 1.35
 """Width over height of the map's panel on a usual screen."""
 
@@ -38,9 +38,9 @@ def blueprint(
 ) -> rrb.Blueprint:
     """Panels for any number of robots.
 
-    `extent`: low and high corner of the map, m, which the eye takes in; `window_s`: s of the past that time
-    plots show, None for everything; `live`: the newest is followed; `draw_all`: raw scans and frames as well;
-    `has_truth`: there are errors to show.
+    `extent`: low and high corner of the visible map, m. `window_s`: time span of plots, s, None for all.
+    `live`: follows the newest time. `draw_all`: raw scans and frames as well. `has_truth`: there are errors
+    to show.
     """
     panels = {"operator": _operator, "developer": _developer, "researcher": _researcher, "fleet": _fleet}
     shown = panels[layout](extent, _past(window_s), has_truth)
@@ -60,7 +60,7 @@ def blueprint(
 
 
 def _operator(extent: Extent | None, past: Past, has_truth: bool) -> rrb.Container:
-    """Where is it, and may it be believed?"""
+    """Where is the robot, and is it sure?"""
     errors = [rrb.Tabs(*_errors(past))] if has_truth else []
     evidence = rrb.Vertical(
         _state(past),

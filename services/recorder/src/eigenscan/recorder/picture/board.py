@@ -1,4 +1,4 @@
-"""The board as an image: a bar a robot, or a field a robot where there are many, those in need first."""
+"""The board as an image: a bar or, for many robots, a field for each; those in need come first."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SUMMARY: Colour = (30, 30, 30)
 
 @dataclass(frozen=True)
 class Line:
-    """What the board says of one robot. `urgency`: the greater, the sooner somebody must look."""
+    """A robot's entry on the board. `urgency`: entries with a greater one come first."""
 
     robot: str
     state: str
@@ -32,7 +32,7 @@ class Line:
 
 
 def shown(lines: Sequence[Line]) -> list[Line]:
-    """What the board shows of the lines, in its order: many robots are shown without figures."""
+    """The lines in the board's order; many robots are shown without figures."""
     if len(lines) <= MOST_BARS:
         return list(lines)
     brief = (Line(line.robot, line.state, line.urgency, line.colour, "", "") for line in lines)
@@ -40,7 +40,7 @@ def shown(lines: Sequence[Line]) -> list[Line]:
 
 
 def draw_board(lines: Sequence[Line]) -> NDArray[np.uint8]:
-    """The image (h, w, 3) of what `shown` gave."""
+    """The image (h, w, 3) of the lines of `shown`."""
     return _bars(lines) if len(lines) <= MOST_BARS else _fields(lines)
 
 

@@ -15,13 +15,13 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 TIMELINE = "time"
 REPEAT_NS = 30_000_000_000
-"""What changes seldom is drawn again after this: a late viewer is not given what is long ago."""
+"""Interval after which rare content is drawn again, ns, because a late viewer lacks old data."""
 LATEST_NS = 2**62
 """Stamps beyond it (year 2116) are no times."""
 
 
 class Canvas:
-    """Logs at the stamp of what is drawn."""
+    """Logs to Rerun at the stamp of the drawn message."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         stream.set_log_time_enabled(False)
@@ -40,7 +40,7 @@ class Canvas:
         self.stream.log(path, things[0], *things[1:])
 
     def clear(self, stamp: int, path: str) -> None:
-        """Takes away what is at `path` from `stamp` on, where there is something."""
+        """Removes the content of `path` from `stamp` on, if there is any."""
         if path in self._shown:
             self.draw(stamp, path, rr.Clear(recursive=False))
             self._shown.remove(path)
@@ -50,7 +50,7 @@ class Canvas:
         self.stream.log(path, things[0], *things[1:], static=True)
 
     def style(self, path: str, make: Callable[[], tuple[Any, ...]]) -> None:
-        """Puts what `make` gives (colours, sizes) at `path` for all times, unless that was done before."""
+        """Sets the style (colours, sizes) of `path` for all times, once."""
         if path not in self._styled:
             self._styled.add(path)
             self.fix(path, *make())
@@ -64,15 +64,15 @@ class Canvas:
 
 
 def stamp_of(timestamp: Timestamp) -> int | None:
-    """Ns since the epoch, or None where that is no time that can be shown."""
+    """Ns since the epoch; None for a time that cannot be shown."""
     stamp = nanoseconds(timestamp)
     return stamp if 0 < stamp < LATEST_NS else None
 
 
 class Pace:
-    """Lets the first message of each period pass, for each key of its own.
+    """Passes the first message of each period, for each key.
 
-    Periods are cut from the stamps, so that all messages that follow from one scan pass together.
+    Periods follow the stamps, so all messages of one scan pass together.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -98,7 +98,7 @@ class ScanMemory:
         self._scans: RecentlyUsed[tuple[str, str], deque[tuple[int, Scan]]] = RecentlyUsed()
 
     def keep(self, received: Envelope) -> None:
-        """Remembers the scan, where its stamp is a time."""
+        """Stores the scan, if its stamp is valid."""
         scan = received.open(Scan)
         stamp = stamp_of(scan.timestamp)
         if stamp is not None:

@@ -1,7 +1,7 @@
-"""Scans as curves over the bearing: what was seen, what the eigenspace keeps of it, and the eigen-scans.
+"""Scans as curves over the bearing: the scan, its reconstruction, and the eigen-scans.
 
-Bearings go from right to left as the robot sees them, so that a wall on the left is on the left. A 2-D view
-of Rerun counts y downwards.
+Bearings go from right to left as the robot sees them, so a wall on the left is on the left. A 2-D view of
+Rerun counts y downwards.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Array32 = NDArray[np.float32]
 
 HALF_WIDTH = 10.0
-"""Of the curves: half the field of view."""
+"""Width of the curves: half the field of view."""
 LABEL_WIDTH = 6.0
 SCAN_HEIGHT, EIGENSCAN_HEIGHT = 5.0, 2.0
 EIGENSCANS_DRAWN = 5
@@ -27,7 +27,7 @@ BOUNDS = (
     (-HALF_WIDTH - 0.5, HALF_WIDTH + LABEL_WIDTH),
     (-SCAN_HEIGHT - 0.5, EIGENSCANS_DRAWN * EIGENSCAN_HEIGHT + 0.5),
 )
-"""What a view must show: x from, to; y from (top), to."""
+"""Visible area: x from, to; y from (top), to."""
 
 
 def draw_scan(

@@ -145,12 +145,12 @@ class Picture:
 
     def draw(self, received: Envelope) -> None:
         """Draws one message; channels without a picture are left out."""
-        with np.errstate(all="ignore"):  # what is no number is left out by each drawer
+        with np.errstate(all="ignore"):  # each drawer leaves out invalid numbers
             for draw in self._drawn_by.get(received.channel, ()):
                 draw(received)
 
     def flush(self) -> None:
-        """Draws what was held back."""
+        """Draws waiting content."""
         self._plots.flush()
         self._motion.flush()
 

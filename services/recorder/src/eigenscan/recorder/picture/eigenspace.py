@@ -1,6 +1,6 @@
-"""The eigenspace in which a scan was looked up: a region's places, its candidates, and the scan.
+"""The eigenspace of a scan's region: its places, its candidates, and the scan.
 
-All of them lie in the projector's own space. The scan's point and the candidates' are what it said.
+All lie in the projector's own space. It published the points of the scan and the candidates.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class EigenspacePicture:
                 colors=blend(UNLIKELY, HYPOTHESIS, share[own]),
             ),
         )
-        if own[0]:  # where a scan would lie if the robot turned on the spot at the best hypothesis
+        if own[0]:  # the scan's points if the robot turned on the spot at the best hypothesis
             self._canvas.style(f"{path}/loop", _loop_style)
             self._canvas.draw(stamp, f"{path}/loop", rr.LineStrips3D([manifold.loop(poses[0], scan)]))
         else:

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 LABEL_M, LABEL_SHARE = 1.9, 0.035
 """m from a robot to its label, at least, and as a share of the map's height: its arrow is 1.4 m long."""
 BAR_GAP = 0.04
-"""From the map down to its scale bar, as a share of the map's height."""
+"""Gap between the map and its scale bar, as a share of the map's height."""
 BAR_SHARE = 0.2
-"""Of the map's width, that the scale bar takes at most."""
+"""Largest length of the scale bar, as a share of the map's width."""
 BAR_STEPS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 TEXTURE_CELLS = 4096
 """Longest side of a texture that every browser takes."""
 
 
 class Floor:
-    """Draws maps and regions; `extent` is what the last map covers, map frame: (low, high), each (2,), m."""
+    """Draws maps and regions; `extent`: the last map's corners, map frame: (low, high), each (2,), m."""
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
@@ -99,7 +99,7 @@ def scale_length(width: float) -> float:
 
 
 def _shrunk(grid: GridMap) -> tuple[NDArray[np.uint8], float]:
-    """Cells and resolution, coarser by a whole factor where the map is too big for a texture; walls stay."""
+    """Cells and resolution, coarser by a whole factor if the map is too big for a texture; walls stay."""
     factor = -(-max(grid.cells.shape) // TEXTURE_CELLS)
     if factor == 1:
         return grid.cells, grid.resolution

@@ -1,4 +1,4 @@
-"""What a picture can be for."""
+"""Names of the layouts."""
 
 from __future__ import annotations
 

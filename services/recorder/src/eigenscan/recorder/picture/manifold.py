@@ -1,7 +1,7 @@
-"""One region's eigenspace as it is looked at: its places as loops, in the space that the projector searches.
+"""One region's eigenspace for display: its places as loops, in the space that the projector searches.
 
-The basis is the model's own for the declared lidar; for another kind it is derived as a projector derives it.
-Where a scan and its candidates lie in it is published (`Hypotheses.projections` and `coefficients`).
+The basis is the model's own for the declared lidar; for another kind it is derived as in a projector. The
+places of a scan and its candidates are published (`Hypotheses.projections` and `coefficients`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FAR_SHARE = 0.99
 
 
 def analysis_of(model: RegionModel, scan: Scan) -> Analysis:
-    """What a projector searches the lidar's scans by."""
+    """The analysis by which a projector searches the lidar's scans."""
     sensor = Sensor(scan.angle_min, scan.angle_increment, len(scan.ranges), scan.range_max)
     return model.space.analysis.of(sensor)
 
@@ -76,12 +76,12 @@ class Manifold:
         return space.vectors[:number], shares
 
     def bearings(self, scan: Scan) -> Array32:
-        """Of the analysed beams (J,), rad, to the left."""
+        """Bearings of the analysed beams (J,), rad, to the left."""
         steps = np.arange(self.beams, dtype=np.float32)
         return np.float32(scan.angle_min) + np.float32(STEP) * steps
 
     def seen(self, scan: Scan) -> Array32:
-        """Ranges (J,) at the analysed bearings, m, clipped as in the analysis; NaN where there is none."""
+        """Ranges (J,) at the analysed bearings, m, clipped as in the analysis; NaN if there is none."""
         beam = np.rint(np.arange(self.beams) * (STEP / scan.angle_increment)).astype(np.intp)
         there = beam < len(scan.ranges)
         ranges = np.full(self.beams, np.nan, dtype=np.float32)
@@ -105,7 +105,7 @@ class Manifold:
 
 
 def three(alphas: Array32) -> Array32:
-    """The first three of coefficients (..., M); 0 for those that there are not."""
+    """The first three of coefficients (..., M); 0 for missing ones."""
     missing = max(3 - alphas.shape[-1], 0)
     padding = [(0, 0)] * (alphas.ndim - 1) + [(0, missing)]
     return np.pad(alphas[..., :3], padding)

@@ -1,4 +1,4 @@
-"""Which models and map are in use: a page of the set, its floors on the map, and a line at each change."""
+"""The models and the map in use: a page on the set, its floors on the map, and a line at each change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast the robot moves by its odometry and by its scans, and what it is told from outside."""
+"""The robot's speed by odometry and by its scans, and its relocations."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class MotionPicture:
         self._add(where["robot"], f"scans of {where['lidar']}", SCAN, stamp, moved, stamp - since)
 
     def flush(self) -> None:
-        """Sends what waits."""
+        """Sends waiting rows."""
         for _, pair in self._series.items():
             _flush(pair)
 
@@ -80,7 +80,7 @@ def _flush(pair: tuple[Series, Series]) -> None:
 
 
 class RelocationPicture:
-    """Draws where a robot is told to be, until it is told otherwise, and a line among the events.
+    """Draws a robot's last relocation, and a line among the events.
 
     `brief`: the line alone; the arrows of many robots would hide the map.
     """
@@ -89,7 +89,7 @@ class RelocationPicture:
         self._canvas, self._brief = canvas, brief
 
     def draw(self, received: Envelope) -> None:
-        """An arrow with its 95 % ellipse; nothing where the robot is to search anew."""
+        """Draws an arrow with its 95 % ellipse; nothing for a search of the whole site."""
         message, robot = received.open(Relocation), received.address["robot"]
         stamp = stamp_of(message.timestamp) or self._canvas.newest
         if not stamp:

@@ -37,7 +37,7 @@ STATE_COLOURS = {
 
 
 def state_name(state: State) -> str:
-    """The word an operator reads, such as LOCALIZED; UNKNOWN for what this build does not know."""
+    """Name of a state for operators, such as LOCALIZED; UNKNOWN for other numbers."""
     known = state in STATE_COLOURS and state != STATE_UNSPECIFIED
     return State.Name(state).removeprefix("STATE_") if known else "UNKNOWN"
 

@@ -1,4 +1,4 @@
-"""Quantities over time: confidence, the mass for "none of these", and the error where the truth is known."""
+"""Plots over time: confidence, the probability of none of the tracks, and the error if the truth is known."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Series:
         canvas.fix(path, rr.SeriesLines(names=names, colors=colours, widths=[2.0] * len(names)))
 
     def add(self, stamp: int, *values: float) -> None:
-        """Adds a row; what is no number leaves a gap."""
+        """Adds a row; an invalid number leaves a gap."""
         self._stamps.append(stamp)
         self._rows.append(values)
         if len(self._rows) >= ROWS_A_BATCH or not 0 <= stamp - self._stamps[0] < BATCH_NS:
             self.flush()
 
     def flush(self) -> None:
-        """Sends what waits."""
+        """Sends waiting rows."""
         if self._rows:
             self._canvas.plot(self._path, self._stamps, self._rows)
             self._stamps, self._rows = [], []
@@ -85,12 +85,12 @@ class Plots:
         self._settle(robot)
 
     def flush(self) -> None:
-        """Sends what waits."""
+        """Sends waiting rows."""
         for series in self._series.values():
             series.flush()
 
     def _settle(self, robot: str) -> None:
-        """Plots the error of each pose whose moment the truth has reached."""
+        """Plots the error of each pose up to the newest true pose."""
         known, waiting = self._truth[robot], self._open[robot]
         while known and waiting and waiting[0][0] <= known[-1][0]:
             stamp, pose = waiting.popleft()
@@ -110,7 +110,7 @@ class Plots:
 
 
 def true_pose(known: deque[tuple[int, Array]], stamp: int) -> Array | None:
-    """The true pose at `stamp`, between the two that enclose it; None where they are far apart or missing."""
+    """The true pose at `stamp`, between the two around it; None if they are far apart or missing."""
     after = next((index for index, (at, _) in enumerate(known) if at >= stamp), None)
     if after is None:
         return None

@@ -1,4 +1,4 @@
-"""The robot: its pose in the colour of its state, its scan where the pose puts it, and its true pose."""
+"""Draws the robot: its pose in the colour of its state, its scan at the pose, and its true pose."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RobotPicture:
         self._state: dict[str, int] = {}
 
     def receive_scan(self, received: Envelope) -> None:
-        """Draws the scan where its pose came first."""
+        """Draws the scan, if its pose arrived first."""
         stamp = stamp_of(received.open(Scan).timestamp)
         seen = self._seen.get(received.address["robot"])
         if seen is not None and seen.stamp == stamp:
@@ -71,7 +71,7 @@ class RobotPicture:
             self._hide_scans(robot, stamp)
 
     def draw_truth(self, received: Envelope) -> None:
-        """The true pose, where a simulator or a reference says it."""
+        """Draws the true pose from a simulator or a reference."""
         message = received.open(PoseInFrame)
         stamp, robot = stamp_of(message.timestamp), received.address["robot"]
         pose = from_pose3(message.pose)
@@ -129,9 +129,9 @@ class RobotPicture:
 
 
 def label_place(pose: Array, gap: float) -> Array:
-    """Where (2,) the label of a robot at `pose` (3,) covers no part of its arrow: `gap`, m, beside it.
+    """Place (2,) of the label of a robot at `pose` (3,), `gap` m beside its arrow.
 
-    A label is wide and low: only above and below are free of the arrow at any heading.
+    A label is wide and low, so only places above and below are free of the arrow at any heading.
     """
     away = -gap if np.sin(pose[2]) >= 0.0 else gap
     return np.array([pose[0], pose[1] + away])

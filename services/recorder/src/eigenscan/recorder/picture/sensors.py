@@ -1,4 +1,4 @@
-"""What is looked at now and then: a lidar's raw scans, and the coordinate frames."""
+"""Draws on demand: a lidar's raw scans, and the coordinate frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 MOST_FRAMES = 64
-"""Of a robot; each is one more entity."""
+"""Most frames of a robot; each is one more entity."""
 AXIS_M = 0.4
 
 
@@ -25,7 +25,7 @@ class RawScanPicture:
         self._canvas, self._pace = canvas, pace
 
     def draw(self, received: Envelope) -> None:
-        """Blue: ends of beams within the sensor's limits; red: beyond them; an arrow: where it is mounted."""
+        """Blue: ends of beams within the sensor's limits; red: beyond them; an arrow: its mount."""
         message, where = received.open(RawScan), received.address
         path = f"raw/{where['robot']}/{where['lidar']}"
         stamp, mount = stamp_of(message.timestamp), from_message(message.mount)
@@ -75,7 +75,7 @@ class FramesPicture:
         )
 
     def _path(self, robot: str, child: str, parents: dict[str, str]) -> str:
-        """The child below all its parents that are known; a circle is cut where it closes."""
+        """The child's path below all its known parents; a cycle is cut."""
         names = [child]
         while (parent := parents.get(names[0])) is not None and parent not in names:
             names.insert(0, parent)

@@ -13,7 +13,7 @@ MAHALANOBIS_95 = 2.4477
 """Radius of the ellipse that holds 95 % of a Gaussian on the plane: sqrt(chi2.ppf(0.95, 2))."""
 
 BARB = 0.28
-"""Of an arrow, as a share of its length."""
+"""Length of an arrow's barb, as a share of the arrow's length."""
 
 FARTHEST = 1e7
 """No place on a map is farther from its origin, m."""
@@ -30,7 +30,7 @@ def are_places(rows: Array) -> NDArray[np.bool_]:
 
 
 def lift(points: ArrayLike, height: float) -> Array32:
-    """Points (n, 2) as (n, 3) at `height`, m: what lies higher covers what lies lower."""
+    """Points (n, 2) as (n, 3) at `height`, m; higher ones cover lower ones."""
     flat = np.asarray(points, dtype=np.float32).reshape(-1, 2)
     return np.column_stack([flat, np.full(len(flat), height, dtype=np.float32)])
 
@@ -38,7 +38,7 @@ def lift(points: ArrayLike, height: float) -> Array32:
 def arrows(poses: ArrayLike, length: ArrayLike, height: float) -> Array32:
     """Strips (n, 5, 3) that draw flat arrows of `length`, m, along the headings of `poses` (n, 3).
 
-    The viewer's own arrows are shaded, which makes their colours hard to tell.
+    The viewer's own arrows are shaded, so their colours are hard to distinguish.
     """
     pose = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     along = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)

@@ -15,9 +15,9 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 REFRESH_NS = 2_000_000_000
 MANY_NS = 500_000_000
-"""A board of many robots is dear: changes of state wait for so long."""
+"""Least interval between boards of many robots, ns, because they take long to draw."""
 SILENT_NS = 3_000_000_000
-"""A robot that says no pose for so long is silent."""
+"""Time without a pose after which a robot is shown as silent, ns."""
 SILENCE = "SILENT"
 WELL = state_name(STATE_LOCALIZED)
 ADVICE = {
