@@ -32,6 +32,7 @@ def workspace(tmp_path: Path) -> Path:
         "*/pyproject.toml",
         "services/*/LICENSE",
         "services/*/pyproject.toml",
+        "deploy/ros2/*/package.xml",
     )
     for path in [
         path for part in (*parts, "CHANGELOG.md", "CITATION.cff", "tools/release") for path in ROOT.glob(part)
@@ -113,6 +114,7 @@ def test_one_command_sets_the_version_everywhere(workspace: Path) -> None:
     cli = tomllib.loads((workspace / "cli/pyproject.toml").read_text())["project"]
     assert cli["version"] == "1.2.3"
     assert yaml.safe_load((workspace / "CITATION.cff").read_text())["version"] == "1.2.3"
+    assert "<version>1.2.3</version>" in next(workspace.glob("deploy/ros2/*/package.xml")).read_text()
     siblings = [need for need in cli["dependencies"] if need.startswith("eigenscan-")]
     assert len(siblings) > 5
     assert all(need.endswith("==1.2.3") for need in siblings)
