@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.node import WHOLE_SITE_SLACK
 from eigenscan.runtime.recording import RecordingError, read
+from eigenscan.runtime.recording.writing import CHUNK_BYTES
 from eigenscan.runtime.work import SILENT_S
-from eigenscan.schemas.channels import HEALTH, HYPOTHESES, POSE, TRACKS, by_name, find
+from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, TRACKS, by_name, find
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
@@ -20,7 +21,7 @@ from eigenscan.tracker.planar import wrap
 from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S
 from eigenscan.workbench.simtest.network import Sample, Session
 from eigenscan.workbench.simtest.process import Process
-from eigenscan.workbench.simtest.site import SITE, Life, Site
+from eigenscan.workbench.simtest.site import BUDGET_MB, SITE, Life, Site
 
 SETTLE_S = 45.0
 """After the last fault, until when all must work again: 20 s until a deaf service ends, 1 s for its restart,
@@ -59,6 +60,7 @@ class Judge:
         self._posed: dict[str, float] = {}
         self._unique_since: dict[str, float] = {}
         self._inputs: dict[Session, int] = {}
+        self._latched: dict[str, bytes] = {}
         site.network.observer = self.see
         site.on_condition = self.note_condition
         wake = site.network.arrived
@@ -84,14 +86,17 @@ class Judge:
         if found is None:
             return
         channel, address = found
+        process = self._process(session)
+        if process is None:
+            return
+        if channel.qos.latched:
+            self._latched[sample.key_expr] = sample.payload
         if channel is TRACKS:
             self._sums_to_one(address["robot"], Tracks.FromString(sample.payload))
         elif channel is POSE:
             self._claim(address["robot"], PoseEstimate.FromString(sample.payload))
         elif channel is HEALTH:
-            process = self._process(session)
-            if process is not None:
-                self._is_true(process, Health.FromString(sample.payload))
+            self._is_true(process, Health.FromString(sample.payload))
 
     def _process(self, session: Session) -> Process | None:
         return next((each for each in self.site.processes if each.session is session), None)
@@ -107,8 +112,7 @@ class Judge:
         now = self.site.agenda.now
         self._posed[robot] = now
         truth = self.site.robots[robot].truth.get(nanoseconds(pose.timestamp))
-        if truth is None:
-            self.fail("claim", f"{robot}: a pose of a time at which there was no scan")
+        if truth is None:  # a stranger's list
             return
         if not self.site.robots[robot].drive.is_unique(truth):
             self._unique_since.pop(robot, None)
@@ -162,7 +166,10 @@ class Judge:
         )
         latched = sum(count for name, count in arrived.items() if _is_latched(name))
         missing = sum(arrived.values()) - told
-        if not 0 <= missing <= latched:
+        kept = sum(counters[f"heard_{channel.name}"] for channel in CHANNELS if channel.qos.latched)
+        if (
+            not -kept - counters["waiting"] <= missing <= latched
+        ):  # of latched ones not all are news, and some are read from disk
             self.fail("health", f"{process.name}: {missing} messages arrived that no counter has")
 
     def _reports_silence(self, process: Process, health: Health) -> None:
@@ -206,6 +213,8 @@ class Judge:
             elif health.status != Health.STATUS_OK:
                 name = Health.Status.Name(health.status).removeprefix("STATUS_")
                 self.fail("recovery", f"{process.name}: {name}: {health.detail}")
+            else:
+                self._has_newest(process)
         for robot in self.site.robots:
             if now - self._posed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz + 1.0:
                 self.fail("recovery", f"{robot}: no pose {SETTLE_S:.0f} s after the last fault")
@@ -215,12 +224,19 @@ class Judge:
             ):
                 self.fail("recovery", f"{robot}: is not localized {SETTLE_S:.0f} s after the last fault")
 
+    def _has_newest(self, process: Process) -> None:
+        """Every service has the newest map and models that it receives."""
+        observer = self.site.observers[process]
+        for key, payload in self._latched.items():
+            found = find(key)
+            if found and found[0] in observer.hears and observer.latched.get(key) != payload:
+                self.fail("latched", f"{process.name}: has not the newest {found[0].name}")
+
     def recordings(self) -> None:
         """After all has ended: what was recorded can be read, and is complete but for the stated window."""
         for process, lives in self.site.lives.items():
-            if process.machine != SITE or not any(life.handled for life in lives):
-                continue
-            self._recording(process, lives)
+            if any(life.handled for life in lives):
+                self._recording(process, lives)
 
     def _recording(self, process: Process, lives: list[Life]) -> None:
         found: Counter[tuple[str, int]] = Counter()
@@ -232,17 +248,22 @@ class Judge:
                     self.counts["recorded"] += 1
             except RecordingError as error:
                 self.fail("recording", f"{process.name}: {error}")
+        if process.machine != SITE:
+            size = sum(len(inode.data) for inode in process.disk.files.values())
+            if size > 1e6 * BUDGET_MB + CHUNK_BYTES:
+                self.fail("recording", f"{process.name}: {size} bytes, with a budget of {BUDGET_MB} MB")
+            return  # old files are deleted
         for life in lives:
             assert life.ended is not None
             wanted = [(at, (key, own)) for at, channel, key, own in life.handled if not channel.qos.latched]
             missing = [at for at, message in wanted if not _take(found, message)]
             lost = life.counters.get("mcap_lost", 0)
-            if life.how in ("stopped", "deaf"):
-                unexplained = len(missing) - lost
-            else:
-                window = WRITTEN_BACK_S if life.how == "power lost" else KILL_S
-                missing = [at for at in missing if at <= life.ended - window]
-                unexplained = len(missing) - lost
+            # what a recorder that was stopped had written may still be lost with the power
+            ended = math.inf if life.how in ("stopped", "deaf") else life.ended - KILL_S
+            off = [at for at in self.site.machines[process.machine].lost_power if at >= life.ended]
+            safe = min([ended, *(at - WRITTEN_BACK_S for at in off)])
+            missing = [at for at in missing if at <= safe]
+            unexplained = len(missing) - lost
             if unexplained > 0:
                 self.fail(
                     "recording",

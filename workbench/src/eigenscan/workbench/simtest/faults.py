@@ -9,6 +9,7 @@ from random import Random
 from eigenscan.workbench.simtest.network import Link, Session
 from eigenscan.workbench.simtest.process import HANDLING_S, Process
 from eigenscan.workbench.simtest.site import SITE, Machine, Plan, Site
+from eigenscan.workbench.simtest.stranger import Stranger
 
 Undo = Callable[[], None]
 
@@ -139,6 +140,21 @@ def _clock(site: Site, fault: Fault) -> None:
     _machine(site, fault).clock.offset_ns += int(clock_step_s(fault) * 1e9)
 
 
+def _new_map(site: Site, _fault: Fault) -> None:
+    site.edition += 1
+    for process in site.machines[SITE].processes:
+        if process.name.startswith("mapbuilder"):
+            process.stop()
+
+
+def _stranger(site: Site, fault: Fault) -> Undo:
+    machine = _machine(site, fault)
+    session = site.network.open(machine.name, machine.clock)
+    stranger = Stranger(site, session, f"{site.seed} stranger {fault.at}")
+    stranger.speak()
+    return stranger.leave
+
+
 def _full(site: Site, fault: Fault) -> Undo:
     disk = _process(site, fault).disk
     disk.left = int(5000 * fault.amount)
@@ -196,6 +212,10 @@ KINDS: dict[str, Kind] = {
         lambda _site, fault: f"the clock of {fault.place} is set by {clock_step_s(fault):+.2f} s",
         lasts=False,
     ),
+    "new map": Kind(
+        _new_map, lambda _site, _fault: "the mapbuilder is restarted with another map", lasts=False
+    ),
+    "stranger": Kind(_stranger, lambda _site, fault: f"a stranger publishes nonsense on {fault.place}"),
     "full": Kind(
         _full,
         lambda site, fault: (

@@ -108,7 +108,7 @@ class Process:
         self.node = None
         self._agenda.after(RESTART_S, self.start)
 
-    def stop(self) -> None:
+    def stop(self, how: str = "stopped") -> None:
         """In good order, as by SIGTERM."""
         if self._work is None or self.node is None:
             return
@@ -119,7 +119,7 @@ class Process:
         except KilledError:
             self.end("killed")
             return
-        self.end("stopped")
+        self.end(how)
 
     def wake(self) -> None:
         """Something has come."""
@@ -165,7 +165,7 @@ class Process:
                 return
             self.node.report()
             if self.node.is_deaf:
-                self.end("deaf")
+                self.stop("deaf")
                 return
             self._tell_later(life)
 

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
+from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.mapbuilder import node as mapbuilder
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.options import MapbuilderOptions
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import build_site
 from eigenscan.recorder import node as recorder
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.runtime.node import Service
@@ -29,6 +37,19 @@ SITE = "site"
 """Its name, and that of its one machine that is no robot."""
 
 
+FILE_MB, BUDGET_MB = 0.03, 0.15
+"""Of a robot's recorder."""
+
+
+@cache
+def room(edition: int) -> SiteModel:
+    """The models of a small room, whose wall moves between two editions."""
+    cells = np.full((24, 24 + 2 * edition), OCCUPIED, dtype=np.uint8)
+    cells[1:-1, 1:-1] = FREE
+    grid = GridMap(cells, 0.2, np.zeros(3))
+    return build_site(grid, MapbuilderSettings(spacing=1.0).plan)
+
+
 @dataclass(frozen=True)
 class Plan:
     """What a seed makes of a site, beside its faults."""
@@ -38,14 +59,25 @@ class Plan:
     odometry_hz: float
     faults_s: float
     """In which faults begin."""
+    rotate_minutes: float = 60.0
+    """Of the site's recorder."""
+    recorders: bool = False
+    """Whether each robot has one, with a budget."""
 
     @classmethod
     def of(cls, seed: int, robots: int | None = None) -> Plan:
         """By the seed alone."""
         random = Random(f"{seed} plan")
-        drawn = random.randint(1, 5)
+        drawn = random.choice((1, 1, 2, 2, 3, 5))
         scan_hz = random.choice((0.5, 1.0, 2.0))
-        return cls(robots or drawn, scan_hz, scan_hz * random.choice((2, 5)), random.uniform(20.0, 90.0))
+        return cls(
+            robots or drawn,
+            scan_hz,
+            scan_hz * random.choice((2, 5)),
+            random.uniform(20.0, 90.0),
+            random.choice((0.2, 60.0)),
+            random.random() < 0.3,
+        )
 
 
 @dataclass
@@ -68,6 +100,8 @@ class Observer:
         self._core, self._agenda, self._on_condition, self._keeps = core, agenda, on_condition, keeps
         self.inputs, self.outputs = core.inputs, core.outputs
         self.life = Life(agenda.now)
+        self.latched: dict[str, bytes] = {}
+        """The newest of each latched key that the core was given."""
 
     def start(self) -> Iterable[Envelope]:
         """As the core."""
@@ -75,6 +109,8 @@ class Observer:
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """As the core."""
+        if received.channel.qos.latched:
+            self.latched[received.key] = encode(received.message)
         if self._keeps and received.channel is not TICK:
             self.life.handled.append(
                 (self._agenda.now, received.channel, received.key, hash(encode(received.message)))
@@ -104,6 +140,8 @@ class Machine:
         self.clock = MachineClock(site.agenda)
         self.processes: list[Process] = []
         self.is_on = False
+        self.lost_power: list[float] = []
+        """When."""
         self._driver: Session | None = None
         self._boots = 0
 
@@ -123,6 +161,7 @@ class Machine:
     def power_off(self, random: Random) -> None:
         """At once; disks lose what was not synced."""
         self.is_on = False
+        self.lost_power.append(self._site.agenda.now)
         for process in self.processes:
             process.is_wanted = False
             if process.is_up:
@@ -155,12 +194,18 @@ class Site:
         self.lives: dict[Process, list[Life]] = {}
         self.on_condition: Callable[[Process], None] = lambda _process: None
         self.notes: list[tuple[float, str]] = []
+        self.edition = 0
+        """Of the map."""
         names = [f"r{number + 1}" for number in range(plan.robots)]
         self.robots = {name: Robot(SITE, name, str(seed)) for name in names}
         self.machines = {SITE: Machine(self, SITE, None)}
         self.machines |= {name: Machine(self, name, self.robots[name]) for name in names}
         self._add(SITE, recorder.SERVICE, recorder.make_core, self._recorder_settings, keeps=True)
+        self._add(SITE, mapbuilder.SERVICE, self._make_mapbuilder, self._mapbuilder_settings)
         for name in names:
+            if plan.recorders:
+                own = partial(self._robot_recorder_settings, name)
+                self._add(name, recorder.SERVICE, recorder.make_core, own, keeps=True)
             self._add(name, tracker.SERVICE, tracker.make_core, partial(self._tracker_settings, name))
             projector = Service("projector", ServiceSettings, lambda _settings: None)  # type: ignore[arg-type,return-value]
             self._add(
@@ -186,15 +231,34 @@ class Site:
         session.declare_publisher(one.key, encoding(one.channel)).put(encode(one.message))
 
     def _recorder_settings(self, disk: Disk) -> ServiceSettings:
-        settings = RecorderOptions(site=SITE, mcap=Path("/recordings"))
+        settings = RecorderOptions(
+            site=SITE, mcap=Path("/recordings"), rotate_minutes=self.plan.rotate_minutes
+        )
         return settings.model_copy(update={"mcap": disk.path("/recordings")})
+
+    def _robot_recorder_settings(self, name: str, disk: Disk) -> ServiceSettings:
+        settings = RecorderOptions(
+            site=SITE,
+            robot=name,
+            instance=name,
+            mcap=Path("/recordings"),
+            rotate_mb=FILE_MB,
+            budget_mb=BUDGET_MB,
+        )
+        return settings.model_copy(update={"mcap": disk.path("/recordings")})
+
+    def _mapbuilder_settings(self, _disk: Disk) -> ServiceSettings:
+        return MapbuilderOptions(site=SITE, map=Path("room.yaml"))
+
+    def _make_mapbuilder(self, settings: MapbuilderOptions, _clock: MachineClock) -> Core:
+        return MapbuilderCore(settings, room(self.edition % 2), SITE)
 
     def _plain_settings(self, name: str, _disk: Disk) -> ServiceSettings:
         return ServiceSettings(site=SITE, robot=name, instance=name)
 
     def _tracker_settings(self, name: str, disk: Disk) -> ServiceSettings:
         settings = TrackerOptions(site=SITE, robot=name, instance=name)
-        return settings.model_copy(update={"last_pose": disk.path("/poses")})
+        return settings.model_copy(update={"last_pose": disk.path("/poses"), "keep": disk.path("/keep")})
 
     def _add(
         self,
