@@ -11,7 +11,7 @@ from eigenscan.runtime.node import WHOLE_SITE_SLACK
 from eigenscan.runtime.recording import RecordingError, read
 from eigenscan.runtime.recording.writing import CHUNK_BYTES
 from eigenscan.runtime.work import SILENT_S
-from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, TRACKS, by_name, find
+from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, SCAN_RAW, TRACKS, by_name, find
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
@@ -30,7 +30,7 @@ UNIQUE_S = 20.0
 """For which a robot must have been where nothing looks the same, to be localized."""
 LATE_S = 2.0
 """After SILENT_S, until health reports it."""
-INPUTS = {"tracker": HYPOTHESES}
+INPUTS = {"tracker": HYPOTHESES, "scan-ingest": SCAN_RAW}
 FAR_M, FAR_RAD = 1.0, math.radians(20.0)
 """A claim without a protection level that is farther off is wrong."""
 KILL_S = 1.5

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from random import Random
 
 from eigenscan.runtime.settings import ServiceSettings
-from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, SCAN, Channel
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
-from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.tracker.planar import Pose, between, compose, wrap
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose as Pose3
@@ -27,6 +27,9 @@ FITS, FITS_BADLY = (14.0, 22.0), (2.0, 6.0)
 """Log-likelihoods of the right place, and of those that a projector lists with it."""
 TOLD_APART = 8.0
 """Nats by which the right place fits better than its twin, where they differ."""
+BEAMS, NOISE_M = 120, 0.01
+MARGIN_M = 1.5
+"""From the drive to the room's walls."""
 WORST = 2.5
 """Standard deviations that an error has at most: a claim may never exceed its protection level by chance."""
 
@@ -50,6 +53,21 @@ class Drive:
         heading = math.atan2(self._b * math.cos(angle), -self._a * math.sin(angle))
         return self._centre[0] + x, self._centre[1] + y, heading
 
+    def ranges(self, pose: Pose, random: Random) -> list[float]:
+        """What a lidar sees there, m."""
+        found = []
+        for beam in range(BEAMS):
+            angle = pose[2] - math.pi + beam * 2.0 * math.pi / BEAMS
+            ways = []
+            for at, centre, half, step in (
+                (pose[0], self._centre[0], self._a + MARGIN_M, math.cos(angle)),
+                (pose[1], self._centre[1], self._b + MARGIN_M, math.sin(angle)),
+            ):
+                if abs(step) > 1e-9:
+                    ways.append((centre + math.copysign(half, step) - at) / step)
+            found.append(min(ways) + random.gauss(0.0, NOISE_M))
+        return found
+
     def is_unique(self, pose: Pose) -> bool:
         """Whether nothing looks the same as this place."""
         return pose[0] > self._centre[0]
@@ -66,14 +84,26 @@ class Robot:
         self._noise = Random(f"{seed} odometry {name}")
         self._last: Pose | None = None
         self._odometry: Pose = (0.0, 0.0, 0.0)
-        self._scans = 0
+        self._beams = Random(f"{seed} beams {name}")
+        self._lidar = {"site": site, "robot": name, "lidar": "front"}
 
     def scan(self, seconds: float, now_ns: int) -> Envelope:
-        """A scan of now."""
+        """A scan of now, as scan-ingest gives it, but without what the projector does not need."""
         self.truth[now_ns] = self.drive.at(seconds)
-        self._scans += 1
-        message = Scan(timestamp=stamp(now_ns), frame_id="base", sequence=self._scans, ranges=[1.0] * 8)
-        return Envelope(SCAN, {"site": self.site, "robot": self.name, "lidar": "front"}, message)
+        return Envelope(SCAN, self._lidar, Scan(timestamp=stamp(now_ns), frame_id="base", ranges=[1.0] * 8))
+
+    def raw_scan(self, seconds: float, now_ns: int) -> Envelope:
+        """A scan of now, as a lidar's driver gives it: of a rectangular room around the whole drive."""
+        self.truth[now_ns] = self.drive.at(seconds)
+        message = RawScan(
+            timestamp=stamp(now_ns),
+            mount=Pose2(),
+            angle_min=-math.pi,
+            angle_increment=2.0 * math.pi / BEAMS,
+            range_max=50.0,
+            ranges=self.drive.ranges(self.truth[now_ns], self._beams),
+        )
+        return Envelope(SCAN_RAW, self._lidar, message)
 
     def odometry(self, seconds: float, now_ns: int) -> Envelope:
         """Odometry of now; slips a little, as the tracker's settings allow."""
@@ -98,7 +128,7 @@ class Robot:
     def hypotheses(self, scan: Scan) -> Hypotheses:
         """What a projector that makes no mistakes beyond its covariances says of a scan."""
         at = nanoseconds(scan.timestamp)
-        random = Random(f"{self._seed} list {self.name} {scan.sequence}")
+        random = Random(f"{self._seed} list {self.name} {at}")
         sigma, sigma_theta = random.uniform(0.02, 0.08), random.uniform(0.01, 0.03)
         true = self.truth[at]
         pose = compose(

@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.ingest import node as ingest
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.mapbuilder import node as mapbuilder
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.options import MapbuilderOptions
@@ -61,6 +64,8 @@ class Plan:
     """In which faults begin."""
     rotate_minutes: float = 60.0
     """Of the site's recorder."""
+    ingest: bool = False
+    """Whether lidars give raw scans, and scan-ingest runs."""
     recorders: bool = False
     """Whether each robot has one, with a budget."""
 
@@ -76,6 +81,7 @@ class Plan:
             scan_hz * random.choice((2, 5)),
             random.uniform(20.0, 90.0),
             random.choice((0.2, 60.0)),
+            random.random() < 0.3,
             random.random() < 0.3,
         )
 
@@ -155,7 +161,8 @@ class Machine:
         if self.robot is not None:
             self._driver = self._site.network.open(self.name, self.clock)
             plan = self._site.plan
-            for hertz, make in ((plan.scan_hz, self.robot.scan), (plan.odometry_hz, self.robot.odometry)):
+            scan = self.robot.raw_scan if plan.ingest else self.robot.scan
+            for hertz, make in ((plan.scan_hz, scan), (plan.odometry_hz, self.robot.odometry)):
                 self._drive(1.0 / hertz, make, random.random() / hertz, self._boots)
 
     def power_off(self, random: Random) -> None:
@@ -203,6 +210,9 @@ class Site:
         self._add(SITE, recorder.SERVICE, recorder.make_core, self._recorder_settings, keeps=True)
         self._add(SITE, mapbuilder.SERVICE, self._make_mapbuilder, self._mapbuilder_settings)
         for name in names:
+            if plan.ingest:
+                options = partial(self._ingest_settings, name)
+                self._add(name, ingest.SERVICE, lambda given, _clock: ScanIngestCore(given), options)
             if plan.recorders:
                 own = partial(self._robot_recorder_settings, name)
                 self._add(name, recorder.SERVICE, recorder.make_core, own, keeps=True)
@@ -255,6 +265,9 @@ class Site:
 
     def _plain_settings(self, name: str, _disk: Disk) -> ServiceSettings:
         return ServiceSettings(site=SITE, robot=name, instance=name)
+
+    def _ingest_settings(self, name: str, _disk: Disk) -> ServiceSettings:
+        return ScanIngestOptions(site=SITE, robot=name, instance=name)
 
     def _tracker_settings(self, name: str, disk: Disk) -> ServiceSettings:
         settings = TrackerOptions(site=SITE, robot=name, instance=name)
