@@ -18,8 +18,8 @@ from eigenscan.workbench.simtest.site import Plan
 from eigenscan.workbench.simtest.story import shrunk, story
 from eigenscan.workbench.simtest.trial import run
 
-SEEDS = range(8)
-ROBOTS = 2
+SEEDS = range(5)
+ROBOTS = 1
 """Fewer than the command's: a run takes half a second."""
 
 
@@ -47,11 +47,9 @@ def test_a_failure_is_told_by_the_fault_that_causes_it(monkeypatch: pytest.Monke
     monkeypatch.setattr(McapSink, "_flush", lambda *_: None)
     faults = [
         Fault(11.0, "loss", "r1", 0, 0.1, 1.0),
-        Fault(12.0, "clock", "r1", 0, 0.6, 0.0),
         Fault(30.0, "kill", "site", 0, 0.0, 0.0),
-        Fault(31.0, "slow", "r1", 0, 0.0, 1.0),
     ]
-    outcome = run(4, ROBOTS, faults)
+    outcome = run(2, 2, faults)
     assert outcome.broken[0].rule == "recording"
     least = shrunk(outcome)
     assert [fault.kind for fault in least.faults] == ["kill"]
