@@ -229,7 +229,7 @@ class Judge:
         observer = self.site.observers[process]
         for key, payload in self._latched.items():
             found = find(key)
-            if found and found[0] in observer.hears and observer.latched.get(key) != payload:
+            if found and found[0] in observer.inputs and observer.latched.get(key) != payload:
                 self.fail("latched", f"{process.name}: has not the newest {found[0].name}")
 
     def recordings(self) -> None:
