@@ -144,6 +144,16 @@ def test_lattice_keeps_shared_positions_once_and_searches_every_place() -> None:
     assert np.allclose(step[there], [0.0, 0.25])
 
 
+@pytest.mark.parametrize("spacing", [0.25, 0.5])
+def test_the_nearest_position_is_found_beside_walls_and_off_the_map(spacing: float) -> None:
+    lattice = Lattice.of(site(spacing).regions)
+    low, high = lattice.positions.min(axis=0), lattice.positions.max(axis=0)
+    points = np.random.default_rng(7).uniform(low - 5.0, high + 5.0, (300, 2))
+    away = np.linalg.norm(lattice.positions[None] - points[:, None], axis=2)
+    found = lattice.nearest(points)
+    assert np.array_equal(away[np.arange(len(points)), found], away.min(axis=1))
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**16), st.integers(1, 12))
 def test_thinning_keeps_the_best_of_each_neighbourhood(seed: int, count: int) -> None:

@@ -21,7 +21,7 @@ def coordinates(
 
     A panorama that is there costs a fifth of casting the rays of the pose itself.
     """
-    position = np.asarray(lattice.tree.query(poses[:, :2])[1])
+    position = lattice.nearest(poses[:, :2])
     ranges = np.empty((len(poses), view.spaces.vectors.shape[-1]), dtype=np.float32)
     _look_up(lattice.panoramas, position, windows_at(poses[:, 2], angle_min), ranges)
     found = np.empty((len(poses), view.spaces.vectors.shape[1]), dtype=np.float32)
