@@ -1,4 +1,5 @@
 import json
+import os
 import time
 from pathlib import Path
 from uuid import uuid4
@@ -6,7 +7,7 @@ from uuid import uuid4
 import psutil
 import pytest
 import zenoh
-from eigenscan.runtime.session import URGENT_BATCHES, open_session
+from eigenscan.runtime.session import ONE_RECEIVER, URGENT_BATCHES, open_session
 
 from tests.runtime.conftest import PATIENCE_S
 
@@ -66,3 +67,16 @@ def test_those_without_a_file_meet_and_still_do_when_the_first_is_gone() -> None
         time.sleep(0.05)
     second.close()
     third.close()
+
+
+@pytest.mark.parametrize(("mode", "own"), [("peer", True), ("client", True), ("router", False)])
+def test_one_thread_receives_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mode: str, own: bool) -> None:
+    name, value = ONE_RECEIVER
+    monkeypatch.setattr(zenoh, "open", lambda _config: os.environ.get(name))
+    monkeypatch.setenv(name, "")
+    monkeypatch.delenv(name)
+    told: object = open_session(None, mode)
+    assert told == (value if own else None)
+    monkeypatch.setenv(name, "(rx: (worker_threads: 4))")  # who set it knows better
+    told = open_session(None, mode)
+    assert told == "(rx: (worker_threads: 4))"

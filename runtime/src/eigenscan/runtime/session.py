@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import threading
 from collections.abc import Sequence
@@ -29,6 +30,9 @@ URGENT_BATCHES = 16
 Zenoh's default, 2, is full as soon as its thread gets no turn for two scans, and then it drops messages.
 A deeper queue delays nothing. A longer wait before a drop would delay senders on a link that hangs.
 """
+ONE_RECEIVER = "ZENOH_RUNTIME", "(rx: (worker_threads: 1))"
+"""Zenoh's own 2 wake each other for each message: a tenth of a quiet robot's processor time. A router keeps
+both, because one that waits for a slow link must not stop the others."""
 _QUEUE_SIZE = "transport/link/tx/queue/size"
 
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
@@ -40,6 +44,8 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     `mode` ("peer", "router") and `listen` (more endpoints, such as tcp/0.0.0.0:7447) apply without a file.
     Raises ContractError that names the file if it is no Zenoh configuration, or if no session opens.
     """
+    if mode != "router":
+        os.environ.setdefault(*ONE_RECEIVER)
     zenoh.init_log_from_env_or(LOG_FILTER)
     if path and not path.exists():
         raise ContractError(f"{path}: no such Zenoh configuration: check --zenoh")

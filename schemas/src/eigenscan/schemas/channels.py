@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
@@ -133,11 +133,7 @@ class Channel:
 
         Raises ContractError if a field is missing or is not one plain key chunk.
         """
-        for name in self.fields:
-            value = address.get(name, "")
-            if not is_chunk(value):
-                raise ContractError(f"{self.name}: key field {name!r} cannot be {value!r}")
-        return self.template.format_map({name: address[name] for name in self.fields})
+        return _key(self.name, self.template, tuple([(name, address.get(name, "")) for name in self.fields]))
 
     def selector(self, address: Mapping[str, str] | None = None) -> str:
         """Key expression for all keys of this channel with the fields that `address` gives.
@@ -155,6 +151,14 @@ class Channel:
         """Address in `key`; None if the key belongs to another channel."""
         match = self._pattern.fullmatch(key)
         return match.groupdict() if match else None
+
+
+@lru_cache(maxsize=4096)  # the same few keys come with each message
+def _key(channel: str, template: str, fields: tuple[tuple[str, str], ...]) -> str:
+    for name, value in fields:
+        if not is_chunk(value):
+            raise ContractError(f"{channel}: key field {name!r} cannot be {value!r}")
+    return template.format_map(dict(fields))
 
 
 _LIVE = Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=40.0)
