@@ -198,7 +198,7 @@ class TrackerCore:
             )
 
     def _publish(
-        self, address: Mapping[str, str], robot: _Tracked, estimates: list[Estimate]
+        self, address: Mapping[str, str], robot: _Tracked, estimates: Iterable[Estimate]
     ) -> Iterator[Envelope]:
         for estimate in estimates:
             robot.map_frame = estimate.frame
@@ -254,15 +254,12 @@ def _tracks_message(estimate: Estimate) -> Tracks:
         strict=True,
     ):
         # filled in place: messages put together from messages take three times as long
-        track = message.tracks.add(
-            id=id_,
-            parent_id=parent,
-            probability=probability,
-            observations=observations,
-            age=(estimate.stamp - born) * 1e-9,
-            history=estimate.histories.get(id_, ()),
-            nis=None if isnan(nis) else nis,
-        )
+        track = message.tracks.add()
+        track.CopyFrom(estimate.histories[id_])
+        track.id, track.parent_id, track.probability = id_, parent, probability
+        track.observations, track.age = observations, (estimate.stamp - born) * 1e-9
+        if not isnan(nis):
+            track.nis = nis
         track.pose.x, track.pose.y, track.pose.theta = x, y, theta
         (xx, xy, xt), (_, yy, yt), (_, _, tt) = C
         c = track.covariance

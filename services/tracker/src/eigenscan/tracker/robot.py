@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.schemas.geometry_pb2 import Pose2
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.cause import likely_cause
@@ -51,7 +51,8 @@ class Estimate:
     stamp: int
     frame: str
     tracks: Tracks
-    histories: Mapping[int, tuple[Pose2, ...]]
+    histories: Mapping[int, Track]
+    """By id: a track with nothing but its history, which goes on with the next step."""
     verdict: Verdict
     state: State
     none_probability: float
@@ -92,7 +93,7 @@ class RobotTracker:
         kind = Sequences if self._settings.method == "paper" else Belief
         self.belief = kind(self._settings)
         self.state: State = STATE_LOST
-        self._histories: dict[int, deque[Pose2]] = {}
+        self._histories: dict[int, Track] = {}
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
         self._claim = Claim(self._settings)
@@ -107,7 +108,7 @@ class RobotTracker:
         self.belief.next_id = next_id
         self._hint = hint
 
-    def hear_odometry(self, stamp: int, pose: Pose) -> list[Estimate]:
+    def hear_odometry(self, stamp: int, pose: Pose) -> Iterator[Estimate]:
         """Takes odometry, base in the odom frame; gives the estimates that waited for it."""
         result = self._trail.take(stamp, pose)
         self._counts[result] += 1
@@ -118,7 +119,7 @@ class RobotTracker:
             self._silence.hear_odometry(self._trail.newest.stamp)
         return self._ready()
 
-    def hear(self, seen: Observation) -> list[Estimate]:
+    def hear(self, seen: Observation) -> Iterator[Estimate]:
         """Takes an observation; gives the estimates that are ready."""
         heard = self._timeline.hear(seen)
         self._silence.hear(seen, heard)
@@ -130,12 +131,13 @@ class RobotTracker:
         """Takes what two scans tell of the motion between them."""
         self._agreement.hear(interval)
 
-    def finish(self) -> list[Estimate]:
+    def finish(self) -> Iterator[Estimate]:
         """Estimates for all that still waits."""
-        return [self._step(seen) for seen in self._timeline.rest()]
+        return (self._step(seen) for seen in self._timeline.rest())
 
-    def _ready(self) -> list[Estimate]:
-        return [self._step(seen) for seen in self._timeline.ready(self._trail.tells)]
+    def _ready(self) -> Iterator[Estimate]:
+        """One step after another: an estimate holds until the next one is asked for."""
+        return (self._step(seen) for seen in self._timeline.ready(self._trail.tells))
 
     @property
     def fault(self) -> str:
@@ -270,10 +272,14 @@ class RobotTracker:
         ):
             past = before.get(id_)
             if past is None:
-                past = deque(before.get(parent, ()), maxlen=kept)
-            if not past or _is_a_step(past[-1], pose):
+                past = Track()
+                past.CopyFrom(before.get(parent, past))
+            history = past.history
+            if kept and (not history or _is_a_step(history[-1], pose)):
+                if len(history) == kept:
+                    del history[0]
                 x, y, theta = pose
-                past.append(Pose2(x=x, y=y, theta=theta))
+                history.add(x=x, y=y, theta=theta)
             self._histories[id_] = past
 
     def _conclude(self, seen: Observation) -> Estimate:
@@ -288,7 +294,7 @@ class RobotTracker:
             seen.stamp,
             frame,
             belief.tracks,
-            {id_: tuple(history) for id_, history in self._histories.items()},
+            self._histories,
             verdict,
             self.state,
             belief.none_probability,
