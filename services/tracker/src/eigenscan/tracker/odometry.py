@@ -144,7 +144,7 @@ class OdometryTrail:
         if self._samples[half].stamp < stamp - KEPT_NS or len(self._samples) > KEPT_AT_MOST:
             del self._samples[: max(half - KEPT_AT_LEAST, 0)]
 
-    def tells(self, stamp: int) -> bool:
+    def reaches(self, stamp: int) -> bool:
         """Whether the pose at `stamp`, ns, is known, whatever odometry is still to come."""
         sample = self.at(stamp)
         return sample is not None and (sample.extrapolated or stamp <= self._samples[-1].stamp)

@@ -137,7 +137,7 @@ class RobotTracker:
 
     def _ready(self) -> Iterator[Estimate]:
         """One step after another: an estimate holds until the next one is asked for."""
-        return (self._step(seen) for seen in self._timeline.ready(self._trail.tells))
+        return (self._step(seen) for seen in self._timeline.ready(self._trail.reaches))
 
     @property
     def fault(self) -> str:

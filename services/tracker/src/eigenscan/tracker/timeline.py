@@ -109,10 +109,10 @@ class Timeline:
         heapq.heappush(self._waiting, (seen.stamp, seen.source, self._order, seen))
         self._order += 1
 
-    def ready(self, is_told: Callable[[int], bool]) -> list[Observation]:
+    def ready(self, is_known: Callable[[int], bool]) -> list[Observation]:
         """Observations whose odometry is known or whose patience has ended, oldest first.
 
-        `is_told`: whether odometry tells of a stamp, ns. Where several projectors answer it must have come as
+        `is_known`: whether odometry reaches a stamp, ns. Where several projectors answer it must have come as
         far: their lists of one scan arrive in any order, and are taken in that of their names.
         """
         if not self._waiting or self._heard is None:
@@ -126,10 +126,10 @@ class Timeline:
         alone = len(self._projectors) < 2
         while self._waiting:
             stamp = self._waiting[0][0]
-            told = alone and is_told(stamp)
-            if not told and stamp > known:
+            reached = alone and is_known(stamp)
+            if not reached and stamp > known:
                 break
-            if not told and self._odometry is not None and stamp > self._odometry:
+            if not reached and self._odometry is not None and stamp > self._odometry:
                 self._counts["odometry_came_late"] += 1
             result.append(heapq.heappop(self._waiting)[3])
         return result
