@@ -5,8 +5,9 @@
 
 A track is begun at each hypothesis of a scan that is worth it, and followed by the true motion to the scan
 half a metre or half a radian on. There it has a hypothesis of some log-likelihood L, by some nats ahead of
-the next place, or none. The table is ln p(that | the track was right) / p(that | it was wrong); the
-tracker's own figures (services/tracker, evidence.py) stand beside it.
+the next place, or none. The tables are ln p(that | the track was right) / p(that | it was wrong): first of
+wrong tracks whose list has the right place, then of those whose list lacks it, as off the map, where a
+lookalike may well be ahead. The tracker's own figures (services/tracker, evidence.py) stand beside them.
 
 Then how many of a list's ten likeliest go on in the next list, and how many where the robot was carried to
 another place in between: what tells that it was (services/tracker, continuity.py).
@@ -61,6 +62,7 @@ CASES = {
     "fr079": ("fr079", "log.clf.gz", "log.tum"),
     "guardian 3": ("guardian", "guardian_3.bag", "guardian_3.tum"),
     "guardian 2": ("guardian", "guardian_controller_2.bag", "guardian_controller_2.tum"),
+    "aces": ("aces", "log.clf.gz", "log.tum"),
 }
 WORTH = 8.0
 """Log-likelihood from which on a hypothesis begins a track here."""
@@ -142,8 +144,11 @@ class Counts:
         return float(self.listed.sum() + self.missed)
 
 
-def follow(scans: list[Answer], right_tracks: Counts, wrong_tracks: Counts) -> None:
-    """Counts what became of the tracks that each third scan begins."""
+def follow(scans: list[Answer], right_tracks: Counts, beside: Counts, alone: Counts) -> None:
+    """Counts what became of the tracks that each third scan begins.
+
+    Wrong ones count in `beside` where the list has the right place, and in `alone` where it does not.
+    """
     way = independent_way(scans)
     for first in range(0, len(scans), 3):
         later = int(np.searchsorted(way, way[first] + 1.0))
@@ -151,6 +156,7 @@ def follow(scans: list[Answer], right_tracks: Counts, wrong_tracks: Counts) -> N
             continue
         begun, seen = scans[first], scans[later]
         motion, is_right = between(begun.truth, seen.truth), begun.near(begun.truth)
+        wrong_tracks = beside if seen.near(seen.truth).any() else alone
         for k in np.flatnonzero(begun.likelihoods >= WORTH):
             counts = right_tracks if is_right[k] else wrong_tracks
             there = seen.near(compose(begun.poses[k], motion))
@@ -263,23 +269,28 @@ def squared_errors(windows: list[list[Answer]]) -> list[float | None]:
     return [float(np.mean(errors)) if len(errors) >= 10 else None for errors in found]
 
 
+def ratio(true: Counts, false: Counts) -> dict[str, Any]:
+    """Ln of the ratio for a hypothesis of each likelihood and lead, NaN of too few, and for none."""
+    half = 0.5  # of a track, so that an empty cell is not infinite
+    listed = np.log((true.listed + half) / (true.total + half))
+    listed -= np.log((false.listed + half) / (false.total + half))
+    listed[true.listed + false.listed < 10] = np.nan
+    missed = np.log((true.missed + half) / (true.total + half))
+    missed -= np.log((false.missed + half) / (false.total + half))
+    return {"hypothesis": listed.tolist(), "missed": float(missed)}
+
+
 def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
     shape = (len(LIKELIHOODS) - 1, len(AHEAD) - 1)
-    true, false = Counts(np.zeros(shape)), Counts(np.zeros(shape))
+    true, beside, alone = (Counts(np.zeros(shape)) for _ in range(3))
     for scans in windows:
-        follow(scans, true, false)
-    half = 0.5  # of a track, so that an empty cell is not infinite
-    ratio = np.log((true.listed + half) / true.total) - np.log((false.listed + half) / false.total)
-    ratio[true.listed + false.listed < 10] = np.nan
+        follow(scans, true, beside, alone)
     return (
         {
             "case": case,
             "right_tracks": true.total,
-            "wrong_tracks": false.total,
-            "ratio": ratio.tolist(),
-            "missed": float(
-                np.log((true.missed + half) / true.total) - np.log((false.missed + half) / false.total)
-            ),
+            "wrong_tracks": {"listed": beside.total, "not_listed": alone.total},
+            "ratio": {"listed": ratio(true, beside), "not_listed": ratio(true, alone)},
         }
         | hiding(windows)
         | missing(windows)
@@ -290,7 +301,7 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
 
 
 def show(row: dict[str, Any]) -> None:
-    print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks, {row['wrong_tracks']:.0f} wrong ones")
+    print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks")
     print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
     print(f"left out between two lists that have it: {row['missing']:.1%} (tracker {MISSES:.1%})")
     for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
@@ -300,13 +311,13 @@ def show(row: dict[str, Any]) -> None:
     later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["twins_go_on"].items())
     print(f"twins: {row['twins']:.1%} of wrong tracks (tracker {TWINS:.1%}); of these {later}, ", end="")
     print(f"({', '.join(f'{np.exp(-ENDS * steps):.0%}' for steps in GOES_ON)})")
-    print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))
-    for low, ratios in zip(LIKELIHOODS[:-1], row["ratio"], strict=True):
-        print(
-            f"{low:>9g}..          "
-            + "".join("         -" if np.isnan(r) else f"{r:>+10.1f}" for r in ratios)
-        )
-    print(f"   missed {row['missed']:+.1f}")
+    for name, what in (("listed", "has"), ("not_listed", "lacks")):
+        print(f"beside {row['wrong_tracks'][name]:.0f} wrong tracks whose list {what} the right place")
+        print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))
+        for low, ratios in zip(LIKELIHOODS[:-1], row["ratio"][name]["hypothesis"], strict=True):
+            cells = "".join("         -" if np.isnan(r) else f"{r:>+10.1f}" for r in ratios)
+            print(f"{low:>9g}..          {cells}")
+        print(f"   missed {row['ratio'][name]['missed']:+.1f}")
     tracker = np.exp(poorness((LIKELIHOODS[:-1] + LIKELIHOODS[1:]) / 2.0))
     print("squared error, 3 were right; what the tracker divides it by")
     for low, error, less in zip(LIKELIHOODS[:-1], row["squared_errors"], tracker, strict=True):
