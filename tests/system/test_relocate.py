@@ -51,7 +51,7 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert found["away_m"] < 20.0  # it has driven on since
 
-        code, found, _ = tell(house, "robot", "--anew", "--seconds", PATIENCE_S)
+        code, found, _ = tell(house, "robot", "--search", "--seconds", PATIENCE_S)
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert house.ear.health("tracker").counters["relocated"] == 2  # type: ignore[union-attr]
 
@@ -63,8 +63,8 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
 
 def test_what_is_asked_wrongly_is_refused_before_anything_is_said(house: House) -> None:
     for wrong, words in (
-        (["robot"], "either --pose X Y DEG or --anew"),
-        (["robot", "--anew", "--pose", 1, 2, 3], "either --pose X Y DEG or --anew"),
+        (["robot"], "either --pose X Y DEG or --search"),
+        (["robot", "--anew", "--pose", 1, 2, 3], "either --pose X Y DEG or --search"),
         (["robot", "--pose", "nan", 2, 3], "is no place"),
         (["*", "--anew"], "is no robot's name"),
     ):

@@ -1,6 +1,7 @@
 """The demo as it is run: every service a process of its own, over real Zenoh."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -69,6 +70,7 @@ def test_headless_demo_finds_the_robot_twice_and_leaves_nothing_running(tmp_path
     assert process.returncode == 0, output
     assert _all_gone(seen)
     assert "found itself again" in output
+    assert re.search(r"^  claims +\d+, 0 wrong$", output, re.MULTILINE)  # the summary keeps its lines
     assert "http" not in output
     for what in (
         "lost for",

@@ -200,7 +200,7 @@ class Demonstration:
         text = f"{seen.time:5.1f} s  {state_name(state):<9}  confidence {seen.confidence:.2f}{error}"
         if state != self._shown:
             self._shown = state
-            self._line.keep(text)
+            self._line.keep_own(text)
         self._line.show(text)
 
     def _conclude(self, sightings: list[Sighting]) -> bool:
@@ -210,7 +210,7 @@ class Demonstration:
         before = judge(sightings, 0.0, self._kidnap)
         after = judge(sightings, self._kidnap, self._stage.scenario.seconds)
         files = [path for path in sorted(self._folder.iterdir()) if not path.name.startswith("zenoh")]
-        self._line.keep(summarize(before, after, self._kidnap, files))
+        self._line.keep_own(summarize(before, after, self._kidnap, files))
         found = before.found and after.found
         self.figures = {"found": found, "before": before.figures, "after": after.figures}
         return found

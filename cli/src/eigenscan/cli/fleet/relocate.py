@@ -27,7 +27,7 @@ def relocate(
         tuple[float, float, float] | None,
         typer.Option(metavar="X Y DEG", help="where its base is: m, m and degrees in the map"),
     ] = None,
-    anew: Annotated[bool, typer.Option("--anew", help="search the whole site again")] = False,
+    search: Annotated[bool, typer.Option("--search", "--anew", help="search the whole site again")] = False,
     sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
@@ -41,12 +41,12 @@ def relocate(
     \b
     Examples:
       eigenscan fleet relocate r17 --pose 12.4 -3.0 90 --site hospital --zenoh /etc/eigenscan/operator.json5
-      eigenscan fleet relocate r17 --anew
+      eigenscan fleet relocate r17 --search
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.fleet.view import FleetView, connect
 
-    if (pose is None) == (not anew):
-        raise UsageError("give either --pose X Y DEG or --anew")
+    if (pose is None) == (not search):
+        raise UsageError("give either --pose X Y DEG or --search")
     if pose is not None and not all(map(math.isfinite, pose)):
         raise UsageError(f"--pose {pose}: give finite numbers")
     if not is_chunk(robot):

@@ -42,6 +42,11 @@ class StatusLine:
         self._due = time.monotonic() + QUIET_PERIOD_S
         self.console.print(printable(text), markup=False, soft_wrap=True)
 
+    def keep_own(self, text: str) -> None:
+        """Prints this program's own text as it is, with its lines and columns."""
+        self._due = time.monotonic() + QUIET_PERIOD_S
+        self.console.print(text, markup=False, soft_wrap=True)
+
 
 def state_name(state: int) -> str:
     """`localized`, `ambiguous` or `lost`; `unknown` for any other number."""

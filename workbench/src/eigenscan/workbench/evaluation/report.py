@@ -95,12 +95,9 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         (f"windows with a {words['false']} claim", _percent(f["false_claim_rate"])),
         (f"share of {words['false']} claims", _percent(f["false_share_of_claims"], 2)),
         *_doubt(f.get("reference_in_doubt")),
-        *((f"{name} to {words['success']}", _pair(reach[name], "p95")) for name in reach),
-        *(
-            (f"{name} to the first {words['right']} claim", _pair(first[name], "p95"))
-            for name in first
-            if name != "cpu_s"
-        ),
+        (f"to {words['success']}, median", _reached(reach, "median")),
+        (f"to {words['success']}, 95 % within", _reached(reach, "p95")),
+        (f"to the first {words['right']} claim, median", _reached(first, "median")),
         (f"position {words['off']}, m", _pair(error["position_m"], "p95")),
         (f"heading {words['off']}, deg", _pair(error["heading_deg"], "p95")),
         ("beams that the map explains, at claims", _explains(f["map_explains"])),
@@ -159,14 +156,16 @@ def _model(model: Figures) -> str:
 
 
 def _explains(found: Figures) -> str:
-    return f"{_percent(found['median'])} (p5 {_percent(found['p5'])})"
+    return f"{_percent(found['median'])}; at 95 % of the claims more than {_percent(found['p5'])}"
 
 
 def _consistency(found: Figures) -> str:
-    return (
-        f"mean {_number(found['mean'])} of {found['n']} scans {found['apart_m']:g} m apart; "
-        f"{_number(found['low'])} to {_number(found['high'])} if the stated errors are right"
-    )
+    mean, low, high = found["mean"], found["low"], found["high"]
+    text = f"mean {_number(mean)} of {found['n']} scans {found['apart_m']:g} m apart"
+    if mean is None or low is None or high is None:
+        return text
+    fit = "too large" if mean < low else "too small" if mean > high else "right"
+    return f"{text}; stated errors are {fit} ({_number(low)} to {_number(high)}: right)"
 
 
 def _windows(rows: list[Figures], words: dict[str, str]) -> Table:
@@ -214,4 +213,9 @@ def _percent(value: float | None, digits: int = 1) -> str:
 
 
 def _pair(values: Figures, upper: str) -> str:
-    return f"{_number(values['median'])}   {upper} {_number(values[upper])}"
+    return f"{_number(values['median'])}; {upper[1:]} % within {_number(values[upper])}"
+
+
+def _reached(reach: Figures, which: str) -> str:
+    values = (_number(reach[name][which]) for name in ("scans", "metres", "seconds"))
+    return "{} scans, {} m, {} s".format(*values) if reach["scans"][which] is not None else "-"
