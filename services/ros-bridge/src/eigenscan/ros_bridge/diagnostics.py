@@ -21,7 +21,7 @@ OK, WARN, ERROR, STALE = range(4)
 LEVELS = {Health.STATUS_OK: OK, Health.STATUS_WAITING: WARN, Health.STATUS_DEGRADED: ERROR}
 STATES = {
     STATE_LOCALIZED: (OK, "localized"),
-    STATE_AMBIGUOUS: (WARN, "ambiguous: several places fit"),
+    STATE_AMBIGUOUS: (WARN, "ambiguous: not sure enough yet"),
     STATE_LOST: (ERROR, "lost: no place fits"),
 }
 

@@ -42,9 +42,9 @@ from eigenscan.schemas.envelope import Envelope
 
 LEGEND = """
 The **bar on top** shows the state:
-**LOCALIZED** (green): one pose holds the belief, act on it;
-**AMBIGUOUS** (amber): several places fit all that was seen;
-**LOST** (red): no pose deserves belief, so none is drawn;
+**LOCALIZED** (green): one pose is sure enough to act on;
+**AMBIGUOUS** (amber): no pose is sure enough yet;
+**LOST** (red): no pose is likely, so none is drawn;
 **SILENT** (grey): no pose comes any more.
 
 **On the map** (north up, metres):

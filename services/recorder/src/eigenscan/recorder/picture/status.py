@@ -23,7 +23,7 @@ WELL = state_name(STATE_LOCALIZED)
 ADVICE = {
     "LOCALIZED": "act on the pose",
     "UNKNOWN": "no state",
-    "AMBIGUOUS": "several places fit: see the tracks",
+    "AMBIGUOUS": "not sure enough yet: see the tracks",
     "LOST": "do not act on any pose",
     SILENCE: "no pose comes any more: is its tracker running?",
 }
