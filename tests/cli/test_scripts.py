@@ -96,7 +96,7 @@ def test_ctrl_c_is_130(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("typed", "word", "offered"),
-    [("eigenscan sim", 1, "simulate"), ("eigenscan simulate --kid", 2, "--kidnap")],
+    [("eigenscan simu", 1, "simulate"), ("eigenscan simulate --kid", 2, "--kidnap")],
 )
 def test_the_shell_completes(tmp_path: Path, typed: str, word: int, offered: str) -> None:
     shell = {"_EIGENSCAN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(word)}

@@ -71,7 +71,7 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
     for service in ("projector", "tracker", "scan-ingest"):
         house.start(service)
     where, site = "robot robot", f"site {house.site}"
-    no_map = (site, "no mapbuilder: who starts now gets no model")
+    no_map = (site, "no mapbuilder: a projector that starts now gets no model")
     until_it_finds(house, no_map, (where, "no scans arrive"))
     with robot:
         eventually(lambda: (where, "projector: no model") in complaints(house), "a word on the model")

@@ -65,7 +65,7 @@ def test_what_is_asked_wrongly_is_refused_before_anything_is_said(house: House) 
     for wrong, words in (
         (["robot"], "either --pose X Y DEG or --search"),
         (["robot", "--anew", "--pose", 1, 2, 3], "either --pose X Y DEG or --search"),
-        (["robot", "--pose", "nan", 2, 3], "is no place"),
+        (["robot", "--pose", "nan", 2, 3], "give finite numbers"),
         (["*", "--anew"], "is no robot's name"),
     ):
         code, _, error = tell(house, *wrong)

@@ -39,7 +39,7 @@ def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> Non
     [
         (["--only", "nothing"], "--only nothing: choose one of scan_raw"),
         (["--from", "5", "--to", "4"], "--to 4: must be after --from 5"),
-        (["--from", "5000"], "nothing to play"),
+        (["--from", "5000"], "nothing between --from and --to"),
     ],
 )
 def test_what_cannot_be_played_is_one_line_and_exit_code_2(

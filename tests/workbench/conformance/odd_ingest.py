@@ -50,7 +50,8 @@ def on_sample(sample: zenoh.Sample) -> None:
     lidar = SCAN_RAW.parse(key)
     assert lidar is not None
     for published in core.handle(Envelope(SCAN_RAW, lidar, message)):
-        answer(published.address, published.open(Scan))
+        if published.channel is SCAN:
+            answer(published.address, published.open(Scan))
 
 
 def answer(address: Mapping[str, str], scan: Scan) -> None:
