@@ -87,7 +87,7 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
 
         robot.odometry.clear()
         eventually(
-            lambda: [what.split(":")[0] for _, what in complaints(house)] == ["no odometry comes"],
+            lambda: [what.split(":")[0] for _, what in complaints(house)] == ["no odometry arrives"],
             "a word on the odometry",
         )
         robot.odometry.set()

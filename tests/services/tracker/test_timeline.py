@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.timeline import Heard, Timeline
+from eigenscan.tracker.timeline import Outcome, Timeline
 
 
 def seen(seconds: float, source: str = "front/0") -> Observation:
@@ -28,18 +28,18 @@ def seen(seconds: float, source: str = "front/0") -> Observation:
 def test_a_clock_that_was_set_back_catches_up_unseen() -> None:
     """Found by simtest: 2.2 s back, and two scans later a claim 1.5 m off."""
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
-    heard = [timeline.hear(seen(stamp)) for stamp in (37.0, 38.0, 36.76, 37.76, 38.76)]
-    assert heard == [Heard.TAKEN, Heard.TAKEN, Heard.TOO_LATE, Heard.TOO_LATE, Heard.TAKEN]
+    heard = [timeline.receive(seen(stamp)) for stamp in (37.0, 38.0, 36.76, 37.76, 38.76)]
+    assert heard == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TOO_LATE, Outcome.TAKEN]
 
 
 def test_a_slow_projector_is_taken_after_one_list_that_came_too_late() -> None:
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
-    timeline.hear(seen(10.0, "front/slow"))
-    timeline.hear(seen(11.0))
-    assert timeline.hear(seen(10.1, "front/slow")) is Heard.TOO_LATE
-    assert timeline.hear(seen(10.6, "front/slow")) is Heard.TAKEN
+    timeline.receive(seen(10.0, "front/slow"))
+    timeline.receive(seen(11.0))
+    assert timeline.receive(seen(10.1, "front/slow")) is Outcome.TOO_LATE
+    assert timeline.receive(seen(10.6, "front/slow")) is Outcome.TAKEN
 
 
 def test_a_list_that_another_overtook_is_taken() -> None:
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
-    assert [timeline.hear(seen(stamp)) for stamp in (1.0, 1.4, 1.2)] == [Heard.TAKEN] * 3
+    assert [timeline.receive(seen(stamp)) for stamp in (1.0, 1.4, 1.2)] == [Outcome.TAKEN] * 3

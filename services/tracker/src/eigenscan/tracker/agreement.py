@@ -1,6 +1,6 @@
-"""Whether odometry and scans tell of one motion: each interval of scan motion is held against odometry.
+"""Whether odometry and scans show the same motion: each interval of scan motion is compared with odometry.
 
-Scan-ingest says how the robot moved between two scans, by these alone. Where odometry says otherwise again
+Scan-ingest publishes how the robot moved between two scans, by these alone. If odometry differs again
 and again, one of them lies: scans are frozen, late, mirrored or of another robot, the lidar's mount is not as
 stated, or wheels slip. Then no pose is claimed, for a lookalike goes on as well as the right place does.
 """
@@ -27,14 +27,14 @@ benchmarks/integrity.py prints the false alarms that follow, on `none`.
 FARTHEST_M, FARTHEST_RAD = 0.3, 0.4
 """Between two scans farther apart by odometry than this the motion is often found wrongly: left out."""
 UNKNOWN_S = 0.05
-"""Of an interval that odometry does not cover, above which it tells nothing of it."""
+"""Of an interval that odometry does not cover, above which the interval is not compared."""
 MOVED_M, MOVED_RAD = 0.1, 0.1
-"""Of intervals in which less moved several are taken together: they tell nothing alone."""
+"""Intervals with less motion are joined: one alone shows nothing."""
 TOGETHER_NS = 5_000_000_000
 NEUTRAL, FOR_FAULT, AGAINST = 2.0, 3.0, -1.0
 """Nats for a fault: half the squared distance less NEUTRAL, at most and at least; motion errs heavily."""
 TELLING = 2.0 * NEUTRAL
-"""Squared distance from standing still that a motion needs for the scans to tell anything of it."""
+"""Squared distance from standing still that a motion needs for the scans to show it."""
 AFTER_FAULT = -0.25
 """The same at least once a fault was seen: also a lidar that lies agrees now and then."""
 APART = 1.5
@@ -43,7 +43,7 @@ FAULTY = log(0.01 / 0.99)
 """Log odds of a fault before anything moved: one set-up in a hundred is wrong."""
 SUREST = (log(0.001), log(100.0))
 FORWARDS = 5
-"""Intervals driven as odometry says after which its reverse is its encoders' fault, and not the mount's."""
+"""After so many intervals with right odometry, a reversed one is the encoders' fault, not the mount's."""
 JUMPS, JUMPS_NS = 3, 10_000_000_000
 """So many jumps of odometry in so long are no reset but two robots."""
 KEPT = 40
@@ -99,7 +99,7 @@ class _Open:
 
 
 class _Odds:
-    """Log odds that one part of the motion, the way or the turn, is told wrongly."""
+    """Log odds that one part of the motion, the way or the turn, is wrong."""
 
     def __init__(self) -> None:
         self.value = FAULTY
@@ -112,7 +112,7 @@ class _Odds:
 
 
 class Agreement:
-    """What scan motion and odometry of one robot say of each other."""
+    """How far scan motion and odometry of one robot agree."""
 
     def __init__(self) -> None:
         self._way, self._turn = _Odds(), _Odds()
@@ -134,7 +134,7 @@ class Agreement:
 
     @property
     def trust(self) -> float:
-        """Probability that odometry and scans tell of one motion."""
+        """Probability that odometry and scans show the same motion."""
         return 1.0 / ((1.0 + exp(self._way.value)) * (1.0 + exp(self._turn.value)))
 
     @property
@@ -151,7 +151,7 @@ class Agreement:
         """Whether a scan repeats the one before: it shows nothing new."""
         return (lidar, stamp) in self._repeated
 
-    def hear_jump(self, stamp: int) -> None:
+    def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""
         self._jumps.append(stamp)
         if self.two_robots:
@@ -162,7 +162,7 @@ class Agreement:
         """Whether odometry jumps so often that two robots must use one name."""
         return len(self._jumps) == JUMPS and abs(self._jumps[-1] - self._jumps[0]) <= JUMPS_NS
 
-    def hear(self, interval: ScanInterval) -> None:
+    def receive(self, interval: ScanInterval) -> None:
         """Keeps an interval until odometry has come as far."""
         if interval.repeats:
             self._repeated.append((interval.lidar, interval.stamp))
@@ -174,7 +174,7 @@ class Agreement:
         """Compares the intervals that end by `until`, ns, with odometry, where there is some.
 
         By stamps, whatever came first: what arrived early counts no sooner. Gives the intervals over which
-        the scans tell the motion well, in order, each with odometry's.
+        the scans show the motion well, in order, each with odometry's.
         """
         found = []
         due = [each for each in self._waiting if each.stamp <= until]
@@ -182,28 +182,28 @@ class Agreement:
             self._waiting.remove(interval)
             if not interval.since < interval.stamp:
                 continue
-            told = trail.between(interval.since, interval.stamp)
-            if _is_far(told, interval):
+            driven = trail.between(interval.since, interval.stamp)
+            if _is_far(driven, interval):
                 self._open.pop(interval.lidar, None)
                 continue
             if interval.moved is not None and not interval.repeats:
-                found.append((interval, told))
-            if told.breaks > 0 or abs(told.unknown) > UNKNOWN_S:
+                found.append((interval, driven))
+            if driven.breaks > 0 or abs(driven.unknown) > UNKNOWN_S:
                 self._open.pop(interval.lidar, None)
             else:
-                self._take(interval, told)
+                self._take(interval, driven)
         return found
 
-    def _take(self, interval: ScanInterval, told: Motion) -> None:
+    def _take(self, interval: ScanInterval, driven: Motion) -> None:
         if interval.moved is None:
             self._open.pop(interval.lidar, None)
             self._compared.append(
-                Compared(interval.since, interval.stamp, None, told.delta, (0.0, 0.0, 0.0), True)
+                Compared(interval.since, interval.stamp, None, driven.delta, (0.0, 0.0, 0.0), True)
             )
             self._way.take(APART)
             return
         held = self._open.setdefault(interval.lidar, (_Open(interval.since), _Open(interval.since)))
-        way, turn = (each.longer_by(interval.moved, told.delta, interval.spread) for each in held)
+        way, turn = (each.longer_by(interval.moved, driven.delta, interval.spread) for each in held)
         if _moves(way):
             self._judge_way(way, interval.stamp)
         if _turns(turn):
@@ -221,14 +221,14 @@ class Agreement:
         off = distances2(held.scans, held.odometry, held.spread)[0]
         back = distances2(held.scans, (-x, -y, turned), held.spread)[0]
         longer = max(held.scans, held.odometry, key=lambda moved: hypot(moved[0], moved[1]))
-        # along a hallway the scans may not even tell a drive from standing still
-        tells = distances2(IDENTITY, longer, held.spread)[0] > TELLING
-        drives = tells and hypot(x, y) > MOVED_M / 2.0
+        # along a hallway the scans may not even show whether the robot drives or stands
+        shows = distances2(IDENTITY, longer, held.spread)[0] > TELLING
+        drives = shows and hypot(x, y) > MOVED_M / 2.0
         is_reversed = drives and off > 4.0 * NEUTRAL and back < 2.0 * NEUTRAL
         is_forwards = drives and back > 4.0 * NEUTRAL and off < 2.0 * NEUTRAL
         self._note(held, stamp, off > 2.0 * NEUTRAL)
         self._learn_sign(is_reversed, is_forwards)
-        if tells:
+        if shows:
             if self.without_sign:
                 off = distances2(held.scans, _along(held.odometry, held.scans), held.spread)[0]
             self._way.take(0.5 * off - NEUTRAL)
@@ -256,16 +256,16 @@ class Agreement:
         last = self._compared[-1] if self._compared else None
         if last is None or last.scans is None:
             return 1.0
-        told = hypot(*last.odometry[:2]) + abs(last.odometry[2])
+        driven = hypot(*last.odometry[:2]) + abs(last.odometry[2])
         seen = hypot(*last.scans[:2]) + abs(last.scans[2])
-        return min(1.0, (seen + SIGMA_M) / (told + SIGMA_M))
+        return min(1.0, (seen + SIGMA_M) / (driven + SIGMA_M))
 
 
-def _is_far(told: Motion, interval: ScanInterval) -> bool:
+def _is_far(driven: Motion, interval: ScanInterval) -> bool:
     """Whether two scans on the way lie so far apart that the motion between them is often found wrongly."""
     x, y, turn = interval.moved or IDENTITY
-    step = min(interval.longest_step / max(told.seconds, 1e-9), 1.0)
-    way, turned = max(told.way, hypot(x, y)), max(told.turn, abs(turn))
+    step = min(interval.longest_step / max(driven.seconds, 1e-9), 1.0)
+    way, turned = max(driven.way, hypot(x, y)), max(driven.turn, abs(turn))
     return way * step > FARTHEST_M or turned * step > FARTHEST_RAD
 
 

@@ -4,8 +4,8 @@ A belief is a mixture: Gaussian tracks, a uniform part over each map frame for p
 holds, and one part for places that no map shows. All masses sum to 1.
 
 Scans from one place err alike, so their evidence is averaged there instead of multiplied: each track
-remembers, per source, what the scans of its present place said (`evidence`). As the robot moves on this is
-banked, and what the next place says is added to it.
+remembers, per source, the evidence of the scans of its present place (`evidence`). As the robot moves on,
+this is banked, and the evidence of the next place is added to it.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Elsewhere:
 
 @dataclass
 class Belief:
-    """Where one robot may be. Frame 0 is "off every map"; others count from 1 in order of hearing."""
+    """Where one robot may be. Frame 0 is "off every map"; others count from 1 in order of arrival."""
 
     settings: TrackerSettings
     tracks: Tracks = field(default_factory=lambda: no_tracks(0))
@@ -115,7 +115,7 @@ class Belief:
             return index
         known = sum(part.area for part in self.elsewhere)
         share = area / (known + area)
-        # nothing was heard of this frame yet: to "off every map" it is as it was at the start
+        # no list of this frame has come yet: against "off every map" it stands as at the start
         taken = self.elsewhere[0].log_weight + np.log((1.0 - OFF_MAP_SHARE) / OFF_MAP_SHARE * share)
         for part in self.elsewhere[1:]:
             part.log_weight += np.log1p(-share)
@@ -149,7 +149,7 @@ class Belief:
         self._return(happened(RETURN_RATE * abs(moved.seconds)))
 
     def correct(self, way: Leg, now: int, motions: Motions) -> None:
-        """Sets the tracks right by what scans tell of the motion since they were last fixed."""
+        """Corrects the tracks by the scan motion since they were last fixed."""
         self.tracks = correct(self.tracks, way, now, motions, self.settings)
 
     def _release(self, share: Array) -> None:

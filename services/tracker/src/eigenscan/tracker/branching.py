@@ -34,7 +34,7 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
     """
     count = len(old)
     origin = np.concatenate([np.arange(count), pairs.track])
-    # who searches a part of the site says nothing of tracks elsewhere
+    # a projector of a part of the site is no evidence on tracks elsewhere
     silent = (old.evidence[:, source] == 0.0) & share.in_part
     fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
     total, preference = np.full(count, -np.inf), np.full(count, -np.inf)

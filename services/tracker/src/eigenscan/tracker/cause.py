@@ -1,4 +1,4 @@
-"""Why odometry and scans disagree, in words for whoever can mend it.
+"""Why odometry and scans disagree, in words for the person who can mend it.
 
 Each usual fault foretells another motion from odometry's; the one that foretells the scans' best is named.
 """
@@ -19,7 +19,7 @@ FITS = 0.4
 LATEST_S, LATE_STEP_S = 8.0, 0.25
 """Scans are tried as so much late, in such steps."""
 TURNED = 20.0
-"""deg, a mount turned by less is not told from slip."""
+"""deg, a mount turned by less cannot be distinguished from slip."""
 
 UNKNOWN = (
     "odometry and scans show different motions: do wheels slip, are stamps of two clocks, "
@@ -37,10 +37,10 @@ def likely_cause(compared: list[Compared], trail: OdometryTrail) -> str:
         )
     left = _left(fitting, lambda each: each.odometry)
     best, words = FITS * left, UNKNOWN
-    for predicted, said in _faults(fitting, trail):
+    for predicted, cause in _faults(fitting, trail):
         rest = _left(fitting, predicted)
         if rest < best:
-            best, words = rest, said
+            best, words = rest, cause
     return words
 
 
@@ -83,7 +83,7 @@ def _faults(
 
 
 def _still(compared: list[Compared]) -> Callable[[Compared], Pose]:
-    """What the scans say, where odometry tells of no motion at all."""
+    """The scans' motion, where odometry has none at all."""
     quiet = all(
         sum(distances2(IDENTITY, each.odometry, each.spread)) < 1.0 for each in compared if each.is_fault
     )

@@ -35,7 +35,7 @@ class Claim:
         self._held += max(progress, seconds / self._settings.memory)
 
     def forget(self) -> None:
-        """Scans tell that the robot was carried away: what comes next is no jump."""
+        """Scans show that the robot was carried away: what comes next is no jump."""
         self._x = self._x[:0]
 
     def held_back(self, state: State, tracks: Tracks, best: int) -> State:

@@ -1,6 +1,6 @@
 """Whether two scans can be neighbours at all.
 
-Also wrong hypotheses go on from scan to scan as odometry says: the building goes on looking as it does. Where
+Wrong hypotheses, too, go on from scan to scan as odometry moves: the building still looks the same. Where
 none of a list goes on in the next one, the sensor was covered or uncovered, or the robot was carried away.
 """
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 COMPARED = 10
 """Hypotheses of the earlier list, likeliest first."""
 ENOUGH = 5
-"""Fewer say nothing."""
+"""Fewer are no evidence."""
 NEAR_M, NEAR_RAD = 0.3, 0.1
 """Farther from where it was predicted a hypothesis does not go on an earlier one."""
 ODOMETRY_SHARE = 0.5

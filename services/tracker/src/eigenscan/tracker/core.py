@@ -90,38 +90,38 @@ class TrackerCore:
         self._buildings: dict[str, Building] = {}
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing: a tracker that heard nothing knows nothing."""
+        """Publishes nothing: a tracker without input knows nothing."""
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Poses and tracks for each hypotheses message whose time has come; a transform for odometry."""
-        if heard.channel is MODEL_SET:
-            building = Building.of(heard.open(ModelSet), self._counts)
-            self._buildings[heard.address["site"]] = building
+        if received.channel is MODEL_SET:
+            building = Building.of(received.open(ModelSet), self._counts)
+            self._buildings[received.address["site"]] = building
             return ()
-        address = {"site": heard.address["site"], "robot": heard.address["robot"]}
+        address = {"site": received.address["site"], "robot": received.address["robot"]}
         robot = self._robot(address)
-        if heard.channel is ODOMETRY:
-            return list(self._hear_odometry(robot, address, heard.open(Odometry)))
-        if heard.channel is RELOCATION:
-            self._relocate(robot, heard.open(Relocation))
+        if received.channel is ODOMETRY:
+            return list(self._receive_odometry(robot, address, received.open(Odometry)))
+        if received.channel is RELOCATION:
+            self._relocate(robot, received.open(Relocation))
             return ()
-        if heard.channel is SCAN_MOTION:
-            self._hear_motion(robot, heard.address["lidar"], heard.open(ScanMotion))
+        if received.channel is SCAN_MOTION:
+            self._receive_motion(robot, received.address["lidar"], received.open(ScanMotion))
             return ()
-        seen = observe(heard.open(Hypotheses), heard.address, self._settings, self._counts)
+        seen = observe(received.open(Hypotheses), received.address, self._settings, self._counts)
         self._counts["hypotheses_heard"] += 1
-        return list(self._publish(address, robot, robot.tracker.hear(seen)))
+        return list(self._publish(address, robot, robot.tracker.receive(seen)))
 
     def finish(self) -> Iterable[Envelope]:
         """Estimates for the hypotheses that still waited for odometry."""
-        said: list[Envelope] = []
+        published: list[Envelope] = []
         for (site, name), robot in self._robots.items():
-            said.extend(self._publish({"site": site, "robot": name}, robot, robot.tracker.finish()))
-        return said
+            published.extend(self._publish({"site": site, "robot": name}, robot, robot.tracker.finish()))
+        return published
 
     def condition(self) -> Condition:
-        """Waiting until hypotheses come; counters of what was taken, said and set aside."""
+        """Waiting until hypotheses come; counters of what was received, published and set aside."""
         if not self._counts["hypotheses_heard"]:
             return Condition(Health.STATUS_WAITING, "no hypotheses", dict(self._counts))
         faults = [
@@ -150,7 +150,7 @@ class TrackerCore:
         except ValueError:
             self._counts["relocation_not_a_pose"] += 1
 
-    def _hear_motion(self, robot: _Tracked, lidar: str, message: ScanMotion) -> None:
+    def _receive_motion(self, robot: _Tracked, lidar: str, message: ScanMotion) -> None:
         moved, c = None, message.covariance
         if message.HasField("motion"):
             moved = message.motion.x, message.motion.y, message.motion.theta
@@ -159,13 +159,13 @@ class TrackerCore:
                 return
         since, until = nanoseconds(message.since), nanoseconds(message.timestamp)
         spread = max(c.xx, 0.0), c.xy, max(c.yy, 0.0)
-        robot.tracker.hear_motion(
+        robot.tracker.receive_motion(
             ScanInterval(
                 lidar, since, until, moved, spread, max(c.tt, 0.0), message.repeats, message.longest_step
             )
         )
 
-    def _hear_odometry(
+    def _receive_odometry(
         self, robot: _Tracked, address: Mapping[str, str], message: Odometry
     ) -> Iterator[Envelope]:
         robot.odom_frame = message.frame_id or DEFAULT_ODOM_FRAME
@@ -174,7 +174,7 @@ class TrackerCore:
         yield from self._publish(
             address,
             robot,
-            robot.tracker.hear_odometry(
+            robot.tracker.receive_odometry(
                 nanoseconds(message.timestamp), (position.x, position.y, yaw(message.pose.orientation))
             ),
         )

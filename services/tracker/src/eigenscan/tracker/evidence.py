@@ -1,4 +1,4 @@
-"""What a scan says of a track that was there before it.
+"""The evidence of a scan for a track that was there before it.
 
 A track is a prediction, and a place that is wrong but looks like the right one goes on looking like it. So a
 hypothesis that lies where a track was predicted is no news as such: it is evidence by how much oftener a
@@ -86,7 +86,7 @@ class Merit:
     def of_pairs(self, pairs: Pairs) -> Array:
         """What each pair (p,) of a track and a hypothesis in its gate is worth.
 
-        For a vague track the hypothesis' own likelihood, spread over all the track's room, says less.
+        For a vague track, the hypothesis' own likelihood spread over all the track's room is less.
         """
         k = pairs.hypothesis
         foretold = self.foretold[k] - 0.5 * pairs.distance2
@@ -129,7 +129,7 @@ def share_twins(tracks: Tracks) -> Tracks:
 
 
 def explained_by_twins(twin: Array, gained: Array) -> tuple[float, Array, Array]:
-    """How much likelier a scan is, in nats, for who knows of twins, where no shown track (n,) is right.
+    """How much likelier twins make a scan, in nats, where no shown track (n,) is right.
 
     Then the same (n,) where it is known of each track that it is no twin, and the twins (n,) after the scan.
     Of a twin it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
@@ -152,7 +152,7 @@ LEAST_MASS = float(np.log(1e-4))
 
 
 def present_evidence(tracks: Tracks) -> Array:
-    """What the present place says for each track (n,), >= 0.
+    """The present place's evidence for each track (n,), >= 0.
 
     If the robot slipped just now, the track is shown where it was predicted by chance:
     then this evidence does not count.
@@ -164,8 +164,8 @@ def present_evidence(tracks: Tracks) -> Array:
 def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Array:
     """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
 
-    A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby says no more than how
-    much oftener a right track gets one than a wrong track does.
+    A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby is worth no more
+    than how much oftener a right track gets one than a wrong track does.
     """
     result: Array = _slipped(
         tracks.x, tracks.C, tracks.log_weight - present_evidence(tracks), tracks.unchecked, seen.poses,

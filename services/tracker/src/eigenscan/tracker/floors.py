@@ -1,4 +1,4 @@
-"""Which floor a pose is on, and what several map frames say of one scan."""
+"""Which floor a pose is on, and the evidence of several map frames for one scan."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MISSED = 20
 RIVAL = 0.2
 """Share of the belief from which a second map frame is a reason for having no claim."""
 RIVALS_NS = 2_000_000_000
-"""It is told after so long, as is a pose that does not come."""
+"""After so long health reports it, as it does a pose that does not come."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Rivals:
     _missed: Counter[int] = field(default_factory=Counter)
     _pair: tuple[str, str] = ("", "")
 
-    def hear(self, belief: Belief, frame: int, stamp: int) -> None:
+    def receive(self, belief: Belief, frame: int, stamp: int) -> None:
         """Takes the belief after a list of `frame`."""
         if len(belief.frames) == 2:  # there is no other
             self.shares[frame], self._missed[frame] = {frame: 1.0}, 0

@@ -1,6 +1,6 @@
 """The last pose that was claimed, on disk: a restarted tracker begins there, if that is not long ago.
 
-It goes out as a relocation, which the tracker hears as it would anybody's: so it stands in the recording,
+It goes out as a relocation, which the tracker receives as any other: so it stands in the recording,
 and a replay gives the same answers. Disk and clock are of the shell; the core knows of neither.
 """
 
@@ -51,12 +51,12 @@ class Remembering:
                 address = {"site": self._options.site, "robot": robot}
                 yield Envelope(RELOCATION, address, aged(last, age, self._options))
 
-    def handle(self, heard: Envelope) -> Iterator[Envelope]:
-        """What the tracker says; a claim among it is kept, once a second."""
-        for said in self._tracker.handle(heard):
-            if said.channel is POSE:
-                self._keep(said.address["robot"], said.open(PoseEstimate))
-            yield said
+    def handle(self, received: Envelope) -> Iterator[Envelope]:
+        """What the tracker publishes; a claim in it is kept, once a second."""
+        for published in self._tracker.handle(received):
+            if published.channel is POSE:
+                self._keep(published.address["robot"], published.open(PoseEstimate))
+            yield published
 
     def finish(self) -> Iterable[Envelope]:
         """What the tracker held back."""

@@ -21,10 +21,10 @@ LOG_LIKELIHOOD_LIMIT = 300.0
 FARTHEST = 1e7
 """m from the map's origin: beyond it a number is an overflow, not a place."""
 SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
-"""m, m, rad: no scan fixes a pose better than the lower; the upper says nothing."""
+"""m, m, rad: no scan fixes a pose better than the lower; the upper means nothing is known."""
 
 GOOD, POORER = 12.0, 0.25
-"""Log-likelihood from which on a pose errs as its covariance tells; nats of the factor on it for each less.
+"""Log-likelihood from which on a pose errs as its covariance states; nats of the factor on it for each less.
 
 Rounded from intel and guardian 3 on worse maps, and alike on fr079: benchmarks/evidence.py --way.
 """
@@ -36,7 +36,7 @@ class Observation:
 
     stamp: int
     source: str
-    """Key of the projector that said it, one chain of evidence."""
+    """Key of the projector that published it: one chain of evidence."""
     lidar: str
     frame: str
     poses: Array

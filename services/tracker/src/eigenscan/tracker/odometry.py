@@ -1,4 +1,4 @@
-"""What odometry says of the motion between two stamps, and how far it may be believed.
+"""The motion between two stamps by odometry, and how far it can be trusted.
 
 A stamp between two messages, or beyond the newest, is reached by the velocity of the two messages before it.
 So where the robot was at a stamp follows from odometry up to this stamp alone: a pose need not wait for the
@@ -22,7 +22,7 @@ KEPT_AT_LEAST, KEPT_AT_MOST = 2, 20_000
 FARTHEST = 1e7
 """m from the odom frame's origin: beyond it a number is an overflow, not a place."""
 LONGEST_NS = 100_000_000
-"""Between odometry messages that tell a velocity: at 2 m/s2 it leads 1 cm astray in as long again."""
+"""Between odometry messages that give a velocity: at 2 m/s2 it leads 1 cm astray in as long again."""
 RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
 

@@ -1,4 +1,4 @@
-"""What a tracker can be told."""
+"""Options of a tracker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dead reckoning by odometry and scan motion together: what odometry told is corrected by what scans tell.
+"""Dead reckoning by odometry and scan motion together: scan motion corrects odometry.
 
 Odometry comes first and carries the tracks. Scan motion comes later, over some tenths of a second. Odometry
 that slips or turns unnoticed is set right by it before it misleads a track that no hypothesis confirms.
@@ -22,7 +22,7 @@ from scipy.special import chdtri
 Array = NDArray[np.float64]
 
 SCAN_SIGMA = np.array([0.015, 0.015, 0.008])
-"""m, m, rad: what a motion between two scans errs by beyond what the fit itself tells: the time within a
+"""m, m, rad: error of a motion between two scans beyond that of the fit itself: the time within a
 scan, people, glass."""
 SLIPPED = float(chdtri(3, 1e-3))
 """Squared distance between odometry and scans from which on odometry has slipped."""
@@ -45,25 +45,25 @@ class Leg:
     correction: Pose
 
 
-def leg(interval: ScanInterval, told: Motion, settings: TrackerSettings) -> Leg:
-    """Odometry `told` and scan motion over one interval. Kalman's update of the one by the other."""
+def leg(interval: ScanInterval, driven: Motion, settings: TrackerSettings) -> Leg:
+    """Odometry (`driven`) and scan motion over one interval: Kalman's update of the one by the other."""
     assert interval.moved is not None
     xx, xy, yy = interval.spread
     R = np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, interval.turn_variance]])
     R += np.diag(SCAN_SIGMA**2)
-    Q = motion_noise(told, settings)
-    off = np.array(between(told.delta, interval.moved))
+    Q = motion_noise(driven, settings)
+    off = np.array(between(driven.delta, interval.moved))
     if off @ np.linalg.solve(Q + R, off) > SLIPPED:
         Q += np.outer(off, off)
     gain = Q @ np.linalg.inv(Q + R)
     x, y, turn = (gain @ off).tolist()
     noise = (np.eye(3) - gain) @ Q
     noise = (noise + noise.T) / 2.0
-    return Leg(interval.since, interval.stamp, compose(told.delta, (x, y, turn)), noise, (x, y, turn))
+    return Leg(interval.since, interval.stamp, compose(driven.delta, (x, y, turn)), noise, (x, y, turn))
 
 
 def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: TrackerSettings) -> Tracks:
-    """The tracks, predicted to `now`, as if odometry had told what it and the scans tell together.
+    """The tracks, predicted to `now`, as if odometry had been what it and the scans give together.
 
     Those that a hypothesis confirmed later stay as they are.
     """

@@ -33,7 +33,7 @@ SAME_TIME_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Hint:
-    """Where the robot's base is said to be: pose (3,), covariance (3, 3), `frame` empty: the next scan's."""
+    """Where somebody puts the robot's base: pose (3,), covariance (3, 3), `frame` empty: the next scan's."""
 
     stamp: int
     frame: str
@@ -42,7 +42,7 @@ class Hint:
 
 
 def hint_of(message: Relocation) -> Hint | None:
-    """The hint in a message; None where it says only that the robot may be anywhere.
+    """The hint in a message; None where the robot may be anywhere.
 
     Raises ValueError where the pose is none.
     """
@@ -58,7 +58,7 @@ def hint_of(message: Relocation) -> Hint | None:
 
 
 def aged(last: Relocation, age: float, settings: TrackerSettings) -> Relocation:
-    """The word of `age` s ago, unsure by what it may have driven: W = T^2 v_max^2 (paper, section 7)."""
+    """The hint of `age` s ago, unsure by what it may have driven: W = T^2 v_max^2 (paper, section 7)."""
     grown = Relocation()
     grown.CopyFrom(last)
     grown.covariance.xx += (age * settings.v_max) ** 2

@@ -26,7 +26,7 @@ from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.silence import Silence
-from eigenscan.tracker.timeline import Heard, Timeline
+from eigenscan.tracker.timeline import Outcome, Timeline
 from eigenscan.tracker.tracks import Tracks
 from eigenscan.tracker.unification import prune, unify
 from eigenscan.tracker.velocity_gate import VelocityGate
@@ -108,28 +108,28 @@ class RobotTracker:
         self.belief.next_id = next_id
         self._hint = hint
 
-    def hear_odometry(self, stamp: int, pose: Pose) -> Iterator[Estimate]:
+    def receive_odometry(self, stamp: int, pose: Pose) -> Iterator[Estimate]:
         """Takes odometry, base in the odom frame; gives the estimates that waited for it."""
         result = self._trail.take(stamp, pose)
         self._counts[result] += 1
         if result == "odometry_taken_as_jump":
-            self._agreement.hear_jump(stamp)
+            self._agreement.note_jump(stamp)
         if self._trail.newest is not None:
-            self._timeline.hear_odometry(self._trail.newest.stamp, result == "odometry_restarted")
-            self._silence.hear_odometry(self._trail.newest.stamp)
+            self._timeline.receive_odometry(self._trail.newest.stamp, result == "odometry_restarted")
+            self._silence.receive_odometry(self._trail.newest.stamp)
         return self._ready()
 
-    def hear(self, seen: Observation) -> Iterator[Estimate]:
+    def receive(self, seen: Observation) -> Iterator[Estimate]:
         """Takes an observation; gives the estimates that are ready."""
-        heard = self._timeline.hear(seen)
-        self._silence.hear(seen, heard)
-        if heard is Heard.RESTARTED:
+        outcome = self._timeline.receive(seen)
+        self._silence.receive(seen, outcome)
+        if outcome is Outcome.RESTARTED:
             self._reset()
         return self._ready()
 
-    def hear_motion(self, interval: ScanInterval) -> None:
-        """Takes what two scans tell of the motion between them."""
-        self._agreement.hear(interval)
+    def receive_motion(self, interval: ScanInterval) -> None:
+        """Takes the motion between two scans."""
+        self._agreement.receive(interval)
 
     def finish(self) -> Iterator[Estimate]:
         """Estimates for all that still waits."""
@@ -192,7 +192,7 @@ class RobotTracker:
             belief.observe(seen, share)
             if share.broken:
                 self._claim.forget()
-            self._rivals.hear(belief, belief.frames.index(seen.frame), seen.stamp)
+            self._rivals.receive(belief, belief.frames.index(seen.frame), seen.stamp)
             prune(belief)
             unify(belief)
             belief.name_new()
@@ -204,11 +204,11 @@ class RobotTracker:
         return estimate
 
     def _correct(self, now: int) -> None:
-        """Sets tracks right that odometry carried, up to `now`, other than the scans tell."""
-        for interval, told in self._agreement.compare(self._trail, now):
+        """Corrects tracks where odometry up to `now` differs from scan motion."""
+        for interval, driven in self._agreement.compare(self._trail, now):
             if interval.since >= self._corrected:
                 self._corrected = interval.stamp
-                way = leg(interval, told, self._settings)
+                way = leg(interval, driven, self._settings)
                 self.belief.correct(way, now, self._motion)
 
     def _applied(self, moved: Motion) -> Motion:
@@ -253,7 +253,7 @@ class RobotTracker:
         # a new place counts anew, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         novelty = max(1.0 / source.scans, fresh)
-        # who was carried away would hardly see his hypotheses go on
+        # after a kidnap hardly any hypothesis goes on
         rate = self._settings.kidnap_rate * carried_ratio(count, moved) / len(self._sources)
         carried = happened(rate * seconds)
         precision = min(1.0, progress)

@@ -4,7 +4,7 @@ For reading and comparing: it assumes that the robot is on the map and that one 
 there is no mass for "none of these", and it takes every scan as new evidence. The mixture in `belief` is what
 goes beyond. Filters are made anew for each step, of the tracks that both keep.
 
-Where the paper says nothing, or what cannot hold, this does:
+Where the paper leaves a choice, or states what cannot hold, this does:
 - A sequence's probability is the product of its p(Y|X) and of its hypotheses' own likelihoods.
 - p(Y|X) is under C* + C, the covariance of Y - X: under the printed C* alone no pose belongs to a track any
   more once the track is surer than a single pose.
@@ -145,7 +145,7 @@ def _continued(old: Tracks, seen: Observation, best: Index) -> Tracks:
     best_of, sum_of = np.full(len(old), -np.inf), np.full(len(old), -np.inf)
     np.maximum.at(best_of, i, fit)
     np.logaddexp.at(sum_of, i, fit)
-    # how many volumes of one place hold the scan tells nothing: forks share what their best one gained
+    # how many volumes of one place hold the scan is no evidence: forks share what their best one gained
     gained = best_of[i] - fit.max(initial=-np.inf) + fit - sum_of[i]
     return replace(
         tracks,

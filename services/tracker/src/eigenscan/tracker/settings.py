@@ -1,4 +1,4 @@
-"""What a tracker's answers depend on, besides what it hears."""
+"""What a tracker's answers depend on, besides its inputs."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Share:
     """How far one scan counts.
 
-    `novelty` 0..1: its share in what its source said of the present place. `progress`: how far the robot
+    `novelty` 0..1: its share in its source's evidence on the present place. `progress`: how far the robot
     moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
     covariance's information is independent of earlier scans. `carried`: probability that the robot was
     carried away since the source's last scan. `broken`: nothing of the source's last list goes on in this

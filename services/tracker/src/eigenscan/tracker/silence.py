@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.timeline import Heard, Timeline
+from eigenscan.tracker.timeline import Outcome, Timeline
 
 SILENT_NS = 2_000_000_000
 """A source's hypotheses without a pose for longer, by their stamps or by odometry's, are a fault."""
@@ -33,9 +33,9 @@ class Ending(Enum):
 
 
 _REFUSED = {
-    Heard.DUPLICATE: Ending.DUPLICATE,
-    Heard.TOO_LATE: Ending.TOO_LATE,
-    Heard.FUTURE: Ending.FUTURE,
+    Outcome.DUPLICATE: Ending.DUPLICATE,
+    Outcome.TOO_LATE: Ending.TOO_LATE,
+    Outcome.FUTURE: Ending.FUTURE,
 }
 
 
@@ -62,22 +62,22 @@ class Silence:
         self._two_clocks_s = 0.0
         self._newest: int | None = None
 
-    def hear_odometry(self, stamp: int) -> None:
+    def receive_odometry(self, stamp: int) -> None:
         """Odometry has come as far as `stamp`, ns."""
         self._odometry = stamp
 
-    def hear(self, seen: Observation, heard: Heard) -> None:
+    def receive(self, seen: Observation, outcome: Outcome) -> None:
         """A list came, and the timeline took it or did not."""
         behind_s = 0.0 if self._newest is None else (self._newest - seen.stamp) * 1e-9
         self._newest = self._timeline.newest
         self._since_restart += 1
-        if heard is Heard.RESTARTED:
+        if outcome is Outcome.RESTARTED:
             self._two_clocks_s = behind_s if self._since_restart <= RESTARTS_WITHIN else 0.0
             self._since_restart = 0
         elif self._since_restart > RESTARTS_WITHIN:
             self._two_clocks_s = 0.0
-        if heard in _REFUSED:
-            self._add(seen, _REFUSED[heard], behind_s)
+        if outcome in _REFUSED:
+            self._add(seen, _REFUSED[outcome], behind_s)
 
     def answer(self, seen: Observation, *, repeated: bool, has_pose: bool) -> None:
         """A list that was taken became an estimate; `repeated`: its scan showed nothing new."""

@@ -10,7 +10,7 @@ from enum import Enum
 from eigenscan.tracker.observation import Observation
 
 FUTURE_NS = 1_000_000_000
-"""A stamp this far ahead of everything heard is not believed until another one confirms it."""
+"""A stamp this far ahead of everything received is not believed until another one confirms it."""
 CONFIRMED_NS = 60_000_000_000
 """Another stamp of the same source confirms it within this: scans may be sparse, a minute apart."""
 RESTART_AFTER = 5
@@ -19,8 +19,8 @@ RECENT = 64
 """Stamps kept of each source, to know a repetition."""
 
 
-class Heard(Enum):
-    """What becomes of an observation that is heard."""
+class Outcome(Enum):
+    """What becomes of an observation."""
 
     TAKEN = "taken"
     RESTARTED = "taken, and the clock was set back"
@@ -48,28 +48,28 @@ class Timeline:
         self._odometry: int | None = None
         self._alone = False
 
-    def hear_odometry(self, stamp: int, restarted: bool = False) -> None:
+    def receive_odometry(self, stamp: int, restarted: bool = False) -> None:
         """Notes how far odometry has come; `restarted`: its clock was set back."""
         if restarted or self._odometry is None:
             self._odometry = stamp
         self._odometry = max(self._odometry, stamp)
 
-    def hear(self, seen: Observation) -> Heard:
+    def receive(self, seen: Observation) -> Outcome:
         """Takes an observation, or counts why not."""
         recent = self._recent.setdefault(seen.source, deque(maxlen=RECENT))
         if seen.stamp in recent:
             self._counts["hypotheses_duplicate"] += 1
-            return Heard.DUPLICATE
+            return Outcome.DUPLICATE
         if self._heard is not None and seen.stamp < self._heard - self._late:
-            return self._hear_past(seen)
+            return self._receive_past(seen)
         if self._past_in_row[seen.source] and recent and seen.stamp < max(recent):
-            return self._hear_past(seen)  # a clock that was set back catches up: a time that was already
+            return self._receive_past(seen)  # a clock that was set back catches up: a time that was already
         self._past_in_row[seen.source] = 0
         if self._is_doubtful(seen):
             self._counts["hypotheses_from_future"] += 1
-            return Heard.FUTURE
+            return Outcome.FUTURE
         self._push(seen)
-        return Heard.TAKEN
+        return Outcome.TAKEN
 
     @property
     def newest(self) -> int | None:
@@ -89,18 +89,18 @@ class Timeline:
         self._doubted[seen.source] = seen.stamp
         return before is None or not 0 < seen.stamp - before <= CONFIRMED_NS
 
-    def _hear_past(self, seen: Observation) -> Heard:
+    def _receive_past(self, seen: Observation) -> Outcome:
         self._counts["hypotheses_too_late"] += 1
         self._past_in_row[seen.source] += 1
         if self._past_in_row[seen.source] < RESTART_AFTER:
-            return Heard.TOO_LATE
+            return Outcome.TOO_LATE
         self._counts["clock_set_back"] += 1
         odometry = self._odometry
         self._forget()
         # odometry that has already gone back with the clock still counts
         self._odometry = odometry if odometry is not None and odometry <= seen.stamp + FUTURE_NS else None
         self._push(seen)
-        return Heard.RESTARTED
+        return Outcome.RESTARTED
 
     def _push(self, seen: Observation) -> None:
         self._recent.setdefault(seen.source, deque(maxlen=RECENT)).append(seen.stamp)
@@ -118,7 +118,7 @@ class Timeline:
         if not self._waiting or self._heard is None:
             return []
         if self._odometry is None and not self._alone:
-            # who gave no odometry for as long as patience lasts is not waited for any more
+            # odometry that is missing for as long as patience lasts is not waited for any more
             self._alone = self._waiting[0][0] <= self._heard - self._patience
         waited = self._heard - (0 if self._odometry is None and self._alone else self._patience)
         known = max(self._odometry or waited, waited)

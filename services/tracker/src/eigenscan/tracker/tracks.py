@@ -17,7 +17,7 @@ class Tracks:
 
     `hidden` (n,): share of a track's mass in which the projector does not show its pose. `twin` (n,):
     probability that the track, were it wrong, would be shown as a right one is. `evidence`
-    (n, sources): what each source's scans from the present place said for a track that is shown.
+    (n, sources): the evidence of each source's scans from the present place for a track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
     `fixed_x`, `fixed_covariance` at `fixed_at` (n,), ns: the track where a scan last fixed it.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
