@@ -24,8 +24,8 @@ LATE_S = 20.0
 UNDELIVERED = 0.05
 """Share of the poses that may be lost though there is a way: those that two processes time differently,
 of which one has them too soon after another for the air."""
-MISSED = 10
-"""Poses in a row, of 2 s: by the contract a link may lose some, but it is not silent."""
+MISSED = 20
+"""Poses in a row, of 4 s: by the contract a link may lose some, more on a busy machine; it is not silent."""
 
 
 @pytest.fixture(scope="module")
