@@ -188,16 +188,6 @@ def test_the_same_scan_has_the_same_answer_bit_for_bit() -> None:
     assert hear(one, scan)[0].SerializeToString() == hear(two, scan)[0].SerializeToString()
 
 
-@pytest.mark.parametrize("usable", [True, False])
-def test_the_scans_motion_goes_on_with_its_hypotheses(core: ProjectorCore, usable: bool) -> None:
-    scan = scan_at(free_poses(1, 74)[0])
-    if not usable:
-        scan.ranges[:] = [np.nan] * len(scan.ranges)
-    assert not hear(core, scan)[0].HasField("motion")
-    scan.motion.motion.theta = 0.25
-    assert hear(core, scan)[0].motion == scan.motion
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_scan_without_returns_is_unusable(core: ProjectorCore, value: float) -> None:
     scan = scan_at(free_poses(1, 0)[0])

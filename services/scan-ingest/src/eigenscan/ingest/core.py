@@ -6,7 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
@@ -93,10 +93,8 @@ class ScanIngestCore:
         lidar.recent.append("")
         self._counts["published"] += 1
         self._recent.append("")
-        motion = list(self._motion(lidar, received, scan, ranges))
-        for each in motion:
-            scan.motion.CopyFrom(each.open(ScanMotion))
-        return (*motion, Envelope(SCAN, received.address, scan))
+        # first, so that the tracker has the motion before the scan's hypotheses, whatever the processes
+        return chain(self._motion(lidar, received, scan, ranges), (Envelope(SCAN, received.address, scan),))
 
     def finish(self) -> Iterable[Envelope]:
         """Nothing is held back."""
