@@ -188,6 +188,16 @@ def test_the_same_scan_has_the_same_answer_bit_for_bit() -> None:
     assert hear(one, scan)[0].SerializeToString() == hear(two, scan)[0].SerializeToString()
 
 
+@pytest.mark.parametrize("usable", [True, False])
+def test_the_scans_motion_goes_on_with_its_hypotheses(core: ProjectorCore, usable: bool) -> None:
+    scan = scan_at(free_poses(1, 74)[0])
+    if not usable:
+        scan.ranges[:] = [np.nan] * len(scan.ranges)
+    assert not hear(core, scan)[0].HasField("motion")
+    scan.motion.motion.theta = 0.25
+    assert hear(core, scan)[0].motion == scan.motion
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_scan_without_returns_is_unusable(core: ProjectorCore, value: float) -> None:
     scan = scan_at(free_poses(1, 0)[0])
@@ -196,6 +206,26 @@ def test_a_scan_without_returns_is_unusable(core: ProjectorCore, value: float) -
     assert message.status == Hypotheses.STATUS_UNUSABLE_SCAN
     assert not message.hypotheses
     assert obstacles is None
+
+
+@pytest.mark.parametrize("mount", [101.0, 1e308, np.nan])
+def test_a_mount_farther_than_a_robot_is_large_makes_no_sense(mount: float) -> None:
+    core = ready()
+    scan = scan_at(free_poses(1, 0)[0])
+    scan.mount.x = mount
+    assert list(core.handle(Envelope(SCAN, ADDRESS, scan))) == []
+    assert core.condition().counters["scan_malformed"] == 1
+
+
+@pytest.mark.parametrize("far", [1e6, 3e38])
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_ranges_that_no_lidar_has_count_as_no_return(core: ProjectorCore, far: float, share: float) -> None:
+    scan, empty = (scan_at(free_poses(1, 0)[0]) for _ in range(2))
+    some = np.random.default_rng(0).random(len(scan.ranges)) < share
+    for one, value in ((scan, far), (empty, np.inf)):
+        one.range_max = 0.0
+        one.ranges[:] = np.where(some, value, one.ranges)
+    assert hear(core, scan)[0].hypotheses == hear(core, empty)[0].hypotheses
 
 
 @pytest.mark.parametrize(

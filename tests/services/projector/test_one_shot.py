@@ -215,6 +215,7 @@ def _change(**fields: object) -> Callable[[LocalizeQuery], None]:
         (_change(range_min=9.0, range_max=5.0), "scan.range_min, scan.range_max"),
         (_change(range_max=math.nan), "scan.range_min, scan.range_max"),
         (lambda query: query.scan.mount.CopyFrom(Pose2(x=math.inf)), "scan.mount"),
+        (lambda query: query.scan.mount.CopyFrom(Pose2(y=-1e300)), "scan.mount: not finite, or beyond 100 m"),
         (lambda query: query.near.CopyFrom(Pose2(x=math.nan)), "near: not finite"),
         (lambda query: query.near.CopyFrom(Pose2()), "radius: 0.0 m"),
         (lambda query: query.MergeFrom(LocalizeQuery(near=Pose2(), radius=math.nan)), "radius: nan m"),

@@ -64,9 +64,10 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
     mount = Pose2(x=0.2, y=-0.1, theta=0.5)
     for number in range(3):
         *motion, published = ingest.handle(received(raw((number + 1) * SECOND, mount=mount)))
-        # before the scan: the tracker must have it before the scan's hypotheses
         assert [each.channel for each in motion] == [SCAN_MOTION] * bool(number)
         assert published.channel is SCAN
+        # the scan carries it: so the tracker has it with the scan's hypotheses
+        assert [published.open(Scan).motion] * bool(number) == [each.message for each in motion]
         assert published.key == "s/robot/r/scan/front"
         scan = published.open(Scan)
         assert (scan.sequence, scan.frame_id, scan.mount) == (number, "base_footprint", mount)

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.tracker.agreement import ScanInterval
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import IDENTITY, Pose, between, scaled
@@ -116,8 +118,11 @@ def test_a_turn_that_odometry_misses_does_not_lead_a_hidden_track_astray(
     assert max(errors) < 0.25
 
 
+@pytest.mark.parametrize(
+    "ways", [{"alone"}, {"with hypotheses"}, {"alone", "with hypotheses"}, {"both, late"}]
+)
 def test_a_pose_has_the_turn_that_its_own_scan_tells(
-    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, ways: set[str]
 ) -> None:
     """Odometry misses a quick turn, and the scan's list is empty."""
     core, truth = make_core(), np.array([2.0, 3.0, 0.0])
@@ -125,9 +130,18 @@ def test_a_pose_has_the_turn_that_its_own_scan_tells(
         list(core.handle(speaker.odometry(10.0 + 0.1 * scan, np.zeros(3))))
         list(core.handle(speaker.hypotheses(10.0 + 0.1 * scan, [truth], [17.0])))
     list(core.handle(speaker.odometry(11.0, np.zeros(3))))
-    list(core.handle(motion(11.0, 10.9, (0.0, 0.0, 0.25))))
-    (pose,) = poses_of(core.handle(speaker.hypotheses(11.0, [], [])))
+    turn, seen = motion(11.0, 10.9, (0.0, 0.0, 0.25)), speaker.hypotheses(11.0, [], [])
+    if "alone" in ways:
+        list(core.handle(turn))
+    if ways != {"alone"}:
+        seen.open(Hypotheses).motion.CopyFrom(turn.open(ScanMotion))
+    (pose,) = poses_of(core.handle(seen))
     assert abs(pose.pose.theta - 0.25) < 0.05
+    if "both, late" in ways:
+        list(core.handle(turn))
+    list(core.handle(speaker.odometry(11.1, np.zeros(3))))
+    (pose,) = poses_of(core.handle(speaker.hypotheses(11.1, [], [])))
+    assert abs(pose.pose.theta - 0.25) < 0.05  # not taken twice
 
 
 def test_without_odometry_scans_carry_a_hidden_track(

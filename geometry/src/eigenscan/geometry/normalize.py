@@ -20,6 +20,8 @@ SMALLEST_STEP = 1e-6  # rad; no lidar comes near it
 
 FARTHEST = 1e5  # m; a larger range or limit counts as none
 
+FARTHEST_MOUNT = 100.0  # m of a lidar from its robot's base, at most: no robot is as large
+
 NO_RETURN_SHARE = 0.999
 """Share of the stated maximum from which a range is no return: drivers round their marker for it."""
 

@@ -33,7 +33,7 @@ class RawScan(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., upside_down: _Optional[bool] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Scan(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "mount", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "sequence")
+    __slots__ = ("timestamp", "frame_id", "mount", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "sequence", "motion")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     MOUNT_FIELD_NUMBER: _ClassVar[int]
@@ -43,6 +43,7 @@ class Scan(_message.Message):
     RANGE_MAX_FIELD_NUMBER: _ClassVar[int]
     RANGES_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    MOTION_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     mount: _geometry_pb2.Pose2
@@ -52,7 +53,8 @@ class Scan(_message.Message):
     range_max: float
     ranges: _containers.RepeatedScalarFieldContainer[float]
     sequence: int
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., sequence: _Optional[int] = ...) -> None: ...
+    motion: ScanMotion
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., sequence: _Optional[int] = ..., motion: _Optional[_Union[ScanMotion, _Mapping]] = ...) -> None: ...
 
 class ScanMotion(_message.Message):
     __slots__ = ("timestamp", "since", "motion", "covariance", "explained", "repeats", "longest_step")

@@ -10,6 +10,7 @@ from eigenscan.eigenspace.analysis import Analysis, RegionSpace
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.normalize import FARTHEST_MOUNT
 from eigenscan.geometry.pose import from_message
 from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.focus import WHOLE, Focus, Scope
@@ -185,8 +186,8 @@ class ProjectorCore:
         try:
             seen = observe(scan)
             mount = from_message(scan.mount)
-            if not np.isfinite(mount).all():
-                raise ValueError("mount is not finite")
+            if not (np.abs(mount) <= FARTHEST_MOUNT).all():  # also where it is no number
+                raise ValueError("the mount is farther than any robot is large")
         except ValueError:
             self._counts["scan_malformed"] += 1
             return []

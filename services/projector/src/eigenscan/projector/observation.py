@@ -9,6 +9,7 @@ import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN, coarse_sensor
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.normalize import FARTHEST
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
 
@@ -76,6 +77,7 @@ def observe(scan: Scan) -> Observation:
     coarse = ranges[nearest]
     coarse[outside] = np.nan
     coarse[coarse < NEAREST] = np.nan
+    coarse[coarse >= FARTHEST] = np.inf  # a scan that no ingest made: sums in single precision would overflow
     return Observation(sensor, ranges, coarse, bearings)
 
 

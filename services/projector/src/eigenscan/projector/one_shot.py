@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.eigenspace.floors import Floor, floor_of
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.normalize import ScanError, Sweep, limit, limits, orient
+from eigenscan.geometry.normalize import FARTHEST_MOUNT, ScanError, Sweep, limit, limits, orient
 from eigenscan.geometry.pose import compose, covariance_to_message, from_message, to_message
 from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.focus import Reach, Scope
@@ -39,7 +39,7 @@ _FIELDS = {
     "angle_increment_zero": "scan.angle_increment: must not be 0; rad",
     "over_a_turn": "scan.angle_increment: the beams cover over one turn; rad",
     "limits_inconsistent": "scan.range_min, scan.range_max: limits contradict each other; m",
-    "mount_not_finite": "scan.mount: not finite",
+    "mount_too_far": f"scan.mount: not finite, or beyond {FARTHEST_MOUNT:g} m",
 }
 
 
@@ -156,8 +156,8 @@ def canonical(raw: RawScan) -> Scan:
             raise ScanError("no_beams")
         if len(raw.ranges) > MOST_BEAMS:
             raise ScanError("too_many_beams")
-        if not all(map(math.isfinite, (raw.mount.x, raw.mount.y, raw.mount.theta))):
-            raise ScanError("mount_not_finite")
+        if not all(abs(value) <= FARTHEST_MOUNT for value in (raw.mount.x, raw.mount.y, raw.mount.theta)):
+            raise ScanError("mount_too_far")
         low, high = limits(raw.range_min, raw.range_max)
         ranges = np.fromiter(raw.ranges, np.float32, len(raw.ranges))
         sweep = orient(Sweep(ranges, raw.angle_min, raw.angle_increment), raw.upside_down)

@@ -68,6 +68,7 @@ def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
         status=Hypotheses.STATUS_UNUSABLE_SCAN,
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
+        motion=scan.motion if scan.HasField("motion") else None,
     )
 
 
@@ -86,6 +87,7 @@ def hypotheses_message(
         searched_area_m2=site.area(_searched(scope, found)),
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
+        motion=scan.motion if scan.HasField("motion") else None,
     )
     projected, alike = found.projected, _blanks(found.projected.coefficients.shape[1])
     message.MergeFromString(

@@ -6,11 +6,20 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.normalize import Ranges, ScanError, Sweep, limit, limits, orient, resample
+from eigenscan.geometry.normalize import (
+    FARTHEST_MOUNT,
+    Ranges,
+    ScanError,
+    Sweep,
+    limit,
+    limits,
+    orient,
+    resample,
+)
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
 from eigenscan.ingest.watch import FROZEN, Watch, one_value
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
@@ -20,8 +29,6 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 
-FARTHEST_MOUNT = 100.0
-"""m of a lidar from its robot's base, at most: no robot is as large."""
 RECENT = 50
 GAP_NS = 1_000_000_000
 """Time between two scans, ns, beyond which the lidar paused, or its clock was set forward; stamps do not show
@@ -93,8 +100,10 @@ class ScanIngestCore:
         lidar.recent.append("")
         self._counts["published"] += 1
         self._recent.append("")
-        # first, so that the tracker has the motion before the scan's hypotheses, whatever the processes
-        return chain(self._motion(lidar, received, scan, ranges), (Envelope(SCAN, received.address, scan),))
+        motion = list(self._motion(lidar, received, scan, ranges))
+        for each in motion:
+            scan.motion.CopyFrom(each.open(ScanMotion))
+        return (*motion, Envelope(SCAN, received.address, scan))
 
     def finish(self) -> Iterable[Envelope]:
         """Nothing is held back."""

@@ -124,6 +124,7 @@ class Agreement:
         self._reversed_seen = False
         self._jumps: deque[int] = deque(maxlen=JUMPS)
         self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
+        self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
         self.reversed = False
         """Whether odometry counted backwards as forwards when it was last compared."""
 
@@ -163,7 +164,11 @@ class Agreement:
         return len(self._jumps) == JUMPS and abs(self._jumps[-1] - self._jumps[0]) <= JUMPS_NS
 
     def receive(self, interval: ScanInterval) -> None:
-        """Keeps an interval until odometry has come as far."""
+        """Keeps an interval until odometry has come as far; once, for it comes alone and with hypotheses."""
+        key = interval.lidar, interval.since, interval.stamp
+        if key in self._received:
+            return
+        self._received.append(key)
         if interval.repeats:
             self._repeated.append((interval.lidar, interval.stamp))
             if interval.moved is None:

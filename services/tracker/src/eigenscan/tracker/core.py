@@ -109,7 +109,10 @@ class TrackerCore:
         if received.channel is SCAN_MOTION:
             self._receive_motion(robot, received.address["lidar"], received.open(ScanMotion))
             return ()
-        seen = observe(received.open(Hypotheses), received.address, self._settings, self._counts)
+        message = received.open(Hypotheses)
+        if message.HasField("motion"):
+            self._receive_motion(robot, received.address["lidar"], message.motion)
+        seen = observe(message, received.address, self._settings, self._counts)
         self._counts["hypotheses_heard"] += 1
         return list(self._publish(address, robot, robot.tracker.receive(seen)))
 

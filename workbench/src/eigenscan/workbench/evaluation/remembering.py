@@ -82,10 +82,14 @@ def _without_time(scan: Scan) -> bytes:
     timeless.CopyFrom(scan)
     timeless.ClearField("timestamp")
     timeless.ClearField("sequence")
+    timeless.ClearField("motion")
     return encode(timeless)
 
 
 def _at_the_time_of(scan: Scan, address: dict[str, str], payload: bytes) -> Envelope:
     message = Hypotheses.FromString(payload)
     message.timestamp.CopyFrom(scan.timestamp)
+    message.ClearField("motion")
+    if scan.HasField("motion"):
+        message.motion.CopyFrom(scan.motion)
     return Envelope(HYPOTHESES, address, message)
