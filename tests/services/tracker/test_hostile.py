@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, T
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
+from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
@@ -140,6 +142,32 @@ def test_odometry_that_is_no_number_is_set_aside(
     after = standing(core, speaker, poses_of, 10.6, 5)
     assert core.condition().counters["odometry_not_finite"] == 1
     assert all(m.state == STATE_LOCALIZED and is_right(m) for m in after)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"motion": Pose2(x=6e4)},
+        {"motion": Pose2(theta=3.0)},
+        {"motion": Pose2(y=np.nan)},
+        {"motion": Pose2(), "covariance": Covariance3(xx=1e-4, xy=2e-4, yy=1e-4)},
+        {"motion": Pose2(), "covariance": Covariance3(xx=1e9, yy=1e9)},
+        {"motion": Pose2(), "covariance": Covariance3(tt=np.inf)},
+        {"motion": Pose2(), "since": stamp(10_900_000_000)},
+    ],
+)
+def test_a_scan_motion_that_no_robot_makes_is_counted_and_moves_nothing(
+    change: dict[str, Any], make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    plain, core = make_core(), make_core()
+    for each in plain, core:
+        standing(each, speaker, poses_of, 10.0, 5)
+    seen = speaker.hypotheses(10.6, [], [])
+    expected = poses_of(plain.handle(seen))
+    bad: dict[str, Any] = {"timestamp": stamp(10_600_000_000), "since": stamp(10_500_000_000)} | change
+    seen.open(Hypotheses).motion.CopyFrom(ScanMotion(**bad))
+    assert poses_of(core.handle(seen)) == expected
+    assert core.condition().counters["scan_motion_not_possible"] == 1
 
 
 def test_odometry_from_the_past_is_set_aside(

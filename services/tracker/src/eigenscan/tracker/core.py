@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import isnan
 
 import numpy as np
 from eigenscan.geometry.pose import (
@@ -26,6 +26,7 @@ from eigenscan.schemas.channels import (
     Channel,
 )
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
+from eigenscan.schemas.geometry_pb2 import Covariance3
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.model_pb2 import ModelSet
@@ -34,10 +35,11 @@ from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.agreement import ScanInterval
 from eigenscan.tracker.floors import Building
-from eigenscan.tracker.observation import FARTHEST, observe
+from eigenscan.tracker.observation import SIGMA_LIMITS, observe
 from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.velocity_gate import is_possible
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
@@ -155,17 +157,17 @@ class TrackerCore:
 
     def _receive_motion(self, robot: _Tracked, lidar: str, message: ScanMotion) -> None:
         moved, c = None, message.covariance
+        since, until = nanoseconds(message.since), nanoseconds(message.timestamp)
         if message.HasField("motion"):
             moved = message.motion.x, message.motion.y, message.motion.theta
-            if not all(isfinite(value) and abs(value) < FARTHEST for value in (*moved, c.xx, c.xy, c.yy)):
-                self._counts["scan_motion_not_finite"] += 1
+            limits = self._settings.v_max, self._settings.turn_max
+            possible = since < until and is_possible(moved, (until - since) / 1e9, *limits)
+            if not (possible and _is_spread(c)):
+                self._counts["scan_motion_not_possible"] += 1
                 return
-        since, until = nanoseconds(message.since), nanoseconds(message.timestamp)
-        spread = max(c.xx, 0.0), c.xy, max(c.yy, 0.0)
+        spread = c.xx, c.xy, c.yy
         robot.tracker.receive_motion(
-            ScanInterval(
-                lidar, since, until, moved, spread, max(c.tt, 0.0), message.repeats, message.longest_step
-            )
+            ScanInterval(lidar, since, until, moved, spread, c.tt, message.repeats, message.longest_step)
         )
 
     def _receive_odometry(
@@ -211,6 +213,13 @@ class TrackerCore:
             if robot.tracks.is_due(estimate.stamp):
                 robot.tracks.note(estimate.stamp)
                 yield Envelope(TRACKS, address, _tracks_message(estimate))
+
+
+def _is_spread(c: Covariance3) -> bool:
+    """Whether way and turn have a covariance within a pose's limits; 0 is one."""
+    x, y, turn = SIGMA_LIMITS[:, 1] ** 2
+    within = 0.0 <= c.xx <= x and 0.0 <= c.yy <= y and 0.0 <= c.tt <= turn
+    return bool(within and c.xy**2 <= c.xx * c.yy * (1.0 + 1e-6))
 
 
 def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:

@@ -23,6 +23,12 @@ OUTLIERS_IN_ROW = 3
 GATE = float(chdtri(3, 1e-6))
 
 
+def is_possible(step: Pose, seconds: float, v_max: float, turn_max: float) -> bool:
+    """Whether a robot of this speed, m/s and rad/s, can make `step` in `seconds`; not if not finite."""
+    way, turn = hypot(step[0], step[1]), abs(step[2])
+    return way <= 2.0 * v_max * seconds + JUMP_SLACK_M and turn <= 2.0 * turn_max * seconds + JUMP_SLACK_RAD
+
+
 class Reading(Enum):
     """What the gate makes of one increment."""
 
@@ -47,9 +53,7 @@ class VelocityGate:
 
     def judge(self, step: Pose, seconds: float) -> Reading:
         """Reading of increment `step` in the base frame over `seconds` > 0."""
-        way, turn = hypot(step[0], step[1]), abs(step[2])
-        v_max, turn_max = self._limit
-        if way > 2.0 * v_max * seconds + JUMP_SLACK_M or turn > 2.0 * turn_max * seconds + JUMP_SLACK_RAD:
+        if not is_possible(step, seconds, *self._limit):
             self.forget()
             return Reading.JUMP
         noise = (STEP_NOISE / seconds) ** 2
