@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import re
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
@@ -38,43 +39,74 @@ def _is_written(path: Path) -> bool:
     return False
 
 
+def _size(path: Path) -> int:
+    """Bytes; 0 for a file that another recorder has deleted meanwhile."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
 @dataclass(frozen=True)
 class Files:
-    """Files in `target`, a folder, or named as `target` where that ends in .mcap."""
+    """Files in `target`, a folder, or named as `target` where that ends in .mcap.
+
+    Their order is that of their names, which hold the start. File times change when files are copied. The
+    files of this recorder come last, in the order of `begun`: a clock that is set back makes their names
+    old, but not their content.
+    """
 
     target: Path
     site: str
+    begun: list[Path] = field(default_factory=list)
 
-    def unused(self, now: int) -> Path:
-        """A name that no file has, by the time `now`, ns since the epoch."""
+    def begin(self, now: int) -> Path:
+        """A new empty file, named by the time `now`, ns since the epoch. Raises OSError.
+
+        Numbers of deleted files are not used again.
+        """
         first = self.target
         if not self._is_file:
             started = datetime.fromtimestamp(now / 1e9, tz=UTC)
             first = self.target / f"{self.site}-{started:%Y%m%d-%H%M%S}{SUFFIX}"
-        others = (first.with_name(f"{first.stem}-{number}{SUFFIX}") for number in count(2))
-        return first if not first.exists() else next(path for path in others if not path.exists())
+        first.parent.mkdir(parents=True, exist_ok=True)
+        named = self._named()
+        last = max((number for start, number, _ in named if start == first.stem), default=0)
+        for number in count(last + 1):
+            path = first if number == 1 else first.with_name(f"{first.stem}-{number}{SUFFIX}")
+            with suppress(FileExistsError):  # another recorder was faster
+                path.touch(exist_ok=False)
+                break
+        there = {each for *_, each in named}
+        self.begun[:] = [each for each in self.begun if each in there] + [path]
+        return path
 
     def own(self) -> list[Path]:
         """The files that recorders of this target wrote, oldest first."""
-        start = re.escape(self.target.stem) if self._is_file else rf"{re.escape(self.site)}-\d{{8}}-\d{{6}}"
-        name = re.compile(rf"{start}(-\d+)?{re.escape(SUFFIX)}")
-        folder = self.target.parent if self._is_file else self.target
-        found = [path for path in folder.glob(f"*{SUFFIX}") if name.fullmatch(path.name)]
-        return sorted(found, key=lambda path: (path.stat().st_mtime_ns, path.name))
+        here = {path: place for place, path in enumerate(self.begun)}
+        return [path for *_, path in sorted(self._named(), key=lambda each: (here.get(each[2], -1), *each))]
 
-    def make_room(self, total_bytes: int, kept: Path) -> int:
+    def _named(self) -> list[tuple[str, int, Path]]:
+        """The name's start, the number after it, from 1 on, and the path of each file."""
+        start = re.escape(self.target.stem) if self._is_file else rf"{re.escape(self.site)}-\d{{8}}-\d{{6}}"
+        name = re.compile(rf"({start})(?:-(\d+))?{re.escape(SUFFIX)}")
+        folder = self.target.parent if self._is_file else self.target
+        found = [(name.fullmatch(path.name), path) for path in folder.glob(f"*{SUFFIX}")]
+        return [(match[1], int(match[2] or 1), path) for match, path in found if match]
+
+    def make_room(self, total_bytes: int) -> int:
         """Deletes the oldest files until all take at most `total_bytes`; how many.
 
-        Never `kept`, and none that a recorder still writes.
+        None that a recorder still writes. Other recorders may delete some at the same time.
         """
         files = self.own()
-        excess, deleted = sum(path.stat().st_size for path in files) - total_bytes, 0
+        excess, deleted = sum(map(_size, files)) - total_bytes, 0
         for path in files:
             if excess <= 0:
                 break
-            if path != kept and not _is_written(path):
-                excess -= path.stat().st_size
-                path.unlink()
+            if not _is_written(path):
+                excess -= _size(path)
+                path.unlink(missing_ok=True)
                 deleted += 1
         return deleted
 

@@ -167,9 +167,9 @@ class McapSink:
 
     def _begin(self, now: int) -> RecordingWriter:
         """The next file; deleted again if there is no room for the latched messages."""
-        path = self._files.unused(now)
         if self._limits.total_bytes is not None:
-            self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes, kept=path)
+            self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes)
+        path = self._files.begin(now)
         writer: RecordingWriter | None = None
         try:
             writer = RecordingWriter(path, self._metadata)

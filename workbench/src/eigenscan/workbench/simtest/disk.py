@@ -237,6 +237,14 @@ class SimPath(PosixPath):
         """The files of a folder whose names fit."""
         return iter([path for path in self.iterdir() if fnmatch.fnmatchcase(path.name, pattern)])
 
+    def touch(self, mode: int = 0o666, exist_ok: bool = True) -> None:
+        """Makes an empty file."""
+        self.disk.step()
+        if not self.exists():
+            self.disk.create(str(self))
+        elif not exist_ok:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(self))
+
     def unlink(self, missing_ok: bool = False) -> None:
         """Deletes a file."""
         self.disk.step()
