@@ -7,7 +7,7 @@
     regions.geojson      the same as polygons in the map frame, to be edited and built from
 
 A folder appears whole or not at all: it is written beside its place and then swapped in; what it replaces is
-kept (see `versions`).
+kept (see `versions`). Any number of processes may write and read it at the same time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_of, set_version
 from eigenscan.eigenspace.region_file import pack_region, read_region
-from eigenscan.eigenspace.versions import MANIFEST, replace
+from eigenscan.eigenspace.versions import MANIFEST, alone, put
 from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
 from eigenscan.schemas import model_pb2
 from eigenscan.schemas.methods import of_service
@@ -31,6 +31,8 @@ from eigenscan.schemas.methods import of_service
 MAP, REGIONS, PICTURE = "map.yaml", "regions", "regions.png"
 OUTLINES = "regions.geojson"
 LAYOUT = 2
+MOST_READS = 20
+"""Of a folder that is replaced during each of them. A build takes seconds; nobody builds so often."""
 
 
 @dataclass(frozen=True)
@@ -78,24 +80,25 @@ def write_models(
     """
     contents = {model.region: pack_region(model) for model in site.regions}
 
-    def put(regions: Path) -> None:
+    def put_regions(regions: Path) -> None:
         for name, content in contents.items():
             (regions / f"{name}.npz").write_bytes(content)
 
-    publish(folder, site.grid, site.to_message(), put, picture, outlines, others)
+    publish(folder, site.grid, site.to_message(), put_regions, picture, outlines, others)
 
 
 def publish(
     folder: Path,
     grid: GridMap,
     message: model_pb2.ModelSet,
-    put: Callable[[Path], None],
+    put_regions: Callable[[Path], None],
     picture: bytes | None,
     outlines: str | None,
     others: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Writes `folder` as write_models does; `put` puts the set's region files into a folder that it is given.
+    """Writes `folder` as write_models does.
 
+    `put_regions` puts the set's region files into the folder that it is given.
     Raises ModelError as write_models does.
     """
     check_place(folder)
@@ -106,7 +109,7 @@ def publish(
             fresh.chmod(0o755)
             write_map(grid, fresh / MAP)
             (fresh / REGIONS).mkdir()
-            put(fresh / REGIONS)
+            put_regions(fresh / REGIONS)
             if picture is not None:
                 (fresh / PICTURE).write_bytes(picture)
             if outlines is not None:
@@ -129,10 +132,11 @@ def check_place(folder: Path) -> None:
 
 
 def _take_place(fresh: Path, folder: Path) -> None:
-    if (folder / MANIFEST).is_file():
-        replace(folder, fresh)
-    else:
-        fresh.rename(folder)
+    with alone(folder):
+        if (folder / MANIFEST).is_file():
+            put(folder, fresh)
+        else:
+            fresh.rename(folder)
 
 
 def _manifest(message: model_pb2.ModelSet) -> dict[str, Any]:
@@ -151,11 +155,31 @@ def _manifest(message: model_pb2.ModelSet) -> dict[str, Any]:
 
 
 def read_models(folder: Path) -> SiteModel:
-    """Reads the models in a folder that write_models wrote.
+    """Reads the models in a folder that write_models wrote; again if it was replaced meanwhile.
 
     Raises ModelError that names a file if it is missing, has another layout, or another version than the
     manifest states.
     """
+    for _ in range(MOST_READS):
+        before = _state(folder)
+        try:
+            return _read_once(folder)
+        except ModelError:
+            if _state(folder) == before:
+                raise
+    return _read_once(folder)
+
+
+def _state(folder: Path) -> tuple[int, int] | None:
+    """Changes when another folder takes the place; None where nothing is there."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_ctime_ns
+
+
+def _read_once(folder: Path) -> SiteModel:
     manifest = _read_manifest(folder / MANIFEST)
     try:
         grid = read_map(folder / MAP)

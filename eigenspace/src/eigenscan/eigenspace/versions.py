@@ -1,16 +1,19 @@
 """The versions of a model folder: MODEL is in use, MODEL.versions/ holds those that it replaced.
 
-Each is a whole model folder. A swap is a single step of the file system, so a reader of MODEL finds one or
-the other, never half of one.
+Each is a whole model folder. A swap is a single step of the file system, and one writer changes a folder at
+a time. A reader that was overtaken by a swap reads again (`folder.read_models`).
 """
 
 from __future__ import annotations
 
 import ctypes
+import errno
+import fcntl
 import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +27,8 @@ CHANGE = "change.json"
 KEPT = 5
 """Versions that are kept beside the one in use; the oldest goes first."""
 _AT_CWD, _EXCHANGE = -100, 2
+_NOT_SUPPORTED = {errno.ENOSYS, errno.EINVAL}
+"""Of renameat2, where the kernel or the file system cannot exchange."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,18 @@ def kept_in(folder: Path) -> Path:
     return folder.with_name(folder.name + ".versions")
 
 
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Waits until no other writer changes `folder`. Without effect on a file system without locks."""
+    parent = os.open(folder.parent, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(parent, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(parent)
+
+
 def versions(folder: Path) -> list[Version]:
     """The version in use, first, then the kept ones, the newest built first.
 
@@ -52,7 +69,7 @@ def versions(folder: Path) -> list[Version]:
     current = _describe(folder)
     if current is None:
         raise ModelError(f"{folder}: holds no models: build them with eigenscan build")
-    found = [_describe(path) for path in kept_in(folder).glob("*") if path.is_dir()]
+    found = [_describe(path) for path in _kept(folder)]
     others = {v.version: v for v in found if v is not None and v.version != current.version}
     return [current, *sorted(others.values(), key=lambda v: (-v.built, v.version))]
 
@@ -101,22 +118,31 @@ def _named(among: Sequence[Version], version: str, which: str, folder: Path) -> 
 
 def accept(folder: Path, proposal: Path) -> None:
     """Puts the folder of a proposal in use, as `replace` does."""
-    (proposal / PROPOSAL).rename(proposal / CHANGE)
-    replace(folder, proposal)
+    with alone(folder):
+        (proposal / PROPOSAL).rename(proposal / CHANGE)
+        put(folder, proposal)
 
 
 def withdraw(folder: Path) -> None:
     """Deletes the proposals that are kept beside `folder`."""
-    for version in versions(folder)[1:]:
-        if version.proposed_for:
-            shutil.rmtree(version.folder)
+    with alone(folder):
+        for version in versions(folder)[1:]:
+            if version.proposed_for:
+                shutil.rmtree(version.folder)
 
 
 def replace(folder: Path, fresh: Path) -> None:
     """Puts the model folder `fresh` in the place of `folder`, whose version is kept.
 
-    Both must be on one file system, beside each other.
+    Both must be on one file system, beside each other. Raises OSError if one of them is gone; then the other
+    stays where it is.
     """
+    with alone(folder):
+        put(folder, fresh)
+
+
+def put(folder: Path, fresh: Path) -> None:
+    """As `replace`, for a writer that is `alone`."""
     exchange(fresh, folder)
     old, current = _describe(fresh), _describe(folder)
     store = kept_in(folder)
@@ -131,18 +157,28 @@ def replace(folder: Path, fresh: Path) -> None:
     _, *kept = versions(folder)
     live = {v.folder for v in kept if v.proposed_for}
     live |= {v.folder for v in [v for v in kept if not v.proposed_for][:KEPT]}
-    for path in store.glob("*"):
+    for path in _kept(folder):
         if path not in live and _describe(path) is not None:
             shutil.rmtree(path)
 
 
+def _kept(folder: Path) -> list[Path]:
+    """The folders among the kept ones, but for those that are still being written."""
+    return [path for path in kept_in(folder).glob("[!.]*") if path.is_dir()]
+
+
 def exchange(one: Path, other: Path) -> None:
-    """Swaps two folders of one file system, in a single step if the system can (Linux, renameat2)."""
+    """Swaps two folders of one file system, in a single step if the system can (Linux, renameat2).
+
+    Raises OSError if it cannot, for instance if one of them is gone.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "renameat2"):
         names = os.fsencode(one), os.fsencode(other)
         if libc.renameat2(_AT_CWD, names[0], _AT_CWD, names[1], _EXCHANGE) == 0:
             return
+        if (code := ctypes.get_errno()) not in _NOT_SUPPORTED:
+            raise OSError(code, os.strerror(code), str(one), None, str(other))
     aside = one.with_name(one.name + ".aside")
     other.rename(aside)
     one.rename(other)

@@ -237,7 +237,7 @@ class SimPath(PosixPath):
         """The files of a folder whose names fit."""
         return iter([path for path in self.iterdir() if fnmatch.fnmatchcase(path.name, pattern)])
 
-    def touch(self, mode: int = 0o666, exist_ok: bool = True) -> None:
+    def touch(self, mode: int = 0o666, exist_ok: bool = True) -> None:  # noqa: ARG002 - as pathlib has it
         """Makes an empty file."""
         self.disk.step()
         if not self.exists():
