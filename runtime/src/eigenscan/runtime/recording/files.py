@@ -84,6 +84,8 @@ def refuse_bombs(file: IO[bytes]) -> None:
         begin = file.tell()
         if kind == _CHUNK:
             start = file.read(min(size, 128))
+            if len(start) < min(size, _CHUNK_HEAD.size):  # the file is cut here
+                break
             _, _, stated, _, length = _CHUNK_HEAD.unpack_from(start)
             compression = start[_CHUNK_HEAD.size :][:length]
             data = start[_CHUNK_HEAD.size + length + 8 :]
@@ -103,19 +105,26 @@ def refuse_bomb(compression: bytes, data: bytes, size: int, stated: int) -> None
         raise ValueError(f"a chunk of {size} bytes would become {becomes}")
 
 
+def is_only_begun(path: Path) -> bool:
+    """Whether a file is cut before the end of its first bytes, the magic."""
+    return path.stat().st_size < len(MCAP0_MAGIC)
+
+
 def parts(path: Path) -> list[Path]:
     """The files of a recording: the file itself, or those in a recorder's folder.
 
-    A repaired copy replaces its original. Raises RecordingError for a folder without recordings.
+    A repaired copy replaces its original. A file that was cut before its first message is left out: a
+    recorder was killed as it began it. Raises RecordingError for a folder without recordings.
     """
     if not path.is_dir():
         return [path]
-    files = {file.name: file for file in sorted(path.glob("*.mcap")) if not file.match("*.reference.mcap")}
+    named = [file for file in sorted(path.glob("*.mcap")) if not file.match("*.reference.mcap")]
+    files = {file.name: file for file in named if not is_only_begun(file)}
     for name in list(files):
         if name.endswith(REPAIRED):
             files.pop(f"{name.removesuffix(REPAIRED)}.mcap", None)
     if not files:
-        raise RecordingError(f"{path}: is a folder that holds no .mcap")
+        raise RecordingError(f"{path}: is a folder that holds no .mcap" + (" with messages" if named else ""))
     return list(files.values())
 
 

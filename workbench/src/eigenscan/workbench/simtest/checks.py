@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.node import WHOLE_SITE_SLACK
 from eigenscan.runtime.recording import RecordingError, read
+from eigenscan.runtime.recording.files import is_only_begun
 from eigenscan.runtime.recording.writing import CHUNK_BYTES
 from eigenscan.runtime.work import SILENT_S
 from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, SCAN_RAW, TRACKS, by_name, find
@@ -242,6 +243,8 @@ class Judge:
         found: Counter[tuple[str, int]] = Counter()
         for name in sorted(process.disk.files):
             path = process.disk.path(name)
+            if is_only_begun(path):  # it was killed there
+                continue
             try:
                 for record in read(path):
                     found[record.envelope.key, hash(encode(record.envelope.message))] += 1
