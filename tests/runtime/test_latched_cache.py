@@ -52,3 +52,31 @@ def test_a_folder_that_cannot_be_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(FileExistsError):
         LatchedCache(tmp_path / "file")
+
+
+def test_two_failed_starts_set_all_aside_and_one_does_not(tmp_path: Path) -> None:
+    LatchedCache(tmp_path).put(model("hall", b"1"))
+    (tmp_path / "tables").mkdir()  # what was made of the models goes with them
+    for _ in range(3):  # a proven start between two failed ones
+        assert not LatchedCache(tmp_path).try_out()
+        assert not LatchedCache(tmp_path).try_out()
+        LatchedCache(tmp_path).prove()
+    for _ in range(2):
+        assert not LatchedCache(tmp_path).try_out()
+    last = LatchedCache(tmp_path)
+    assert last.try_out()
+    assert not list(last.read("site"))
+    assert {path.name for path in tmp_path.iterdir()} == {"aside"}
+    assert len(list((tmp_path / "aside").iterdir())) == 2
+    # the same model from the site is cached again
+    last.put(model("hall", b"1"))
+    again = LatchedCache(tmp_path)
+    assert [one.payload for one in again.read("site")] == [b"1"]
+    assert not again.try_out()
+
+
+@pytest.mark.parametrize("content", [b"", b"two", b"\xff"])
+def test_a_torn_note_of_starts_counts_as_none(tmp_path: Path, content: bytes) -> None:
+    cache = LatchedCache(tmp_path)
+    (tmp_path / "starts").write_bytes(content)
+    assert not cache.try_out()

@@ -16,11 +16,13 @@ import pytest
 import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.latched_cache import LatchedCache
 from eigenscan.schemas.channels import CONTRACT_VERSION, HEALTH, MODEL, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import RegionModel
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
-from eigenscan.schemas.wire import decode
+from eigenscan.schemas.wire import decode, encode, encoding
 
 from tests.runtime.conftest import PATIENCE_S
 
@@ -374,3 +376,37 @@ def test_a_fault_of_the_user_is_one_line_and_code_2(
             assert ".rs:" not in said[0]
     finally:
         taken.close()
+
+
+def test_after_two_crashes_on_a_cached_model_it_starts_without_and_says_so(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus], tmp_path: Path
+) -> None:
+    bus, inbox = buses(), Inbox()
+    bus.listen([HEALTH], {"site": net.site}, inbox)
+    kept = tmp_path / "kept"
+    model = RegionModel(region="hall", version="kills")
+    key = MODEL.key({"site": net.site, "region": "hall"})
+    LatchedCache(kept).put(Arrival(MODEL, key, encode(model), encoding(MODEL)))
+    flags = ("--keep", kept, "--takes-models", "true")
+    for _ in range(2):
+        assert start(*flags, config=net.leaf).process.wait(PATIENCE_S) == -signal.SIGSEGV
+    service = start(*flags, config=net.leaf)
+    words = f"set aside after 2 failed starts, see {kept / 'aside'}"
+    assert words in str(service.log("cache_set_aside")["hint"])
+    health = next(each for each in _healths(inbox) if each.counters.get("cache_set_aside"))
+    assert health.detail.startswith("no scan; ")
+    assert health.detail.endswith(words)
+    assert _end(service, signal.SIGTERM) == 0
+    assert [path.name for path in kept.iterdir()] == ["aside"]
+
+
+def test_a_stop_in_good_order_is_no_failed_start(net: Any, start: Callable[..., Any], tmp_path: Path) -> None:
+    model = RegionModel(region="hall", version="1")
+    key = MODEL.key({"site": net.site, "region": "hall"})
+    LatchedCache(tmp_path).put(Arrival(MODEL, key, encode(model), encoding(MODEL)))
+    for _ in range(3):
+        service = start("--keep", tmp_path, "--takes-models", "true")
+        service.log("ready")
+        assert (tmp_path / "starts").read_bytes() == b"1"
+        assert _end(service, signal.SIGTERM) == 0
+    assert not (tmp_path / "aside").exists()

@@ -1,5 +1,7 @@
 """A service as small as one can be: answers raw scans with scans, and misbehaves on request."""
 
+import os
+import signal
 import sys
 import time
 from collections.abc import Iterable
@@ -22,6 +24,7 @@ class TinySettings(ServiceSettings):
     model_bytes: int = 0
     broken: bool = False
     prompt: bool = False
+    takes_models: bool = False
 
 
 class TinyCore:
@@ -32,6 +35,8 @@ class TinyCore:
         if settings.broken:
             raise ValueError("maps/office.yaml: resolution: must be given")
         self._settings = settings
+        if settings.takes_models:
+            self.inputs, self.outputs = (SCAN_RAW, MODEL), (SCAN,)
         self._handled = 0
         print_waiting("make", settings.make_s)
 
@@ -46,6 +51,10 @@ class TinyCore:
             yield Envelope(MODEL, {"site": self._settings.site, "region": "hall"}, model)
 
     def handle(self, heard: Envelope) -> Iterable[Envelope]:
+        if heard.channel is MODEL:
+            if heard.open(RegionModel).version == "kills":
+                os.kill(os.getpid(), signal.SIGSEGV)  # as compiled code does
+            return
         raw = heard.open(RawScan)
         print_waiting("handle", self._settings.handle_s)
         if raw.frame_id == "poison":

@@ -68,6 +68,8 @@ class Monitor:
         self.service, self.instance, self.version = service, instance, version
         self._settings, self._clock = settings, clock
         self._condition = Condition(Health.STATUS_WAITING, "starting")
+        self.remark = ""
+        """Said in every health message of this process, after the core's own detail."""
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
         self._duplicate_seen_at = -math.inf
@@ -132,6 +134,9 @@ class Monitor:
         if self.busy_s() > self._stalled_after_s:
             detail = f"no answer from the core for {self.busy_s():.0f} s"
             return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
+        if self.remark:
+            detail = "; ".join(filter(None, (condition.detail, self.remark)))
+            return Condition(condition.status, detail, condition.counters)
         return condition
 
     def message(self) -> Health:

@@ -2,12 +2,16 @@
 
 Samples are read in the order of their arrival, so a core returns to its former state. The newest two of each
 key are kept: the newest set may have been incomplete when the machine went down.
+
+A model that crashes its reader would do so at every start. So a start with cached samples is noted until it
+has proven itself. After FAILED_STARTS that did not, all in the folder moves to its subfolder ASIDE.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +22,9 @@ from eigenscan.runtime.inbox import Arrival
 from eigenscan.schemas.channels import find
 
 GENERATIONS = 2
+FAILED_STARTS = 2
+"""In a row; one may be a power cut."""
+STARTS, ASIDE = "starts", "aside"
 DIGEST_BYTES = 8
 """Length of the part of a sample's SHA-256 that identifies it in a query."""
 
@@ -69,6 +76,37 @@ class LatchedCache:
                 continue
             if digest(payload).hex() == kept.digest:
                 yield Arrival(found[0], kept.key, payload, encoding.decode(errors="replace"))
+
+    def try_out(self) -> bool:
+        """Notes a start with what is cached, until `prove`. Raises OSError.
+
+        True if too many before this one failed: then all is set aside, and nothing is cached any more.
+        """
+        starts = self._folder / STARTS
+        try:
+            failed = int(starts.read_bytes())
+        except (OSError, ValueError):  # none, or cut
+            failed = 0
+        if failed >= FAILED_STARTS:
+            self._set_aside()
+            return True
+        with starts.open("wb") as file:
+            file.write(b"%d" % (failed + 1))
+        return False
+
+    def prove(self) -> None:
+        """What is cached does no harm. Raises OSError."""
+        (self._folder / STARTS).unlink(missing_ok=True)
+
+    def _set_aside(self) -> None:
+        aside = self._folder / ASIDE
+        shutil.rmtree(aside, ignore_errors=True)
+        aside.mkdir(exist_ok=True)
+        for path in list(self._folder.iterdir()):
+            if path.name not in (ASIDE, STARTS):
+                path.replace(aside / path.name)
+        self._kept.clear()
+        self.prove()
 
     def put(self, sample: Arrival) -> None:
         """Writes a sample, unless it is already the newest of its key. Raises OSError."""

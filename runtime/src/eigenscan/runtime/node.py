@@ -15,7 +15,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Generic, TypeVar
@@ -27,7 +27,7 @@ from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.latched_cache import LatchedCache
+from eigenscan.runtime.latched_cache import ASIDE, FAILED_STARTS, LatchedCache
 from eigenscan.runtime.logs import configure, logger
 from eigenscan.runtime.port import NoPort, Port
 from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
@@ -50,6 +50,8 @@ that in which a service of a whole site handles waiting messages; for the sessio
 neighbour may delay; and until the process ends by force."""
 WHOLE_SITE_SLACK = 16
 """Factor on the inbox's depth for a service of a whole site, which a busy disk may delay."""
+PROVEN_S = 10.0
+"""After the last cached sample was handled, until they count as harmless: some crash at the next scan."""
 EXIT_SETTINGS = 2
 EXIT_CORE = 1
 
@@ -169,6 +171,9 @@ class Node:
         )
         self._bus: Bus | None = None
         self._latched_cache: LatchedCache | None = None
+        self._on_trial: set[str] | None = None
+        """Keys of cached samples that the core has not handled yet; None: none are on trial."""
+        self._tried_at = 0.0
         self._port: Port = service.make_port(settings) if service.make_port else NoPort()
         self.fault: BaseException | None = None
         self.is_deaf = False
@@ -203,6 +208,8 @@ class Node:
 
     def close(self, seconds: float) -> bool:
         """Closes port, bus and metrics; returns whether that took less than `seconds`."""
+        if self.fault is None:
+            self.end_trial()
         closed = True
         if self._bus:
             closing = threading.Thread(target=self._close, args=(self._bus,), name="close", daemon=True)
@@ -224,6 +231,8 @@ class Node:
         """Publishes the service's health. Call it once a second and at every change."""
         if not self._bus:
             return
+        if self._on_trial == set() and self._clock.monotonic() - self._tried_at > PROVEN_S:
+            self.end_trial()
         self._report(self._bus)
         if self._clock.monotonic() - self._looked >= HEALTH_PERIOD_S:
             self._looked = self._clock.monotonic()
@@ -332,13 +341,38 @@ class Node:
         known = [
             sample for sample in self._latched_cache.read(self.settings.site) if sample.channel in inputs
         ]
+        try:
+            is_set_aside = bool(known) and self._latched_cache.try_out()
+        except OSError as error:
+            self._counters.set_aside("not_kept", "", error)
+            is_set_aside = False
+        if is_set_aside:
+            self._monitor.remark = (
+                f"cached maps and models were set aside after {FAILED_STARTS} failed starts, "
+                f"see {self.settings.keep / ASIDE}"
+            )
+            self._counters.counts["cache_set_aside"] += 1
+            self._log.error("cache_set_aside", hint=self._monitor.remark)
+            return []
+        if known:
+            self._on_trial = {sample.key for sample in known}
         for sample in known:
             self.inbox.put(sample.channel, sample.key, sample.payload, sample.encoding)
         return known
 
+    def end_trial(self) -> None:
+        """What is cached does no harm: the service has worked with it, or ends in good order."""
+        if self._latched_cache is not None and self._on_trial is not None:
+            self._on_trial = None
+            with suppress(OSError):  # a start too many is noted
+                self._latched_cache.prove()
+
     def _keep(self, sample: Arrival) -> None:
         if self._latched_cache is None:
             return
+        if self._on_trial and sample.key in self._on_trial:
+            self._tried_at = self._clock.monotonic()
+            self._on_trial.discard(sample.key)
         try:
             self._latched_cache.put(sample)
         except OSError as error:

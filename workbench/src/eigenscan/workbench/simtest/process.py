@@ -116,6 +116,7 @@ class Process:
         self.node.inbox.close(discard=not self.node.service.whole_site)
         try:
             self._work.finish()
+            self.node.end_trial()
         except KilledError:
             self.end("killed")
             return
