@@ -8,7 +8,8 @@ floor, through scan-ingest, projector and tracker as they are on a robot. Kinds 
 with nothing in common, the robot gets out anywhere), `refurnished` (one plan twice, each with half of its
 furniture; the lift is at the same place) and `alike` (one and the same floor twice). With `--maps` the floors
 are real maps of one cell size. A ride counts if a pose was claimed on the first floor; on floors that are
-alike none must be.
+alike none must be. Where the lift is at the same place, the floors differ for a ride if in its first second
+more beams see another range on the two floors than people hide.
 """
 
 from __future__ import annotations
@@ -59,6 +60,12 @@ ROOM_M = 0.5
 """More than the way that must be free ahead."""
 RIGHT_M = 0.5
 SOON_S = 1.0
+DIFFER_M = 0.3
+"""Ranges that differ by more show which floor it is: six cells of a map."""
+SHARES = (0.02, PEOPLE, 0.1, 0.2)
+"""Of the beams that differ: the summary's rows end at these."""
+EVERY = 500
+"""Rides between two lines, so that what was done so far is known."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +81,8 @@ class Ride:
     wrong_floor_scans: int
     wrong_place_scans: int
     claimed_scans: int
+    differs: float = 1.0
+    """Of the beams of the first second, how many see another range on the floor that was left."""
 
 
 @dataclass
@@ -124,7 +133,14 @@ class Building:
                 robot.see(self._scan(end, compose(out, [STEP_M * step, 0.0, 0.0])), [STEP_M, 0.0, 0.0])
             ]
         ]
-        return _told(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
+        ride = _told(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
+        return replace(ride, differs=self._differ(begin, end, out)) if self.same_place else ride
+
+    def _differ(self, begin: str, end: str, out: Array) -> float:
+        """Share of the beams that tell two floors apart on the way out of the lift, in the first second."""
+        way = [compose(out, [STEP_M * step, 0.0, 0.0]) for step in range(round(SOON_S * RATE_HZ) + 1)]
+        off = [self._scan(begin, pose) - self._scan(end, pose) for pose in way]
+        return float(np.mean(np.abs(off) > DIFFER_M))
 
     def _exit(self, name: str, rng: np.random.Generator, other: str | None = None) -> Array:
         """A pose (3,) in a floor's own frame with a free way ahead; on floor `other` too."""
@@ -225,14 +241,22 @@ def real(paths: Sequence[Path]) -> Building:
 def summary(kind: str, rides: Sequence[Ride]) -> dict[str, Any]:
     """Shares of the rides that count."""
     counted = [one for one in rides if one.claimed_before] if kind != "alike" else list(rides)
-    soon = [one for one in counted if one.right_after_s is not None and one.right_after_s <= SOON_S]
+    differ = [one for one in counted if one.differs > PEOPLE]
     wrong = [one for one in counted if one.wrong_floor_scans]
     ways = Counter(round(one.wrong_floor_m, 1) for one in wrong)
     return {
         "kind": kind,
         "rides": len(rides),
         "counted": len(counted),
-        "right_within_1s": len(soon) / max(len(counted), 1),
+        "right_within_1s": _soon(counted),
+        "floors_differ": len(differ),
+        "right_within_1s_where_they_differ": _soon(differ),
+        "by_share_of_beams": {
+            f"{low:.0%} to {high:.0%}": f"{_soon(those):.1%} of {len(those)}"
+            for low, high in zip((0.0, *SHARES), (*SHARES, 1.0), strict=True)
+            for those in [[one for one in counted if low < one.differs <= high or one.differs == low == 0.0]]
+            if those
+        },
         "right_in_the_end": sum(one.right_after_s is not None for one in counted) / max(len(counted), 1),
         "rides_with_wrong_floor": len(wrong),
         "wrong_floor_m": dict(sorted(ways.items())),
@@ -242,8 +266,14 @@ def summary(kind: str, rides: Sequence[Ride]) -> dict[str, Any]:
     }
 
 
+def _soon(rides: Sequence[Ride]) -> float:
+    """Share of the rides that were right within SOON_S."""
+    soon = [one for one in rides if one.right_after_s is not None and one.right_after_s <= SOON_S]
+    return len(soon) / max(len(rides), 1)
+
+
 def main() -> None:
-    """Prints a line for each kind of stack."""
+    """Prints a line for each kind of stack, and one after each EVERY rides."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rides", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="number of the first ride")
@@ -253,9 +283,11 @@ def main() -> None:
     arguments = parser.parse_args()
     told: list[dict[str, Any]] = []
     for kind, building in _chosen(arguments):
-        rides = [
-            building.ride(number) for number in range(arguments.first, arguments.first + arguments.rides)
-        ]
+        rides: list[Ride] = []
+        for number in range(arguments.first, arguments.first + arguments.rides):
+            rides.append(building.ride(number))
+            if len(rides) % EVERY == 0 and len(rides) < arguments.rides:
+                print(summary(kind, rides), flush=True)
         told.append(summary(kind, rides) | {"each": [asdict(one) for one in rides]})
         print({key: value for key, value in told[-1].items() if key != "each"}, flush=True)
     if arguments.json:
