@@ -139,8 +139,8 @@ class Building:
     def _differ(self, begin: str, end: str, out: Array) -> float:
         """Share of the beams that tell two floors apart on the way out of the lift, in the first second."""
         way = [compose(out, [STEP_M * step, 0.0, 0.0]) for step in range(round(SOON_S * RATE_HZ) + 1)]
-        off = [self._scan(begin, pose) - self._scan(end, pose) for pose in way]
-        return float(np.mean(np.abs(off) > DIFFER_M))
+        left, now = (np.array([self._scan(name, pose) for pose in way]) for name in (begin, end))
+        return float(np.mean(np.abs(left.clip(max=REACH_M) - now.clip(max=REACH_M)) > DIFFER_M))
 
     def _exit(self, name: str, rng: np.random.Generator, other: str | None = None) -> Array:
         """A pose (3,) in a floor's own frame with a free way ahead; on floor `other` too."""
