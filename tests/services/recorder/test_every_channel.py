@@ -14,6 +14,7 @@ from eigenscan.recorder.picture.drawing import Picture
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.schemas.channels import (
     CHANNELS,
+    HEADING,
     HEALTH,
     HYPOTHESES,
     LIDAR_KIND,
@@ -50,6 +51,7 @@ SEEN_AS: dict[Channel, str] = {
     SCAN: "/world/robots/r1/scan/front",
     SCAN_MOTION: "/motion/speed/r1/scans_of_front",
     ODOMETRY: "/motion/speed/r1/odometry",
+    HEADING: "/motion/turn/r1/gyroscope",
     HYPOTHESES: "/world/robots/r1/hypotheses/front/0",
     OBSTACLES: "/world/robots/r1/obstacles/front",
     POSE: "/world/robots/r1/pose",

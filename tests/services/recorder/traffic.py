@@ -12,6 +12,7 @@ from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, covariance_to_message, to_message, transform
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.schemas.channels import (
+    HEADING,
     HEALTH,
     HYPOTHESES,
     LIDAR_KIND,
@@ -30,6 +31,7 @@ from eigenscan.schemas.channels import (
     Channel,
 )
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel, RegionSpace
@@ -107,6 +109,8 @@ class Site:
     def _follow(self, raw: RawScan, time: int) -> Iterator[Envelope]:
         """What the services make of a scan."""
         at = nanoseconds(raw.timestamp)
+        turned = Heading(timestamp=raw.timestamp, since=stamp(self._begin), heading=1e-9 * (at - self._begin))
+        yield self._publish(HEADING, turned)
         yield self._publish(SCAN_MOTION, ScanMotion(timestamp=raw.timestamp, since=stamp(at - 100_000_000)))
         scan = Scan(
             timestamp=raw.timestamp,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property, lru_cache
 
+from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel, RegionSpace
@@ -193,6 +194,13 @@ ODOMETRY = Channel(
     Qos(Priority.REAL_TIME, express=True, depth=1024, rate_hz=50.0),
     "the robot's own dead reckoning, for the tracker",
 )
+HEADING = Channel(
+    "heading",
+    "{site}/robot/{robot}/heading",
+    Heading,
+    Qos(Priority.REAL_TIME, express=True, depth=1024, rate_hz=50.0),
+    "the heading by a gyroscope, for the tracker; optional",
+)
 HYPOTHESES = Channel(
     "hypotheses",
     "{site}/robot/{robot}/hypotheses/{lidar}/{projector}",
@@ -297,6 +305,7 @@ CHANNELS: tuple[Channel, ...] = (
     SCAN,
     SCAN_MOTION,
     ODOMETRY,
+    HEADING,
     HYPOTHESES,
     OBSTACLES,
     POSE,

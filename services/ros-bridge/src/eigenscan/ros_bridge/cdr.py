@@ -19,6 +19,7 @@ PARTICLE = "nav2_msgs/msg/Particle"
 PARTICLE_CLOUD = "nav2_msgs/msg/ParticleCloud"
 BOND = "bond/msg/Status"
 STRING = "std_msgs/msg/String"
+IMU = "sensor_msgs/msg/Imu"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 

@@ -13,6 +13,7 @@ from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED
 from eigenscan.ros_bridge.cloud import CloudError, Slice
 from eigenscan.ros_bridge.diagnostics import diagnostics
 from eigenscan.ros_bridge.endpoints import NODE, Endpoint, endpoints
+from eigenscan.ros_bridge.gyroscope import HeadingSum
 from eigenscan.ros_bridge.inbound import (
     frame_name,
     header_stamp,
@@ -37,6 +38,7 @@ from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import (
     DEFAULT_ROBOT,
     DEFAULT_SITE,
+    HEADING,
     HEALTH,
     MAP,
     ODOMETRY,
@@ -65,7 +67,7 @@ class RosBridgeCore:
     """The bridge of one robot. Its messages from and to ROS are CDR bytes, by endpoint."""
 
     inputs: tuple[Channel, ...] = (ROS_RECEIVED, ROS_ASKED, POSE, TRACKS, TRANSFORM, MAP, HEALTH)
-    outputs: tuple[Channel, ...] = (ROS_PUBLISHED, ROS_ANSWERED, SCAN_RAW, ODOMETRY, RELOCATION)
+    outputs: tuple[Channel, ...] = (ROS_PUBLISHED, ROS_ANSWERED, SCAN_RAW, ODOMETRY, HEADING, RELOCATION)
 
     def __init__(
         self, settings: RosBridgeSettings, site: str = DEFAULT_SITE, robot: str = DEFAULT_ROBOT
@@ -73,6 +75,7 @@ class RosBridgeCore:
         """`site` and `robot`: names for the contract's keys."""
         self._address = {"site": site, "robot": robot}
         self._ahead = round(settings.transform_tolerance * 1e9)
+        self._counts: Counter[str] = Counter()
         self._ends = endpoints(settings)
         self._odom_frame = frame_name(settings.odom_frame) if settings.tf else ""
         self._odometry_in_tf = False
@@ -84,9 +87,9 @@ class RosBridgeCore:
             NODE: Parameters.of_bridge(settings),
         }
         self._map_frames: set[str] = set()
-        self._not_taken = ""
+        self._not_taken = self._no_imu = ""
+        self._heading = HeadingSum(self._counts)
         self._floor = floor_name(PoseEstimate())
-        self._counts: Counter[str] = Counter()
         self._slice = Slice(settings.slice_low, settings.slice_high)
         self._estimate: PoseEstimate | None = None  # since the tracker's last health
         sources = (*self._ends.scans, *self._ends.clouds)
@@ -123,7 +126,7 @@ class RosBridgeCore:
         if not self._lifecycle.active:
             lacks = f"publishes no pose: a lifecycle manager has it {self._lifecycle.state}"
         status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
-        return Condition(status, lacks or self._not_taken, dict(self._counts))
+        return Condition(status, lacks or self._not_taken or self._no_imu, dict(self._counts))
 
     def _make_receivers(self) -> Iterator[tuple[str, Receiver]]:
         sources = (*self._ends.scans, *self._ends.clouds)
@@ -133,6 +136,7 @@ class RosBridgeCore:
             yield source.chunk, self._scan_receiver(source, names[source.name], take)
         for endpoint, receiver in (
             (self._ends.odometry, self._receive_odometry),
+            (self._ends.imu, self._receive_imu),
             (self._ends.transforms, self._receive_transforms),
             (self._ends.static_transforms, self._receive_transforms),
             (self._ends.initial_pose, self._receive_initial_pose),
@@ -187,6 +191,19 @@ class RosBridgeCore:
             self._counts["set_aside_odometry_not_a_pose"] += 1
             return
         yield self._moved(message)
+
+    def _receive_imu(self, data: bytes) -> Iterator[Envelope]:
+        body = cdr.decode(cdr.IMU, data)
+        try:
+            matrix = self._mounts.matrix(frame_name(body.header.frame_id))
+        except MountError as error:
+            self._counts[f"set_aside_imu_{error.reason}"] += 1
+            self._no_imu = f"{self._ends.imu.name if self._ends.imu else ''}: {error}"
+            return
+        self._no_imu = ""
+        heading = self._heading.take(body, matrix)
+        if heading is not None:
+            yield Envelope(HEADING, self._address, heading)
 
     def _receive_transforms(self, data: bytes) -> Iterator[Envelope]:
         transforms = cdr.decode(cdr.TRANSFORMS, data).transforms

@@ -10,6 +10,7 @@ from typing import Protocol
 from eigenscan.ros_bridge.cdr import (
     BOND,
     DIAGNOSTICS,
+    IMU,
     LASER_SCAN,
     OCCUPANCY_GRID,
     ODOMETRY,
@@ -98,6 +99,7 @@ class Endpoints:
     scans: tuple[Endpoint, ...]
     clouds: tuple[Endpoint, ...]
     odometry: Endpoint | None
+    imu: Endpoint | None
     transforms: Endpoint | None
     static_transforms: Endpoint | None
     initial_pose: Endpoint | None
@@ -159,6 +161,7 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         scans=tuple(scan for scan in scans if scan),
         clouds=tuple(cloud for cloud in clouds if cloud),
         odometry=received(settings.odom, ODOMETRY, _COMMAND),
+        imu=received(settings.imu, IMU, _SENSOR),
         transforms=received(settings.tf, TRANSFORMS, _TF),
         static_transforms=(
             received(settings.tf_static, TRANSFORMS, Qos(100, transient_local=True))

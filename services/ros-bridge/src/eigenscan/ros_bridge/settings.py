@@ -31,6 +31,10 @@ class RosBridgeSettings(BaseModel):
         "odom",
         description="odometry frame in tf; empty: the topic only",
     )
+    imu: str = Field(
+        "",
+        description="topic of Imu, whose gyroscope replaces the wheels' turn; empty: none, imu/data: usual",
+    )
     base_frame: str | None = Field(None, description="base frame in tf; default: the odometry's child")
     mounts_from_tf: bool = Field(True, description="take mounts from tf; false: from scan-ingest's settings")
     tf: str = Field("tf", description="topic of tf, for odometry, mounts and map to odom; empty: none")
@@ -66,6 +70,7 @@ class RosBridgeSettings(BaseModel):
     @field_validator(
         "namespace",
         "odom",
+        "imu",
         "set_initial_pose",
         "nomotion_update",
         "lifecycle",

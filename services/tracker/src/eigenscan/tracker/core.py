@@ -15,6 +15,7 @@ from eigenscan.geometry.pose import (
     yaw,
 )
 from eigenscan.schemas.channels import (
+    HEADING,
     HYPOTHESES,
     MODEL_SET,
     ODOMETRY,
@@ -27,6 +28,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3
+from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.model_pb2 import ModelSet
@@ -82,7 +84,7 @@ class _Tracked:
 class TrackerCore:
     """Hypotheses become one honest pose (paper, section 7); one state per robot."""
 
-    inputs: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, SCAN_MOTION, RELOCATION, MODEL_SET)
+    inputs: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, HEADING, SCAN_MOTION, RELOCATION, MODEL_SET)
     outputs: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -105,6 +107,11 @@ class TrackerCore:
         robot = self._robot(address)
         if received.channel is ODOMETRY:
             return list(self._receive_odometry(robot, address, received.open(Odometry)))
+        if received.channel is HEADING:
+            heading = received.open(Heading)
+            since, until = nanoseconds(heading.since), nanoseconds(heading.timestamp)
+            estimates = robot.tracker.receive_heading(since, until, heading.heading)
+            return list(self._publish(address, robot, estimates))
         if received.channel is RELOCATION:
             self._relocate(robot, received.open(Relocation))
             return ()

@@ -9,6 +9,7 @@ the motion to the next stamp is shorter or longer.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from math import hypot, isfinite
 from typing import NamedTuple
 
@@ -73,11 +74,16 @@ def motion(start: Sample, end: Sample) -> Motion:
     )
 
 
+Steer = Callable[[int, int, Pose], Pose]
+"""Function from two stamps, ns, and the wheels' step between them to the step that counts."""
+
+
 class OdometryTrail:
     """The last seconds of one robot's odometry, interpolated to any stamp."""
 
-    def __init__(self, gate: VelocityGate, *, extrapolates: bool = True) -> None:
+    def __init__(self, gate: VelocityGate, steer: Steer | None = None, *, extrapolates: bool = True) -> None:
         self._gate, self._extrapolates = gate, extrapolates
+        self._steer = steer or (lambda _start, _end, step: step)
         self._samples: list[Sample] = []
         self._asked: dict[int, Sample] = {}
         self._past_in_row = 0
@@ -106,7 +112,7 @@ class OdometryTrail:
         seconds = (stamp - last.stamp) * 1e-9
         step = between(last.raw, pose)
         reading = self._gate.judge(step, seconds)
-        self._append(last, stamp, pose, step, reading, seconds)
+        self._append(last, stamp, pose, self._steer(last.stamp, stamp, step), reading, seconds)
         return f"odometry_{reading.value}"
 
     def _from_the_past(self, stamp: int, pose: Pose, last: Sample) -> str:

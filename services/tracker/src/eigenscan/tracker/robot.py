@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -16,6 +16,7 @@ from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Rivals
+from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample
 from eigenscan.tracker.planar import Pose, compose, inverse
@@ -81,9 +82,14 @@ class RobotTracker:
     def __init__(self, settings: TrackerSettings, counts: Counter[str]) -> None:
         self._settings = settings
         self._counts = counts
+        self._gyroscope = Gyroscope(settings.turn_max, counts)
         self._trail = OdometryTrail(
-            VelocityGate(settings.v_max, settings.turn_max), extrapolates=settings.at_once
+            VelocityGate(settings.v_max, settings.turn_max),
+            self._gyroscope.steer,
+            extrapolates=settings.at_once,
         )
+        self._odometry: deque[tuple[int, Pose]] = deque()
+        """Waits for the gyroscope's heading of its time."""
         self._timeline = Timeline(settings.patience, settings.late, counts)
         self._silence = Silence(self._timeline)
         self._agreement = Agreement()
@@ -110,6 +116,21 @@ class RobotTracker:
 
     def receive_odometry(self, stamp: int, pose: Pose) -> Iterator[Estimate]:
         """Takes odometry, base in the odom frame; gives the estimates that waited for it."""
+        self._odometry.append((stamp, pose))
+        return self._take_odometry()
+
+    def receive_heading(self, since: int, stamp: int, heading: float) -> Iterator[Estimate]:
+        """Takes a gyroscope's heading; gives the estimates that waited for it."""
+        self._gyroscope.receive(since, stamp, heading)
+        return self._take_odometry()
+
+    def _take_odometry(self) -> Iterator[Estimate]:
+        """Takes what no heading of before is still to come for."""
+        while self._odometry and self._gyroscope.reaches(self._odometry[0][0], self._odometry[-1][0]):
+            self._steered(*self._odometry.popleft())
+        return self._ready()
+
+    def _steered(self, stamp: int, pose: Pose) -> None:
         result = self._trail.take(stamp, pose)
         self._counts[result] += 1
         if result == "odometry_taken_as_jump":
@@ -117,7 +138,6 @@ class RobotTracker:
         if self._trail.newest is not None:
             self._timeline.receive_odometry(self._trail.newest.stamp, result == "odometry_restarted")
             self._silence.receive_odometry(self._trail.newest.stamp)
-        return self._ready()
 
     def receive(self, seen: Observation) -> Iterator[Estimate]:
         """Takes an observation; gives the estimates that are ready."""
@@ -133,6 +153,8 @@ class RobotTracker:
 
     def finish(self) -> Iterator[Estimate]:
         """Estimates for all that still waits."""
+        while self._odometry:
+            self._steered(*self._odometry.popleft())
         return (self._step(seen) for seen in self._timeline.rest())
 
     def _ready(self) -> Iterator[Estimate]:

@@ -13,7 +13,7 @@ from eigenscan.runtime.recording import Contents, contents, read
 from eigenscan.schemas.channels import CHANNELS, Channel, find
 from eigenscan.workbench.simulation.stage import Timed
 
-INPUTS = ("scan_raw", "odometry")
+INPUTS = ("scan_raw", "odometry", "heading")
 """A pipeline's inputs; it computes all other channels itself."""
 
 

@@ -19,6 +19,7 @@ from eigenscan.recorder.picture.robot import RobotPicture
 from eigenscan.recorder.picture.sensors import FramesPicture, RawScanPicture
 from eigenscan.recorder.picture.status import Events, StatusBoard
 from eigenscan.schemas.channels import (
+    HEADING,
     HEALTH,
     HYPOTHESES,
     LIDAR_KIND,
@@ -128,6 +129,7 @@ class Picture:
                 OBSTACLES: (belief.draw_obstacles, beams.draw),
                 TRACKS: (belief.draw_tracks,),
                 ODOMETRY: (self._motion.receive_odometry,),
+                HEADING: (self._motion.receive_heading,),
                 SCAN_MOTION: (self._motion.receive_scan_motion,),
             }
         if draw_all:

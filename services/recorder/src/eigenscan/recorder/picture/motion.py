@@ -8,10 +8,11 @@ import numpy as np
 import rerun as rr
 from eigenscan.geometry.pose import Array, between, covariance_from_message, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, stamp_of
-from eigenscan.recorder.picture.palette import HYPOTHESIS, SCAN, Colour
+from eigenscan.recorder.picture.palette import HYPOTHESIS, REGION, SCAN, Colour
 from eigenscan.recorder.picture.plots import Series
 from eigenscan.recorder.picture.shapes import arrows, ellipse, is_place, lift
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import Relocation
@@ -32,6 +33,7 @@ class MotionPicture:
         self._canvas = canvas
         self._series: RecentlyUsed[str, tuple[Series, Series]] = RecentlyUsed(_flush)
         self._before: RecentlyUsed[str, list[tuple[int, Array]]] = RecentlyUsed()
+        self._headings: RecentlyUsed[str, list[tuple[int, float]]] = RecentlyUsed()
 
     def receive_odometry(self, received: Envelope) -> None:
         """Plots the speed since the last pose that was plotted."""
@@ -45,6 +47,20 @@ class MotionPicture:
         if last and 0 < stamp - last[0][0] < LONGEST_S * 1e9:
             self._add(robot, "odometry", HYPOTHESIS, stamp, between(last[0][1], pose), stamp - last[0][0])
         last[:] = [(stamp, pose)]
+
+    def receive_heading(self, received: Envelope) -> None:
+        """Plots the turn rate since the last heading that was plotted."""
+        message, robot = received.open(Heading), received.address["robot"]
+        stamp, since = stamp_of(message.timestamp), stamp_of(message.since)
+        if stamp is None or since is None or not math.isfinite(message.heading):
+            return
+        last = self._headings.use(robot, list)
+        if last and 0 <= stamp - last[0][0] < SHORTEST_S * 1e9:
+            return
+        if last and since <= last[0][0] and 0 < stamp - last[0][0] < LONGEST_S * 1e9:
+            turned = np.array([math.nan, math.nan, message.heading - last[0][1]])
+            self._add(robot, "gyroscope", REGION, stamp, turned, stamp - last[0][0])
+        last[:] = [(stamp, message.heading)]
 
     def receive_scan_motion(self, received: Envelope) -> None:
         """Plots the speed between two scans; a gap where they do not fit each other."""
