@@ -5,7 +5,7 @@
 It writes each run as MRPT's rawlog and the map as its gridmap, and starts the program once a run, uniformly
 over the free cells. The mean pose that it prints for each scan is the claim: the filter gives no verdict. The
 settings are those of MRPT's demo (localization_demo.ini) but for BEAMS and the odometry's noise. KLD sampling
-lowers the number of particles once the filter has converged.
+lowers the number of particles once the filter has converged. CPU is a mean of each run, start included.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import csv
 import math
 import re
+import resource
 import struct
 import subprocess
 import sys
@@ -119,12 +120,21 @@ def main() -> None:
         out.write(f"# system: MRPT pf-localization, {given.particles:,} particles\n")
         out.write(f"# settings: {WORDS}\n")
         table = csv.writer(out)
-        table.writerow(("window", "stamp", "x", "y", "heading"))
+        table.writerow(("window", "stamp", "x", "y", "heading", "cpu_ms"))
         for file in files:
-            for stamp, pose in localize(file, grid, given.particles):
-                table.writerow((file.stem, f"{stamp / 1e9:.9f}", *pose.tolist()))
+            before = _cpu_s()
+            poses = list(localize(file, grid, given.particles))
+            cpu_ms = 1e3 * (_cpu_s() - before) / max(len(poses), 1)
+            for stamp, pose in poses:
+                table.writerow((file.stem, f"{stamp / 1e9:.9f}", *pose.tolist(), f"{cpu_ms:.3f}"))
             out.flush()
             print(file.stem, flush=True)
+
+
+def _cpu_s() -> float:
+    """CPU time, s, of all programs that this one has run to their end."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _number(file: Path) -> int:
