@@ -63,6 +63,44 @@ def test_debug_shows_the_trace(tmp_path: Path) -> None:
     assert "MapError" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("command", "usage"),
+    [
+        ("import", "[OPTIONS] LOG"),
+        ("build", "[OPTIONS] MAP..."),
+        ("conform", "[OPTIONS] SERVICE -- PROGRAM..."),
+        ("models", "[OPTIONS] list|rollback|accept MODEL [VERSION]"),
+        ("fleet relocate", "[OPTIONS] ROBOT"),
+    ],
+)
+def test_the_usage_line_has_no_python_in_it(command: str, usage: str) -> None:
+    shown = eigenscan(*command.split(), "--help").stdout
+    assert shown.splitlines()[0] == f"Usage: eigenscan {command} {usage}"
+    assert not re.search(r"<(path|str|list\[)", shown)
+
+
+def test_ctrl_c_ends_with_what_was_done_and_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from eigenscan.cli.main import app
+    from eigenscan.workbench.progress import Bars
+
+    def work() -> None:
+        with Bars() as bars:
+            bars.start_share("log")(0.4)
+            advance = bars.start("windows", 25)
+            for _step in range(3):
+                advance()
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("eigenscan.cli.repair.repair", work)
+    monkeypatch.setattr(sys, "argv", ["eigenscan", "repair"])
+    with pytest.raises(SystemExit) as ended:
+        app()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "eigenscan repair: ended by Ctrl-C: log 40 %, windows 3 of 25\n"
+
+
 def test_a_command_that_is_none_names_those_that_are() -> None:
     result = eigenscan("fly")
     assert result.returncode == 2
@@ -159,7 +197,7 @@ def test_a_setting_that_is_none_takes_one_line(command: str, typed: str, part: s
     _expect_one_line(result, command.split(maxsplit=1)[0], part)
 
 
-@pytest.mark.parametrize("command", ["doctor", "fleet status", "fleet relocate r1 --anew"])
+@pytest.mark.parametrize("command", ["doctor", "fleet status", "fleet relocate r1 --search"])
 def test_a_site_that_no_key_can_have_ends_the_command(command: str) -> None:
     place = command.partition(" r1")[0]
     _expect_one_line(eigenscan(*command.split(), "--site", "a/b"), place, "site", "a/b")

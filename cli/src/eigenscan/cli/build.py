@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, print_rows, write_figures
-from eigenscan.runtime.errors import FailedError, UsageError
+from eigenscan.runtime.errors import StoppedError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -205,9 +205,7 @@ def _build(
             with workers or nullcontext():
                 return build_pieces(grid, plan, layout, pieces, bars.start_steps(), workers)
         except KeyboardInterrupt:
-            raise FailedError(
-                f"stopped: what is finished is in {pieces.place}, the same command goes on"
-            ) from None
+            raise StoppedError(f"finished regions are in {pieces.place}; the same command goes on") from None
 
 
 def _summarize(

@@ -20,6 +20,9 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 """Wrong usage, or bad input."""
 
+EXIT_STOPPED = 130
+"""Ended by Ctrl-C, as shells have it."""
+
 
 _MISTYPED: Any = typer.BadParameter.__mro__[1]
 """Typer's error for a mistake in the command line, which it does not export."""
@@ -71,12 +74,18 @@ class ShortHelp(TyperCommand):
             self.shows_all, args = True, ["--help"]
         return super().parse_args(ctx, args)
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Such as [OPTIONS] LOG [MAP]: Typer would write {LOG}."""
+        named = [name for each in self.get_params(ctx) if (name := _argument(each))]
+        return [self.options_metavar or "", *named]
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, options, and with --help-all the groups of the other options."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for parameter in self.get_params(ctx):
             if record := parameter.get_help_record(ctx):
-                is_argument = parameter.param_type_name == "argument"
+                if is_argument := _is_argument(parameter):
+                    record = parameter.metavar or parameter.name.upper(), record[1]
                 panel = getattr(parameter, "rich_help_panel", None) or "Options"
                 groups.setdefault("Arguments" if is_argument else panel, []).append(record)
         for heading, records in groups.items():
@@ -89,6 +98,18 @@ class ShortHelp(TyperCommand):
         if hidden and not self.shows_all:
             formatter.write_paragraph()
             formatter.write_text(f"{hidden} more options: {ctx.command_path} --help-all")
+
+
+def _is_argument(parameter: Any) -> bool:
+    return bool(parameter.param_type_name == "argument")
+
+
+def _argument(parameter: Any) -> str:
+    """How a usage line has an argument; empty for an option or a hidden one."""
+    if not _is_argument(parameter) or getattr(parameter, "hidden", False):
+        return ""
+    name = parameter.metavar or parameter.name.upper()
+    return name if parameter.required else f"[{name}]"
 
 
 def _load(name: str, place: str) -> Any:
@@ -182,11 +203,14 @@ def lazy_group(
         def invoke(self, ctx: Any) -> Any:
             try:
                 return super().invoke(ctx)
-            except Exception as error:
+            except (Exception, KeyboardInterrupt) as error:
                 if ctx.find_root().params.get("debug"):
                     raise
                 names = [ctx.info_name] if ctx.parent else []
                 command = " ".join(["eigenscan", *filter(None, names), ctx.invoked_subcommand or "?"])
+                if isinstance(error, KeyboardInterrupt):
+                    typer.echo(f"{command}: ended by Ctrl-C{': ' if str(error) else ''}{error}", err=True)
+                    raise typer.Exit(EXIT_STOPPED) from None
                 described = _described(error, command, ctx.invoked_subcommand in commands)
                 if described is None:
                     raise

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
-from eigenscan.runtime.errors import FailedError, UsageError
+from eigenscan.runtime.errors import FailedError, StoppedError, UsageError
 
 
 def simtest(
@@ -50,7 +50,10 @@ def simtest(
     site_s = took_s = 0.0
     found = []
     for number in chosen:
-        outcome = run(number, robots)
+        try:
+            outcome = run(number, robots)
+        except KeyboardInterrupt:
+            raise StoppedError(f"{len(found)} of {len(chosen)} seeds, {rules.total()} broke a rule") from None
         site_s, took_s = site_s + outcome.site_s, took_s + outcome.took_s
         figures = {"seed": number, "trace": outcome.trace, "broken": [vars(one) for one in outcome.broken]}
         found.append(figures)

@@ -13,6 +13,10 @@ class FailedError(RuntimeError):
     """A valid request failed; the message gives the reason."""
 
 
+class StoppedError(KeyboardInterrupt):
+    """Ctrl-C; the message gives what was done before it."""
+
+
 def by_users(error: Exception) -> bool:
     """Whether `error` is about the input, and so needs no trace.
 

@@ -6,17 +6,27 @@ import sys
 import time
 from collections.abc import Callable
 
+from eigenscan.runtime.errors import StoppedError
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
 REDRAWN_EVERY_S = 0.2
+SHARE = 100
+"""Steps of a bar that shows a share."""
+
+
+def _how_far(bar: Task) -> str:
+    """Such as "windows 12 of 25" or "model 40 %"."""
+    steps = f"{bar.completed:.0f} of {bar.total or 0:.0f}"
+    return f"{bar.description} " + (f"{bar.completed:.0f} %" if bar.total == SHARE else steps)
 
 
 class Bars:
@@ -43,8 +53,11 @@ class Bars:
         self._progress.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Raises StoppedError, which states how far each bar is, in a KeyboardInterrupt's place."""
         self._progress.stop()
+        if kind is KeyboardInterrupt:
+            raise StoppedError(", ".join(map(_how_far, self._progress.tasks))) from None
 
     def start(self, title: str, total: int) -> Callable[[], None]:
         """Starts a bar; the function given back moves it by one."""
@@ -59,11 +72,11 @@ class Bars:
 
     def start_share(self, title: str) -> Callable[[float], None]:
         """Starts a bar; returns the function to call with its share, 0..1."""
-        bar = self._progress.add_task(title, total=100)
+        bar = self._progress.add_task(title, total=SHARE)
         self._draw(at_once=True)
 
         def move(share: float) -> None:
-            self._progress.update(bar, completed=int(100 * share))
+            self._progress.update(bar, completed=int(SHARE * share))
             self._draw(at_once=False)
 
         return move

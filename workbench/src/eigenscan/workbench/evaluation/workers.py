@@ -6,11 +6,12 @@ The reference stays with the caller: a worker gets models and a stretch of the l
 from __future__ import annotations
 
 import resource
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import TypeVar
 
 import numba
@@ -45,6 +46,7 @@ _here: list[Worker] = []
 
 
 def _begin(models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller too, who ends this process
     _here.append(Worker(models, warm_up, settings))
 
 
@@ -93,8 +95,10 @@ class Workers:
     def __enter__(self) -> Workers:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._pool:
+            for process in active_children() if kind else ():
+                process.terminate()  # it would finish its runs first, which nobody reads
             self._pool.shutdown(cancel_futures=True)
 
     @property
