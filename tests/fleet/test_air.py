@@ -293,7 +293,7 @@ def test_a_robot_takes_up_the_operators_word_and_nobody_elses(fleet: Fleet) -> N
         for name, taken in (("operator", True), ("recorder", False)):
             own = fleet.machines / ("operator" if name == "operator" else "site") / f"{name}.json5"
             seconds = 20.0 if taken else 3.0
-            told = run("relocate", ROBOT, "--anew", "--site", SITE, "--zenoh", own, "--seconds", seconds)
+            told = run("relocate", ROBOT, "--search", "--site", SITE, "--zenoh", own, "--seconds", seconds)
             words = "accepted it; no pose since then" if taken else "did not answer within"
             assert words in (told.stdout if taken else told.stderr)
             assert told.exit_code == (0 if taken else 1)

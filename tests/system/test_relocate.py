@@ -55,7 +55,7 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert house.ear.health("tracker").counters["relocated"] == 2  # type: ignore[union-attr]
 
-        code, found, error = tell(house, "lost", "--anew", "--seconds", 8)
+        code, found, error = tell(house, "lost", "--search", "--seconds", 8)
         assert (code, found) == (1, {})
         assert "lost: no tracker of it" in error
         assert "robot" in error.rpartition(":")[2]
@@ -64,9 +64,9 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
 def test_what_is_asked_wrongly_is_refused_before_anything_is_said(house: House) -> None:
     for wrong, words in (
         (["robot"], "either --pose X Y DEG or --search"),
-        (["robot", "--anew", "--pose", 1, 2, 3], "either --pose X Y DEG or --search"),
+        (["robot", "--search", "--pose", 1, 2, 3], "either --pose X Y DEG or --search"),
         (["robot", "--pose", "nan", 2, 3], "give finite numbers"),
-        (["*", "--anew"], "is no robot's name"),
+        (["*", "--search"], "is no robot's name"),
     ):
         code, _, error = tell(house, *wrong)
         assert code == 2

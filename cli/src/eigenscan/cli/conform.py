@@ -14,8 +14,12 @@ from eigenscan.runtime.errors import FailedError, UsageError
 
 
 def conform(
-    service: Annotated[str, typer.Argument(help="scan-ingest, projector, tracker, mapbuilder or recorder")],
-    command: Annotated[list[str], typer.Argument(help="after --: the program and its arguments")],
+    service: Annotated[
+        str, typer.Argument(metavar="SERVICE", help="scan-ingest, projector, tracker, mapbuilder or recorder")
+    ],
+    command: Annotated[
+        list[str], typer.Argument(metavar="-- PROGRAM...", help="after --: the program and its arguments")
+    ],
     latency: Annotated[
         float, typer.Option(min=0.001, help="s within which 95 % of the answers must come")
     ] = 0.2,

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 
 def map_log(
-    log: Annotated[Path, typer.Argument(help="CARMEN log, ROS 1 or ROS 2 bag (folder or file), MCAP or CSV")],
+    log: Annotated[
+        Path,
+        typer.Argument(metavar="LOG", help="CARMEN log, ROS 1 or 2 bag (folder or file), MCAP or CSV"),
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MAP.yaml to write; without it LOG's name, here")
     ] = None,

@@ -26,7 +26,11 @@ class Action(StrEnum):
 
 def models(
     action: Annotated[
-        Action, typer.Argument(help="list the versions, go back to one, or accept what is proposed")
+        Action,
+        typer.Argument(
+            metavar="list|rollback|accept",
+            help="list the versions, go back to one, or accept what is proposed",
+        ),
     ],
     folder: Annotated[Path, typer.Argument(metavar="MODEL", help="folder that eigenscan build wrote")],
     version: Annotated[

@@ -28,7 +28,9 @@ class Stamps(StrEnum):
 
 
 def play(
-    file: Annotated[Path, typer.Argument(help="recording, MCAP; or a folder of them, joined")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="recording, MCAP; or a folder of them, joined")
+    ],
     speed: Annotated[float, typer.Option(min=0.01, help="times faster than it was recorded")] = 1.0,
     begin: Annotated[
         Moment,

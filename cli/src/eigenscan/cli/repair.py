@@ -12,7 +12,7 @@ from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 
 
 def repair(
-    file: Annotated[Path, typer.Argument(help="recording, MCAP")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="recording, MCAP")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MCAP to write; NAME.repaired.mcap beside it without")
     ] = None,

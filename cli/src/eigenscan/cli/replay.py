@@ -11,7 +11,9 @@ from eigenscan.cli.process_replay import process_replay
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="recording, MCAP; or a folder of them, joined")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="recording, MCAP; or a folder of them, joined")
+    ],
     service: Annotated[
         str, typer.Option(help="scan-ingest, projector, tracker, or pipeline: all three in a row")
     ],

@@ -12,7 +12,7 @@ from eigenscan.runtime.errors import FailedError, UsageError
 
 
 def replay_test(
-    folder: Annotated[Path, typer.Argument(help="folder; each .mcap in it is a test")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="folder; each .mcap in it is a test")],
     service: Annotated[
         list[str] | None,
         typer.Option(help="scan-ingest, projector, tracker or pipeline; repeat for more; default: all"),

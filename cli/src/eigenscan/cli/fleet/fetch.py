@@ -14,7 +14,7 @@ from eigenscan.schemas.channels import DEFAULT_SITE, is_chunk
 
 
 def fetch(
-    robot: Annotated[str, typer.Argument(help="the robot's name")],
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="the robot's name")],
     begin: Annotated[
         str,
         typer.Option(

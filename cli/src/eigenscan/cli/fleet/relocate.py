@@ -22,17 +22,18 @@ TURN_SHARE = math.radians(15.0) / 0.5
 
 
 def relocate(
-    robot: Annotated[str, typer.Argument(help="the robot's name")],
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="the robot's name")],
     pose: Annotated[
         tuple[float, float, float] | None,
         typer.Option(metavar="X Y DEG", help="where its base is: m, m and degrees in the map"),
     ] = None,
-    search: Annotated[bool, typer.Option("--search", "--anew", help="search the whole site again")] = False,
+    search: Annotated[bool, typer.Option("--search", help="search the whole site again")] = False,
     sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,
+    former_search: Annotated[bool, typer.Option("--anew", hidden=True)] = False,
 ) -> None:
     """Set a robot's pose, or restart its search, and wait for its answer.
 
@@ -45,7 +46,7 @@ def relocate(
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.fleet.view import FleetView, connect
 
-    if (pose is None) == (not search):
+    if (pose is None) == (not (search or former_search)):
         raise UsageError("give either --pose X Y DEG or --search")
     if pose is not None and not all(map(math.isfinite, pose)):
         raise UsageError(f"--pose {pose}: give finite numbers")
