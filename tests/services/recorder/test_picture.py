@@ -34,9 +34,10 @@ from eigenscan.recorder.picture.palette import LOCALIZED, LOST
 from eigenscan.recorder.picture.robot import label_place
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
-from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, SCAN, TRACKS, TRUTH
+from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, MAP, POSE, SCAN, TRACKS, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate, Track, Tracks
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
@@ -278,6 +279,56 @@ def test_a_robot_that_says_nothing_any_more_is_not_shown_as_well(tmp_path: Path)
     )
     states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
     assert states == [(S, ["LOCALIZED"]), (2 * S, ["SILENT"]), (9 * S, ["LOCALIZED"])]
+
+
+def test_a_robot_with_scans_but_without_a_pose_is_shown_as_waiting(tmp_path: Path) -> None:
+    """After three seconds: a start that goes well does not show it."""
+    scans = [Envelope(SCAN, ADDRESS, Scan(timestamp=stamp(S + k * S // 2))) for k in range(20)]
+    draw(tmp_path / "a.rrd", [*scans, localized(11 * S, [1, 1, 0])])
+    states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
+    assert states == [(S + 7 * S // 2, ["WAITING"]), (11 * S, ["LOCALIZED"])]
+    draw(tmp_path / "b.rrd", [*scans[:6], localized(5 * S, [1, 1, 0]), *scans[10:]])
+    assert rows(tmp_path / "b.rrd", "/state/r1", "StateChange:state") == [(5 * S, ["LOCALIZED"])]
+
+
+def test_only_hypotheses_in_play_are_drawn(tmp_path: Path) -> None:
+    """Those within a hundredth of the best one, also where an unlisted place is likelier than all of them."""
+    message = Hypotheses(timestamp=stamp(S), unlisted_log_likelihood=50.0)
+    for x, likelihood in ((1.0, 10.0), (2.0, 9.0), (3.0, 4.0), (4.0, -5.0)):
+        message.hypotheses.add(log_likelihood=likelihood, pose=to_message(np.array([x, 0.0, 0.0])))
+    draw(tmp_path / "a.rrd", [Envelope(HYPOTHESES, ADDRESS | {"projector": "0"}, message)])
+    ((_, strips),) = rows(tmp_path / "a.rrd", "/world/robots/r1/hypotheses/front/0", "LineStrips3D:strips")
+    assert [strip[0][0] for strip in strips] == [1.0, 2.0]
+
+
+def test_the_eigenspace_is_drawn_where_regions_change_between_its_pictures(tmp_path: Path) -> None:
+    """It takes two scans in a row in one region. Its pictures are a second apart here."""
+    messages = list(Site("s", seconds=6.0).messages())
+    for message in messages:
+        if message.channel == HYPOTHESES:
+            received = message.open(Hypotheses)
+            if nanoseconds(received.timestamp) // S % 2:
+                for hypothesis in received.hypotheses:
+                    hypothesis.region = "elsewhere"
+    draw(tmp_path / "a.rrd", messages, picture_hz=5.0)
+    assert rows(tmp_path / "a.rrd", "/eigenspace/r1/scan", "Points3D:positions")
+
+
+def test_the_protection_level_is_a_circle_of_its_radius(tmp_path: Path) -> None:
+    """It goes with the claim; a radius that is no number is not drawn."""
+    messages = [localized(second * S, [3.0, 4.0, 1.0]) for second in (1, 2, 3)]
+    messages[0].open(PoseEstimate).protection_radius = 0.7
+    messages[2].open(PoseEstimate).protection_radius = math.inf
+    draw(tmp_path / "a.rrd", messages)
+    ((moment, strips),) = [
+        (at, found)
+        for at, found in rows(
+            tmp_path / "a.rrd", "/world/robots/r1/pose/protection_level", "LineStrips3D:strips"
+        )
+        if found
+    ]
+    assert moment == S
+    assert np.hypot(*(np.array(strips[0])[:, :2] - [3.0, 4.0]).T) == pytest.approx(0.7, abs=1e-5)
 
 
 def test_the_board_tells_of_every_robot(tmp_path: Path) -> None:

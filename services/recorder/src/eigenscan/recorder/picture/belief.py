@@ -16,7 +16,9 @@ HYPOTHESES_DRAWN = 12
 """The most likely of a list: the rest, a scan's worth of grey arrows, would hide the map."""
 TRACKS_DRAWN = 50
 IN_PLAY = 0.01
-"""Probability from which a track is drawn: the dozens that a tracker keeps below it would hide the map."""
+"""Least probability of a track that is drawn, and of a hypothesis as a share of the best one's.
+
+The dozens below it would hide the map."""
 
 
 def probabilities(log_likelihoods: Array, unlisted: float) -> Array:
@@ -48,7 +50,7 @@ class BeliefPicture:
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
         poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed]).reshape(-1, 3)
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
-        usable = are_places(poses)
+        usable = are_places(poses) & (share >= IN_PLAY * share.max(initial=0.0))
         poses, share = poses[usable], share[usable]
         self._canvas.style(path, _hypotheses_style)
         self._canvas.draw(

@@ -46,10 +46,12 @@ The **bar on top** shows the state:
 **LOCALIZED** (green): one pose is sure enough to act on;
 **AMBIGUOUS** (amber): no pose is sure enough yet;
 **LOST** (red): no pose is likely, so none is drawn;
-**SILENT** (grey): no pose comes any more.
+**SILENT** (grey): no pose comes any more;
+**WAITING** (grey): scans arrive, but no pose yet.
 
 **On the map** (north up, metres):
 - **arrow with a disc**, in the state's colour: the estimated pose; the outline holds it in 95 of 100 cases
+- **thin black circle**: the protection level; with at most the configured risk the true position is outside
 - **blue points**: the scan, drawn at that pose; it lies on the walls when the pose is right
 - **red points**: unexpected; the map does not explain them
 - **black arrow**: the true pose, from a simulator
@@ -124,7 +126,7 @@ class Picture:
         if draw_all or layout != "fleet":  # many robots' guesses would hide the map
             self._drawn_by |= {
                 MODEL: (self._floor.draw_region, space.keep_model),
-                SCAN: (scans.keep, robots.receive_scan),
+                SCAN: (scans.keep, robots.receive_scan, board.receive_scan),
                 HYPOTHESES: (belief.draw_hypotheses, space.draw),
                 OBSTACLES: (belief.draw_obstacles, beams.draw),
                 TRACKS: (belief.draw_tracks,),

@@ -50,13 +50,16 @@ class EigenspacePicture:
         """Scan and hypotheses; those of other regions live in other spaces and are left out."""
         message, robot = received.open(Hypotheses), received.address["robot"]
         stamp = stamp_of(message.timestamp)
-        if stamp is None or not message.hypotheses or not self._pace.due(f"eigenspace/{robot}", stamp):
+        if stamp is None or not message.hypotheses:
             return
         region = message.hypotheses[0].region
+        # two scans in a row, not two pictures: these are seconds apart, and a robot at a door would have none
         settled = self._best.get(robot) == region
         self._best[robot] = region
+        if not settled or not self._pace.due(f"eigenspace/{robot}", stamp):
+            return
         scan = self._scans.newest(robot, received.address["lidar"], stamp)
-        if not settled or scan is None or not scan.angle_increment > 0:
+        if scan is None or not scan.angle_increment > 0:
             return
         manifold = self._manifold(region, scan)
         alpha = next((p.coefficients for p in message.projections if p.region == region), ())

@@ -10,7 +10,7 @@ import rerun as rr
 from eigenscan.geometry.pose import Array, covariance_from_message, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory, stamp_of
 from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state_name
-from eigenscan.recorder.picture.shapes import Array32, arrows, ellipse, is_place, lift, scan_points
+from eigenscan.recorder.picture.shapes import Array32, arrows, circle, ellipse, is_place, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -107,6 +107,17 @@ class RobotPicture:
             path = f"{path}/within_95_percent"
             self._canvas.style(path, _ellipse_style)
             self._canvas.draw(stamp, path, rr.LineStrips3D([outline], colors=[colour]))
+        self._draw_protection_level(robot, stamp, pose, message)
+
+    def _draw_protection_level(self, robot: str, stamp: int, pose: Array, message: PoseEstimate) -> None:
+        """The circle that holds the true position, but for the risk that the tracker's settings allow."""
+        path = f"world/robots/{robot}/pose/protection_level"
+        radius = message.protection_radius if message.HasField("protection_radius") else np.inf
+        if radius > 0.0 and is_place(radius):
+            self._canvas.style(path, _protection_style)
+            self._canvas.draw(stamp, path, rr.LineStrips3D([lift(circle(pose, radius), 0.08)]))
+        else:
+            self._canvas.clear(stamp, path)
 
     def _draw_scan(self, robot: str, lidar: str, seen: Sighting) -> None:
         scan = self._scans.newest(robot, lidar, seen.stamp, SCAN_AGE_NS)
@@ -119,6 +130,7 @@ class RobotPicture:
         path = f"world/robots/{robot}/pose"
         self._canvas.clear(stamp, path)
         self._canvas.clear(stamp, f"{path}/within_95_percent")
+        self._canvas.clear(stamp, f"{path}/protection_level")
         self._canvas.clear(stamp, f"{path}/label")
         self._hide_scans(robot, stamp)
 
@@ -162,6 +174,10 @@ def _truth_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
 
 def _ellipse_style() -> tuple[rr.LineStrips3D]:
     return (rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5)),)
+
+
+def _protection_style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(0.75), colors=[TRUTH]),)
 
 
 def _scan_style() -> tuple[rr.Points3D]:

@@ -63,7 +63,15 @@ def ellipse(pose: ArrayLike, covariance: Array, corners: int = 33) -> Array:
     """Outline (corners, 2) of the 95 % ellipse of the position; a point where it is not positive."""
     centre = np.asarray(pose, dtype=np.float64)[:2]
     variance, axes = np.linalg.eigh(covariance[:2, :2])
+    round_it = circle(np.zeros(2), MAHALANOBIS_95, corners)
+    outline: Array = centre + (round_it * np.sqrt(np.maximum(variance, 0.0))) @ axes.T
+    return outline
+
+
+def circle(centre: ArrayLike, radius: float, corners: int = 33) -> Array:
+    """Outline (corners, 2) of a circle about the position of `centre` (2 or 3,), m."""
     turn = np.linspace(0.0, 2.0 * np.pi, corners)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    outline: Array = centre + MAHALANOBIS_95 * (circle * np.sqrt(np.maximum(variance, 0.0))) @ axes.T
+    outline: Array = np.asarray(centre, dtype=np.float64)[:2] + radius * np.stack(
+        [np.cos(turn), np.sin(turn)], axis=-1
+    )
     return outline

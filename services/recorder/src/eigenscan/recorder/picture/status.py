@@ -11,20 +11,23 @@ from eigenscan.recorder.picture.palette import SILENT, STATE_COLOURS, Colour, st
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import LidarKind
+from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 REFRESH_NS = 2_000_000_000
 MANY_NS = 500_000_000
 """Least interval between boards of many robots, ns, because they take long to draw."""
 SILENT_NS = 3_000_000_000
-"""Time without a pose after which a robot is shown as silent, ns."""
+"""Time without a pose after which a robot is shown as silent, ns; or as waiting, if it never had one."""
 SILENCE = "SILENT"
+WAITING = "WAITING"
 WELL = state_name(STATE_LOCALIZED)
 ADVICE = {
     "LOCALIZED": "act on the pose",
     "UNKNOWN": "no state",
     "AMBIGUOUS": "not sure enough yet: see the tracks",
     "LOST": "do not act on any pose",
+    WAITING: "scans arrive, but no pose: run eigenscan doctor",
     SILENCE: "no pose comes any more: is its tracker running?",
 }
 """Of each state, the more urgent the later."""
@@ -43,6 +46,15 @@ class StatusBoard:
         self._drawn: list[Line] = []
         self._now = 0
         self._received_at: dict[str, int] = {}
+        self._first_scan: dict[str, int] = {}
+
+    def receive_scan(self, received: Envelope) -> None:
+        """A robot with scans but without any pose is shown too: the board must not stay empty."""
+        stamp, robot = stamp_of(received.open(Scan).timestamp), received.address["robot"]
+        if stamp is not None and robot not in self._lines:
+            first = self._first_scan.setdefault(robot, stamp)
+            if stamp - first > SILENT_NS:
+                self._update(stamp, _described(robot, WAITING, SILENT))
 
     def receive_pose(self, received: Envelope) -> None:
         """Updates the robot's line."""
@@ -97,7 +109,8 @@ class StatusBoard:
 
 
 def _state_styles() -> tuple[rr.StateConfiguration]:
-    colours = {state_name(state): colour for state, colour in STATE_COLOURS.items()} | {SILENCE: SILENT}
+    colours = {state_name(state): colour for state, colour in STATE_COLOURS.items()}
+    colours |= {SILENCE: SILENT, WAITING: SILENT}
     return (rr.StateConfiguration(values=list(colours), colors=list(colours.values())),)
 
 
