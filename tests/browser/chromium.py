@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ FLAGS = [
 POLL_S = 2.0
 
 Pixels = NDArray[np.uint8]
+Theme = Literal["light", "dark"]
 
 
 def find_chromium() -> str:
@@ -47,12 +49,12 @@ def find_chromium() -> str:
 
 
 @contextmanager
-def open_page(link: str, width: int, height: int) -> Iterator[Page]:
-    """The page behind a viewer's link."""
+def open_page(link: str, width: int, height: int, theme: Theme = "light") -> Iterator[Page]:
+    """The page behind a viewer's link, in the theme that the user's system asks for."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=find_chromium(), args=FLAGS)
         try:
-            page = browser.new_page(viewport={"width": width, "height": height})
+            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=theme)
             page.goto(f"{link}&renderer=webgl")
             yield page
         finally:
