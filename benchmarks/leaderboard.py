@@ -47,14 +47,19 @@ def main() -> None:
     parser.add_argument(
         "--poses", type=Path, help="what the peer wrote before, instead of a run; with --only"
     )
+    parser.add_argument(
+        "--no-cpu", action="store_true", help="keep no CPU time: the machine has other work meanwhile"
+    )
     given, options = parser.parse_known_args()
     if given.run:
         for name in given.only or LOGS:
-            _keep(given.run, options, name, given.datasets, given.poses)
+            _keep(given.run, options, name, given.datasets, given.poses, with_cpu=not given.no_cpu)
     print("\n".join(f"## {log}\n\n{table(log)}\n" for log in logs()))
 
 
-def _keep(peer: str, options: list[str], name: str, datasets: Path, earlier: Path | None) -> None:
+def _keep(
+    peer: str, options: list[str], name: str, datasets: Path, earlier: Path | None, *, with_cpu: bool
+) -> None:
     """Runs a peer on a log and keeps its figures; `options` are the peer's own."""
     program = HERE / f"peers/{peer}.py"
     if not program.exists():
@@ -80,12 +85,14 @@ def _keep(peer: str, options: list[str], name: str, datasets: Path, earlier: Pat
         **about,
         "measured": "here",
         "command": " ".join(["benchmarks/leaderboard.py", "--run", peer, *options]),
-        "machine": machine(),
     }
     kept["logs"][name] = {
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        **{each: short(figures[each]) for each in (*KEPT, "cpu_ms_per_scan")},
+        "machine": machine(),
+        **{each: short(figures[each]) for each in (*KEPT, *(("cpu_ms_per_scan",) if with_cpu else ()))},
     }
+    if not with_cpu:
+        kept["logs"][name]["to_localize"].pop("cpu_s", None)
     file.parent.mkdir(exist_ok=True)
     file.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
