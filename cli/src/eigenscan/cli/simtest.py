@@ -48,7 +48,7 @@ def simtest(
     prepare(json_file)
     rules: Counter[str] = Counter()
     site_s = took_s = 0.0
-    found = []
+    found: list[dict[str, object]] = []
     for number in chosen:
         try:
             outcome = run(number, robots)
