@@ -86,6 +86,7 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
         ({"free_thresh": 0.7}, "free_thresh = 0.7 is above occupied_thresh = 0.65"),
         ({"image": "none.pgm"}, "none.pgm is missing: correct"),
         ({"negate": 1, "free_thresh": 0.0}, "no free cell"),
+        ({"occupied_thresh": 1.0}, "no occupied cell in"),  # as in an image that is all white
     ],
 )
 def test_a_bad_field_is_named_with_its_file(tmp_path: Path, meta: dict[str, Any], says: str) -> None:

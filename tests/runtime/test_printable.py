@@ -2,6 +2,7 @@ import json
 
 import pytest
 from eigenscan.runtime.errors import one_line
+from eigenscan.runtime.logs import configure
 from eigenscan.runtime.printable import MOST, printable
 
 
@@ -20,6 +21,16 @@ def test_nothing_that_a_terminal_obeys_is_shown(hostile: str) -> None:
     shown = printable(hostile)
     assert shown.isprintable()
     assert printable(shown) == shown
+
+
+def test_a_log_on_a_terminal_shows_no_more(capsys: pytest.CaptureFixture[str]) -> None:
+    hostile = "site/\x1b[2J\x1b]0;owned\x07"
+    configure("info", "console").warning("foreign_key", key=hostile)
+    shown = capsys.readouterr().err
+    assert "owned" in shown
+    assert "[2J" in shown
+    # the colours of the level are ours
+    assert shown.replace("\x1b[33m", "").replace("\x1b[0m", "").rstrip("\n").isprintable()
 
 
 def test_words_of_any_language_stay_as_they_are() -> None:

@@ -239,8 +239,9 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     cells: NDArray[np.uint8] = table[sums]
     if mode == "scale" and transparent is not None:
         cells[transparent] = UNKNOWN
-    if not np.any(cells == FREE):
-        raise MapError(f"{path}: no free cell in {file}: check negate, free_thresh and occupied_thresh")
+    for name, value in (("free", FREE), ("occupied", OCCUPIED)):
+        if not np.any(cells == value):
+            raise MapError(f"{path}: no {name} cell in {file}: check negate, free_thresh and occupied_thresh")
     return cells
 
 

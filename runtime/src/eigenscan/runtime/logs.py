@@ -13,6 +13,8 @@ from collections.abc import MutableMapping
 from datetime import UTC, datetime
 from typing import Any
 
+from eigenscan.runtime.printable import printable
+
 NAME = "eigenscan"
 _COLOURS = {"DEBUG": "\x1b[2m", "INFO": "\x1b[32m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m"}
 _PLAIN = "\x1b[0m"
@@ -44,7 +46,7 @@ class _Lines(logging.Formatter):
         stamp = datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
         event, level = record.getMessage(), record.levelname
         if self._console:
-            words = " ".join(f"{name}={value}" for name, value in context.items())
+            words = " ".join(f"{name}={printable(str(value))}" for name, value in context.items())
             line = f"{stamp} {_COLOURS.get(level, '')}{level.lower():8}{_PLAIN}{event:24} {words}"
             return f"{line}\n{trace}" if trace else line
         context |= {"exception": trace} if trace else {}
