@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import to_message
@@ -10,7 +12,11 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, State
 from eigenscan.workbench.evaluation.explained import LITTLE, explained_at_claims
+from eigenscan.workbench.evaluation.log import read_log
 from eigenscan.workbench.evaluation.report import remarks
+from eigenscan.workbench.logs import LogOptions
+
+from tests.workbench.logs.test_ros import START, usual
 
 ROBOT = {"site": "s", "robot": "r"}
 
@@ -40,6 +46,21 @@ def test_the_likeliest_hypothesis_at_the_claimed_pose_counts() -> None:
     ]
     assert explained_at_claims(published).tolist() == pytest.approx([0.6])
     assert explained_at_claims([]).tolist() == []
+
+
+def test_a_lidar_that_is_not_in_tf_is_remarked(tmp_path: Path) -> None:
+    story = usual(False, 1)
+    story.scan("/lost/scan", START + 0.5, "lost")
+    counts = read_log(story.write(tmp_path / "a"), LogOptions(), lambda _: None).without_mount
+    assert counts == 1
+    figures = {
+        "log": {"odometry": 9, "lidars_without_mount": counts},
+        "map_explains": {"median": None, "p5": None},
+        "normalised_innovation_squared": {"consistency": {"mean": None, "high": None}},
+    }
+    (remark,) = remarks(figures)
+    assert "not in tf" in remark
+    assert "import --mount" in remark
 
 
 @pytest.mark.parametrize(("median", "count"), [(LITTLE - 0.1, 1), (LITTLE + 0.1, 0), (None, 0)])

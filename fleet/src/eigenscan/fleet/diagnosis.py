@@ -13,6 +13,7 @@ from eigenscan.schemas.health_pb2 import Health
 
 CLOCK_S = 1.0
 """Largest difference between a robot's clock and ours, with a message's travel time."""
+ROS_BRIDGE = "ros-bridge"
 SILENT_S = 3.0
 """Age of a service's newest health beyond which the service or its link is not well."""
 
@@ -100,6 +101,24 @@ def _of_a_service(service: Service) -> Iterator[Finding]:
             )
 
 
+def _of_missing_scans(view: FleetView, robot: str) -> Iterator[Finding]:
+    """Where a bridge serves the robot, its scans come from ROS."""
+    where = f"robot {robot}"
+    for bridge in view.serving(robot, (ROS_BRIDGE,)):
+        if bridge.status == "waiting" and bridge.health is not None:
+            yield Finding(
+                where,
+                f"no scans arrive, ros-bridge: {bridge.health.detail}",
+                "start the lidar's driver in ROS, and rmw_zenohd or zenoh-bridge-ros2dds at its ros_router",
+            )
+            return
+    yield Finding(
+        where,
+        "no scans arrive",
+        f"let the lidar's driver publish on {view.site}/robot/{robot}/scan/raw/LIDAR",
+    )
+
+
 def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
     where = f"robot {robot}"
     there: dict[str, list[Service]] = {name: [] for name in ROBOT_SERVICES}
@@ -115,11 +134,7 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
             )
     yield from _of_sharing(where, there)
     if there["scan-ingest"] and not any(each.grew("heard_scan_raw") for each in there["scan-ingest"]):
-        yield Finding(
-            where,
-            "no scans arrive",
-            f"let the lidar's driver publish on {view.site}/robot/{robot}/scan/raw/LIDAR",
-        )
+        yield from _of_missing_scans(view, robot)
         return
     if there["projector"] and all(_lacks_model(each) for each in there["projector"]):
         detail = next(each.health.detail for each in there["projector"] if each.health is not None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -234,8 +234,8 @@ class FleetView:
         text = [each for each in self.services.values() if each.name == name and each.health is not None]
         return max(text, key=lambda each: each.received_at).health if text else None
 
-    def serving(self, robot: str) -> Iterator[Service]:
-        """The services that work for one robot, its own and those for all."""
+    def serving(self, robot: str, names: Collection[str] = ROBOT_SERVICES) -> Iterator[Service]:
+        """The services of these names that work for one robot, its own and those for all."""
         for service in self.services.values():
-            if service.name in ROBOT_SERVICES and holds(service.robot, robot):
+            if service.name in names and holds(service.robot, robot):
                 yield service

@@ -32,9 +32,16 @@ class Log:
     """All scans and odometry of a log; every lidar counts."""
 
     def __init__(
-        self, received: list[Received], logged: Mapping[int, int] | None = None, *, is_cut: bool = False
+        self,
+        received: list[Received],
+        logged: Mapping[int, int] | None = None,
+        *,
+        is_cut: bool = False,
+        without_mount: int = 0,
     ) -> None:
         self._received = received
+        self.without_mount = without_mount
+        """Lidars without a mount: they are taken to be at the base's origin."""
         self.is_cut = is_cut
         """Whether the file breaks off, or is damaged from some place on."""
         self.logged = logged or {}
@@ -104,4 +111,5 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
             moved(opened.progress)
     moved(1.0)
     is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))
-    return Log(received, opened.logged, is_cut=is_cut)
+    without_mount = opened.counters["lidars_without_mount"]
+    return Log(received, opened.logged, is_cut=is_cut, without_mount=without_mount)

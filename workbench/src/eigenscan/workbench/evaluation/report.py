@@ -51,6 +51,11 @@ def remarks(f: Figures) -> list[str]:
     found = []
     if f["log"]["odometry"] == 0:
         found.append("the log has no odometry: the scans alone were used")
+    if lost := f["log"].get("lidars_without_mount", 0):  # no such figure in results of earlier releases
+        found.append(
+            f"{lost} of the lidars {'is' if lost == 1 else 'are'} not in tf, and taken to be at the base's "
+            "origin: eigenscan import --mount, then evaluate the MCAP"
+        )
     found += [
         f"odometry and scans disagree: {words} (eigenscan import --mount, --odometry-topic)"
         for words in f.get("faults") or ()

@@ -1,0 +1,41 @@
+"""What `doctor` says of a robot, by what its services publish."""
+
+from __future__ import annotations
+
+import pytest
+from eigenscan.fleet.diagnosis import diagnose
+from eigenscan.fleet.view import FleetView
+from eigenscan.runtime.inbox import Arrival
+from eigenscan.schemas.channels import CONTRACT_VERSION, HEALTH
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.wire import encode, encoding
+
+
+def site(**details: str) -> FleetView:
+    """A robot r17 whose services wait, each with its detail."""
+    view = FleetView.__new__(FleetView)
+    view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
+    for service, detail in details.items():
+        name = service.replace("_", "-")
+        health = Health(service=name, instance="r17", status=Health.STATUS_WAITING, detail=detail)
+        key = HEALTH.key({"site": "s", "service": name, "instance": "r17"})
+        view._receive(Arrival(HEALTH, key, encode(health), encoding(HEALTH)), 0.0, 0)
+    for each in view.services.values():
+        each.contracts.add(str(CONTRACT_VERSION))
+    return view
+
+
+@pytest.mark.parametrize(
+    ("services", "what", "mend"),
+    [
+        ({}, "no scans arrive", "let the lidar's driver publish on s/robot/r17/scan/raw/LIDAR"),
+        ({"ros_bridge": "no scan yet on /scan"}, "no scan yet on /scan", "rmw_zenohd"),
+    ],
+)
+def test_missing_scans_are_looked_for_where_they_come_from(
+    services: dict[str, str], what: str, mend: str
+) -> None:
+    view = site(scan_ingest="no scan", **services)
+    (found,) = [each for each in diagnose(view, ("r17",)) if "no scans arrive" in each.what]
+    assert what in found.what
+    assert mend in found.mend
