@@ -100,6 +100,17 @@ def test_a_damaged_recording_gives_what_comes_before(tmp_path: Path) -> None:
     assert log.counters["damaged_file"] == 1
 
 
+def test_damage_to_the_head_of_a_chunk_gives_what_comes_before(tmp_path: Path) -> None:
+    """It then states sizes to which some file systems refuse to seek: ext4 ends at 2^44 bytes."""
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    whole = path.read_bytes()
+    for begin in range(len(whole) // 3, len(whole) // 2, 61):  # a chunk has about 140 bytes
+        path.write_bytes(whole[:begin] + bytes(200) + whole[begin + 200 :])
+        log = open_log(path)
+        assert 10 < sum(e.channel is SCAN_RAW for e in log.envelopes()) < 199
+        assert log.counters["damaged_file"] == 1
+
+
 def test_a_recording_without_scans_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: holds no raw scan"):
         keys(record(tmp_path / "a.mcap", [moved(1)]))

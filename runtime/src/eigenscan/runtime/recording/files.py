@@ -14,7 +14,7 @@ import zstandard
 from eigenscan.schemas.channels import ContractError
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, ChunkIndex, Message, Schema
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
@@ -78,6 +78,7 @@ def inflates_to(compression: bytes, data: bytes, stated: int) -> int:
 
 def refuse_bombs(file: IO[bytes]) -> None:
     """Raises ValueError if a chunk of an MCAP would fill the memory. Reads only the chunks' heads."""
+    end = file.seek(0, os.SEEK_END)
     file.seek(len(MCAP0_MAGIC))
     while len(head := file.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
         kind, size = _RECORD_HEAD.unpack(head)
@@ -90,7 +91,7 @@ def refuse_bombs(file: IO[bytes]) -> None:
             compression = start[_CHUNK_HEAD.size :][:length]
             data = start[_CHUNK_HEAD.size + length + 8 :]
             refuse_bomb(compression, data, size, stated)
-        if size > 2**62:
+        if begin + size > end:  # cut or damaged; file systems refuse to seek to some places so far away
             break
         file.seek(begin + size)
     file.seek(0)
@@ -173,7 +174,7 @@ def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iter
     """Messages from log time `begin` (ns) on, and earlier ones of the topics `early`.
 
     With an index they come in order of log time. Without one, all messages come in the file's order, up to
-    its last whole chunk.
+    its last whole chunk. Raises ValueError at the end if a chunk that the index names is not there.
     """
     if not is_indexed(file):
         whole = cast(IO[bytes], WholeReads(file))
@@ -184,3 +185,23 @@ def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iter
     if topics and begin:
         yield from reader.iter_messages(topics=topics, ending_before=begin)
     yield from reader.iter_messages(starting_at=begin)
+    if summary := reader.get_summary():
+        for index in summary.chunk_indexes:
+            _refuse_other_chunk(file, index)
+
+
+def _refuse_other_chunk(file: IO[bytes], index: ChunkIndex) -> None:
+    """Raises ValueError where the file does not hold the chunk of `index`.
+
+    `mcap` takes a chunk whose head was overwritten by zeros for an empty one.
+    """
+    file.seek(index.chunk_start_offset)
+    head = file.read(_RECORD_HEAD.size + _CHUNK_HEAD.size)
+    size = index.chunk_length - _RECORD_HEAD.size
+    times = index.message_start_time, index.message_end_time
+    found = len(head) == _RECORD_HEAD.size + _CHUNK_HEAD.size and (
+        *_RECORD_HEAD.unpack_from(head),
+        *_CHUNK_HEAD.unpack_from(head, _RECORD_HEAD.size)[:3],
+    )
+    if found != (_CHUNK, size, *times, index.uncompressed_size):
+        raise ValueError(f"the chunk at byte {index.chunk_start_offset} is damaged")
