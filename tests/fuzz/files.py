@@ -12,6 +12,7 @@ import os
 import struct
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from random import Random
@@ -40,9 +41,10 @@ from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.uploads import Uploads
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.cloud import Slice
+from eigenscan.ros_bridge.gyroscope import HeadingSum
 from eigenscan.ros_bridge.inbound import grid_map, odometry, odometry_of_tf, raw_scan, relocation
 from eigenscan.ros_bridge.options import RosBridgeOptions
-from eigenscan.ros_bridge.parameters import Parameters
+from eigenscan.ros_bridge.parameters import LiveSettings, Parameters
 from eigenscan.ros_bridge.service_types import SERVICES
 from eigenscan.runtime.inbox import Arrival
 from eigenscan.runtime.latched_cache import LatchedCache
@@ -75,6 +77,7 @@ from tests.services.ros_bridge.test_cloud import cloud as ros_cloud
 from tests.services.ros_bridge.test_core import odometry as ros_odometry
 from tests.services.ros_bridge.test_core import scan as ros_scan
 from tests.services.ros_bridge.test_core import transform as ros_transform
+from tests.services.ros_bridge.test_gyroscope import imu
 from tests.workbench.logs.test_ros import usual
 
 Bytes = Mapping[str, bytes]
@@ -878,6 +881,7 @@ def _cdr() -> Reader:
             cdr.STRING,
             *(f"{kind}_Request" for kind in SERVICES),
             cdr.POINT_CLOUD,
+            cdr.IMU,
         ]
         sound = {
             cdr.LASER_SCAN: ros_scan(),
@@ -886,12 +890,14 @@ def _cdr() -> Reader:
             cdr.POSE_WITH_COVARIANCE: ros_odometry(1, 2, 0.5),
             cdr.OCCUPANCY_GRID: ros_odometry(1, 2, 0.5),
             cdr.POINT_CLOUD: ros_cloud([(1.0, 2.0, 0.3), (2.0, 1.0, 0.4)]),
+            cdr.IMU: imu((0.0, 0.0, 0.5), 1),
         }
         seeds = {
             f"{n} {kind}": bytes([n]) + sound.get(kind, bytes([0, 1, 0, 0]) + bytes(40))
             for n, kind in enumerate(kinds)
         }
-        parameters = Parameters.of_bridge(RosBridgeOptions())
+        parameters = Parameters.of_bridge(LiveSettings(RosBridgeOptions()))
+        headings = HeadingSum(Counter())
 
         def take(data: bytes) -> None:
             kind = kinds[data[0] % len(kinds)] if data else kinds[0]
@@ -909,6 +915,9 @@ def _cdr() -> Reader:
                 grid_map(body)
             elif kind == cdr.POINT_CLOUD:
                 Slice(0.1, 0.6).scan(body, 1, np.eye(4))
+            elif kind == cdr.IMU:
+                heading = headings.take(body, np.eye(4))
+                assert heading is None or np.isfinite(heading.heading)
             elif kind.endswith("Parameters_Request"):
                 parameters.answer(kind.removesuffix("_Request"), data[1:])
 

@@ -94,7 +94,7 @@ def test_an_attachment_is_number_time_and_id() -> None:
 def test_ids_tell_endpoints_apart() -> None:
     dialect, bridge = RmwZenoh(0, "", SESSION), ends()
     ids = [dialect.attachment(endpoint, 1, 0)[17:] for endpoint in bridge]
-    assert len(set(ids)) == len(ids) == 30
+    assert len(set(ids)) == len(ids) == 31
     tokens = [token for token in dialect.tokens(bridge) if "/NN/" not in token]
     assert ids == [gid_of(token) for token in tokens]
 
@@ -110,7 +110,8 @@ def test_the_lifecycle_node_is_a_node_of_its_own() -> None:
         token.split("/")[9] for token in tokens if token.split("/")[3] == number and "/NN/" not in token
     }
     services = {"get_state", "change_state", "get_available_states", "get_available_transitions"}
-    assert of_amcl == {f"%amcl%{name}" for name in services | PARAMETER_SERVICES} | {"%bond"}
+    topics = {"%bond", "%amcl%transition_event"}
+    assert of_amcl == {f"%amcl%{name}" for name in services | PARAMETER_SERVICES} | topics
 
 
 def test_an_id_is_xxh3_low_half_first() -> None:

@@ -73,6 +73,7 @@ def test_what_is_no_rate_is_counted_and_a_gap_begins_a_new_sum() -> None:
     play(made, (0.0, 0.0, 0.5), 11)
     later = TIME + 100 * STEP
     assert not hear(made, "%imu%data", imu((0.0, 0.0, np.nan), later))
+    assert not hear(made, "%imu%data", imu((0.0, 0.0, 1e308), later))
     assert not hear(made, "%imu%data", imu((0.0, 0.0, 1.0), later, stated=-1.0))
     (first,) = play(made, (0.0, 0.0, 0.5), 1, later)
     assert (first.heading, nanoseconds(first.since)) == (0.0, later)
@@ -80,7 +81,7 @@ def test_what_is_no_rate_is_counted_and_a_gap_begins_a_new_sum() -> None:
     assert not hear(made, "%imu%data", b"no imu")
     counters = made.condition().counters
     assert {name: counters[name] for name in counters if "imu" in name or "cdr" in name} == {
-        "set_aside_imu_not_finite": 1,
+        "set_aside_imu_not_finite": 2,
         "set_aside_imu_without_rate": 1,
         "set_aside_imu_repeated": 1,
         "set_aside_not_cdr": 1,

@@ -80,6 +80,35 @@ def test_a_transition_by_its_name_and_one_that_is_none() -> None:
     assert state(bridge)[0] == INACTIVE
 
 
+def events(bridge: RosBridgeCore, transition: int) -> list[tuple[int, str, str, str]]:
+    """Number and label of each transition event, and the states that it leads from and to."""
+    wanted = cdr.make("lifecycle_msgs/msg/Transition", transition, "")
+    _, because = ask(bridge, "%amcl%change_state", cdr.encode(cdr.make(f"{CHANGE_STATE}_Request", wanted)))
+    assert {each.address["endpoint"] for each in because} <= {"%amcl%transition_event"}
+    found = [cdr.decode(cdr.TRANSITION_EVENT, each.open(cdr_value()).value) for each in because]
+    return [
+        (each.transition.id, each.transition.label, each.start_state.label, each.goal_state.label)
+        for each in found
+    ]
+
+
+def test_each_transition_has_the_events_of_a_lifecycle_node() -> None:
+    """A callback between: one event when it begins, one when it succeeded (rcl_lifecycle)."""
+    bridge = core()
+    assert events(bridge, DEACTIVATE) == [
+        (4, "deactivate", "active", "deactivating"),
+        (40, "transition_success", "deactivating", "inactive"),
+    ]
+    assert events(bridge, CLEANUP) == [
+        (2, "cleanup", "inactive", "cleaningup"),
+        (20, "transition_success", "cleaningup", "unconfigured"),
+    ]
+    assert events(bridge, CONFIGURE)[1] == (10, "transition_success", "configuring", "inactive")
+    assert events(bridge, ACTIVATE)[1] == (30, "transition_success", "activating", "active")
+    assert events(bridge, SHUTDOWN)[1] == (50, "transition_success", "shuttingdown", "finalized")
+    assert events(bridge, 99) == []
+
+
 def test_while_it_is_not_active_it_says_only_the_map() -> None:
     bridge = core()
     pose = PoseEstimate(timestamp=stamp(10**18), frame_id="map", pose=to_message((1, 2, 0)))

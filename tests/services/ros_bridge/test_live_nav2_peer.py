@@ -334,12 +334,17 @@ def test_ros2_param(bridge: Bridge, peer: Peer) -> None:
     assert value["string_value"] == "odom"
     assert len(peer.call("/amcl/get_parameter_types", {"names": names})["types"]) == len(names)
     (about,) = peer.call("/amcl/describe_parameters", {"names": ["transform_tolerance"]})["descriptors"]
-    assert (about["name"], about["type"], about["read_only"]) == ("transform_tolerance", 3, True)
-    (result,) = peer.call("/amcl/set_parameters", {"parameters": [{"name": "tf_broadcast", "value": value}]})[
-        "results"
-    ]
-    assert not result["successful"]
-    assert "read-only" in result["reason"]
+    assert (about["name"], about["type"], about["read_only"]) == ("transform_tolerance", 3, False)
+
+    def put(name: str, given: Any) -> Any:
+        asked = {"parameters": [{"name": name, "value": given}]}
+        return peer.call("/amcl/set_parameters", asked)["results"][0]
+
+    assert "read-only" in put("odom_frame_id", value)["reason"]
+    (number,) = peer.call("/amcl/get_parameters", {"names": ["transform_tolerance"]})["values"]
+    assert put("transform_tolerance", {**number, "double_value": 0.5})["successful"]
+    (number,) = peer.call("/amcl/get_parameters", {"names": ["transform_tolerance"]})["values"]
+    assert number["double_value"] == 0.5
 
 
 class Driver:

@@ -35,6 +35,8 @@ AMCL = {
     "tf_broadcast": False,
     "scan_topic": "front/scan",
     "transform_tolerance": 1.0,
+    "set_initial_pose": True,
+    "initial_pose": {"x": 2.0, "y": -1.5, "z": 0.0, "yaw": 0.7},
 }
 
 
@@ -136,6 +138,7 @@ def test_nav2s_own_parameters_count(launch_file: dict[str, Any], section: list[s
     assert bridge == {
         "--base-frame": "base_footprint", "--odom-frame": "wheels", "--tf-broadcast": "false",
         "--scan": '["front/scan"]', "--namespace": "/r17",
+        "--start-known": "true", "--start-x": "2.0", "--start-y": "-1.5", "--start-yaw": "0.7",
     }  # fmt: skip
     assert flags["mapbuilder"] == ["--frame-id", "site"]
 

@@ -19,6 +19,7 @@ from eigenscan.ros_bridge.service_types import (
     GET_STATE,
     LIST_PARAMETERS,
     SET_INITIAL_POSE,
+    SET_PARAMETERS,
 )
 from eigenscan.schemas.channels import RELOCATION
 from eigenscan.schemas.envelope import stamp
@@ -60,7 +61,14 @@ def test_a_manager_brings_it_up_and_keeps_a_bond_with_it(start: Start, robot: Ro
         assert call("/amcl/change_state", CHANGE_STATE, transition=wanted).success
         return int(call("/amcl/get_state", GET_STATE).current_state.id)
 
-    assert change(CONFIGURE) == INACTIVE
+    events = robot.subscribe("/amcl/transition_event", cdr.TRANSITION_EVENT)
+
+    def reconfigured() -> bool:
+        change(CONFIGURE)
+        return len(events) > 0
+
+    eventually(reconfigured, "a transition event")
+    assert [events[0].transition.label, events[0].goal_state.label] == ["configure", "configuring"]
     assert change(ACTIVATE) == ACTIVE
     heard = robot.subscribe("/bond", cdr.BOND)
     bond = robot.publisher("/bond", cdr.BOND)
@@ -114,3 +122,9 @@ def test_ros2_param_is_answered(start: Start, robot: Robot, call: Call) -> None:
     assert "odom_frame_id" in listed.names
     told = call("/eigenscan/get_parameters", GET_PARAMETERS, names=["odom_frame"]).values
     assert [each.string_value for each in told] == ["wheels"]
+    (value,) = call("/amcl/get_parameters", GET_PARAMETERS, names=["transform_tolerance"]).values
+    value.double_value = 0.5
+    wanted = cdr.make("rcl_interfaces/msg/Parameter", "transform_tolerance", value)
+    assert call("/amcl/set_parameters", SET_PARAMETERS, parameters=[wanted]).results[0].successful
+    (value,) = call("/amcl/get_parameters", GET_PARAMETERS, names=["transform_tolerance"]).values
+    assert value.double_value == 0.5

@@ -36,7 +36,9 @@ OF_AMCL = {
     "odom_frame_id": "ros-bridge.odom_frame",
     "tf_broadcast": "ros-bridge.tf_broadcast",
     "global_frame_id": "mapbuilder.frame_id",
+    "set_initial_pose": "ros-bridge.start_known",
 }
+OF_INITIAL_POSE = {"x": "ros-bridge.start_x", "y": "ros-bridge.start_y", "yaw": "ros-bridge.start_yaw"}
 LEVELS = {"warn": "warning", "fatal": "error"}
 
 
@@ -55,6 +57,8 @@ def settings(content):
     """What the parameters change, as SERVICE.SETTING=VALUE; those of `eigenscan` win."""
     of_amcl = parameters(content, "amcl")
     changes = {place: of_amcl[name] for name, place in OF_AMCL.items() if name in of_amcl}
+    start = of_amcl.get("initial_pose") or {}
+    changes.update({place: start[name] for name, place in OF_INITIAL_POSE.items() if name in start})
     if "scan_topic" in of_amcl:
         changes["ros-bridge.scan"] = [of_amcl["scan_topic"]]
     changes.update({f"ros-bridge.{name}": value for name, value in parameters(content, "eigenscan").items()})

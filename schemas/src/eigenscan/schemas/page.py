@@ -18,6 +18,7 @@ from eigenscan.schemas.channels import (
     CONTRACT_VERSION,
     LATCHED_TEMPLATE,
     Channel,
+    Role,
 )
 from eigenscan.schemas.foreign import DISTRIBUTION
 
@@ -33,7 +34,7 @@ def tables() -> dict[str, str]:
                 "when congested",
                 "express",
                 "latched",
-                "queue of a subscriber",
+                "queue a key",
                 "usual rate",
             ),
             [_qos(channel) for channel in CHANNELS],
@@ -76,8 +77,7 @@ def _qos(channel: Channel) -> tuple[str, ...]:
         "block" if qos.block else "drop",
         "yes" if qos.express else "",
         "yes" if qos.latched else "",
-        (f"newest {qos.depth} a key" if qos.depth else "all")
-        + ("; behind: the newest" if qos.newest else ""),
+        (f"{qos.depth}" if qos.depth else "all") + ("; behind: 1" if qos.newest else ""),
         f"{qos.rate_hz:g} Hz" if qos.rate_hz else "on change",
     )
 
@@ -88,8 +88,8 @@ def _air(channel: Channel) -> tuple[str, ...]:
     return (
         f"`{channel.name}`",
         ", ".join(role.value for role in channel.published_by),
-        ", ".join(role.value for role in channel.received_by),
-        (limit if hz else "stays on the robot") + ("; from the site: all" if channel.to_one_robot else ""),
+        "robot, site" if Role.ROBOT in channel.received_by else "site",
+        "from the site: all" if channel.to_one_robot else limit if hz else "no",
     )
 
 

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.pose import to_message
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
 from eigenscan.ros_bridge.cloud import CloudError, Slice
@@ -32,8 +33,8 @@ from eigenscan.ros_bridge.outbound import (
     pose_with_covariance,
     transforms,
 )
-from eigenscan.ros_bridge.parameters import Parameters
-from eigenscan.ros_bridge.service_types import SET_INITIAL_POSE
+from eigenscan.ros_bridge.parameters import LiveSettings, Parameters
+from eigenscan.ros_bridge.service_types import CHANGE_STATE, SET_INITIAL_POSE
 from eigenscan.ros_bridge.settings import RosBridgeSettings
 from eigenscan.schemas.channels import (
     DEFAULT_ROBOT,
@@ -74,7 +75,7 @@ class RosBridgeCore:
     ) -> None:
         """`site` and `robot`: names for the contract's keys."""
         self._address = {"site": site, "robot": robot}
-        self._ahead = round(settings.transform_tolerance * 1e9)
+        self._settings = LiveSettings(settings)
         self._counts: Counter[str] = Counter()
         self._ends = endpoints(settings)
         self._odom_frame = frame_name(settings.odom_frame) if settings.tf else ""
@@ -83,10 +84,11 @@ class RosBridgeCore:
         self._mounts = Mounts(settings.base_frame, settings.mounts_from_tf, has_odometry)
         self._lifecycle = Lifecycle(settings.lifecycle)
         self._parameters = {
-            settings.lifecycle: Parameters.of_amcl(settings),
-            NODE: Parameters.of_bridge(settings),
+            settings.lifecycle: Parameters.of_amcl(self._settings),
+            NODE: Parameters.of_bridge(self._settings),
         }
         self._map_frames: set[str] = set()
+        self._tracker_is_there = False
         self._not_taken = self._no_imu = ""
         self._heading = HeadingSum(self._counts)
         self._floor = floor_name(PoseEstimate())
@@ -259,7 +261,23 @@ class RosBridgeCore:
         return cdr.EMPTY_RESPONSE, self._relocated(body.pose)
 
     def _answer_lifecycle(self, kind: str, request: bytes) -> tuple[bytes, Iterable[Envelope]]:
-        return self._lifecycle.answer(kind, request), ()
+        if kind != CHANGE_STATE:
+            return self._lifecycle.answer(kind), ()
+        was_active = self._lifecycle.active
+        response, events = self._lifecycle.change(request)
+        end = self._ends.transition
+        because = [_published(end, event) for event in events] if end else []
+        if self._lifecycle.active and not was_active:
+            because += self._start_pose()
+        return response, because
+
+    def _start_pose(self) -> list[Envelope]:
+        """The pose at the start, if it is known: once the tracker is there, and when AMCL would take it."""
+        settings = self._settings.now
+        if not (settings.start_known and self._tracker_is_there and self._lifecycle.active):
+            return []
+        pose = to_message((settings.start_x, settings.start_y, settings.start_yaw))
+        return [Envelope(RELOCATION, self._address, Relocation(pose=pose))]
 
     def _answer_parameters(
         self, parameters: Parameters, kind: str, request: bytes
@@ -275,7 +293,11 @@ class RosBridgeCore:
                 yield _published(ends.map, occupancy_grid(grid))
             return
         if received.channel is HEALTH:
-            yield from self._diagnose(received.open(Health))
+            health = received.open(Health)
+            if not self._tracker_is_there and self._is_its_tracker(health):
+                self._tracker_is_there = True
+                yield from self._start_pose()
+            yield from self._diagnose(health)
         elif received.channel is POSE:
             self._estimate = received.open(PoseEstimate)
         if not self._lifecycle.active:
@@ -288,10 +310,14 @@ class RosBridgeCore:
             if ends.floor and floor != self._floor:
                 self._floor = floor
                 yield _published(ends.floor, floor)
-        elif received.channel is TRANSFORM and ends.map_to_odom:
-            yield _published(ends.map_to_odom, transforms(received.open(FrameTransform), self._ahead))
+        elif received.channel is TRANSFORM and ends.map_to_odom and self._settings.now.tf_broadcast:
+            ahead = round(self._settings.now.transform_tolerance * 1e9)
+            yield _published(ends.map_to_odom, transforms(received.open(FrameTransform), ahead))
         elif received.channel is TRACKS and ends.particles:
             yield _published(ends.particles, particle_cloud(received.open(Tracks)))
+
+    def _is_its_tracker(self, health: Health) -> bool:
+        return health.service == "tracker" and health.instance == self._address["robot"]
 
     def _diagnose(self, health: Health) -> Iterator[Envelope]:
         if not self._ends.diagnostics or health.instance != self._address["robot"]:

@@ -19,6 +19,7 @@ from eigenscan.ros_bridge.cdr import (
     POSE_WITH_COVARIANCE,
     STRING,
     TRANSFORMS,
+    TRANSITION_EVENT,
 )
 from eigenscan.ros_bridge.service_types import (
     AVAILABLE_STATES,
@@ -110,6 +111,7 @@ class Endpoints:
     """Services of the lifecycle node that the bridge stands for."""
     parameters: tuple[Endpoint, ...]
     """Services of both nodes, the bridge's own and the lifecycle node."""
+    transition: Endpoint | None
     bond: Endpoint | None
     bond_published: Endpoint | None
     pose: Endpoint | None
@@ -174,6 +176,9 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         nomotion_update=service(settings.nomotion_update, EMPTY_SERVICE),
         lifecycle=tuple(each for each in lifecycle if each and node),
         parameters=tuple(each for each in parameters if each),
+        transition=at(f"{node}/transition_event", TRANSITION_EVENT, Role.PUBLISHER, _COMMAND, node)
+        if node
+        else None,
         bond=bond(Role.SUBSCRIPTION),
         bond_published=bond(Role.PUBLISHER),
         pose=published(settings.pose, POSE_WITH_COVARIANCE, _LATCHED),

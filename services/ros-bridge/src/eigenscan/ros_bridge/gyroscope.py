@@ -13,6 +13,8 @@ from eigenscan.schemas.heading_pb2 import Heading
 
 GAP_NS = 100_000_000
 """Longest time between two rates that a sum spans: at 3 rad/s2 it errs by less than 0.004 rad."""
+FASTEST = 100.0
+"""rad/s; gyroscopes of robots measure up to 35."""
 APART_NS = 18_000_000
 """Between two published headings, with a tenth for jitter: 50 Hz, as odometry. A sum loses nothing by it."""
 
@@ -32,7 +34,7 @@ class HeadingSum:
         if body.angular_velocity_covariance[0] == -1.0:  # by the message's definition
             self._counts["set_aside_imu_without_rate"] += 1
             return None
-        if not isfinite(yaw_rate):
+        if not (isfinite(yaw_rate) and abs(yaw_rate) < FASTEST):
             self._counts["set_aside_imu_not_finite"] += 1
             return None
         if at == self._last:

@@ -29,6 +29,18 @@ TRANSITIONS = {
     7: ("shutdown", FINALIZED),
 }
 """lifecycle_msgs/Transition: label and the state that it leads to."""
+ON_THE_WAY = {
+    1: (10, "configuring"),
+    2: (11, "cleaningup"),
+    3: (13, "activating"),
+    4: (14, "deactivating"),
+    5: (12, "shuttingdown"),
+    6: (12, "shuttingdown"),
+    7: (12, "shuttingdown"),
+}
+"""The state between, by transition."""
+SUCCESS = {10: 10, 11: 20, 13: 30, 14: 40, 12: 50}
+"""The transition that ends such a state, `transition_success`."""
 INSTANCE = "eigenscan"
 """Name of this side of the bond; the manager's is a UUID."""
 
@@ -50,12 +62,26 @@ class Lifecycle:
         """The state's label."""
         return LABELS[self._state]
 
-    def answer(self, kind: str, request: bytes) -> bytes:
-        """Response to a request of a service's type."""
+    def change(self, request: bytes) -> tuple[bytes, list[bytes]]:
+        """Response to a request of a transition, and the events of it, as ROS 2's lifecycle nodes have them.
+
+        Events have no time: the bridge's core has no clock, and many nodes leave it 0.
+        """
+        wanted, before = cdr.decode(f"{CHANGE_STATE}_Request", request).transition, self._state
+        number = self._change(int(wanted.id), str(wanted.label))
+        response = cdr.encode(cdr.make(f"{CHANGE_STATE}_Response", number > 0))
+        if not number:
+            return response, []
+        between, label = ON_THE_WAY[number]
+        way = cdr.make("lifecycle_msgs/msg/State", between, label)
+        begun = cdr.make("lifecycle_msgs/msg/Transition", number, TRANSITIONS[number][0])
+        ended = cdr.make("lifecycle_msgs/msg/Transition", SUCCESS[between], "transition_success")
+        steps = (begun, _state(before), way), (ended, way, _state(self._state))
+        return response, [cdr.encode(cdr.make(cdr.TRANSITION_EVENT, 0, *step)) for step in steps]
+
+    def answer(self, kind: str) -> bytes:
+        """Response to a request of a service's type; all but `change` have no fields."""
         response = f"{kind}_Response"
-        if kind == CHANGE_STATE:
-            wanted = cdr.decode(f"{kind}_Request", request).transition
-            return cdr.encode(cdr.make(response, self._change(int(wanted.id), str(wanted.label))))
         content = {
             GET_STATE: lambda: _state(self._state),
             AVAILABLE_STATES: lambda: [_state(number) for number in LABELS],
@@ -75,13 +101,14 @@ class Lifecycle:
         times = theirs.heartbeat_timeout, theirs.heartbeat_period
         return cdr.encode(cdr.make(cdr.BOND, theirs.header, self._name, INSTANCE, alive, *times))
 
-    def _change(self, number: int, label: str) -> bool:
+    def _change(self, number: int, label: str) -> int:
+        """The transition that was made; 0: none."""
         if number == 0:  # by name
             number = next((each for each, (name, _) in TRANSITIONS.items() if name == label), 0)
         if number not in TRANSITIONS:
-            return False
+            return 0
         self._state = TRANSITIONS[number][1]
-        return True
+        return number
 
     def _transitions(self) -> list[Any]:
         return [
