@@ -44,7 +44,7 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
-from eigenscan.tracker.evidence import ENDS, EVEN, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
+from eigenscan.tracker.evidence import ENDS, EVEN_EXACT, EVEN_POOR, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
 from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.log import read_log
@@ -199,7 +199,7 @@ def looks_right(scan: Answer, pose: np.ndarray) -> bool:
         return False
     best = scan.likelihoods[there].max()
     lead = best - scan.likelihoods[~there].max(initial=0.0)
-    return bool(SLOPE * (best - EVEN) + np.clip(lead, 0.0, MOST_AHEAD) >= LOOKS_RIGHT)
+    return bool(SLOPE * (best - EVEN_EXACT) + np.clip(lead, 0.0, MOST_AHEAD) >= LOOKS_RIGHT)
 
 
 def hiding(windows: list[list[Answer]]) -> dict[str, float]:
@@ -331,7 +331,10 @@ def main() -> None:
     parser.add_argument("--way", default="exact", choices=list(WAYS), help="in which the map is made worse")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    print(f"the tracker: {SLOPE} (L - {EVEN}) + how far ahead, 0 to {MOST_AHEAD:g}")
+    print(
+        f"the tracker: {SLOPE} (L - {EVEN_EXACT}, on poor maps {EVEN_POOR}) + how far ahead, "
+        f"0 to {MOST_AHEAD:g}"
+    )
     rows = []
     for case in CASES:
         if options.only in case:

@@ -6,12 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from eigenscan.geometry.circle import TURN, wrap
 from eigenscan.geometry.pose import compose
+from eigenscan.schemas.channels import POSE
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.evidence import (
     Merit,
     explained_by_twins,
     hide_and_show,
+    learned,
+    likelihood_at,
     present_evidence,
     share_twins,
     slipped,
@@ -20,6 +26,8 @@ from eigenscan.tracker.evidence import (
     twins_of,
 )
 from eigenscan.tracker.observation import Observation, poorness
+from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.robot import _Source
 from eigenscan.tracker.tracks import Tracks, begin, join
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,6 +38,9 @@ from tests.services.tracker.conftest import MakeCore, Speaker, TracksOf
 
 # written out, not taken from what is tested: a change there must show here
 ENDS = 0.35
+EVEN_BELOW = 6.0
+EVEN_EXACT = 13.0
+EVEN_POOR = 8.0
 MOST_AHEAD = 5.0
 SLIP_M = 0.1
 SLIP_RAD = 0.1
@@ -242,3 +253,71 @@ def test_two_places_that_look_the_same_stay_even_where_one_of_them_had_a_poor_tr
         ]
         assert max(masses) < 2.0 * min(masses), (number, masses)
     assert sum(masses) > 0.9
+
+
+@given(st.floats(EVEN_POOR, EVEN_EXACT), st.floats(0.0, 300.0), st.floats(0.0, 1.0))
+def test_a_map_counts_as_between_poor_and_exact(even: float, likelihood: float, novelty: float) -> None:
+    after = learned(even, likelihood, novelty)
+    assert EVEN_POOR <= after <= EVEN_EXACT
+    # towards what the scan shows, or not at all
+    assert (after - even) * (likelihood - EVEN_BELOW - even) >= 0.0
+
+
+@pytest.mark.parametrize(("likelihood", "expected"), [(25.0, EVEN_EXACT), (16.0, 10.0), (3.0, EVEN_POOR)])
+def test_what_a_map_is_worth_follows_the_mean_of_right_tracks(likelihood: float, expected: float) -> None:
+    even = EVEN_EXACT
+    for _ in range(200):
+        even = learned(even, likelihood, 0.5)
+    assert even == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_scan_that_shows_nothing_new_teaches_nothing() -> None:
+    assert learned(11.0, 0.0, 0.0) == 11.0
+
+
+def test_the_likelihood_at_a_pose_is_that_of_its_likeliest_hypothesis() -> None:
+    seen = listed([[1.0, 1.0, 3.1], [1.2, 1.0, -3.1], [4.0, 1.0, 3.1]], [7.0, 8.0, 20.0])
+    assert likelihood_at(np.array([1.0, 1.0, 3.1]), seen) == 8.0
+    assert likelihood_at(np.array([8.0, 1.0, 3.1]), seen) == 0.0
+
+
+def test_a_track_that_no_scan_chose_takes_its_first_hypothesis_as_a_place_does() -> None:
+    seen = listed([[1.0, 1.0, 0.0]], [20.0])
+    merit = Merit.of(seen)
+    pairs = within_gates(track([1.0, 1.0, 0.0]), seen)
+    assert merit.at_first(pairs, np.array([1])).tolist() == [0.0]
+    more = merit.at_first(pairs, np.array([0]))
+    np.testing.assert_allclose(merit.of_pairs(pairs) + more, merit.alone + pairs.log_overlap)
+
+
+def test_after_a_whole_turn_a_place_has_shown_all_that_it_shows(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    def confidence(turns: float) -> float:
+        """After 40 s at one place, of which the robot turned so many times at 1 rad/s."""
+        core, published = make_core(), list[Envelope]()
+        for time in np.arange(0.0, 40.0, 0.1).tolist():
+            heading = float(wrap(min(time, turns * TURN)))
+            published += core.handle(speaker.odometry(time, np.array([0.0, 0.0, heading])))
+            published += core.handle(speaker.hypotheses(time, [[2.0, 3.0, heading]], [10.0]))
+        return [each.open(PoseEstimate).confidence for each in published if each.channel is POSE][-1]
+
+    assert confidence(6.0) <= confidence(1.0) + 0.05
+    assert confidence(0.0) <= confidence(1.0)
+
+
+def moved(way: float, turn: float) -> Motion:
+    return Motion((way, 0.0, turn), way, turn, 0.0, 0.0, 0.0, 1.0)
+
+
+@given(st.lists(st.floats(0.0, 2.0), max_size=40))
+def test_turns_at_one_place_count_up_to_one(turns: list[float]) -> None:
+    source = _Source(0, ("front", "map"))
+    counted = sum(source.new_turn(moved(0.0, turn), 0.5) for turn in turns)
+    assert counted == pytest.approx(min(sum(turns), TURN))
+
+
+def test_a_new_place_is_to_be_seen_all_around_again() -> None:
+    source = _Source(0, ("front", "map"))
+    source.new_turn(moved(0.0, 10.0), 0.5)
+    assert source.new_turn(moved(5.0, 10.0), 0.5) == pytest.approx(TURN, rel=1e-3)

@@ -199,12 +199,13 @@ class Belief:
         if share.broken:
             self._break_off(source)
         old, others = self._by_frame(frame)
-        merit = Merit.of(seen)
+        merit = Merit.of(seen, share.even)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         part = self.elsewhere[frame]
         carried = merit.alone + log_volume(seen.covariances) + part.log_density(source, share)
         alone = np.logaddexp(carried, slipped(old, seen, merit, pairs))
-        grown = branch(old, seen, pairs, merit.of_pairs(pairs), source, share)
+        first = merit.at_first(pairs, old.observations)
+        grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         evidence = np.zeros((len(alone), len(self.sources)))
         evidence[:, source] = merit.foretold
         twin = twins_of(merit.foretold)

@@ -27,10 +27,13 @@ LEAST_BORN = float(np.log(1e-9))
 """Mass of a new track over the heaviest's, below which it is not begun."""
 
 
-def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: int, share: Share) -> Tracks:
+def branch(
+    old: Tracks, seen: Observation, pairs: Pairs, worth: Array, first: Array, source: int, share: Share
+) -> Tracks:
     """Each track once as predicted, then for each hypothesis in its gate, a pair `worth` (p,) nats.
 
-    A hidden track has no hypothesis; one that is shown has one of its gate, or hardly ever none.
+    `first` (p,): what a pair is worth once, on top, for a track without observations. A hidden track has no
+    hypothesis; one that is shown has one of its gate, or hardly ever none.
     """
     count = len(old)
     origin = np.concatenate([np.arange(count), pairs.track])
@@ -51,6 +54,7 @@ def branch(old: Tracks, seen: Observation, pairs: Pairs, worth: Array, source: i
         unseen = old.log_weight + np.log(hidden) + of_others - explained
     part = share.novelty * fit - preference[origin]
     log_weight = shown[origin] + part
+    log_weight[count:] += first
     log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
     hidden_share = np.zeros(len(origin))
     hidden_share[:count] = np.exp(unseen - log_weight[:count])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
 from eigenscan.tracker.association import Pairs
+from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.symmetric import apart
 from eigenscan.tracker.tracks import Tracks, replace
@@ -23,11 +24,31 @@ from scipy.special import expit
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-SLOPE, EVEN, MOST_AHEAD = 0.35, 10.0, 5.0
-"""ln of that ratio is SLOPE (L - EVEN), and as many nats as the list's best is ahead of the next place.
+SLOPE, MOST_AHEAD = 0.35, 5.0
+"""ln of that ratio is SLOPE (L - even), and as many nats as the list's best is ahead of the next place.
 
 Rounded from what three buildings have in common: benchmarks/evidence.py.
 """
+EVEN_EXACT, EVEN_POOR = 13.0, 8.0
+"""The L that speaks neither for nor against a track: on an exact map, and on one of thick or smeared walls
+(benchmarks/evidence.py --way)."""
+EVEN_BELOW, EVEN_STEPS = 6.0, 10.0
+"""How far it lies below the mean L of right tracks, and the new scans over which that mean is learned.
+
+Chosen on intel, guardian 3, aces and fr079 with benchmarks/mechanisms.py.
+"""
+
+
+def learned(even: float, likelihood: float, novelty: float) -> float:
+    """`even` after a scan at a claimed pose had a hypothesis of this log-likelihood there; 0: it had none.
+
+    A map counts as exact until the robot's own scans show otherwise: then less is asked of each.
+    """
+    return float(
+        np.clip(even + novelty / EVEN_STEPS * (likelihood - EVEN_BELOW - even), EVEN_POOR, EVEN_EXACT)
+    )
+
+
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
 """Poses this near to each other are of one place."""
 SHOWN_YET_MISSED = -6.0
@@ -37,6 +58,13 @@ HIDES, SHOWS = 0.05, 0.2
 
 Hidden ones show less often than on the mean: most of the way that is hidden lies in a few long stretches.
 """
+
+
+def likelihood_at(pose: Array, seen: Observation) -> float:
+    """Log-likelihood of the likeliest hypothesis at a pose (3,); 0 without one."""
+    off = residual(seen.poses, pose)
+    there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (np.abs(off[:, 2]) <= NEAR_RAD)
+    return float(seen.log_likelihoods[there].max(initial=0.0))
 
 
 def ahead(seen: Observation) -> Array:
@@ -76,21 +104,30 @@ class Merit:
     foretold: Array
 
     @classmethod
-    def of(cls, seen: Observation) -> Merit:
-        """Both follow from likelihoods and from how far the best is ahead of other places."""
+    def of(cls, seen: Observation, even: float = EVEN_EXACT) -> Merit:
+        """Both follow from likelihoods, and from how far the best is ahead of other places."""
         lead = ahead(seen)
         # that a poor fit may be of more poses makes the place no likelier
         spread = 1.5 * poorness(seen.log_likelihoods)
-        return cls(seen.log_likelihoods + lead - spread, SLOPE * (seen.log_likelihoods - EVEN) + lead)
+        return cls(seen.log_likelihoods + lead - spread, SLOPE * (seen.log_likelihoods - even) + lead)
 
     def of_pairs(self, pairs: Pairs) -> Array:
         """What each pair (p,) of a track and a hypothesis in its gate is worth.
 
         For a vague track, the hypothesis' own likelihood spread over all the track's room is less.
         """
-        k = pairs.hypothesis
-        foretold = self.foretold[k] - 0.5 * pairs.distance2
-        result: Array = np.minimum(foretold, self.alone[k] + pairs.log_overlap)
+        return np.minimum(self.foretold[pairs.hypothesis] - 0.5 * pairs.distance2, self._alone_of(pairs))
+
+    def at_first(self, pairs: Pairs, observations: Index) -> Array:
+        """What it is worth more (p,) to tracks (n,) without observations: those that a relocation began.
+
+        No scan chose them, so the first one counts as it does for a place that begins a track.
+        """
+        more = (self._alone_of(pairs) - self.of_pairs(pairs)).clip(min=0.0)
+        return np.where(observations[pairs.track] > 0, 0.0, more)
+
+    def _alone_of(self, pairs: Pairs) -> Array:
+        result: Array = self.alone[pairs.hypothesis] + pairs.log_overlap
         return result
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from math import exp
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
@@ -15,6 +17,7 @@ from eigenscan.tracker.cause import likely_cause
 from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
+from eigenscan.tracker.evidence import EVEN_EXACT, learned, likelihood_at
 from eigenscan.tracker.floors import Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -74,6 +77,17 @@ class _Source:
     scans: int = 0
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
+    even: float = EVEN_EXACT
+    """Log-likelihood that speaks neither for nor against a track, as far as it is learned."""
+    turned: float = 0.0
+    """rad turned at the present place: after a whole turn it has shown all that there is to see."""
+
+    def new_turn(self, moved: Motion, place: float) -> float:
+        """Turn of a motion, rad, that shows what the present place, of some metres, has not shown yet."""
+        self.turned *= exp(-moved.way / place)
+        new = min(moved.turn, TURN - self.turned)
+        self.turned += new
+        return new
 
 
 class RobotTracker:
@@ -205,7 +219,7 @@ class RobotTracker:
             self._correct(seen.stamp)
         belief.stamp = seen.stamp
         belief.forget_innovations()
-        repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
+        share, repeated = None, self._agreement.is_repeated(seen.lidar, seen.stamp)
         if repeated:
             self._counts["scan_repeated"] += 1
         elif seen.usable:
@@ -222,6 +236,10 @@ class RobotTracker:
             self._counts["scan_unusable"] += 1
         self._remember()
         estimate = self._conclude(seen)
+        if share is not None and estimate.state == STATE_LOCALIZED:
+            source = self._sources[seen.source]
+            there = likelihood_at(estimate.tracks.x[estimate.verdict.track], seen)
+            source.even = learned(source.even, there, share.novelty)
         self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
         return estimate
 
@@ -260,7 +278,7 @@ class RobotTracker:
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
         before, source.poses = source.poses, seen.poses
         if source.scans == 1:
-            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1)
+            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1, even=source.even)
         moved = self._motion(source.last, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
@@ -270,7 +288,8 @@ class RobotTracker:
             self._counts["continuity_broken"] += 1
             source.scans = 1
         # what was driven counts as far as the scans changed by it
-        progress = self._progress(moved) * self._agreement.change()
+        shown = moved._replace(turn=source.new_turn(moved, self._settings.independence_m))
+        progress = self._progress(shown) * self._agreement.change()
         progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
         # a new place counts anew, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
@@ -279,7 +298,9 @@ class RobotTracker:
         rate = self._settings.kidnap_rate * carried_ratio(count, moved) / len(self._sources)
         carried = happened(rate * seconds)
         precision = min(1.0, progress)
-        return Share(novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1)
+        return Share(
+            novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1, source.even
+        )
 
     def _progress(self, moved: Motion) -> float:
         """How far the robot has come, 1: a scan is new evidence."""
