@@ -31,6 +31,7 @@ from eigenscan.schemas.tracking_pb2 import (
     STATE_LOST,
     PoseEstimate,
     Relocation,
+    Track,
     Tracks,
 )
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -405,6 +406,40 @@ def test_what_is_no_message_is_counted_and_the_next_one_goes_through(
     assert bridge.condition().counters[counter] == 1
     hear(bridge, "%tf_static", MOUNT)
     assert [each.channel for each in hear(bridge, "%scan", scan())] == [SCAN_RAW]
+
+
+@pytest.mark.parametrize("other", ["%odom", "%tf_static", "%initialpose"])
+def test_a_message_of_another_type_is_no_scan(other: str) -> None:
+    """As from a robot whose topics were mixed up: sound bytes of the wrong schema."""
+    sound = {"%odom": odometry(1.0, 2.0, 0.5), "%tf_static": MOUNT}
+    bridge = core(mounts_from_tf=False)
+    assert hear(bridge, "%scan", sound.get(other, odometry(0, 0, 0))) == []
+    condition = bridge.condition()
+    assert condition.counters["set_aside_not_cdr"] == 1
+    assert "no scan yet on /scan" in condition.detail
+    assert [each.channel for each in hear(bridge, "%scan", scan())] == [SCAN_RAW]
+
+
+@pytest.mark.parametrize("bad_number", [np.nan, np.inf, -np.inf])
+def test_no_number_that_is_not_finite_reaches_nav2(bad_number: float) -> None:
+    """From a foreign tracker: counted, and the next one goes through."""
+    bridge, at = core(), stamp(TIME)
+    sound = to_message((1.0, 2.0, 0.5))
+    wrong = [to_message((bad_number, 0.0, 0.0)), to_message((0.0, 0.0, bad_number))]
+    estimates = [PoseEstimate(timestamp=at, state=STATE_LOCALIZED, pose=pose) for pose in (*wrong, sound)]
+    estimates[0].pose.CopyFrom(sound)
+    estimates[0].covariance.xt = bad_number
+    moves = [FrameTransform(timestamp=at), FrameTransform(timestamp=at)]
+    moves[0].rotation.z = bad_number
+    tracks = [Tracks(timestamp=at, tracks=[Track(pose=pose, probability=1.0)]) for pose in (*wrong, sound)]
+    published = [
+        endpoint
+        for channel, messages in ((POSE, estimates), (TRANSFORM, moves), (TRACKS, tracks))
+        for message in messages
+        for endpoint, _ in tell(bridge, channel, message)
+    ]
+    assert published == ["%amcl_pose", "%tf", "%particle_cloud"]
+    assert bridge.condition().counters["set_aside_not_finite"] == 5
 
 
 def test_a_covariance_that_is_none_is_not_stated() -> None:

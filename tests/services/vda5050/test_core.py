@@ -400,6 +400,25 @@ def test_after_a_broker_was_gone_factsheet_and_state_come_again(manager: Manager
     assert numbers == list(range(len(numbers)))
 
 
+def test_an_action_that_ends_while_the_broker_is_gone_is_not_lost(manager: Manager) -> None:
+    manager.pose(pose=(9.0, 9.0, 0.0))
+    manager.publish(set_position(major=manager.major))
+    manager.receive("broker", b"connection lost")
+    manager.pose(STATE_AMBIGUOUS)
+    manager.pose()
+    manager.receive("broker", b"")
+    assert manager.action("a1")["actionStatus"] == "FINISHED"
+    assert manager.is_localized
+
+
+def test_a_pose_that_is_none_is_counted_and_never_published(manager: Manager) -> None:
+    for wrong in (math.nan, math.inf):
+        manager.pose(pose=(wrong, 0.0, 0.0))  # each message is JSON: NaN and Infinity are not
+    assert manager.core.condition().counters["set_aside_pose_not_finite"] == 2
+    manager.pose()
+    assert manager.is_localized
+
+
 def test_the_settings_name_robot_map_and_sizes() -> None:
     sizes = {"speedMax": 1.5, "width": 0.6}
     manager = manager_of(

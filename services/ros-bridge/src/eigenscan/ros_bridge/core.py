@@ -27,6 +27,7 @@ from eigenscan.ros_bridge.inbound import (
 from eigenscan.ros_bridge.lifecycle import Lifecycle
 from eigenscan.ros_bridge.mounts import MountError, Mounts
 from eigenscan.ros_bridge.outbound import (
+    NotFiniteError,
     floor_name,
     occupancy_grid,
     particle_cloud,
@@ -116,6 +117,8 @@ class RosBridgeCore:
             self._counts["set_aside_not_cdr"] += 1
         except MapError:
             self._counts["set_aside_not_a_map"] += 1
+        except NotFiniteError:
+            self._counts["set_aside_not_finite"] += 1
         return ()
 
     def finish(self) -> Iterable[Envelope]:

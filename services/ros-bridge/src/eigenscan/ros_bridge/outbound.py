@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,14 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
 
+class NotFiniteError(ValueError):
+    """A number of another tracker that no robot may act on."""
+
+
 def pose_with_covariance(estimate: PoseEstimate) -> bytes:
-    """PoseWithCovarianceStamped of a pose that is claimed."""
+    """PoseWithCovarianceStamped of a pose that is claimed. Raises NotFiniteError."""
     c = estimate.covariance
+    _require_finite(c.xx, c.xy, c.xt, c.yy, c.yt, c.tt)
     covariance = np.zeros((6, 6))
     covariance[np.ix_([0, 1, 5], [0, 1, 5])] = [[c.xx, c.xy, c.xt], [c.xy, c.yy, c.yt], [c.xt, c.yt, c.tt]]
     head = header(nanoseconds(estimate.timestamp), estimate.frame_id)
@@ -40,8 +46,9 @@ def floor_name(estimate: PoseEstimate) -> bytes:
 
 
 def transforms(transform: FrameTransform, ahead: int) -> bytes:
-    """TFMessage of one transform, dated `ahead` ns after its stamp."""
+    """TFMessage of one transform, dated `ahead` ns after its stamp. Raises NotFiniteError."""
     move, turn = transform.translation, transform.rotation
+    _require_finite(move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)
     stamped = make(
         "geometry_msgs/msg/TransformStamped",
         header(nanoseconds(transform.timestamp) + ahead, transform.parent_frame_id),
@@ -56,7 +63,8 @@ def transforms(transform: FrameTransform, ahead: int) -> bytes:
 
 
 def particle_cloud(tracks: Tracks) -> bytes:
-    """ParticleCloud: one particle for each track, its probability the weight."""
+    """ParticleCloud: one particle for each track, its probability the weight. Raises NotFiniteError."""
+    _require_finite(*(track.probability for track in tracks.tracks))
     particles = [make(PARTICLE, _pose(track.pose), track.probability) for track in tracks.tracks]
     head = header(nanoseconds(tracks.timestamp), tracks.frame_id)
     return encode(make(PARTICLE_CLOUD, head, particles))
@@ -87,7 +95,13 @@ def header(time: int, frame: str) -> Any:
     return make("std_msgs/msg/Header", stamp, frame)
 
 
+def _require_finite(*values: float) -> None:
+    if not all(map(math.isfinite, values)):
+        raise NotFiniteError
+
+
 def _pose(pose: Pose2) -> Any:
+    _require_finite(pose.x, pose.y, pose.theta)
     turn = quaternion(pose.theta)
     return make(
         "geometry_msgs/msg/Pose",
