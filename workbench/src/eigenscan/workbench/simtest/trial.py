@@ -62,6 +62,7 @@ def run(seed: int, robots: int | None = None, faults: Sequence[Fault] | None = N
         for process in site.processes:
             process.disk.close()
         gc.unfreeze()
+        gc.collect()  # a process freezes what an earlier run left, so no later collection would find it
     return Outcome(
         seed,
         plan,
