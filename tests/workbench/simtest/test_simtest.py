@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from random import Random
 
 import pytest
+from eigenscan.recorder.files import Files
 from eigenscan.recorder.mcap_sink import McapSink
 from eigenscan.schemas.channels import POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope
@@ -142,3 +143,16 @@ def test_a_kill_in_a_write_leaves_what_was_written_before() -> None:
     with pytest.raises(KilledError):
         path.replace(path.with_name("g"))
     assert list(disk.files) == ["/d/f"]
+
+
+def test_a_recorder_that_deletes_its_newest_files_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By file time, what was written before the clock was set back is the newest."""
+    seed = next(seed for seed in range(100) if Plan.of(seed, 1).recorders)
+    back = [Fault(30.0, "clock", "r1", 0, 0.0, 0.0)]  # by an hour
+    assert run(seed, 1, back).broken == ()
+    monkeypatch.setattr(
+        Files, "own", lambda self: sorted((p for *_, p in self._named()), key=lambda p: p.stat().st_mtime_ns)
+    )
+    outcome = run(seed, 1, back)
+    assert [one.rule for one in outcome.broken] == ["recording"]
+    assert "though older ones are kept" in outcome.broken[0].detail

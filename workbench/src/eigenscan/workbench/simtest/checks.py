@@ -255,6 +255,7 @@ class Judge:
             size = sum(len(inode.data) for inode in process.disk.files.values())
             if size > 1e6 * BUDGET_MB + CHUNK_BYTES:
                 self.fail("recording", f"{process.name}: {size} bytes, with a budget of {BUDGET_MB} MB")
+            self._keeps_newest(process, lives[-1], found)
             return  # old files are deleted
         for life in lives:
             assert life.ended is not None
@@ -273,6 +274,20 @@ class Judge:
                     f"{process.name}: {len(missing)} messages are missing, the first of second "
                     f"{missing[0]:.2f}; it was {life.how} at second {life.ended:.2f}, with {lost} lost",
                 )
+
+    def _keeps_newest(self, process: Process, life: Life, found: Counter[tuple[str, int]]) -> None:
+        """Of a recorder with a budget: the oldest files are deleted, whatever the clock says."""
+        wanted = [(at, (key, own)) for at, channel, key, own in life.handled if not channel.qos.latched]
+        held = [(_take(found, message), at) for at, message in reversed(wanted)]
+        oldest = min((at for is_held, at in held if is_held), default=math.inf)
+        gone = [at for is_held, at in held if not is_held and (at > oldest or oldest == math.inf)]
+        unexplained = len(gone) - life.counters.get("mcap_lost", 0)
+        if unexplained > 0:
+            self.fail(
+                "recording",
+                f"{process.name}: {len(gone)} messages are missing, the last of second {gone[0]:.2f}, though "
+                f"older ones are kept from second {oldest:.2f} on",
+            )
 
 
 def _take(found: Counter[tuple[str, int]], message: tuple[str, int]) -> bool:
