@@ -10,12 +10,14 @@ from typing import Any
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int8, int32, int64, sequence, uint8, uint32, uint64
+from cyclonedds.idl import IdlStruct, types
+from cyclonedds.idl.types import int64, uint8, uint64
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+
+from tests.services.ros_bridge.ros_structs import Structs
 
 CYCLONE = """<CycloneDDS><Domain>
   <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
@@ -26,136 +28,41 @@ CYCLONE = """<CycloneDDS><Domain>
 """CYCLONEDDS_URI for all processes: this machine only."""
 
 
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class LaserScan(IdlStruct, typename="sensor_msgs::msg::dds_::LaserScan_"):
-    header: Header
-    angle_min: float32
-    angle_max: float32
-    angle_increment: float32
-    time_increment: float32
-    scan_time: float32
-    range_min: float32
-    range_max: float32
-    ranges: sequence[float32]
-    intensities: sequence[float32]
-
-
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-class PoseWithCovarianceStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_"):
-    header: Header
-    pose: PoseWithCovariance
-
-
-@dataclass
-class Twist(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):
-    linear: Vector3
-    angular: Vector3
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):
-    twist: Twist
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Odometry(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
-    translation: Vector3
-    rotation: Quaternion
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
-    transforms: sequence[TransformStamped]
-
-
-@dataclass
-class MapMetaData(IdlStruct, typename="nav_msgs::msg::dds_::MapMetaData_"):
-    map_load_time: Time
-    resolution: float32
-    width: uint32
-    height: uint32
-    origin: Pose
-
-
-@dataclass
-class OccupancyGrid(IdlStruct, typename="nav_msgs::msg::dds_::OccupancyGrid_"):
-    header: Header
-    info: MapMetaData
-    data: sequence[int8]
-
-
-@dataclass
-class Particle(IdlStruct, typename="nav2_msgs::msg::dds_::Particle_"):
-    pose: Pose
-    weight: float64
-
-
-@dataclass
-class ParticleCloud(IdlStruct, typename="nav2_msgs::msg::dds_::ParticleCloud_"):
-    header: Header
-    particles: sequence[Particle]
+STRUCTS = Structs(IdlStruct, types)
+Time, Header = STRUCTS["builtin_interfaces/msg/Time"], STRUCTS["std_msgs/msg/Header"]
+LaserScan, Odometry = STRUCTS["sensor_msgs/msg/LaserScan"], STRUCTS["nav_msgs/msg/Odometry"]
+MapMetaData, OccupancyGrid = STRUCTS["nav_msgs/msg/MapMetaData"], STRUCTS["nav_msgs/msg/OccupancyGrid"]
+Particle, ParticleCloud = STRUCTS["nav2_msgs/msg/Particle"], STRUCTS["nav2_msgs/msg/ParticleCloud"]
+TFMessage, State = STRUCTS["tf2_msgs/msg/TFMessage"], STRUCTS["lifecycle_msgs/msg/State"]
+(
+    Vector3,
+    Point,
+    Quaternion,
+    Pose,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Twist,
+    TwistWithCovariance,
+    Transform,
+    TransformStamped,
+) = (
+    STRUCTS[f"geometry_msgs/msg/{name}"]
+    for name in (
+        "Vector3",
+        "Point",
+        "Quaternion",
+        "Pose",
+        "PoseWithCovariance",
+        "PoseWithCovarianceStamped",
+        "Twist",
+        "TwistWithCovariance",
+        "Transform",
+        "TransformStamped",
+    )
+)
+Gid, NodeEntitiesInfo, ParticipantEntitiesInfo = (
+    STRUCTS[f"rmw_dds_common/msg/{name}"] for name in ("Gid", "NodeEntitiesInfo", "ParticipantEntitiesInfo")
+)
 
 
 @dataclass
@@ -168,35 +75,10 @@ class GetStateRequest(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_R
 
 
 @dataclass
-class State(IdlStruct, typename="lifecycle_msgs::msg::dds_::State_"):
-    id: uint8
-    label: str
-
-
-@dataclass
 class GetStateResponse(IdlStruct, typename="lifecycle_msgs::srv::dds_::GetState_Response_"):
     client: uint64
     number: int64
-    current_state: State
-
-
-@dataclass
-class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
-    data: array[uint8, 16]
-
-
-@dataclass
-class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace: str
-    node_name: str
-    reader_gid_seq: sequence[Gid]
-    writer_gid_seq: sequence[Gid]
-
-
-@dataclass
-class ParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
-    gid: Gid
-    node_entities_info_seq: sequence[NodeEntitiesInfo]
+    current_state: State  # type: ignore[valid-type]
 
 
 def quality(depth: int, reliable: bool = True, latched: bool = False) -> Qos:
@@ -246,10 +128,10 @@ class DdsRobot:
         self._discovery.write(ParticipantEntitiesInfo(_gid(self._participant), [node]))
 
 
-def _gid(entity: Any) -> Gid:
+def _gid(entity: Any) -> Any:
     return Gid(list(entity.guid.bytes))
 
 
-def header(frame: str, stamp: int | None = None) -> Header:
+def header(frame: str, stamp: int | None = None) -> Any:
     """`stamp` in ns; without it now."""
     return Header(Time(*divmod(time.time_ns() if stamp is None else stamp, 1_000_000_000)), frame)

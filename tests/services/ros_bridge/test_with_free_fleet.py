@@ -9,7 +9,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -18,10 +17,10 @@ from eigenscan.schemas.channels import ODOMETRY, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, stamp
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from pycdr2 import IdlStruct
-from pycdr2.types import float64, int32, sequence, uint32
+from pycdr2 import IdlStruct, types
 
 from tests.services.ros_bridge.conftest import ALONE, Bridge, Network, eventually
+from tests.services.ros_bridge.ros_structs import Structs
 
 pytestmark = pytest.mark.slow
 
@@ -30,51 +29,13 @@ BEGIN = 1_700_000_000.0
 Start = Callable[..., Bridge]
 
 
-@dataclass
-class Time(IdlStruct, typename="Time"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="Header"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class Vector3(IdlStruct, typename="Vector3"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="Quaternion"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Transform(IdlStruct, typename="Transform"):
-    translation: Vector3
-    rotation: Quaternion
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="TransformStamped"):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="TFMessage"):
-    transforms: sequence[TransformStamped]  # type: ignore[type-arg]
-
-
+STRUCTS = Structs(IdlStruct, types)
+Time, Header = STRUCTS["builtin_interfaces/msg/Time"], STRUCTS["std_msgs/msg/Header"]
+Vector3, Quaternion, Transform, TransformStamped = (
+    STRUCTS[f"geometry_msgs/msg/{name}"]
+    for name in ("Vector3", "Quaternion", "Transform", "TransformStamped")
+)
+TFMessage: Any = STRUCTS["tf2_msgs/msg/TFMessage"]
 Pose = tuple[float, float, float]
 
 
