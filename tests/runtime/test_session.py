@@ -7,7 +7,7 @@ from uuid import uuid4
 import psutil
 import pytest
 import zenoh
-from eigenscan.runtime.session import ONE_RECEIVER, URGENT_BATCHES, open_session
+from eigenscan.runtime.session import ONE_THREAD, URGENT_BATCHES, open_session
 
 from tests.runtime.conftest import PATIENCE_S
 
@@ -70,8 +70,8 @@ def test_those_without_a_file_meet_and_still_do_when_the_first_is_gone() -> None
 
 
 @pytest.mark.parametrize(("mode", "own"), [("peer", True), ("client", True), ("router", False)])
-def test_one_thread_receives_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mode: str, own: bool) -> None:
-    name, value = ONE_RECEIVER
+def test_one_thread_does_all_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mode: str, own: bool) -> None:
+    name, value = ONE_THREAD
     monkeypatch.setattr(zenoh, "open", lambda _config: os.environ.get(name))
     monkeypatch.setenv(name, "")
     monkeypatch.delenv(name)
@@ -80,3 +80,14 @@ def test_one_thread_receives_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mo
     monkeypatch.setenv(name, "(rx: (worker_threads: 4))")  # who set it knows better
     told = open_session(None, mode)
     assert told == "(rx: (worker_threads: 4))"
+
+
+@pytest.mark.parametrize("own", [None, {"mode": "init"}])
+def test_shared_memory_is_off_unless_the_file_sets_it_up(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, own: dict[str, str] | None
+) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text(json.dumps({"mode": "peer", "transport": {"shared_memory": own}} if own else {}))
+    monkeypatch.setattr(zenoh, "open", lambda config: config.get_json("transport/shared_memory/enabled"))
+    opened: object = open_session(file)
+    assert opened == ("true" if own else "false")

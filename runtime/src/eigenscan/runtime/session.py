@@ -30,9 +30,10 @@ URGENT_BATCHES = 16
 Zenoh's default, 2, is full as soon as its thread gets no turn for two scans, and then it drops messages.
 A deeper queue delays nothing. A longer wait before a drop would delay senders on a link that hangs.
 """
-ONE_RECEIVER = "ZENOH_RUNTIME", "(rx: (worker_threads: 1))"
-"""Zenoh's own 2 wake each other for each message: a tenth of a quiet robot's processor time. A router keeps
-both, because one that waits for a slow link must not stop the others."""
+ONE_THREAD = "ZENOH_RUNTIME", "(rx: (worker_threads: 1), tx: (handover: rx), net: (handover: rx))"
+"""One thread of Zenoh receives, sends and looks after the links: its own four wake each other for each
+message. A router keeps them, because one that waits for a slow link must not stop the others."""
+_SHARED_MEMORY = "transport/shared_memory"
 _QUEUE_SIZE = "transport/link/tx/queue/size"
 
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
@@ -45,7 +46,7 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     Raises ContractError that names the file if it is no Zenoh configuration, or if no session opens.
     """
     if mode != "router":
-        os.environ.setdefault(*ONE_RECEIVER)
+        os.environ.setdefault(*ONE_THREAD)
     zenoh.init_log_from_env_or(LOG_FILTER)
     if path and not path.exists():
         raise ContractError(f"{path}: no such Zenoh configuration: check --zenoh")
@@ -54,6 +55,7 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     except zenoh.ZError as error:
         raise ContractError(f"{path}: is no Zenoh configuration (JSON5): {_reason(error)}") from error
     _deepen_urgent_queues(config)
+    _leave_shared_memory(config)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -108,6 +110,15 @@ def _deepen_urgent_queues(config: zenoh.Config) -> None:
     if json.loads(config.get_json(_QUEUE_SIZE)) == json.loads(zenoh.Config().get_json(_QUEUE_SIZE)):
         for priority in ("real_time", "interactive_high"):
             config.insert_json5(f"{_QUEUE_SIZE}/{priority}", str(URGENT_BATCHES))
+
+
+def _leave_shared_memory(config: zenoh.Config) -> None:
+    """Turns Zenoh's shared memory off, unless the user's file changes its settings.
+
+    Two threads watch it, and 16 MB are set apart for it; messages of a few kB gain nothing.
+    """
+    if json.loads(config.get_json(_SHARED_MEMORY)) == json.loads(zenoh.Config().get_json(_SHARED_MEMORY)):
+        config.insert_json5(f"{_SHARED_MEMORY}/enabled", "false")
 
 
 def _reason(error: zenoh.ZError) -> str:
