@@ -194,3 +194,14 @@ def test_topics_of_others_are_passed_over(tmp_path: Path) -> None:
         writer.add_message(ours, 2, encode(POSE.message()), 2)
         writer.finish()
     assert [record.envelope.key for record in read(path)] == ["s/robot/r/pose"]
+
+
+def test_a_message_is_kept_as_it_came(tmp_path: Path) -> None:
+    # of a later version: this one knows no field 1000
+    payload = encode(_scan(7).message) + bytes([0xC0, 0x3E, 0x01])
+    path = tmp_path / "later.mcap"
+    with RecordingWriter(path) as writer:
+        writer.write(Envelope(SCAN, ADDRESS, Scan.FromString(payload), payload=payload), log_time=1)
+    with path.open("rb") as file:
+        ((_, _, message),) = make_reader(file).iter_messages()
+    assert message.data == payload

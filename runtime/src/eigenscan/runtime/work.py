@@ -129,7 +129,7 @@ class Work:
             message = arrival.message
             if message is None:
                 message = decode(channel, arrival.payload, arrival.encoding)
-            received = Envelope(channel, address, message, arrival.time)
+            received = Envelope(channel, address, message, arrival.time, arrival.payload)
         except ContractError as error:
             self._counters.set_aside("undecodable", arrival.key, error)
             return

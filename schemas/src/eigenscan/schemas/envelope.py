@@ -23,6 +23,8 @@ class Envelope:
     message: Message
     arrived: int = field(default=0, compare=False)
     """ns since the epoch by the receiver's clock; 0: not known."""
+    payload: bytes = field(default=b"", compare=False, repr=False)
+    """The message's bytes as they arrived; empty: not known."""
 
     @property
     def key(self) -> str:

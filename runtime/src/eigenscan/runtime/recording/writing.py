@@ -35,6 +35,9 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
+        self.size = 0
+        """Bytes of the file so far, without the chunk in progress."""
+        self._unmeasured = 0
         for name, entries in (metadata or {}).items():
             self._writer.add_metadata(name, dict(entries))
 
@@ -45,8 +48,9 @@ class RecordingWriter:
         self.close()
 
     def write(self, envelope: Envelope, log_time: int, publish_time: int | None = None) -> None:
-        """Adds a message. Times are ns since the epoch; `publish_time` defaults to `log_time`."""
-        self.write_bytes(envelope.channel, envelope.key, encode(envelope.message), log_time, publish_time)
+        """Adds a message, as it was received. Times are ns since the epoch; `publish_time`: as `log_time`."""
+        payload = envelope.payload or encode(envelope.message)
+        self.write_bytes(envelope.channel, envelope.key, payload, log_time, publish_time)
 
     def write_bytes(
         self,
@@ -66,11 +70,12 @@ class RecordingWriter:
             sequence=number,
             data=payload,
         )
+        self._unmeasured += len(payload)
+        if self._unmeasured >= CHUNK_BYTES:  # asking the file costs as much as adding a message
+            self._measure()
 
-    @property
-    def size(self) -> int:
-        """Bytes of the file so far, without the chunk in progress."""
-        return self._file.tell()
+    def _measure(self) -> None:
+        self.size, self._unmeasured = self._file.tell(), 0
 
     def has_room(self, key: str) -> bool:
         """Whether a message of `key` can be added: a file holds MOST_CHANNELS keys."""
@@ -82,6 +87,7 @@ class RecordingWriter:
         Each flush costs some compression; once a second is cheap.
         """
         self._writer.flush()
+        self._measure()
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """Writes `metadata` and the index, and closes the file."""
