@@ -4,8 +4,10 @@ import time
 from collections import defaultdict
 
 import pytest
-from eigenscan.runtime.inbox import Inbox
-from eigenscan.schemas.channels import CHANNELS, MODEL, POSE, SCAN, SCAN_RAW, Channel
+from eigenscan.runtime.inbox import MOST_UNSORTED, Inbox
+from eigenscan.runtime.intake import Intake
+from eigenscan.schemas.channels import CHANNELS, MODEL, ODOMETRY, POSE, SCAN, SCAN_RAW, Channel
+from eigenscan.schemas.scan_pb2 import Scan
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -230,3 +232,40 @@ def test_a_sample_tells_when_it_arrived() -> None:
     arrival = inbox.take(9.0)
     assert arrival is not None
     assert before <= arrival.time <= after
+
+
+def test_samples_wait_as_they_came_and_keep_order_and_time() -> None:
+    now = iter(range(10, 1000))
+    inbox = Inbox(batch_s=0.05, time_of_day=lambda: next(now))
+    sorted_in: list[str] = []
+
+    def sort(sample: str, time: int) -> None:
+        sorted_in.append(sample)
+        inbox.put(MODEL, "s/model/hall", sample.encode(), "", time=time)
+
+    for name in ("a", "b"):
+        inbox.put_unsorted(sort, name)
+    assert (len(inbox), sorted_in) == (2, [])
+    taken = [inbox.take(0.0), inbox.take(0.0)]
+    assert [(one.payload, one.time) for one in taken if one] == [(b"a", 10), (b"b", 11)]
+    for number in range(2 * MOST_UNSORTED):
+        inbox.put_unsorted(sort, str(number))
+    assert len(sorted_in) > MOST_UNSORTED  # a sender sorts before too many wait
+
+
+def test_samples_of_sources_wake_nobody_and_come_before_a_later_one_that_does() -> None:
+    class Ready(threading.Condition):
+        def wait(self, timeout: float | None = None) -> bool:
+            elsewhere.append(b"odometry")  # in the meantime
+            Intake([SCAN], inbox).on_message(SCAN, "s/robot/r/scan/l", Scan(), b"scan", None)
+            return super().wait(0.0)
+
+    inbox, elsewhere = Inbox(ready=Ready(), batch_s=60.0, wakes=True), list[bytes]()
+
+    def source() -> None:
+        while elsewhere:
+            inbox.put(ODOMETRY, "s/robot/r/odom", elsewhere.pop(), "")
+
+    inbox.sources.append(source)
+    assert [inbox.take(60.0).payload for _ in range(2)] == [b"odometry", b"scan"]  # type: ignore[union-attr]
+    assert inbox.take(0.0) is None

@@ -11,7 +11,7 @@ import contextlib
 import threading
 import time
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import zenoh
@@ -41,6 +41,9 @@ STAGGER_S = 5.0
 """Period over which subscribers that hold samples spread their queries, s.
 
 After a cut a whole fleet sees the publisher return at once."""
+
+MOST_PATIENT = 16_384
+"""Samples that wait in Zenoh at most; then the oldest goes. 100 robots' odometry of three seconds."""
 
 LISTENER_POLL_S = 0.02
 
@@ -133,16 +136,21 @@ class Bus:
         address: Mapping[str, str],
         inbox: Inbox,
         known: Iterable[Arrival] = (),
+        patient: Sequence[Channel] = (),
     ) -> None:
         """Fills `inbox` from all keys of `channels` that fit `address`; earlier samples of latched ones too.
 
-        The robot in `address` may be a group. `known` samples, oldest first, are not requested again.
+        The robot in `address` may be a group. `known` samples, oldest first, are not requested again. Samples
+        of `patient` channels wait until the inbox is looked into.
         """
         known = list(known)
         for channel in channels:
             intake = Intake([channel], inbox, known)
             for selector in selectors(channel, address):
-                self._subscribe(selector, intake)
+                if channel in patient:
+                    inbox.sources.append(self._wait_patiently(selector, intake))
+                else:
+                    self._subscribe(selector, intake)
                 if channel.qos.latched:
                     self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
 
@@ -156,14 +164,27 @@ class Bus:
             if channel.qos.latched and zenoh.KeyExpr(selector).intersects(past):
                 self._follow(channel, site, past, intake)
 
-    def _subscribe(self, selector: str, intake: Intake) -> None:
+    def _subscribe(self, selector: str, intake: Intake, handler: Any = None) -> Any:
         origin = zenoh.Locality.ANY
         if self._exchange is not None:
             origin = zenoh.Locality.REMOTE
             self._exchange.listen(selector, intake)
-        self._declared.append(
-            self._session.declare_subscriber(selector, intake.on_sample, allowed_origin=origin)
+        subscriber: Any = self._session.declare_subscriber(
+            selector, handler or intake.on_sample, allowed_origin=origin
         )
+        self._declared.append(subscriber)
+        return subscriber
+
+    def _wait_patiently(self, selector: str, intake: Intake) -> Callable[[], None]:
+        """Subscribes without a callback; returns what takes the samples that wait."""
+        subscriber = self._subscribe(selector, intake, zenoh.handlers.RingChannel(MOST_PATIENT))
+
+        def take() -> None:
+            with contextlib.suppress(zenoh.ZError):  # the subscriber is undeclared
+                while (sample := subscriber.try_recv()) is not None:
+                    intake.take_live(sample)
+
+        return take
 
     def _follow(
         self, channel: Channel, site: str, selector: str, intake: Intake, patience_s: float = 0.0

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from eigenscan.schemas.channels import Channel
 from google.protobuf.message import Message
@@ -26,9 +26,14 @@ Each key has a queue, and a hostile sender may invent keys.
 SAMPLE_BYTES = 1000
 """Approximate memory of a waiting sample besides its payload."""
 
+MOST_UNSORTED = 256
+"""Samples that wait as they came before the sender's thread sorts them: a second of a busy robot."""
 
-@dataclass(frozen=True)
-class Arrival:
+Take = Callable[[Any, int], None]
+"""Puts a sample that arrived at a time, ns since the epoch."""
+
+
+class Arrival(NamedTuple):
     """One sample. It is not decoded yet, unless a service of the same process gave its `message`."""
 
     channel: Channel
@@ -51,14 +56,16 @@ class Inbox:
         ready: threading.Condition | None = None,
         most_bytes: int = MOST_BYTES,
         batch_s: float = 0.0,
+        *,
+        wakes: bool = False,
         time_of_day: Callable[[], int] = time.time_ns,
     ) -> None:
         """`slack`: factor on the channels' depths, for a service that needs all samples.
 
         Beyond `most_bytes` the oldest samples of any key are dropped. The core is behind if the queue has not
         been empty for `behind_after_s` seconds of `clock`. `ready`: shared by inboxes that one thread
-        empties. `batch_s`: a sample wakes no thread; `take` looks this often, because waking a thread costs
-        more than recording a message.
+        empties. `batch_s`: `take` looks this often for samples that wake no thread, because waking one costs
+        more than handling a message. Those are all samples, or with `wakes` only those of `sources`.
         """
         self._slack, self._behind_after_s, self._clock = slack, behind_after_s, clock
         self._through_at = 0.0  # when the queue was last empty
@@ -67,7 +74,13 @@ class Inbox:
         self._next = 0
         self._most_bytes, self._bytes = most_bytes, 0
         self._closed = self._discards = False
-        self._batch_s, self._time_of_day = batch_s, time_of_day
+        self.batch_s, self._time_of_day = batch_s, time_of_day
+        self.wakes = wakes or not batch_s
+        """Whether a sample that is put wakes the thread that takes."""
+        self.sources: list[Callable[[], None]] = []
+        """Each puts what arrived elsewhere meanwhile."""
+        self._unsorted: deque[tuple[Take, Any, int]] = deque()
+        self._sorting = threading.Lock()
         self._ready = ready or threading.Condition()
         self.on_put: Callable[[], None] | None = None
         """Called after each sample, in the sender's thread, instead of waking another one."""
@@ -76,25 +89,55 @@ class Inbox:
         """Samples dropped for newer ones."""
 
     def put(
-        self, channel: Channel, key: str, payload: bytes, encoding: str, message: Message | None = None
+        self,
+        channel: Channel,
+        key: str,
+        payload: bytes,
+        encoding: str,
+        message: Message | None = None,
+        time: int | None = None,
     ) -> None:
-        """Adds a sample; if its key's queue is full, drops the oldest of that key."""
+        """Adds a sample; if its key's queue is full, drops the oldest of that key. `time`: by default now."""
+        arrival = Arrival(
+            channel, key, payload, encoding, message, self._time_of_day() if time is None else time
+        )
+        depth = channel.qos.depth
         with self._ready:
             if not self._waiting:
                 self._through_at = self._clock()
-            orders = self._orders.setdefault(key, deque())
-            if channel.qos.depth and len(orders) >= self._slack * channel.qos.depth:
+            orders = self._orders.get(key)
+            if orders is None:
+                orders = self._orders[key] = deque()
+            elif depth and len(orders) >= self._slack * depth:
                 self._give_way(channel, orders)
             orders.append(self._next)
-            self._waiting[self._next] = Arrival(channel, key, payload, encoding, message, self._time_of_day())
+            self._waiting[self._next] = arrival
             self._next += 1
-            if channel.qos.depth:
+            if depth:
                 self._bytes += len(payload) + SAMPLE_BYTES
-                self._make_room()
-            if self.on_put is None and not self._batch_s:
+                if self._bytes > self._most_bytes:
+                    self._make_room()
+            if self.on_put is None and self.wakes:
                 self._ready.notify()
         if self.on_put is not None:
             self.on_put()
+
+    def put_unsorted(self, take: Take, sample: Any) -> None:
+        """Adds a sample as it came; `take` puts it when the core's thread looks, where that is cheap."""
+        self._unsorted.append((take, sample, self._time_of_day()))
+        if len(self._unsorted) > MOST_UNSORTED:
+            self.sort()
+
+    def sort(self) -> None:
+        """Puts what arrived so far and woke no thread; called before a sample is put that came after it."""
+        if not self.sources and not self._unsorted:
+            return
+        with self._sorting:  # one thread at a time, so that samples keep their order
+            for source in self.sources:
+                source()
+            while self._unsorted:
+                take, sample, time = self._unsorted.popleft()
+                take(sample, time)
 
     def take(self, timeout: float) -> Arrival | None:
         """Oldest sample; None when closed, or after `timeout` seconds without one.
@@ -102,15 +145,13 @@ class Inbox:
         If the core is behind and the channel allows it, the newest sample of the oldest one's key instead;
         those between are dropped. No key waits longer by that.
         """
+        self.sort()
+        if timeout and not self._waiting and self._wait(timeout):
+            self.sort()
         with self._ready:
-            if not self._waiting and not self._closed:
-                if self._batch_s:
-                    self._ready.wait(min(self._batch_s, timeout))
-                else:
-                    self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
             if not self._waiting or self._discards:
                 return None
-            arrival = next(iter(self._waiting.values()))
+            arrival = self._waiting[next(iter(self._waiting))]
             orders = self._orders[arrival.key]
             if arrival.channel.qos.newest and self._clock() - self._through_at > self._behind_after_s:
                 while len(orders) > 1:
@@ -120,6 +161,17 @@ class Inbox:
             if not orders:
                 del self._orders[arrival.key]
             return arrival
+
+    def _wait(self, timeout: float) -> bool:
+        """Waits for a sample or until closed; whether there may be samples that woke no thread."""
+        with self._ready:
+            if self._waiting or self._closed:
+                return False
+            if self.batch_s:
+                self._ready.wait(min(self.batch_s, timeout))
+                return True
+            self._ready.wait_for(lambda: self._waiting or self._closed, timeout)
+            return False
 
     def _make_room(self) -> None:
         """Drops the oldest samples until the rest fits."""
@@ -164,4 +216,4 @@ class Inbox:
 
     def __len__(self) -> int:
         with self._ready:
-            return len(self._waiting)
+            return len(self._waiting) + len(self._unsorted)

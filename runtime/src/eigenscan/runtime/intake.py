@@ -34,7 +34,15 @@ class Intake:
 
     def on_sample(self, sample: Any) -> None:
         """Takes a live sample."""
-        self._take(sample, live=True)
+        if self._inbox.wakes:
+            self._inbox.sort()
+            self.take_live(sample)
+        else:
+            self._inbox.put_unsorted(self.take_live, sample)
+
+    def take_live(self, sample: Any, time: int | None = None) -> None:
+        """Takes a live sample that arrived at `time`, ns since the epoch; by default now."""
+        self._take(sample, live=True, time=time)
 
     def on_reply(self, reply: Any) -> None:
         """Takes a sample that a publisher held, or counts a missing answer."""
@@ -46,9 +54,10 @@ class Intake:
     def on_message(self, channel: Channel, key: str, message: Message, payload: bytes, stamp: Any) -> None:
         """Takes a message of another service of this process; `stamp`: Zenoh's, if latched."""
         if channel.name in self._names:
+            self._inbox.sort()
             self._put(channel, key, payload, encoding(channel), stamp, live=True, message=message)
 
-    def _take(self, sample: Any, live: bool) -> None:
+    def _take(self, sample: Any, live: bool, time: int | None = None) -> None:
         key = str(sample.key_expr)
         channel = _channel_of(key)
         if channel is None or channel.name not in self._names:
@@ -57,7 +66,7 @@ class Intake:
             self._inbox.drop("deletion")
         else:
             payload, declared = sample.payload.to_bytes(), str(sample.encoding)
-            self._put(channel, key, payload, declared, sample.timestamp, live=live)
+            self._put(channel, key, payload, declared, sample.timestamp, live=live, time=time)
 
     def _put(
         self,
@@ -69,13 +78,14 @@ class Intake:
         *,
         live: bool,
         message: Message | None = None,
+        time: int | None = None,
     ) -> None:
         if not channel.qos.latched:
-            self._inbox.put(channel, key, payload, declared, message)
+            self._inbox.put(channel, key, payload, declared, message, time)
             return
         with self._lock:  # held during the put, so that this sample cannot overtake a newer one
             if self._is_news(key, stamp, live):
-                self._inbox.put(channel, key, payload, declared, message)
+                self._inbox.put(channel, key, payload, declared, message, time)
                 self._held[key] = digest(payload)
 
     def _is_news(self, key: str, stamp: Any, live: bool) -> bool:

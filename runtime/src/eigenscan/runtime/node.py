@@ -66,7 +66,8 @@ class Service(Generic[S]):
     each message in Zenoh's thread; only for a core that needs far less than a millisecond. `attend`: called
     with the open session. `quick`: the core needs milliseconds for a message, so such services share a thread
     if they share a process. `batch_s`: messages wait up to this long and are then handled in a row; for a
-    core whose answers nobody waits for. `lives_on`: without this input the service is WAITING.
+    core whose answers nobody waits for. `patience_s`: the same for `patient` inputs alone; any other message
+    ends their wait too. `lives_on`: without this input the service is WAITING.
     """
 
     name: str
@@ -79,6 +80,8 @@ class Service(Generic[S]):
     attend: Callable[[S, zenoh.Session], None] | None = None
     quick: bool = False
     batch_s: float = 0.0
+    patient: tuple[Channel, ...] = ()
+    patience_s: Callable[[S], float] = lambda _: 0.0
     lives_on: Channel | None = None
 
 
@@ -161,12 +164,15 @@ class Node:
         )
         slack = WHOLE_SITE_SLACK if service.whole_site else 1
         ready = shared.ready if shared and service.quick else None
+        patience_s = service.patience_s(settings)
+        self._patient = service.patient if patience_s else ()
         self.inbox = Inbox(
             slack,
             settings.behind_after,
             self._clock.monotonic,
             ready,
-            batch_s=service.batch_s,
+            batch_s=service.batch_s or patience_s,
+            wakes=not service.batch_s,
             time_of_day=self._clock.time_ns,
         )
         self._bus: Bus | None = None
@@ -325,7 +331,7 @@ class Node:
         if self.service.whole_site and settings.robot == "*":
             bus.listen_all(inputs, f"{settings.site}/**", self.inbox)
         else:
-            bus.listen(inputs, address, self.inbox, self._remember(inputs))
+            bus.listen(inputs, address, self.inbox, self._remember(inputs), self._patient)
         bus.announce(settings.site, self.service.name, settings.instance)
         if settings.deaf_after:
             watchdog = ReceiveWatchdog(round(settings.deaf_after / HEALTH_PERIOD_S))

@@ -158,12 +158,12 @@ class Together:
                 works.insert(0, (node, node.begin()))
             if node.fault:
                 return
+        longest_s = min([CONDITION_PERIOD_S, *(node.inbox.batch_s for node in nodes if node.inbox.batch_s)])
         while not self._stop.stopping:
             if not self._work(works):
                 with self._ready:
                     self._ready.wait_for(
-                        lambda: self._stop.stopping or any(len(node.inbox) for node in nodes),
-                        CONDITION_PERIOD_S,
+                        lambda: self._stop.stopping or any(len(node.inbox) for node in nodes), longest_s
                     )
             if any(node.fault for node in nodes):
                 return

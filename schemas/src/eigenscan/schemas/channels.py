@@ -31,6 +31,9 @@ CONTRACT_VERSION = 1
 DEFAULT_SITE = "site"
 DEFAULT_ROBOT = "robot"
 
+MOST_PARSED = 4096
+"""Keys of a channel whose addresses are remembered: a sender may invent any number."""
+
 _CHUNK = re.compile(r"[^/*$#?@\s\x00-\x1f\x7f-\x9f]+")
 
 
@@ -129,6 +132,11 @@ class Channel:
             re.sub(r"{(\w+)}", lambda field: f"(?P<{field[1]}>{_CHUNK.pattern})", self.template)
         )
 
+    @cached_property
+    def _parsed(self) -> dict[str, dict[str, str]]:
+        """Addresses of the last keys, because the same few come with each message."""
+        return {}
+
     def key(self, address: Mapping[str, str]) -> str:
         """Full key for `address`; fields of other channels are ignored.
 
@@ -150,8 +158,15 @@ class Channel:
 
     def parse(self, key: str) -> dict[str, str] | None:
         """Address in `key`; None if the key belongs to another channel."""
-        match = self._pattern.fullmatch(key)
-        return match.groupdict() if match else None
+        known = self._parsed.get(key)
+        if known is None:
+            match = self._pattern.fullmatch(key)
+            if match is None:
+                return None
+            if len(self._parsed) >= MOST_PARSED:
+                self._parsed.clear()
+            known = self._parsed[key] = match.groupdict()
+        return dict(known)
 
 
 @lru_cache(maxsize=4096)  # the same few keys come with each message

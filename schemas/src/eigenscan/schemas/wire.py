@@ -30,7 +30,7 @@ def decode(channel: Channel, payload: bytes, declared: str | None = None) -> Mes
     Raises ContractError for another encoding, schema or contract version, or bytes that do not decode.
     """
     expected = encoding(channel)
-    if (declared or "") not in UNDECLARED | {expected}:
+    if declared and declared != expected and declared not in UNDECLARED:
         raise ContractError(f"{channel.name}: encoding {declared!r}, this build speaks {expected!r}")
     message = channel.message()
     try:

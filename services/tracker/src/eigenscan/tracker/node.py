@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from eigenscan.schemas.channels import HYPOTHESES
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, SCAN_MOTION
 from eigenscan.schemas.envelope import Core
 from eigenscan.schemas.extra import needs
 
@@ -27,7 +27,23 @@ def make_core(options: TrackerOptions, clock: Clock = time) -> Core:
     return Remembering(core, options, options.last_pose, clock.time_ns)
 
 
-SERVICE = Service("tracker", TrackerOptions, make_core, quick=True, lives_on=HYPOTHESES)
+def patience_s(options: TrackerOptions) -> float:
+    """How long odometry may wait for hypotheses, s: half of the time between two transforms.
+
+    Not at all where a pose waits for odometry.
+    """
+    return 0.5 / options.transform_hz if options.at_once else 0.0
+
+
+SERVICE = Service(
+    "tracker",
+    TrackerOptions,
+    make_core,
+    quick=True,
+    patient=(ODOMETRY, SCAN_MOTION),
+    patience_s=patience_s,
+    lives_on=HYPOTHESES,
+)
 
 
 def main() -> None:

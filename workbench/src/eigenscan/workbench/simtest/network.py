@@ -100,8 +100,16 @@ class Declared:
         self.expression = expression(key)
         self.seen: set[str] = set()
         """Of a subscriber to tokens: those that are there."""
+        self.waiting: deque[Sample] = deque()
+        """Of a subscriber without a callback: what `try_recv` takes."""
         owner = getattr(callback, "__self__", None)
         self.fills_inbox = isinstance(owner, Intake)
+        if isinstance(callback, zenoh.handlers.RingChannel):
+            self.callback, self.fills_inbox = self.waiting.append, True
+
+    def try_recv(self) -> Sample | None:
+        """The oldest sample that waits."""
+        return self.waiting.popleft() if self.waiting else None
 
     def undeclare(self) -> None:
         """Ends it."""
