@@ -90,6 +90,8 @@ class Motion:
         return np.asarray(np.linalg.inv(self.information + np.eye(3)), dtype=np.float64)
 
 
+STAY = 0.1 * np.eye(3)
+"""What a motion weighs that the scans do not determine, in points."""
 NOTHING_IN_COMMON = Motion((0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0)
 
 
@@ -177,8 +179,13 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
     # coordinates apart: numpy takes several times as long for arrays of pairs
     px, py = points[:, 0].copy(), points[:, 1].copy()
     # beams without a line are nowhere near
-    line_x, line_y = np.where(before.lined, before.xy.T, inf)
-    rows = np.empty((len(starts), len(points), 3))
+    near = np.minimum(np.maximum(np.arange(last + REACH + 1)[:, None] + _WINDOW, 0), last)
+    # of each beam those around it: a row is fetched faster than nine numbers
+    around_x, around_y = np.where(before.lined, before.xy.T, inf)[:, near]
+    wall_x, wall_y = before.xy[:, 0].copy(), before.xy[:, 1].copy()
+    along_x, along_y = before.normals[:, 0].copy(), before.normals[:, 1].copy()
+    rows = np.empty((len(starts), len(points), 4))
+    first = _WINDOW.size * np.arange(len(starts) * len(points)).reshape(len(starts), len(points))
     for number in range(ROUNDS):
         c, s = np.cos(moved[:, 2:]), np.sin(moved[:, 2:])
         turned_x, turned_y = c * px - s * py, s * px + c * py
@@ -186,25 +193,27 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         bearing = np.arctan2(y - my, x - mx) - mt - before.angle_min
         centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
         visible = centre <= last + REACH
-        near = np.minimum(np.maximum(centre[..., None] + _WINDOW, 0), last)
-        apart_x, apart_y = line_x[near] - x[..., None], line_y[near] - y[..., None]
+        centre = np.minimum(centre, last + REACH)
+        apart_x = around_x.take(centre, axis=0) - x[..., None]
+        apart_y = around_y.take(centre, axis=0) - y[..., None]
         distance2 = apart_x * apart_x + apart_y * apart_y
         nearest = np.argmin(distance2, axis=-1)
-        nearest += _WINDOW.size * np.arange(nearest.size).reshape(nearest.shape)
+        nearest += first
         reach = WIDE if number < WIDE_ROUNDS else NEAR
         used = visible & (distance2.take(nearest) <= reach**2)
-        line = near.take(nearest)
-        normal_x, normal_y = before.normals[:, 0].take(line), before.normals[:, 1].take(line)
+        line = np.minimum(np.maximum(centre + _WINDOW.take(nearest - first), 0), last)
+        normal_x, normal_y = along_x.take(line), along_y.take(line)
         # the normal and the error of a beam without a line are zero
-        off = -(normal_x * (before.xy[:, 0].take(line) - x) + normal_y * (before.xy[:, 1].take(line) - y))
+        off = -(normal_x * (wall_x.take(line) - x) + normal_y * (wall_y.take(line) - y))
         weight = np.where(used, 1.0 / (1.0 + (off / (2.0 * NOISE)) ** 2), 0.0)
         rows[..., 0], rows[..., 1] = normal_x, normal_y
         rows[..., 2] = normal_y * turned_x - normal_x * turned_y
-        weighted = rows * weight[..., None]
-        information = np.einsum("kni,knj->kij", rows, weighted)
+        rows[..., 3] = off
+        weighted = rows[..., :3] * weight[..., None]
+        sums = weighted.transpose(0, 2, 1) @ rows
+        information, pull = sums[..., :3], sums[..., 3:]
         # where the scans determine nothing, the motion stays
-        pull = np.einsum("kni,kn->ki", weighted, off)
-        step = np.linalg.solve(information + 0.1 * np.eye(3), -pull[..., None])[..., 0]
+        step = np.linalg.solve(information + STAY, -pull)[..., 0]
         moved += step
         if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
             break
