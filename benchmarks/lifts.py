@@ -62,7 +62,7 @@ RIGHT_M = 0.5
 SOON_S = 1.0
 DIFFER_M = 0.3
 """Ranges that differ by more show which floor it is: six cells of a map."""
-SHARES = (0.02, PEOPLE, 0.1, 0.2)
+SHARES = (0.01, 0.02, PEOPLE, 0.1, 0.2)
 """Of the beams that differ: the summary's rows end at these."""
 EVERY = 500
 """Rides between two lines, so that what was done so far is known."""
@@ -83,6 +83,8 @@ class Ride:
     claimed_scans: int
     differs: float = 1.0
     """Of the beams of the first second, how many see another range on the floor that was left."""
+    nearer: float = 1.0
+    """Of these beams, how many end nearer than they would there: at things that its map lacks."""
 
 
 @dataclass
@@ -134,13 +136,17 @@ class Building:
             ]
         ]
         ride = _told(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
-        return replace(ride, differs=self._differ(begin, end, out)) if self.same_place else ride
+        if not self.same_place:
+            return ride
+        differs, nearer = self._differ(begin, end, out)
+        return replace(ride, differs=differs, nearer=nearer)
 
-    def _differ(self, begin: str, end: str, out: Array) -> float:
-        """Share of the beams that tell two floors apart on the way out of the lift, in the first second."""
+    def _differ(self, begin: str, end: str, out: Array) -> tuple[float, float]:
+        """Shares of the beams that differ, and that end nearer, in the first second out of the lift."""
         way = [compose(out, [STEP_M * step, 0.0, 0.0]) for step in range(round(SOON_S * RATE_HZ) + 1)]
         left, now = (np.array([self._scan(name, pose) for pose in way]) for name in (begin, end))
-        return float(np.mean(np.abs(left.clip(max=REACH_M) - now.clip(max=REACH_M)) > DIFFER_M))
+        nearer = left.clip(max=REACH_M) - now.clip(max=REACH_M)
+        return float(np.mean(np.abs(nearer) > DIFFER_M)), float(np.mean(nearer > DIFFER_M))
 
     def _exit(self, name: str, rng: np.random.Generator, other: str | None = None) -> Array:
         """A pose (3,) in a floor's own frame with a free way ahead; on floor `other` too."""
@@ -251,12 +257,8 @@ def summary(kind: str, rides: Sequence[Ride]) -> dict[str, Any]:
         "right_within_1s": _soon(counted),
         "floors_differ": len(differ),
         "right_within_1s_where_they_differ": _soon(differ),
-        "by_share_of_beams": {
-            f"{low:.0%} to {high:.0%}": f"{_soon(those):.1%} of {len(those)}"
-            for low, high in zip((0.0, *SHARES), (*SHARES, 1.0), strict=True)
-            for those in [[one for one in counted if low < one.differs <= high or one.differs == low == 0.0]]
-            if those
-        },
+        "by_share_of_beams_that_differ": _by_share(counted, [one.differs for one in counted]),
+        "by_share_of_beams_that_end_nearer": _by_share(counted, [one.nearer for one in counted]),
         "right_in_the_end": sum(one.right_after_s is not None for one in counted) / max(len(counted), 1),
         "rides_with_wrong_floor": len(wrong),
         "wrong_floor_m": dict(sorted(ways.items())),
@@ -264,6 +266,18 @@ def summary(kind: str, rides: Sequence[Ride]) -> dict[str, Any]:
         "rides_with_a_claim": sum(one.claimed_scans > 0 for one in counted),
         "wrong_rides": [one.number for one in wrong][:20],
     }
+
+
+def _by_share(rides: Sequence[Ride], shares: Sequence[float]) -> dict[str, str]:
+    """How many were right within SOON_S, by a share of the beams."""
+    rows = list(zip((-1.0, *SHARES), (*SHARES, 1.0), strict=True))
+    those = {
+        f"{max(low, 0.0):.0%} to {high:.0%}": [
+            ride for ride, share in zip(rides, shares, strict=True) if low < share <= high
+        ]
+        for low, high in rows
+    }
+    return {name: f"{_soon(each):.1%} of {len(each)}" for name, each in those.items() if each}
 
 
 def _soon(rides: Sequence[Ride]) -> float:

@@ -33,7 +33,7 @@ class RosBridgeSettings(BaseModel):
     )
     imu: str = Field(
         "",
-        description="topic of Imu, whose gyroscope replaces the wheels' turn; empty: none, imu/data: usual",
+        description="topic of Imu, whose gyroscope replaces the wheels' turn; empty: none",
     )
     base_frame: str | None = Field(None, description="base frame in tf; default: the odometry's child")
     mounts_from_tf: bool = Field(True, description="take mounts from tf; false: from scan-ingest's settings")
@@ -41,10 +41,10 @@ class RosBridgeSettings(BaseModel):
     tf_broadcast: bool = Field(True, description="publish map to odom on tf")
     tf_static: str = Field("tf_static", description="topic of tf's static part")
     initial_pose: str = Field("initialpose", description="topic of an operator's pose; empty: none")
-    start_known: bool = Field(False, description="start at start_x, start_y, as AMCL's set_initial_pose")
-    start_x: float = Field(0.0, allow_inf_nan=False, description="m in the map, where the robot starts")
-    start_y: float = Field(0.0, allow_inf_nan=False, description="m in the map, where the robot starts")
-    start_yaw: float = Field(0.0, allow_inf_nan=False, description="rad in the map, heading at the start")
+    start_known: bool = Field(False, description="start at the pose start_x, start_y, start_yaw")
+    start_x: float = Field(0.0, allow_inf_nan=False, description="m in the map")
+    start_y: float = Field(0.0, allow_inf_nan=False, description="m in the map")
+    start_yaw: float = Field(0.0, allow_inf_nan=False, description="rad in the map")
     set_initial_pose: str = Field("set_initial_pose", description="service that accepts a pose; empty: none")
     global_localization: str = Field(
         "reinitialize_global_localization", description="service that restarts the search; empty: none"
