@@ -10,6 +10,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.logs import LogError, LogOptions, open_log
 from eigenscan.workbench.logs.log import odometry, raw_scan
+from mcap.reader import make_reader
 
 S = 1_000_000_000
 
@@ -109,6 +110,18 @@ def test_damage_to_the_head_of_a_chunk_gives_what_comes_before(tmp_path: Path) -
         log = open_log(path)
         assert 10 < sum(e.channel is SCAN_RAW for e in log.envelopes()) < 199
         assert log.counters["damaged_file"] == 1
+
+
+def test_damage_to_the_index_loses_no_message(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    whole = path.read_bytes()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    last = max(index.chunk_start_offset + index.chunk_length for index in summary.chunk_indexes)
+    for begin in range(last + 200, len(whole) - 208, 997):
+        path.write_bytes(whole[:begin] + bytes(200) + whole[begin + 200 :])
+        assert sum(e.channel is SCAN_RAW for e in open_log(path).envelopes()) == 199
 
 
 def test_a_recording_without_scans_is_refused(tmp_path: Path) -> None:

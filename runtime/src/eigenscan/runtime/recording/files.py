@@ -15,6 +15,7 @@ from eigenscan.schemas.channels import ContractError
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, ChunkIndex, Message, Schema
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
@@ -173,10 +174,12 @@ def is_indexed(file: IO[bytes]) -> bool:
 def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iterator[Raw]:
     """Messages from log time `begin` (ns) on, and earlier ones of the topics `early`.
 
-    With an index they come in order of log time. Without one, all messages come in the file's order, up to
-    its last whole chunk. Raises ValueError at the end if a chunk that the index names is not there.
+    With an index they come in order of log time. Without one, or with a damaged one, all messages come in
+    the file's order, up to its last whole chunk or to the damage. Raises ValueError at the end if a chunk
+    that the index names is not there.
     """
-    if not is_indexed(file):
+    summary = _summary(file)
+    if summary is None:
         whole = cast(IO[bytes], WholeReads(file))
         with suppress(EndOfFile):
             yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
@@ -185,9 +188,21 @@ def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iter
     if topics and begin:
         yield from reader.iter_messages(topics=topics, ending_before=begin)
     yield from reader.iter_messages(starting_at=begin)
-    if summary := reader.get_summary():
-        for index in summary.chunk_indexes:
-            _refuse_other_chunk(file, index)
+    for index in summary.chunk_indexes:
+        _refuse_other_chunk(file, index)
+
+
+def _summary(file: IO[bytes]) -> Summary | None:
+    """The index; None if there is none or it is damaged, with the file at its start."""
+    found = None
+    if is_indexed(file):
+        with suppress(EndOfFile, OSError, *DAMAGE):  # OSError: a damaged offset cannot be sought
+            found = make_reader(file).get_summary()
+    file.seek(0)
+    # records that were overwritten by zeros are passed over
+    if found and found.statistics and found.statistics.chunk_count != len(found.chunk_indexes):
+        return None
+    return found
 
 
 def _refuse_other_chunk(file: IO[bytes], index: ChunkIndex) -> None:

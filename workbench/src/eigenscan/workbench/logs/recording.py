@@ -34,7 +34,7 @@ class RecordingLog:
         robot = self._robot()
         self._imported = self._is_import()
         yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
-        if not is_complete(self.path):  # it was cut, or its writer killed
+        if not self.counters["damaged_file"] and not self._is_complete():  # it was cut, or its writer killed
             self.counters["truncated_file"] += 1
         self.progress = 1.0
 
@@ -52,6 +52,12 @@ class RecordingLog:
             names = ", ".join(sorted(scans))
             raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
         return next(iter(scans))
+
+    def _is_complete(self) -> bool:
+        """False also for an index that is damaged."""
+        with suppress(RecordingError):
+            return is_complete(self.path)
+        return False
 
     def _is_import(self) -> bool:
         """Whether `eigenscan import` wrote it: then the times of publication are the stamps as logged."""
