@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, SCAN_MOTION
+from eigenscan.schemas.channels import HEADING, HYPOTHESES, ODOMETRY, SCAN_MOTION
 from eigenscan.schemas.envelope import Core
 from eigenscan.schemas.extra import needs
 
@@ -40,7 +40,7 @@ SERVICE = Service(
     TrackerOptions,
     make_core,
     quick=True,
-    patient=(ODOMETRY, SCAN_MOTION),
+    patient=(ODOMETRY, HEADING, SCAN_MOTION),
     patience_s=patience_s,
     lives_on=HYPOTHESES,
 )
