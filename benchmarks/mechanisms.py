@@ -204,7 +204,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, __: moved.turn),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),
     "what lists leave out": ((belief, "MISSES", 0.0),),
-    "slipped wheels": ((evidence, "SLIPS", 1e-300),),
+    "slipped wheels": ((belief, "slipped", lambda _, seen, *__: np.full(len(seen.poses), -np.inf)),),
     "heavy tails of odometry": ((branching, "surprise", np.ones_like),),
     "poor fits err more": ((observation, "POORER", 0.0),),
     "evidence by place": ((branching, "independent_share", lambda C, *_: np.ones(len(C))),),
