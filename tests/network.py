@@ -22,9 +22,9 @@ PATIENT_QUEUE: dict[str, Any] = {
 
 def patient(config: str) -> str:
     """A configuration, JSON, whose links lose nothing: a busy machine must not lose what the test counts."""
-    told = json.loads(config)
-    told.setdefault("transport", {}).setdefault("link", {})["tx"] = {"queue": PATIENT_QUEUE}
-    return json.dumps(told)
+    reported = json.loads(config)
+    reported.setdefault("transport", {}).setdefault("link", {})["tx"] = {"queue": PATIENT_QUEUE}
+    return json.dumps(reported)
 
 
 def _ports() -> Iterator[int]:

@@ -282,14 +282,14 @@ def test_live_simulation_keeps_the_pace(tmp_path: Path) -> None:
     assert published.count("scan_raw") == 10
 
 
-def test_a_command_mistyped_is_told_the_one_that_was_meant() -> None:
+def test_a_command_mistyped_is_answered_with_the_one_that_was_meant() -> None:
     result = eigenscan("buidl")
     assert result.returncode == 2
     assert "did you mean build?" in result.stderr
 
 
 @pytest.mark.parametrize("command", [("play",), ("view", "--no-open", "--rrd", "x.rrd")])
-def test_a_bag_in_a_recordings_place_is_told_how_to_become_one(
+def test_a_bag_in_a_recordings_place_is_reported_with_how_to_become_one(
     tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     bag = tmp_path / "drive.bag"

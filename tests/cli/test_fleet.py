@@ -94,7 +94,7 @@ def test_drift_scales_the_noise_of_odometry(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", LIDARS)
-def test_every_lidar_measures_as_it_says(grid: GridMap, name: str) -> None:
+def test_every_lidar_measures_as_it_states(grid: GridMap, name: str) -> None:
     lidar = LIDARS[name]
     stage = Stage(grid, Scenario(seconds=1.0, lidar=lidar))
     scans = [t.envelope for t in stage.messages() if t.envelope.channel is SCAN_RAW]

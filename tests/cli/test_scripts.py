@@ -59,7 +59,7 @@ def test_json_into_a_file_leaves_the_words(drive: Path) -> None:
     assert json.loads((drive / "new/f.json").read_text())["regions"] > 1
 
 
-def test_a_json_file_that_cannot_be_written_is_told_before_the_work(drive: Path) -> None:
+def test_a_json_file_that_cannot_be_written_is_reported_before_the_work(drive: Path) -> None:
     (drive / "taken").write_text("")
     result = _run("build", "map.yaml", "-o", "never", "--json", "taken/f.json", cwd=drive)
     assert result.returncode == 2
@@ -114,7 +114,7 @@ def test_every_heading_of_the_help_is_of_commands_that_there_are(tmp_path: Path)
     assert all(listing.count(f"\n  {name} ") == 1 for name in COMMANDS)
 
 
-def test_a_simulation_tells_what_it_wrote(tmp_path: Path) -> None:
+def test_a_simulation_shows_what_it_wrote(tmp_path: Path) -> None:
     options = [
         "--robots",
         2,
@@ -139,7 +139,7 @@ def test_a_simulation_tells_what_it_wrote(tmp_path: Path) -> None:
         assert 0 < driven["metres"] < 4 * 1.5
 
 
-def test_a_picture_tells_what_it_drew(drive: Path) -> None:
+def test_a_picture_shows_what_it_drew(drive: Path) -> None:
     figures = _figures(_run("view", "drive.mcap", "--rrd", "d.rrd", "--no-open", "--json", "-", cwd=drive))
     assert figures["picture"] == "d.rrd"
     assert figures["messages"] > 20
@@ -147,7 +147,7 @@ def test_a_picture_tells_what_it_drew(drive: Path) -> None:
     assert figures["whole"]
 
 
-def test_a_playback_tells_what_it_said(drive: Path) -> None:
+def test_a_playback_shows_what_it_published(drive: Path) -> None:
     options = ["--site", f"p{os.getpid()}", "--wait", 0, "--speed", 100, "--json", "-"]
     figures = _figures(_run("replay", "drive.mcap", *options, cwd=drive))
     assert figures["played"]["scan_raw"] == 20
@@ -162,14 +162,16 @@ def test_playing_to_nobody_is_a_failure(drive: Path) -> None:
     assert "--wait 0" in result.stderr
 
 
-def test_a_comparison_tells_both_verdicts(drive: Path) -> None:
-    told = ["--service", "scan-ingest", "--json", "-"]
-    assert _figures(_run("replay", "drive.mcap", *told, "--out", "said.mcap", cwd=drive))["result"] is None
-    same = _figures(_run("replay", "said.mcap", *told, "--compare", cwd=drive))
+def test_a_comparison_shows_both_verdicts(drive: Path) -> None:
+    reported = ["--service", "scan-ingest", "--json", "-"]
+    assert (
+        _figures(_run("replay", "drive.mcap", *reported, "--out", "said.mcap", cwd=drive))["result"] is None
+    )
+    same = _figures(_run("replay", "said.mcap", *reported, "--compare", cwd=drive))
     assert same["result"] == "same"
     assert same["channels"]["scan"]["same"] == 20
     assert same["first_difference"] is None
-    other = _run("replay", "said.mcap", *told, "--compare", "--set", "range_max=3", cwd=drive)
+    other = _run("replay", "said.mcap", *reported, "--compare", "--set", "range_max=3", cwd=drive)
     assert other.returncode == 1
     figures = json.loads(other.stdout)
     assert figures["result"] == "different"
@@ -178,7 +180,7 @@ def test_a_comparison_tells_both_verdicts(drive: Path) -> None:
     assert (drive / figures["picture"]).exists()
 
 
-def test_services_tell_events_line_by_line(drive: Path) -> None:
+def test_services_show_events_line_by_line(drive: Path) -> None:
     site = f"e{os.getpid()}"
     built = _run("build", "map.yaml", "-o", "events", "--step", 2, cwd=drive)
     assert built.returncode == 0

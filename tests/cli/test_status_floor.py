@@ -27,7 +27,7 @@ class View:
 @pytest.mark.parametrize(
     ("floor", "place"), [("first", "1.5, 2.5 on first"), ("", "7.0, 42.0"), ("[b]x\x1b", "on [b]x")]
 )
-def test_a_place_is_told_on_its_floor(floor: str, place: str) -> None:
+def test_a_place_is_reported_on_its_floor(floor: str, place: str) -> None:
     pose = PoseEstimate(state=STATE_LOCALIZED, confidence=0.97, pose=Pose2(x=7.0, y=42.0), floor=floor)
     if floor:
         pose.floor_pose.CopyFrom(Pose2(x=1.5, y=2.5))

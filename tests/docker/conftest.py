@@ -38,7 +38,7 @@ def docker(*arguments: object, check: bool = True) -> str:
 
 
 def until(condition: Callable[[], bool], limit_s: float, what: Callable[[], str]) -> None:
-    """Waits for a condition, or fails with what `what` says."""
+    """Waits for a condition, or fails with what `what` states."""
     end = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < end, what()

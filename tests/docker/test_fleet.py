@@ -95,7 +95,7 @@ class Fleet:
         )  # fmt: skip
 
     def poses(self, robot: str) -> float:
-        """How many the tracker of a robot has said."""
+        """How many the tracker of a robot has published."""
         return float(docker("exec", self.container(robot, "tracker"), "python", "-c", COUNT_POSES))
 
     def log(self) -> str:
@@ -197,7 +197,7 @@ def test_all_become_healthy_and_none_has_rights_it_does_not_need(fleet: Fleet) -
         assert not host["PortBindings"], service
 
 
-def test_the_site_hears_where_each_robot_is(fleet: Fleet, received: Counter[str]) -> None:
+def test_the_site_receives_where_each_robot_is(fleet: Fleet, received: Counter[str]) -> None:
     for robot in ROBOTS:
         claims = f"{robot} localized"
         until(lambda: received[claims] > 10, PATIENCE_S, lambda: f"{claims}: {received}\n{fleet.log()}")  # noqa: B023

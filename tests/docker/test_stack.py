@@ -179,7 +179,7 @@ def test_the_robot_is_found(stack: Stack, bus: Bus) -> None:
     _await_right_claims(stack, bus, 10)
 
 
-def test_ros_2_hears_of_the_pose(stack: Stack, client: Path) -> None:
+def test_ros_2_receives_the_pose(stack: Stack, client: Path) -> None:
     received: list[bytes] = []
     with open_session(client) as session:
         session.declare_subscriber(
@@ -202,7 +202,7 @@ def test_no_message_comes_twice_by_two_ways(stack: Stack, bus: Bus) -> None:
     assert stamps == sorted(set(stamps))
 
 
-def test_every_service_tells_its_health_at_the_site(stack: Stack, bus: Bus) -> None:
+def test_every_service_publishes_its_health_at_the_site(stack: Stack, bus: Bus) -> None:
     inbox = Inbox()
     bus.listen([HEALTH], {"site": stack.site}, inbox)
     received: set[str] = set()
@@ -250,8 +250,8 @@ def test_the_robot_goes_on_without_the_site(stack: Stack, bus: Bus) -> None:
     assert inbox.take(PATIENCE_S) is not None, "no pose came to the site after the router was back"
 
 
-def _settings_told(stack: Stack, bus: Bus, service: str) -> dict[str, object]:
-    """What a service says of itself, from now on."""
+def _settings_reported(stack: Stack, bus: Bus, service: str) -> dict[str, object]:
+    """What a service states of itself, from now on."""
     inbox = Inbox()
     bus.listen([HEALTH], {"site": stack.site, "service": service}, inbox)
     arrival = inbox.take(PATIENCE_S)
@@ -263,12 +263,12 @@ def _settings_told(stack: Stack, bus: Bus, service: str) -> dict[str, object]:
 
 def _swap(stack: Stack, bus: Bus, service: str, over: Path) -> None:
     """A stranger takes a service's place; the robot, lost with the tracker's memory, is found again."""
-    ours = _settings_told(stack, bus, service)
+    ours = _settings_reported(stack, bus, service)
     before = stack.container(service)
     stack.compose("up", "-d", "--no-deps", "--build", service, over=[over])
     assert stack.container(service) != before
     until(
-        lambda: _settings_told(stack, bus, service).keys() != ours.keys(),
+        lambda: _settings_reported(stack, bus, service).keys() != ours.keys(),
         PATIENCE_S,
         lambda: f"{service} is still ours",
     )

@@ -47,7 +47,7 @@ class Computer:
         return docker("exec", self.container, *words, check=check)
 
     def show(self, unit: str, *names: str) -> dict[str, str]:
-        """What systemd says of a service."""
+        """What systemd states of a service."""
         shown = self.run("systemctl", "show", f"eigenscan@{unit}", f"--property={','.join(names)}")
         return dict(line.split("=", 1) for line in shown.splitlines())
 
@@ -61,8 +61,8 @@ class Computer:
             time.sleep(0.5)
 
     def is_ready(self, unit: str) -> bool:
-        told = self.run("journalctl", "--no-pager", f"--unit=eigenscan@{unit}", "--output=cat")
-        return '"event": "ready"' in told
+        reported = self.run("journalctl", "--no-pager", f"--unit=eigenscan@{unit}", "--output=cat")
+        return '"event": "ready"' in reported
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def computers(images: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 def begin(computer: Computer, network: str, part: Path) -> None:
-    """A container on `network`, and in it what docs/fleet.md says."""
+    """A container on `network`, and in it what docs/fleet.md states."""
     rights = [f"--cap-add={right}" for right in RIGHTS]
     free = ["--security-opt=seccomp=unconfined", "--security-opt=apparmor=unconfined"]
     cgroups = ["--cgroupns=host", "--volume=/sys/fs/cgroup:/sys/fs/cgroup", "--env=container=docker"]
@@ -112,9 +112,9 @@ def begin(computer: Computer, network: str, part: Path) -> None:
     computer.run("sh", "-c", "cp -r /root/systemd/eigenscan@* /root/systemd/*.target /etc/systemd/system")
     # a busy machine may need more than two seconds to end a service
     more = [f"Environment={name}={value}" for name, value in PATIENT.items()]
-    told = "\\n".join(["[Service]", *more, "TimeoutStopSec=120"])
+    reported = "\\n".join(["[Service]", *more, "TimeoutStopSec=120"])
     extra = "/etc/systemd/system/eigenscan@.service.d"
-    computer.run("sh", "-c", f"mkdir -p {extra} && printf '{told}\\n' > {extra}/patient.conf")
+    computer.run("sh", "-c", f"mkdir -p {extra} && printf '{reported}\\n' > {extra}/patient.conf")
     computer.run("systemctl", "daemon-reload")
     computer.run("systemctl", "enable", "--now", f"eigenscan-{computer.kind}.target")
 
@@ -128,18 +128,18 @@ def test_every_service_starts_once_and_without_rights(computers: dict[str, Compu
         assert shown["ActiveState"] == "active", computer.journal()
         assert shown["NRestarts"] == "0", computer.journal()
         status = computer.run("cat", f"/proc/{shown['MainPID']}/status")
-        told = dict(line.split(":\t", 1) for line in status.splitlines() if ":\t" in line)
-        assert told["Uid"].split() == ["10001"] * 4, unit
-        assert int(told["CapEff"], 16) == int(told["CapBnd"], 16) == 0, unit
-        assert told["NoNewPrivs"] == "1", unit
-        assert told["Seccomp"] == "2", unit
+        reported = dict(line.split(":\t", 1) for line in status.splitlines() if ":\t" in line)
+        assert reported["Uid"].split() == ["10001"] * 4, unit
+        assert int(reported["CapEff"], 16) == int(reported["CapBnd"], 16) == 0, unit
+        assert reported["NoNewPrivs"] == "1", unit
+        assert reported["Seccomp"] == "2", unit
         # its own view of the files: nothing but its own folders can be written
         mounts = computer.run("cat", f"/proc/{shown['MainPID']}/mounts").splitlines()
         root = next(line.split() for line in mounts if line.split()[1] == "/")
         assert "ro" in root[3].split(","), unit
 
 
-def test_the_site_hears_a_robot_that_systemd_keeps_up(computers: dict[str, Computer]) -> None:
+def test_the_site_receives_a_robot_that_systemd_keeps_up(computers: dict[str, Computer]) -> None:
     site, robot = computers["site"], computers["robot"]
     docker("cp", ROOT / "deploy/maps", f"{robot.container}:/root/maps")
     simulated = ["simulate", "--live", "--map=/root/maps/map.yaml", "--seconds=3000", f"--site={SITE}"]
@@ -153,11 +153,11 @@ def test_the_site_hears_a_robot_that_systemd_keeps_up(computers: dict[str, Compu
 
 def state_of(site: Computer) -> dict[str, Any]:
     """The robot's row of `eigenscan fleet status`."""
-    told = site.run(
+    reported = site.run(
         "/opt/eigenscan/bin/eigenscan", "fleet", "status", f"--site={SITE}",
         "--zenoh=/etc/eigenscan/operator.json5", "--json=-",
     )  # fmt: skip
-    return next((dict(row) for row in json.loads(told)["robots"] if row["robot"] == ROBOT), {})
+    return next((dict(row) for row in json.loads(reported)["robots"] if row["robot"] == ROBOT), {})
 
 
 def test_what_is_killed_is_started_again_and_begins_where_it_was(computers: dict[str, Computer]) -> None:

@@ -1,4 +1,4 @@
-"""Figures stand in pages as benchmarks printed them: a page that says otherwise is told, and put right."""
+"""Figures stand in pages as benchmarks printed them: a page with other figures is reported, and put right."""
 
 import json
 import shutil
@@ -40,7 +40,7 @@ def test_the_pages_are_as_the_figures_are() -> None:
     assert checked.returncode == 0, checked.stderr
 
 
-def test_another_figure_is_told_and_written(copy: Path) -> None:
+def test_another_figure_is_reported_and_written(copy: Path) -> None:
     _change(copy, "replay", ["times_real_time_median"], 1234.0)
     checked = _page(copy, "--check")
     assert checked.returncode == 1

@@ -1,4 +1,4 @@
-"""What the pages tell people to type works: it is run, or where it needs a robot, at least read."""
+"""The commands of the pages work: it is run, or where it needs a robot, at least read."""
 
 import os
 import subprocess
@@ -51,7 +51,7 @@ def test_every_command_is_one_that_there_is(block: Block, shell: None) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUN)
-def test_what_a_page_says_works(page: str, tmp_path: Path) -> None:
+def test_what_a_page_states_works(page: str, tmp_path: Path) -> None:
     """Shell blocks one after the other in one empty folder, then all Python of the page as one program."""
     mine = [block for block in blocks(page) if block.runs]
     for block in mine:

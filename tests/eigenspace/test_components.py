@@ -134,8 +134,10 @@ def test_an_analysis_in_a_notebook_keeps_linear_algebra_to_one_thread() -> None:
         "print({p['num_threads'] for p in threadpoolctl.threadpool_info() if p['user_api'] == 'blas'})"
     )
     env = {**os.environ, "OMP_NUM_THREADS": "4", "OPENBLAS_NUM_THREADS": "4"}
-    told = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "{1}"
+    reported = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
+    )
+    assert reported.stdout.strip() == "{1}"
 
 
 def test_on_the_ring_a_range_is_a_place_and_no_wall_counts_as_the_cap() -> None:

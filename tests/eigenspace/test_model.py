@@ -175,7 +175,7 @@ def test_a_space_for_another_lidar_is_that_of_the_same_panoramas() -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "says"),
+    ("message", "stated"),
     [
         (broken(format=3), "format 3, this version reads 2: .* eigenscan build"),
         (broken(format=1), "claims"),
@@ -209,8 +209,8 @@ def test_a_space_for_another_lidar_is_that_of_the_same_panoramas() -> None:
         (broken(beams=65536, index_x=[0] * 10_000, index_y=[0] * 10_000), "more than"),
     ],
 )
-def test_a_broken_model_is_refused_with_what_is_wrong(message: model_pb2.RegionModel, says: str) -> None:
-    with pytest.raises(ModelError, match=says):
+def test_a_broken_model_is_refused_with_what_is_wrong(message: model_pb2.RegionModel, stated: str) -> None:
+    with pytest.raises(ModelError, match=stated):
         RegionModel.from_message(message)
 
 
@@ -286,7 +286,7 @@ def damage_text(path: Path, old: str, new: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "stated"),
     [
         (lambda m: (m / "manifest.json").unlink(), "manifest.json: cannot be read"),
         (lambda m: (m / "manifest.json").write_text("{"), "is not JSON"),
@@ -307,12 +307,12 @@ def damage_text(path: Path, old: str, new: str) -> None:
     ],
 )
 def test_a_damaged_folder_is_refused_with_the_file_and_what_is_wrong(
-    tmp_path: Path, damage: Callable[[Path], object], says: str
+    tmp_path: Path, damage: Callable[[Path], object], stated: str
 ) -> None:
     folder = tmp_path / "m"
     write_models(site(), folder)
     damage(folder)
-    with pytest.raises(ModelError, match=says):
+    with pytest.raises(ModelError, match=stated):
         read_models(folder)
 
 

@@ -93,7 +93,7 @@ def test_list_marks_the_one_in_use(three: tuple[Path, list[str]]) -> None:
     assert [line[0] for line in lines] == ["*", " ", " "]
 
 
-def test_what_cannot_be_chosen_is_told(three: tuple[Path, list[str]], tmp_path: Path) -> None:
+def test_what_cannot_be_chosen_is_reported(three: tuple[Path, list[str]], tmp_path: Path) -> None:
     folder, made = three
     with pytest.raises(ModelError, match=r"version 'zzz' is none of those kept: there is " + made[1][:12]):
         choose(versions(folder), "zzz", folder)

@@ -105,7 +105,7 @@ class Fleet:
         return open_session(self.machines / ("operator" if name == "operator" else "site") / f"{name}.json5")
 
     def past_its_router(self, robot: str) -> zenoh.Session:
-        """A session with a robot's certificate straight to the site: what whoever stole it would open."""
+        """A session with a robot's certificate straight to the site: what who stole it would open."""
         config = zenoh.Config.from_file(str(self.machines / robot / "router.json5"))
         for key, value in (
             ("mode", '"client"'),

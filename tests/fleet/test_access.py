@@ -1,4 +1,4 @@
-"""Every key of the contract, said and heard by every role, through a real router: what the table allows."""
+"""Every key of the contract, published and received by every role, through a router: as the table allows."""
 
 import time
 from collections.abc import Iterator
@@ -67,7 +67,7 @@ def may_receive(holder: str, channel: Channel, owner: str) -> bool:
 
 @dataclass
 class Exchange:
-    """What everybody heard, of whom, after everybody said everything."""
+    """What everybody received, of whom, after everybody published everything."""
 
     received: set[tuple[str, str, str]] = field(default_factory=set)
     answered: set[tuple[str, str, str]] = field(default_factory=set)
@@ -77,7 +77,7 @@ class Exchange:
         def on_sample(sample: Any) -> None:
             published = sample.payload.to_bytes().decode(
                 errors="replace"
-            )  # the router says its health meanwhile
+            )  # the router publishes its health meanwhile
             self.received.add((holder, str(sample.key_expr), published))
 
         return on_sample
@@ -104,24 +104,24 @@ def speak(sessions: dict[str, zenoh.Session]) -> None:
 
 
 def token_of(holder: str, owner: str) -> str:
-    """A sign of life under `owner`'s name, told apart by who shows it."""
+    """A sign of life under `owner`'s name, distinguished by who shows it."""
     service = "tracker" if owner in ROBOTS else owner
     return ALIVE_TEMPLATE.format(
         site=SITE, service=service, instance=owner, contract=f"{CONTRACT_VERSION}-{holder}"
     )
 
 
-def ask(sessions: dict[str, zenoh.Session], told: Exchange) -> set[tuple[str, str, str]]:
+def ask(sessions: dict[str, zenoh.Session], reported: Exchange) -> set[tuple[str, str, str]]:
     """Everybody asks for what is latched; gives who was answered so far, with which key, by whom."""
     for holder, channel in product(HOLDERS, LATCHED):
         replies = sessions[holder].get(
             channel.selector({"site": SITE}), target=zenoh.QueryTarget.ALL, timeout=5.0,
             consolidation=zenoh.ConsolidationMode.NONE,
         )  # fmt: skip
-        told.answered |= {
+        reported.answered |= {
             (holder, str(reply.ok.key_expr), reply.ok.payload.to_string()) for reply in replies if reply.ok
         }
-    return told.answered
+    return reported.answered
 
 
 def tokens_allowed() -> set[tuple[str, str]]:
@@ -154,7 +154,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
 
 @pytest.fixture(scope="module")
 def exchange(fleet: Fleet) -> Iterator[Exchange]:
-    told, shown = Exchange(), []
+    reported, shown = Exchange(), []
     with ExitStack() as opened:
         sessions = {
             holder: opened.enter_context(
@@ -166,12 +166,12 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
             # a rule is asked for the subscription as it stands: the whole, and each channel by itself
             for selector in ["**", f"{SITE}/**", *(channel.selector({"site": SITE}) for channel in CHANNELS)]:
                 session.declare_subscriber(
-                    selector, told.subscriber(holder), allowed_origin=zenoh.Locality.REMOTE
+                    selector, reported.subscriber(holder), allowed_origin=zenoh.Locality.REMOTE
                 )
-            session.liveliness().declare_subscriber(f"{SITE}/**", told.seer(holder), history=True)
+            session.liveliness().declare_subscriber(f"{SITE}/**", reported.seer(holder), history=True)
             for channel in LATCHED:
                 selector = LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session="*")
-                session.liveliness().declare_subscriber(selector, told.seer(holder), history=True)
+                session.liveliness().declare_subscriber(selector, reported.seer(holder), history=True)
                 token = LATCHED_TEMPLATE.format(site=SITE, channel=channel.name, session=holder)
                 shown.append(session.liveliness().declare_token(token))
                 session.declare_queryable(
@@ -189,7 +189,7 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
 
         def published() -> bool:
             speak(sessions)
-            return expected <= told.received
+            return expected <= reported.received
 
         until(published, "not all that is allowed has arrived")
         for _ in range(ROUNDS):
@@ -202,16 +202,16 @@ def exchange(fleet: Fleet) -> Iterator[Exchange]:
             and may_publish(holder, channel, holder)
             and may_receive(subscriber, channel, holder)
         }
-        until(lambda: answers <= ask(sessions, told), "not all that may answer do")
-        until(lambda: tokens_allowed() <= told.tokens, "not all signs of life that are allowed are seen")
+        until(lambda: answers <= ask(sessions, reported), "not all that may answer do")
+        until(lambda: tokens_allowed() <= reported.tokens, "not all signs of life that are allowed are seen")
         time.sleep(DENIED_S)
         assert len(shown) == len(HOLDERS) * (len(LATCHED) + len(HOLDERS))  # a token that nobody holds is gone
-        yield told
+        yield reported
 
 
 @pytest.mark.parametrize("holder", HOLDERS)
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
-def test_says_what_the_table_lets_it_say(exchange: Exchange, channel: Channel, holder: str) -> None:
+def test_publishes_what_the_table_lets_it_publish(exchange: Exchange, channel: Channel, holder: str) -> None:
     for owner, subscriber in product(HOLDERS, HOLDERS):
         if subscriber != holder:
             arrived = (subscriber, key_of(channel, owner), holder) in exchange.received
@@ -261,7 +261,7 @@ def test_a_robot_speaks_of_services_that_there_are(fleet: Fleet) -> None:
 
 
 def test_what_a_reader_of_the_table_expects(exchange: Exchange) -> None:
-    """Said once without the table, so that an error in it is noticed as well."""
+    """Published once without the table, so that an error in it is noticed as well."""
     received_by: dict[tuple[str, str, str], set[str]] = {}
     for holder, channel, owner in SPOKEN:
         published = (key_of(channel, owner), holder)
@@ -275,9 +275,9 @@ def test_what_a_reader_of_the_table_expects(exchange: Exchange) -> None:
     assert received_by[SCAN.name, "r17", "r17"] == received_by[SCAN_RAW.name, "r17", "r17"] == set()
     assert received_by[MODEL.name, "mapbuilder", "mapbuilder"] == {"r17", "r18", "recorder", "operator"}
     assert received_by[MODEL.name, "r17", "r17"] == set()
-    told = {key: by for key, by in received_by.items() if key[2] == "operator" and by}
-    assert told[RELOCATION.name, "r17", "operator"] == {"r17", "mapbuilder", "recorder"}
-    assert {channel for channel, _, _ in told} == {RELOCATION.name}
+    reported = {key: by for key, by in received_by.items() if key[2] == "operator" and by}
+    assert reported[RELOCATION.name, "r17", "operator"] == {"r17", "mapbuilder", "recorder"}
+    assert {channel for channel, _, _ in reported} == {RELOCATION.name}
     assert (
         received_by[RELOCATION.name, "r17", "mapbuilder"]
         == received_by[RELOCATION.name, "r17", "r18"]

@@ -1,4 +1,4 @@
-"""What leaves a robot for its site: what the contract's table lets go, as often and urgently as it says."""
+"""What leaves a robot for its site: what the contract's table lets go, as often and urgently as it states."""
 
 import json
 import math
@@ -27,7 +27,7 @@ ADDRESS = {"site": SITE, "robot": ROBOT, "instance": ROBOT, "service": "tracker"
 OWN = [channel for channel in CHANNELS if Role.ROBOT in channel.published_by]
 FLOOD = 300
 MARKED = b"x"
-"""What is counted; what is said before, until all have met, is empty."""
+"""What is counted; what is published before, until all have met, is empty."""
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def at_most(channel_hz: float, seconds: float) -> int:
 
 @dataclass
 class Driven:
-    """What the site and what the robot's other services heard of ROUNDS of everything, by key."""
+    """What the site and what the robot's other services received from ROUNDS of everything, by key."""
 
     at_site: Counter[str]
     on_robot: Counter[str]
@@ -74,7 +74,7 @@ class Driven:
 
 
 def drive(fleet: Fleet, rounds: int = ROUNDS) -> Driven:
-    """One service of the robot says everything at RATE_HZ, or as often as the machine lets it."""
+    """One service of the robot publishes everything at RATE_HZ, or as often as the machine lets it."""
     at_site, on_robot, met = Counter[str](), Counter[str](), (Counter[str](), Counter[str]())
     unlimited = [one.key(ADDRESS) for one in OWN if one.qos.air_hz == math.inf]
     crossing = [POSE.key(ADDRESS), *unlimited]
@@ -89,7 +89,7 @@ def drive(fleet: Fleet, rounds: int = ROUNDS) -> Driven:
             return all(first[key] for first in met for key in crossing)
 
         until(arrives, f"nothing arrives\n{fleet.log(ROBOT)}\n{fleet.log('site')}")
-        time.sleep(1.0)  # limits count from the last word that was said before
+        time.sleep(1.0)  # limits count from the last word that was published before
         began = time.monotonic()
         for _ in range(rounds):
             for channel in OWN:
@@ -124,7 +124,7 @@ def test_the_table_decides_what_leaves_the_robot(driven: Driven, channel: Channe
 
 
 def pose_at_site(fleet: Fleet) -> zenoh.Sample:
-    """A pose as the recorder hears it, that was said on the robot with other words on its urgency."""
+    """A pose as the recorder receives it, that was published on the robot with other words on its urgency."""
     samples: list[zenoh.Sample] = []
     with fleet.at_site("recorder") as site, fleet.on_robot(ROBOT) as speaker:
         site.declare_subscriber(POSE.key(ADDRESS), samples.append)
@@ -158,7 +158,7 @@ def test_urgency_over_the_air_is_the_tables_whatever_the_publisher_chose(tmp_pat
 
 
 def test_from_the_sites_router_poses_of_many_robots_leave_together(fleet: Fleet) -> None:
-    """Each in a batch of its own, those of 200 robots would not fit into a hearer's queue."""
+    """Each in a batch of its own, those of 200 robots would not fit into a subscriber's queue."""
     pose = pose_at_site(fleet)
     assert pose.priority == zenoh.Priority.INTERACTIVE_HIGH
     assert not pose.express
@@ -243,7 +243,7 @@ def test_what_waited_for_a_bad_link_passes_at_once_where_floods_are_not_held_bac
 
 
 def test_a_service_on_the_robot_is_not_commanded_from_the_site(fleet: Fleet) -> None:
-    """Only maps and models come in, not what its services tell each other."""
+    """Only maps and models come in, not what its services show each other."""
     received: Counter[str] = Counter()
     with fleet.at_site("mapbuilder") as site, fleet.on_robot(ROBOT) as service:
         for channel in CHANNELS:
@@ -260,7 +260,7 @@ def test_a_service_on_the_robot_is_not_commanded_from_the_site(fleet: Fleet) -> 
 
 
 def test_an_operators_word_comes_in_to_the_robot_that_it_is_for(fleet: Fleet) -> None:
-    """Through the site's router and the robot's own; nothing else that the operator says does."""
+    """Through the site's router and the robot's own; nothing else from the operator does."""
     received: Counter[str] = Counter()
     with fleet.at_site("operator") as operator, fleet.on_robot(ROBOT) as service:
         for channel in CHANNELS:
@@ -278,7 +278,7 @@ def test_an_operators_word_comes_in_to_the_robot_that_it_is_for(fleet: Fleet) ->
 
 
 def test_a_robot_takes_up_the_operators_word_and_nobody_elses(fleet: Fleet) -> None:
-    """A real tracker on the robot; it never hears a scan, so it has no pose to tell of."""
+    """A real tracker on the robot; it never receives a scan, so it has no pose to publish."""
     program = Path(sys.executable).with_name("eigenscan-tracker")
     config = fleet.machines / ROBOT / "service.json5"
     with (fleet.machines / "tracker.log").open("wb") as log:
@@ -293,10 +293,12 @@ def test_a_robot_takes_up_the_operators_word_and_nobody_elses(fleet: Fleet) -> N
         for name, taken in (("operator", True), ("recorder", False)):
             own = fleet.machines / ("operator" if name == "operator" else "site") / f"{name}.json5"
             seconds = 20.0 if taken else 3.0
-            told = run("relocate", ROBOT, "--search", "--site", SITE, "--zenoh", own, "--seconds", seconds)
+            reported = run(
+                "relocate", ROBOT, "--search", "--site", SITE, "--zenoh", own, "--seconds", seconds
+            )
             words = "accepted it; no pose since then" if taken else "did not answer within"
-            assert words in (told.stdout if taken else told.stderr)
-            assert told.exit_code == (0 if taken else 1)
+            assert words in (reported.stdout if taken else reported.stderr)
+            assert reported.exit_code == (0 if taken else 1)
     finally:
         tracker.terminate()
         tracker.wait(READY_S)

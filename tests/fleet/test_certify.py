@@ -56,7 +56,7 @@ def test_nothing_that_signs_is_for_a_machine(folder: Path) -> None:
     assert not any(signing in content(machine).values() for machine in machines)
 
 
-def test_certificates_are_for_what_they_are_for_and_not_for_ever(folder: Path) -> None:
+def test_certificates_are_for_what_they_are_for_and_not_without_end(folder: Path) -> None:
     authority = certificate(folder / "authority/ca.crt")
     now = datetime.now(UTC)
     for path in [

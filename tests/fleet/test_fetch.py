@@ -170,13 +170,13 @@ def test_what_is_written_while_it_comes_does_no_harm(
     assert poses(fetch(while_writing, part, tmp_path).path) == [after(one) for one in range(1200, 1500)]
 
 
-def test_another_file_of_the_same_name_is_begun_anew(robot: Path, ask: Ask, tmp_path: Path) -> None:
+def test_another_file_of_the_same_name_is_started_again(robot: Path, ask: Ask, tmp_path: Path) -> None:
     (part,) = parts_within(ask, "r17", after(0), after(10))
     (tmp_path / f"{part.name}.part").write_bytes(b"x" * (2 * PIECE))
     assert fetch(ask, part, tmp_path).path.read_bytes() == (robot / part.name).read_bytes()
 
 
-def test_a_file_that_was_deleted_meanwhile_is_said(robot: Path, ask: Ask, tmp_path: Path) -> None:
+def test_a_file_that_was_deleted_meanwhile_is_reported(robot: Path, ask: Ask, tmp_path: Path) -> None:
     (part,) = parts_within(ask, "r17", after(0), after(10))
 
     def refused(what: str, payload: bytes) -> bytes:
@@ -211,7 +211,7 @@ def test_a_robot_that_sends_nothing_or_too_much_ends_it(answer: bytes, tmp_path:
         fetch(lambda _what, _payload: answer, part, tmp_path)
 
 
-def test_a_disk_without_room_is_told_before_anything_comes(
+def test_a_disk_without_room_is_reported_before_anything_comes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda _path: type("Usage", (), {"free": 3_000_000}))

@@ -64,7 +64,7 @@ def recorder(fleet: Fleet) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def published(fleet: Fleet, recorder: Path) -> int:
-    """Poses that the robot said and its recorder wrote; how many."""
+    """Poses that the robot published and its recorder wrote; how many."""
     address, number = {"site": SITE, "robot": R17}, 0
 
     def written() -> int:
@@ -95,8 +95,8 @@ def fetch(fleet: Fleet, robot: str, out: Path) -> subprocess.CompletedProcess[st
 def test_an_operator_has_what_the_robot_recorded(fleet: Fleet, published: int, tmp_path: Path) -> None:
     done = fetch(fleet, R17, tmp_path / "here")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["bytes_moved"] == sum(file["bytes"] for file in told["files"]) > 0
+    reported = json.loads(done.stdout)
+    assert reported["bytes_moved"] == sum(file["bytes"] for file in reported["files"]) > 0
     (path,) = (tmp_path / "here").glob("*.mcap")
     assert is_complete(path)  # though the recorder still writes its own
     assert sum(record.envelope.channel is POSE for record in read(path)) >= published

@@ -1,4 +1,4 @@
-"""A projector that serves a group of robots from elsewhere: its certificate says what it may, key by key."""
+"""A projector that serves a group of robots from elsewhere: its certificate names its keys."""
 
 import json
 import os
@@ -46,7 +46,7 @@ ROUNDS, PAUSE_S = 5, 0.1
 
 
 def key_of(channel: Channel, owner: str) -> str:
-    """The channel's key of a robot, as `owner` would say it: a projector's is its own in the last chunk."""
+    """The channel's key of a robot, as `owner` would publish it: a projector's ends with its own name."""
     fields = {"site": SITE, "robot": owner, "lidar": "front", "projector": LAB, "region": "hall", "kind": "k"}
     service = "projector" if owner == LAB else owner if owner in ("mapbuilder", "recorder") else "tracker"
     return channel.key(fields | {"instance": owner, "service": service})
@@ -85,14 +85,16 @@ def session_of(fleet: Fleet, holder: str) -> zenoh.Session:
 
 @pytest.fixture(scope="module")
 def received(fleet: Fleet) -> Iterator[Received]:
-    """Who heard which key of whom, after everybody said every key."""
-    told: Received = set()
+    """Who received which key of whom, after everybody published every key."""
+    reported: Received = set()
     with ExitStack() as opened:
         sessions = {holder: opened.enter_context(session_of(fleet, holder)) for holder in HOLDERS}
         for holder, session in sessions.items():
 
             def on_sample(sample: zenoh.Sample, holder: str = holder) -> None:
-                told.add((holder, str(sample.key_expr), sample.payload.to_bytes().decode(errors="replace")))
+                reported.add(
+                    (holder, str(sample.key_expr), sample.payload.to_bytes().decode(errors="replace"))
+                )
 
             selectors = {"**", f"{SITE}/**", *(channel.selector({"site": SITE}) for channel in CHANNELS)}
             # a rule is asked for the subscription as it stands: that of a group is one for each pattern
@@ -116,17 +118,17 @@ def received(fleet: Fleet) -> Iterator[Received]:
             for holder, session in sessions.items():
                 for channel, owner in WHAT:
                     session.put(key_of(channel, owner), holder)
-            return expected <= told
+            return expected <= reported
 
         until(published, "not all that is allowed has arrived")
         for _ in range(ROUNDS):
             published()
             time.sleep(PAUSE_S)
-        yield told
+        yield reported
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
-def test_a_groups_projector_hears_its_robots_scans_and_the_sites_models_only(
+def test_a_groups_projector_receives_its_robots_scans_and_the_sites_models_only(
     received: Received, channel: Channel
 ) -> None:
     for owner in HOLDERS:
@@ -151,7 +153,7 @@ def test_a_groups_projector_answers_its_robots_only(received: Received, channel:
             assert subscribers == set()
 
 
-def test_no_robot_hears_another_ones_answers_and_none_of_them_answers(received: Received) -> None:
+def test_no_robot_receives_another_ones_answers_and_none_of_them_answers(received: Received) -> None:
     for who, key, by in received:
         for channel in (HYPOTHESES, OBSTACLES):
             if channel.parse(key):

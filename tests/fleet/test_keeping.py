@@ -25,7 +25,7 @@ def test_the_containers_build_into_a_volume_of_their_own(file: str) -> None:
     assert str(model.parent) in (ROOT / "Dockerfile").read_text()  # owned by the services' user
 
 
-def test_a_fleets_site_keeps_its_map_and_hears_two_scans_a_second(tmp_path: Path) -> None:
+def test_a_fleets_site_keeps_its_map_and_receives_two_scans_a_second(tmp_path: Path) -> None:
     certified = run(
         "certify", "--site", "s", "--address", "localhost", "--robot", "r17", "-o", tmp_path / "f"
     )

@@ -1,4 +1,4 @@
-"""A stolen robot: one command, and it neither says nor hears any more; the others go on."""
+"""A stolen robot: one command, and it neither publishes nor receives any more; the others go on."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack

@@ -44,8 +44,8 @@ def members(target: str) -> list[str]:
 @pytest.mark.parametrize("target", ["robot", "site"])
 def test_systemd_finds_no_fault(units: Path, target: str) -> None:
     names = [f"eigenscan@{name}.service" for name in members(target)]
-    told = analyze(units, "verify", f"eigenscan-{target}.target", *names)
-    assert "eigenscan" not in told, told
+    reported = analyze(units, "verify", f"eigenscan-{target}.target", *names)
+    assert "eigenscan" not in reported, reported
 
 
 def test_targets_name_programs_that_there_are() -> None:

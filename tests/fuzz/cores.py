@@ -85,13 +85,13 @@ ADDRESS = {
 @cache
 def _sound() -> tuple[tuple[str, bytes], ...]:
     """A site's messages, by the names of their channels."""
-    said = [
+    output = [
         (envelope.channel.name, encode(envelope.message)) for envelope in Site("s", "r", SECONDS).messages()
     ]
     settings = json.dumps({"robot": "r", "part": "1/1"})
     health = Health(service="projector", instance="r", status=Health.STATUS_OK, settings=settings)
     health.counters.update(dropped_scan=3, heard_scan=7)
-    return (*said, (HEALTH.name, encode(health)))
+    return (*output, (HEALTH.name, encode(health)))
 
 
 def _packed(messages: Iterable[tuple[int, bytes]]) -> bytes:
@@ -169,29 +169,29 @@ def _envelopes(channels: Sequence[Channel], data: bytes) -> Iterator[Envelope]:
         yield Envelope(channel, address, message)
 
 
-def _told(core: Core, row: Iterable[Envelope]) -> None:
+def _reported(core: Core, row: Iterable[Envelope]) -> None:
     """What the core publishes can be sent, and holds to the contract's numbers."""
-    for heard in row:
-        _check(core.handle(heard))
+    for received in row:
+        _check(core.handle(received))
     _check(core.finish())
     condition = core.condition()
     Health(status=condition.status, detail=condition.detail, counters=condition.counters).SerializeToString()
 
 
-def _check(said: Iterable[Envelope]) -> None:
-    for each in said:
+def _check(output: Iterable[Envelope]) -> None:
+    for each in output:
         encode(each.message)
         for fault in faults(each.message):
             raise AssertionError(f"{each.channel.name}: {fault}")
 
 
 def _fresh(make: Callable[[], Core]) -> Callable[[Path], Callable[[Iterator[Envelope]], None]]:
-    return lambda _folder: lambda row: _told(make(), row)
+    return lambda _folder: lambda row: _reported(make(), row)
 
 
 def _projector(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
     core = ready(site(spacing=1.0, components=4))
-    return lambda row: _told(core, row)
+    return lambda row: _reported(core, row)
 
 
 def _recorder(folder: Path) -> Callable[[Iterator[Envelope]], None]:
@@ -200,7 +200,7 @@ def _recorder(folder: Path) -> Callable[[Iterator[Envelope]], None]:
             path.unlink()
         sink = McapSink(folder / "a.mcap", "s", lambda: 1_700_000_000_000_000_000, 1.0, {})
         core = RecorderCore([sink])
-        _told(core, row)
+        _reported(core, row)
         if sink.counters["mcap_lost"]:
             raise AssertionError(f"lost: {sink.counters['mcap_lost']}, {sink.problem}")
 
@@ -216,8 +216,8 @@ def _picture(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
         picture = Picture(
             stream, options.picture_hz, options.layout, options.plot_window_s, live=True, draw_all=True
         )
-        for heard in row:
-            picture.draw(heard)
+        for received in row:
+            picture.draw(received)
         picture.flush()
 
     return take
@@ -226,14 +226,14 @@ def _picture(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
 def _keeping(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
     def take(row: Iterator[Envelope]) -> None:
         detector = ChangeDetector(office(), Evidence.of(office(), 60.0), 3)
-        for heard in row:
-            detector.receive(heard)
+        for received in row:
+            detector.receive(received)
 
     return take
 
 
 def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
-    """What `fleet status`, `fleet metrics` and `doctor` make of what a site says."""
+    """What `fleet status`, `fleet metrics` and `doctor` make of what a site publishes."""
 
     def take(row: Iterator[Envelope]) -> None:
         from eigenscan.cli.fleet.status import rows, table
@@ -242,8 +242,10 @@ def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
 
         view: Any = FleetView.__new__(FleetView)
         view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
-        for number, heard in enumerate(row):
-            arrival = Arrival(heard.channel, heard.key, encode(heard.message), encoding(heard.channel))
+        for number, received in enumerate(row):
+            arrival = Arrival(
+                received.channel, received.key, encode(received.message), encoding(received.channel)
+            )
             view._receive(arrival, float(number), 1_700_000_000_000_000_000)
         for service in view.services.values():
             service.contracts.add("1")
@@ -274,7 +276,7 @@ def _mqtt_messages() -> Iterator[tuple[str, bytes]]:
     kinds = ("initPosition", "stateRequest", "factsheetRequest", "cancelOrder")
     for number, kind in enumerate(kinds):
         action = {"actionId": str(number), "actionType": kind, "blockingType": "NONE"}
-        told = {
+        reported = {
             "headerId": number,
             "timestamp": "2026-11-22T12:00:00Z",
             "version": "2.1.0",
@@ -283,7 +285,7 @@ def _mqtt_messages() -> Iterator[tuple[str, bytes]]:
             "actions": [{**action, "actionParameters": parameters}],
         }
         for padding in ("", " "):  # by its length it goes to one topic or the other
-            yield MQTT_RECEIVED.name, encode(BytesValue(value=(json.dumps(told) + padding).encode()))
+            yield MQTT_RECEIVED.name, encode(BytesValue(value=(json.dumps(reported) + padding).encode()))
 
 
 def _builder() -> Core:

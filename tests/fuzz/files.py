@@ -624,7 +624,7 @@ def _region_attacks() -> Bytes:
 
 
 def _read_space(message: model_pb2.Eigenspace) -> None:
-    """As its readers do: they say which region's it is."""
+    """As its readers do: they name its region."""
     try:
         space_from_message(message)
     except ValueError as error:
@@ -839,8 +839,8 @@ def _last_pose() -> Reader:
         def take(data: bytes) -> None:
             path.write_bytes(data)
             core = Remembering(TrackerCore(TrackerSettings()), TrackerOptions(last_pose=folder), folder)
-            for said in core.start():
-                _all(core.handle(said))
+            for output in core.start():
+                _all(core.handle(output))
 
         return Opened(take, {"usual": seed}, lambda random, _: forged(random, Relocation, [seed]), dict)
 

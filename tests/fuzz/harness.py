@@ -23,7 +23,7 @@ from itertools import count
 from pathlib import Path
 from random import Random
 
-from tests.fuzz.reader import Opened, Place, Reader, is_told
+from tests.fuzz.reader import Opened, Place, Reader, is_reported
 
 MOST_CPU_S = 1.0
 ENOUGH_CPU_S = 5.0
@@ -32,7 +32,7 @@ MOST_BYTES = 200 * 2**20
 START_S = 120.0
 """Until a process on a busy machine has begun."""
 STALL_S = 20.0
-"""Without an answer for so long the process is ended, and its input told."""
+"""Without an answer for so long the process is ended, and its input reported."""
 ROOM_BYTES = 3 * 2**30
 """Of address space, beside what is there: an input must not fill the machine's memory."""
 MOST_TEXT = 100_000
@@ -100,26 +100,26 @@ def judged(
     """What an input did; None where it was taken, or refused in good order."""
     _forget_peak()
     before, began = _peak(), time.process_time()
-    told: tuple[str, str] | None = None
+    reported: tuple[str, str] | None = None
     signal.signal(signal.SIGPROF, _too_long)
     signal.setitimer(signal.ITIMER_PROF, ENOUGH_CPU_S)
     try:
         opened.read(data)
     except _TooLongError as error:
-        told = "slow", f"more than {ENOUGH_CPU_S:g} s, in {_innermost(error)}"
+        reported = "slow", f"more than {ENOUGH_CPU_S:g} s, in {_innermost(error)}"
     except Exception as error:
-        if not is_told(error):
-            told = "fault", f"{type(error).__name__} in {_innermost(error)}: {str(error)[:200]}"
+        if not is_reported(error):
+            reported = "fault", f"{type(error).__name__} in {_innermost(error)}: {str(error)[:200]}"
         elif len(str(error)) > MOST_TEXT:
-            told = "long", f"a message of {len(str(error))} characters"
+            reported = "long", f"a message of {len(str(error))} characters"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
     took, grew = time.process_time() - began, _peak() - before
-    if told is None and grew > MOST_BYTES:
-        told = "large", f"{grew / 2**20:.0f} MB for {len(data)} bytes"
-    if told is None and took > most_cpu_s:
-        told = "slow", f"{took:.1f} s for {len(data)} bytes"
-    return Finding(reader.name, number, *told) if told else None
+    if reported is None and grew > MOST_BYTES:
+        reported = "large", f"{grew / 2**20:.0f} MB for {len(data)} bytes"
+    if reported is None and took > most_cpu_s:
+        reported = "slow", f"{took:.1f} s for {len(data)} bytes"
+    return Finding(reader.name, number, *reported) if reported else None
 
 
 def _innermost(error: BaseException) -> str:
@@ -189,18 +189,18 @@ def supervise(reader: Reader, first: int, until: float) -> Iterator[Finding | in
 def _answers(
     reader: Reader, child: subprocess.Popen[bytes], at: int, until: float
 ) -> Iterator[Finding | int]:
-    """What one process says, until it dies or the time is over."""
+    """What one process reports, until it dies or the time is over."""
     assert child.stdout is not None
-    pending, begun, heard_at = b"", None, time.monotonic() + START_S
+    pending, begun, received_at = b"", None, time.monotonic() + START_S
     while (now := time.monotonic()) < until:
         if not select.select([child.stdout], [], [], 1.0)[0]:
-            if now - heard_at > STALL_S:
+            if now - received_at > STALL_S:
                 yield Finding(
                     reader.name, at if begun is None else begun, "crash", f"no answer for {STALL_S:g} s"
                 )
                 return
             continue
-        heard_at = now
+        received_at = now
         piece = os.read(child.stdout.fileno(), 65536)
         if not piece:
             code = child.wait()

@@ -36,8 +36,8 @@ class Reader:
     """Of the inputs of a run; slow readers get fewer."""
 
 
-def is_told(error: BaseException) -> bool:
-    """Whether the commands and services tell `error` in one line as one of the input."""
+def is_reported(error: BaseException) -> bool:
+    """Whether the commands and services show `error` in one line as one of the input."""
     return isinstance(error, ContractError | FailedError) or (
         isinstance(error, Exception) and by_users(error)
     )

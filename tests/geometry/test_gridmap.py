@@ -69,7 +69,7 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("meta", "says"),
+    ("meta", "stated"),
     [
         ({"resolution": None}, "resolution is missing"),
         ({"resolution": 0}, "resolution = 0"),
@@ -89,12 +89,12 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
         ({"occupied_thresh": 1.0}, "no occupied cell in"),  # as in an image that is all white
     ],
 )
-def test_a_bad_field_is_named_with_its_file(tmp_path: Path, meta: dict[str, Any], says: str) -> None:
+def test_a_bad_field_is_named_with_its_file(tmp_path: Path, meta: dict[str, Any], stated: str) -> None:
     path = saved(tmp_path, PIXELS)
     saved(tmp_path, PIXELS, **({"image": "map.pgm"} | meta)) if "image" not in meta else path.write_text(
         path.read_text().replace("map.pgm", meta["image"])
     )
-    with pytest.raises(MapError, match=says) as error:
+    with pytest.raises(MapError, match=stated) as error:
         read_map(path)
     assert str(path) in str(error.value)
 

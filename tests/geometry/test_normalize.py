@@ -74,7 +74,7 @@ def test_a_full_turn_with_both_ends_is_no_error() -> None:
     assert len(orient(sweep([1.0] * 361, -math.pi, math.radians(1.0)), False).ranges) == 361
 
 
-def test_limits_tell_missing_from_no_return() -> None:
+def test_limits_distinguish_missing_from_no_return() -> None:
     raw = np.array([NAN, -INF, -1.0, 0.0, 0.05, 0.1, 5.0, 29.9, 29.98, 30.0, 31.0, INF], dtype=np.float32)
     got = limit(raw, 0.1, 30.0)
     assert np.isnan(got[:5]).all()

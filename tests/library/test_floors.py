@@ -108,15 +108,15 @@ def test_the_floors_are_one_set_with_every_region_on_one_of_them(model: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("name", "grid", "says"),
+    ("name", "grid", "stated"),
     [
         ("coarse", replace(office(), resolution=0.1), "coarse: resolution = 0.1, that of ground is 0.05"),
         ("ground", office(), "ground: two floors have this name"),
         ("a b", office(), "a b: cannot be a floor's name"),
     ],
 )
-def test_floors_that_do_not_fit_are_named(name: str, grid: GridMap, says: str) -> None:
-    with pytest.raises(MapError, match=says):
+def test_floors_that_do_not_fit_are_named(name: str, grid: GridMap, stated: str) -> None:
+    with pytest.raises(MapError, match=stated):
         stack([("ground", office()), (name, grid)])
 
 

@@ -132,7 +132,7 @@ def test_an_upside_down_lidar_is_turned(localizer: Localizer, drive: Path) -> No
         ({"range_min": 40.0}, "limits"),
     ],
 )
-def test_what_is_wrong_with_a_scan_is_said(
+def test_what_is_wrong_with_a_scan_is_reported(
     localizer: Localizer, change: dict[str, object], words: str
 ) -> None:
     good = {"ranges": [2.0] * 361, "angle_min": -1.57, "angle_increment": np.pi / 360, "range_max": 30.0}
@@ -167,7 +167,7 @@ def test_a_wrong_argument_is_named_with_what_would_do(
         call(localizer)
 
 
-def test_each_object_says_in_a_line_what_it_is(localizer: Localizer, drive: Path) -> None:
+def test_each_object_states_in_a_line_what_it_is(localizer: Localizer, drive: Path) -> None:
     scan, odometry = read_log(drive / "drive.mcap")[0]
     found = localizer.localize(scan)
     x, y, heading = found.poses[0]

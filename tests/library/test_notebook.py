@@ -1,4 +1,4 @@
-"""The notebook does what it says, cell by cell, and is kept without outputs."""
+"""The notebook does what it states, cell by cell, and is kept without outputs."""
 
 import json
 from pathlib import Path

@@ -87,7 +87,7 @@ def wrong_claims(fleet: Fleet, robot: str, since: float = 0.0) -> int:
 
 
 def cut(fleet: Fleet, robot: str, seconds: float) -> float:
-    """Nothing passes for so long; gives the seconds from then until the robot is heard at the site again."""
+    """Nothing passes for so long; gives the seconds until the site receives the robot again."""
     fleet.air.links[robot].cut = True
     time.sleep(seconds)
     fleet.air.links[robot].cut = False
@@ -97,7 +97,7 @@ def cut(fleet: Fleet, robot: str, seconds: float) -> float:
 
 
 def renew_models(fleet: Fleet, step: float) -> str:
-    """The site's mapbuilder makes others, and is started anew with them; gives their version."""
+    """The site's mapbuilder makes others, and is started again with them; gives their version."""
     settings = fleet.site.folder / "eigenscan.toml"
     head, _, tail = settings.read_text().partition("\nstep = ")
     settings.write_text(f"{head}\nstep = {step}\n{tail.partition(chr(10))[2]}")

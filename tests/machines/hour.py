@@ -39,7 +39,7 @@ STEPS = (0.9, 1.0)
 OLD_LINKS_S = 25.0
 """Until the old links are gone: Zenoh's lease and what it gives a face to close, 10 s each."""
 SETTLE_S = 4.0
-"""Until every service has said several times how it is."""
+"""Until every service has published its health several times."""
 
 
 @dataclass
@@ -55,11 +55,11 @@ class Event:
     away_s: float = 0.0
     """Until what was taken works again, by its own word."""
     until_s: float = 0.0
-    """Until all robots are localized, and heard and recorded at the site."""
+    """Until all robots are localized, and received and recorded at the site."""
     unlocalized_s: dict[str, float] = field(default_factory=dict)
     """Longest time without a claim, of each robot, by the stamps of its scans."""
     unrecorded: int = 0
-    """Poses said on the robots meanwhile that are not in the site's recording."""
+    """Poses published on the robots meanwhile that are not in the site's recording."""
 
     def beyond_s(self, robot: str) -> float:
         """Of that, what is not explained by what was taken being away."""
@@ -88,7 +88,7 @@ class Hour:
 
     @contextmanager
     def event(self, name: str, touches: Sequence[str] = (), loses: Sequence[str] = ()) -> Iterator[Event]:
-        """Notes an event; at its end all is as it was before. What was heard until then is on the disk."""
+        """Notes an event; at its end all is as it was before. What was received until then is on the disk."""
         event = Event(name, tuple(touches), tuple(loses))
         begin = time.monotonic()
         event.at_s = begin - self.began
@@ -107,7 +107,7 @@ class Hour:
         time.sleep(self.pause_s)
 
     def _await_recorded(self, before: float) -> None:
-        """Waits until all that the site had heard before that moment is on the disk."""
+        """Waits until all that the site had received before that moment is on the disk."""
 
         def missing() -> set[tuple[str, int]]:
             received = self._arrived().items()
@@ -117,7 +117,7 @@ class Hour:
         self._until_none(missing, "heard, but not recorded")
 
     def _await_any_recorded(self, since: float) -> None:
-        """Waits until something that the site heard of each robot since then is on the disk."""
+        """Waits until something that the site received from each robot since then is on the disk."""
 
         def missing() -> set[str]:
             fresh = {key for key, at in self._arrived().items() if at > since} & self._recorded()
@@ -260,14 +260,14 @@ class Hour:
         return [received for received in self._poses(robot) if received.is_claim]
 
     def _published(self) -> Iterator[tuple[tuple[str, int], Received]]:
-        """Poses that the robots said, but those that the air's limit may hold back."""
+        """Poses that the robots published, but those that the air's limit may hold back."""
         for robot in self.fleet.robots:
             for before, received in pairwise(self._poses(robot)):
                 if received.at > self.began and received.at - before.at > AIR_PERIOD_S:
                     yield (robot, received.stamp), received
 
     def _arrived(self) -> dict[tuple[str, int], float]:
-        """When the site heard the pose of which robot and stamp, monotonic, s."""
+        """When the site received the pose of which robot and stamp, monotonic, s."""
         ear = self.fleet.site.ear
         return {
             (robot, one.stamp): one.at
@@ -282,7 +282,7 @@ class Hour:
         return any(robot in event.loses and self._is_within(received, event) for event in self.events)
 
     def _is_lost(self, at: float) -> bool:
-        """Whether the recorder, or its way to the site's router, was taken when the site heard something."""
+        """Whether the recorder or its way to the site's router, was down when the site received."""
         everybody = set(self.fleet.robots)
         return any(
             set(event.loses) == everybody and event.at_s <= at - self.began < event.until_s
@@ -353,12 +353,14 @@ def _updating(view: FleetView) -> Iterator[None]:
     thread.join()
 
 
-def play(hour: Hour, cut_s: float, full_s: float, rounds: int, tell: Callable[[str], None]) -> dict[str, Any]:
+def play(
+    hour: Hour, cut_s: float, full_s: float, rounds: int, report: Callable[[str], None]
+) -> dict[str, Any]:
     """The script, `rounds` times. Of one round only, half of the robots are restarted, the others killed."""
     robots = hour.fleet.robots
     hour.whole = rows(hour.view)
     for number in range(rounds):
-        tell(f"round {number + 1} of {rounds}")
+        report(f"round {number + 1} of {rounds}")
         restarted = robots if rounds > 1 else robots[: len(robots) // 2]
         killed = robots if rounds > 1 else robots[len(robots) // 2 :]
         hour.roll([*restarted, "site"], TERM)

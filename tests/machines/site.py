@@ -61,7 +61,7 @@ class Received:
 
 
 class Ear:
-    """The poses of each robot, and the newest health of each service, as one machine hears them."""
+    """The poses of each robot, and the newest health of each service, as one machine receives them."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.poses: dict[str, list[Received]] = {}
@@ -151,7 +151,7 @@ class Machine:
         process.wait(PATIENCE_S)
 
     def await_word(self, service: str, since: float) -> None:
-        """Waits until a service tells that it works, from a moment on."""
+        """Waits until a service shows that it works, from a moment on."""
         name = service, self.name
 
         def works() -> bool:
@@ -172,7 +172,7 @@ class Machine:
 
 
 class Driver:
-    """A robot's lidar and odometry, of a simulated robot: says what they measure, and knows the truth."""
+    """A simulated robot's lidar and odometry: publishes what they measure, and knows the truth."""
 
     def __init__(self, machine: Machine, stage: Stage, offset_s: float) -> None:
         self.stage, self.machine = stage, machine

@@ -72,7 +72,7 @@ def test_everything_is_built_installed_and_used(dist: Path) -> None:
 
 @pytest.mark.slow
 def test_the_library_stands_alone(dist: Path) -> None:
-    """Its page's first example needs nothing of processes and pictures; services say what they lack."""
+    """Its page's first example needs nothing of processes and pictures; services report what they lack."""
     result = _release(ROOT, "library", "--out", dist)
     assert result.returncode == 0, result.stderr
     packages, size, *examples = result.stdout.splitlines()
@@ -89,7 +89,7 @@ def test_the_library_stands_alone(dist: Path) -> None:
 
 
 def _licence(wheel: Path) -> tuple[Message, str]:
-    """What a wheel says of itself, and the licence's text in it."""
+    """What a wheel states of itself, and the licence's text in it."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
         about = next(name for name in names if name.endswith(".dist-info/METADATA"))

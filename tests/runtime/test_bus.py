@@ -52,7 +52,7 @@ def _until(inbox: Inbox, version: str) -> list[str]:
 
 
 def _settled(bus: Bus, inbox: Inbox, net: Any) -> list[str]:
-    """Versions that arrive before a scan does which is said after them."""
+    """Versions that arrive before a scan does which is published after them."""
     address = {"site": net.site, "robot": "r", "lidar": "mark"}
     versions = []
     stop = threading.Event()
@@ -73,30 +73,30 @@ def _settled(bus: Bus, inbox: Inbox, net: Any) -> list[str]:
 
 
 def test_a_late_joiner_gets_10_mb_whole_and_once(net: Any, buses: Opener) -> None:
-    said = _model(net, "1", 10_000_000)
+    output = _model(net, "1", 10_000_000)
     early = buses()
     early.offer([MODEL], {"site": net.site})
-    early.publish(said)
+    early.publish(output)
     late, inbox = buses(), Inbox()
     late.listen([MODEL, SCAN], {"site": net.site}, inbox)
     arrival = _next(inbox)
     assert arrival.key == f"{net.site}/model/hall"
     assert arrival.encoding == encoding(MODEL)
-    assert hashlib.sha256(arrival.payload).digest() == hashlib.sha256(encode(said.message)).digest()
+    assert hashlib.sha256(arrival.payload).digest() == hashlib.sha256(encode(output.message)).digest()
     assert _settled(early, inbox, net) == []
 
 
 def test_who_holds_some_regions_gets_only_the_others(net: Any, buses: Opener) -> None:
     holder = buses()
     holder.offer([MODEL], {"site": net.site})
-    said = [_model(net, "1", region=region) for region in ("a", "b", "c")]
-    for one in said:
+    output = [_model(net, "1", region=region) for region in ("a", "b", "c")]
+    for one in output:
         holder.publish(one)
-    known = [Arrival(MODEL, one.key, encode(one.message), encoding(MODEL)) for one in said[:2]]
+    known = [Arrival(MODEL, one.key, encode(one.message), encoding(MODEL)) for one in output[:2]]
     changed = _model(net, "0", region="b")
     known[1] = Arrival(MODEL, changed.key, encode(changed.message), encoding(MODEL))
-    hearer, inbox = buses(), Inbox()
-    hearer.listen([MODEL, SCAN], {"site": net.site}, inbox, known)
+    subscriber, inbox = buses(), Inbox()
+    subscriber.listen([MODEL, SCAN], {"site": net.site}, inbox, known)
     assert sorted(_next(inbox).key[-1] for _ in range(2)) == ["b", "c"]
     assert _settled(holder, inbox, net) == []
 
@@ -114,9 +114,9 @@ def test_a_fleet_asks_again_one_after_another() -> None:
 
 
 def test_who_holds_a_model_may_come_last(net: Any, buses: Opener) -> None:
-    hearer, inbox = buses(), Inbox()
-    hearer.listen([MODEL, SCAN], {"site": net.site}, inbox)
-    for region in ("hall", "lab"):  # each said at once, while its session still meets the others
+    subscriber, inbox = buses(), Inbox()
+    subscriber.listen([MODEL, SCAN], {"site": net.site}, inbox)
+    for region in ("hall", "lab"):  # each published at once, while its session still meets the others
         holder = buses()
         holder.offer([MODEL], {"site": net.site})
         holder.publish(_model(net, region, region=region))
@@ -146,15 +146,15 @@ def test_of_two_holders_the_newest_wins(net: Any, buses: Opener) -> None:
     assert _settled(first, inbox, net) == []  # the old one does not win in the end
 
 
-def test_who_asks_while_models_are_said_ends_with_the_newest(net: Any, buses: Opener) -> None:
+def test_who_asks_while_models_are_published_ends_with_the_newest(net: Any, buses: Opener) -> None:
     holder = buses()
     holder.offer([MODEL], {"site": net.site})
-    stop, said = threading.Event(), [0]
+    stop, output = threading.Event(), [0]
 
     def publish() -> None:
         while not stop.is_set():
-            said[0] += 1
-            holder.publish(_model(net, str(said[0]), 200_000))
+            output[0] += 1
+            holder.publish(_model(net, str(output[0]), 200_000))
 
     thread = threading.Thread(target=publish)
     thread.start()
@@ -166,28 +166,28 @@ def test_who_asks_while_models_are_said_ends_with_the_newest(net: Any, buses: Op
     stop.set()
     thread.join()
     for inbox, versions in joiners:
-        if versions[-1] != said[0]:
-            versions += [int(version) for version in _until(inbox, str(said[0]))]
+        if versions[-1] != output[0]:
+            versions += [int(version) for version in _until(inbox, str(output[0]))]
     for inbox, versions in joiners:  # once all have the newest: the marks of one reach the others too
         assert _settled(holder, inbox, net) == []
         assert all(earlier < later for earlier, later in itertools.pairwise(versions))
 
 
-def test_a_holder_that_starts_again_is_heard_again(net: Any, buses: Opener) -> None:
+def test_a_holder_that_starts_again_is_received_again(net: Any, buses: Opener) -> None:
     holder, inbox = buses(), Inbox()
     holder.offer([MODEL], {"site": net.site})
-    hearer = Bus(net.open())
-    hearer.listen([MODEL], {"site": net.site}, inbox)
+    subscriber = Bus(net.open())
+    subscriber.listen([MODEL], {"site": net.site}, inbox)
     holder.close()
     again = Bus(net.open(net.hub))
     again.offer([MODEL], {"site": net.site})
-    again.publish(_model(net, "2"))  # before the hearer has found it again
+    again.publish(_model(net, "2"))  # before the subscriber has found it again
     assert _version(_next(inbox)) == "2"
-    hearer.close()
+    subscriber.close()
     again.close()
 
 
-def test_who_hears_all_keys_gets_the_held_ones_too(net: Any, buses: Opener) -> None:
+def test_who_receives_all_keys_gets_the_held_ones_too(net: Any, buses: Opener) -> None:
     holder = buses()
     holder.offer([MODEL], {"site": net.site})
     holder.publish(_model(net, "1"))
@@ -214,10 +214,10 @@ def test_queries_are_answered_for_the_keys_asked_only(net: Any, buses: Opener) -
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
-def test_samples_travel_as_the_contract_says(channel: Channel, net: Any, buses: Opener) -> None:
-    speaker, hearer = buses(), buses()
+def test_samples_travel_as_the_contract_states(channel: Channel, net: Any, buses: Opener) -> None:
+    speaker, subscriber = buses(), buses()
     address = dict.fromkeys(channel.fields, "x") | {"site": net.site}
-    samples = hearer._session.declare_subscriber(f"{net.site}/**")
+    samples = subscriber._session.declare_subscriber(f"{net.site}/**")
     envelope = Envelope(channel, address, channel.message())
     sample = None
     end = time.monotonic() + PATIENCE_S
@@ -236,10 +236,10 @@ def test_samples_travel_as_the_contract_says(channel: Channel, net: Any, buses: 
 
 
 def test_a_slow_consumer_loses_its_own_oldest_only(net: Any, buses: Opener) -> None:
-    speaker, hearer = buses(), buses()
+    speaker, subscriber = buses(), buses()
     slow, quick = Inbox(), Inbox()
-    hearer.listen([SCAN], {"site": net.site}, slow)
-    hearer.listen([POSE, SCAN_RAW], {"site": net.site}, quick)
+    subscriber.listen([SCAN], {"site": net.site}, slow)
+    subscriber.listen([POSE, SCAN_RAW], {"site": net.site}, quick)
     scan_address = {"site": net.site, "robot": "r", "lidar": "l"}
     speaker_inbox = Inbox()
     speaker.listen([SCAN_RAW], {"site": net.site}, speaker_inbox)
@@ -267,9 +267,9 @@ def test_a_slow_consumer_loses_its_own_oldest_only(net: Any, buses: Opener) -> N
 
 
 def test_deleting_a_key_is_no_empty_message(net: Any, buses: Opener) -> None:
-    speaker, hearer = buses(), buses()
+    speaker, subscriber = buses(), buses()
     inbox = Inbox()
-    hearer.listen([MODEL], {"site": net.site}, inbox)
+    subscriber.listen([MODEL], {"site": net.site}, inbox)
     speaker.offer([MODEL], {"site": net.site})
     speaker.publish(_model(net, "1"))
     assert _version(_next(inbox)) == "1"
@@ -279,7 +279,7 @@ def test_deleting_a_key_is_no_empty_message(net: Any, buses: Opener) -> None:
     assert inbox.dropped == {"deletion": 1}
 
 
-def test_what_is_said_after_the_end_is_refused(net: Any) -> None:
+def test_what_is_published_after_the_end_is_refused(net: Any) -> None:
     bus = Bus(net.open(net.hub))
     bus.publish(_model(net, "1"))
     bus.close()
@@ -287,7 +287,7 @@ def test_what_is_said_after_the_end_is_refused(net: Any) -> None:
         bus.publish(_model(net, "2"))
 
 
-def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
+def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_received(
     buses: Callable[[], Bus], net: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recently_used, "AMONG", 20)
@@ -295,7 +295,7 @@ def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
     hub.listen([SCAN], {"site": net.site}, inbox)
     robots = [f"r{number}" for number in range(200)]
     assert leaf.wait_for_listener(SCAN.key({"site": net.site, "robot": "r0", "lidar": "front"}), PATIENCE_S)
-    heard = set()
+    received = set()
     for round_ in range(2):
         for robot in robots:
             leaf.publish(
@@ -305,5 +305,5 @@ def test_robots_without_end_leave_no_publishers_and_who_comes_back_is_heard(
         for _ in robots:
             arrival = inbox.take(PATIENCE_S)
             assert arrival is not None
-            heard.add((arrival.key, arrival.payload))
-    assert len(heard) == 2 * len(robots)
+            received.add((arrival.key, arrival.payload))
+    assert len(received) == 2 * len(robots)

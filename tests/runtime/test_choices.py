@@ -1,4 +1,4 @@
-"""Settings of several services at once: what wins, and what is said of a mistake."""
+"""Settings of several services at once: what wins, and what is reported of a mistake."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_change_wins_over_the_file_and_the_file_over_the_method(file: Path) ->
     assert (projector.interpolation, projector.association) == ("enclosing", "tetrahedra")
 
 
-def test_a_process_is_told_the_same(file: Path) -> None:
+def test_a_process_receives_the_same(file: Path) -> None:
     for chosen in (
         Choices.of("paper", file, ["projector.candidates=70", "tracker.trust=0.5"], SERVICES),
         Choices.of("paper", None, ["projector.focus=true"], SERVICES),
@@ -48,14 +48,14 @@ def test_a_process_is_told_the_same(file: Path) -> None:
         assert {name: getattr(options, name) for name in TrackerSettings.model_fields} == dict(
             tracker(chosen)
         )
-        told = load(ProjectorOptions, "projector", chosen.flags(ProjectorOptions, "projector"))
+        reported = load(ProjectorOptions, "projector", chosen.flags(ProjectorOptions, "projector"))
         expected = chosen.core(ProjectorOptions, ProjectorSettings, "projector")
-        assert {name: getattr(told, name) for name in ProjectorSettings.model_fields} == dict(expected)
+        assert {name: getattr(reported, name) for name in ProjectorSettings.model_fields} == dict(expected)
     assert Choices().flags(TrackerOptions, "tracker") == []
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "stated"),
     [
         (["localized_above=0.9"], "--set localized_above=0.9: give SERVICE.SETTING=VALUE"),
         (["tracker.trust"], "--set tracker.trust: give SERVICE.SETTING=VALUE"),
@@ -68,16 +68,16 @@ def test_a_process_is_told_the_same(file: Path) -> None:
         (["tracker.last_pose=here"], "--set tracker.last_pose: unknown"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_named_with_its_fix(changes: list[str], says: str) -> None:
+def test_a_mistake_is_named_with_its_fix(changes: list[str], stated: str) -> None:
 
     def choose() -> None:
         choices = Choices.of("default", None, changes, SERVICES)
         tracker(choices)
         choices.core(ProjectorOptions, ProjectorSettings, "projector")
 
-    with pytest.raises(SettingsError) as told:
+    with pytest.raises(SettingsError) as reported:
         choose()
-    assert says in str(told.value)
+    assert stated in str(reported.value)
 
 
 def test_a_mistake_in_the_file_is_named(file: Path, tmp_path: Path) -> None:

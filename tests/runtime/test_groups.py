@@ -47,7 +47,7 @@ def test_a_group_is_served_and_nobody_else_and_new_robots_from_their_first_word(
         _ask(bus, net, robot)
     assert set(_answers(inbox, 3)) == {"a-1", "b-7", "a-new"}
     _ask(bus, net, "a-1")
-    # what was heard twice, or of others, would have been counted
+    # what was received twice, or of others, would have been counted
     assert _answers(inbox, 1) == {"a-1": 3}
 
 
@@ -58,22 +58,22 @@ def test_groups_have_names_of_their_own_and_one_name_twice_is_noticed(
     bus.listen([HEALTH], {"site": net.site}, inbox)
     for group in ("a-*", "b-*"):
         start("--robot", group, config=net.leaf).log("ready")
-    heard: dict[str, Health] = {}
+    received: dict[str, Health] = {}
 
     def listen_until(holds: Callable[[], bool]) -> None:
         while not holds():
             arrival = inbox.take(PATIENCE_S)
-            assert arrival is not None, f"heard of {sorted(heard)}"
+            assert arrival is not None, f"heard of {sorted(received)}"
             health = decode(HEALTH, arrival.payload, arrival.encoding)
             assert isinstance(health, Health)
-            heard[health.instance] = health
+            received[health.instance] = health
 
-    listen_until(lambda: len(heard) == 2 and all(json.loads(h.settings) for h in heard.values()))
-    assert {name: json.loads(health.settings)["robot"] for name, health in heard.items()} == {
+    listen_until(lambda: len(received) == 2 and all(json.loads(h.settings) for h in received.values()))
+    assert {name: json.loads(health.settings)["robot"] for name, health in received.items()} == {
         "a-+": "a-*",
         "b-+": "b-*",
     }
     start("--robot", "b-*", config=net.leaf)
-    listen_until(lambda: heard["b-+"].status == Health.STATUS_DEGRADED)
-    assert "another tiny has the name 'b-+' too" in heard["b-+"].detail
-    assert heard["a-+"].status != Health.STATUS_DEGRADED
+    listen_until(lambda: received["b-+"].status == Health.STATUS_DEGRADED)
+    assert "another tiny has the name 'b-+' too" in received["b-+"].detail
+    assert received["a-+"].status != Health.STATUS_DEGRADED

@@ -45,7 +45,7 @@ def test_a_change_is_one_of_status_or_detail() -> None:
     assert monitor.turn(Condition(Health.STATUS_WAITING, "other"))
 
 
-def test_the_message_says_who_and_how() -> None:
+def test_the_message_states_who_and_how() -> None:
     monitor = Monitor("probe", "r7", "1.2.3")
     monitor.turn(OK)
     message = monitor.message()

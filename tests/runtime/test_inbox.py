@@ -161,9 +161,9 @@ def test_who_is_behind_gets_the_newest_scan_of_each_robot_in_turn(overload: floa
     period_s, robots = 0.1, 20
     work_s = overload * period_s / robots
     drive = Overload({f"s/robot/{n}/scan/l": period_s * (1 + n * 1e-3) for n in range(robots)}, work_s, 20.0)
-    late = [(key, at, said) for key, at, said in drive.taken if at > 3 * BEHIND_AFTER_S]
+    late = [(key, at, output) for key, at, output in drive.taken if at > 3 * BEHIND_AFTER_S]
     # the newest, so never older than the time to the next one
-    assert max(at - said for _, at, said in late) <= period_s * (1 + robots * 1e-3)
+    assert max(at - output for _, at, output in late) <= period_s * (1 + robots * 1e-3)
     assert longest_wait(drive, robots) <= robots * work_s + 2 * period_s
     left = 0
     while drive.inbox.take(0.0):
@@ -224,7 +224,7 @@ def test_samples_that_are_taken_together_wake_nobody() -> None:
         assert [int(inbox.take(9.0).payload) for _ in range(3)] == [0, 1, 2]  # type: ignore[union-attr]
 
 
-def test_a_sample_tells_when_it_arrived() -> None:
+def test_a_sample_shows_when_it_arrived() -> None:
     inbox = Inbox(batch_s=0.05)
     before = time.time_ns()
     inbox.put(MODEL, "s/model/hall", b"", "")

@@ -11,12 +11,12 @@ def model(region: str, payload: bytes) -> Arrival:
     return Arrival(MODEL, f"site/model/{region}", payload, encoding(MODEL))
 
 
-def test_another_process_reads_what_was_heard_in_that_order(tmp_path: Path) -> None:
-    heard = [model("hall", b"1"), model("room", b"1\n2"), Arrival(MODEL_SET, "site/models", b"", "x")]
+def test_another_process_reads_what_was_received_in_that_order(tmp_path: Path) -> None:
+    received = [model("hall", b"1"), model("room", b"1\n2"), Arrival(MODEL_SET, "site/models", b"", "x")]
     first = LatchedCache(tmp_path / "new/folder")
-    for sample in [*heard, heard[1]]:  # the newest again is no news
+    for sample in [*received, received[1]]:  # the newest again is no news
         first.put(sample)
-    assert list(LatchedCache(tmp_path / "new/folder").read("site")) == heard
+    assert list(LatchedCache(tmp_path / "new/folder").read("site")) == received
 
 
 def test_of_each_key_the_newest_two_stay(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def waits(config: Path, session: zenoh.Session) -> threading.Event:
     return found
 
 
-def test_mute_is_a_connection_without_a_link(
+def test_a_connection_without_a_link_passes_nothing(
     server: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The connection is a plain one of this process, as one that Zenoh has forgotten."""
@@ -71,9 +71,9 @@ def test_mute_is_a_connection_without_a_link(
     config.write_text(json.dumps({"connect": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
     linked = zenoh.Config.from_json5(json.dumps(ALONE | {"connect": {"endpoints": [router]}}))
     alone = zenoh.Config.from_json5(json.dumps(ALONE))
-    with zenoh.open(listening), zenoh.open(linked) as heard, zenoh.open(alone) as unheard:
-        assert heard.info.routers_zid()
-        early, well = waits(config, unheard), waits(config, heard)
+    with zenoh.open(listening), zenoh.open(linked) as received, zenoh.open(alone) as unheard:
+        assert received.info.routers_zid()
+        early, well = waits(config, unheard), waits(config, received)
         assert not early.wait(3.0)  # cut off is not dead
         with socket.create_connection(("127.0.0.1", port)):
             assert early.wait(PATIENCE_S)

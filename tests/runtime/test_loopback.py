@@ -10,12 +10,12 @@ ADDRESS = {"site": "s", "robot": "r", "lidar": "l", "projector": "p"}
 
 
 class Chain:
-    """Answers whatever it hears on one channel with an empty message on each of others."""
+    """Answers whatever it receives on one channel with an empty message on each of others."""
 
-    def __init__(self, hears: Channel, *says: Channel) -> None:
-        self.inputs: tuple[Channel, ...] = (hears,)
-        self.outputs = says
-        self.heard: list[Envelope] = []
+    def __init__(self, receives: Channel, *stated: Channel) -> None:
+        self.inputs: tuple[Channel, ...] = (receives,)
+        self.outputs = stated
+        self.received: list[Envelope] = []
 
     def _all(self) -> Iterable[Envelope]:
         for channel in self.outputs:
@@ -24,8 +24,8 @@ class Chain:
     def start(self) -> Iterable[Envelope]:
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        self.heard.append(heard)
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        self.received.append(received)
         return self._all()
 
     def finish(self) -> Iterable[Envelope]:
@@ -35,11 +35,11 @@ class Chain:
         return Condition()
 
 
-def _names(said: list[Envelope]) -> list[str]:
-    return [envelope.channel.name for envelope in said]
+def _names(output: list[Envelope]) -> list[str]:
+    return [envelope.channel.name for envelope in output]
 
 
-def test_what_is_said_goes_on_to_who_hears_it_breadth_first() -> None:
+def test_what_is_published_goes_on_to_who_receives_it_breadth_first() -> None:
     ingest, projector, tracker = (
         Chain(SCAN_RAW, SCAN),
         Chain(SCAN, HYPOTHESES, TRACKS),
@@ -49,30 +49,30 @@ def test_what_is_said_goes_on_to_who_hears_it_breadth_first() -> None:
     assert loop.start() == []
     raw = Envelope(SCAN_RAW, ADDRESS, RawScan(frame_id="x"))
     assert _names(loop.receive(raw)) == ["scan", "hypotheses", "tracks", "pose"]
-    assert ingest.heard[0].message == raw.message
-    assert tracker.heard[0].open(Hypotheses) == Hypotheses()
-    assert len(tracker.heard) == 1
+    assert ingest.received[0].message == raw.message
+    assert tracker.received[0].open(Hypotheses) == Hypotheses()
+    assert len(tracker.received) == 1
 
 
 def test_the_end_goes_through_the_cores_in_order() -> None:
     ingest, projector, tracker = Chain(SCAN_RAW, SCAN), Chain(SCAN, HYPOTHESES), Chain(HYPOTHESES, POSE)
-    said = Loopback([ingest, projector, tracker]).finish()
-    assert _names(said) == ["scan", "hypotheses", "pose", "hypotheses", "pose", "pose"]
+    output = Loopback([ingest, projector, tracker]).finish()
+    assert _names(output) == ["scan", "hypotheses", "pose", "hypotheses", "pose", "pose"]
 
 
-def test_a_core_cannot_change_what_others_hear() -> None:
+def test_a_core_cannot_change_what_others_receive() -> None:
     class Meddler(Chain):
-        def handle(self, heard: Envelope) -> Iterable[Envelope]:
-            heard.open(Scan).sequence = 99
-            return super().handle(heard)
+        def handle(self, received: Envelope) -> Iterable[Envelope]:
+            received.open(Scan).sequence = 99
+            return super().handle(received)
 
-    meddler, witness = Meddler(SCAN), Chain(SCAN)
+    meddler, observer = Meddler(SCAN), Chain(SCAN)
     scan = Scan(sequence=1)
-    Loopback([meddler, witness]).receive(Envelope(SCAN, ADDRESS, scan))
+    Loopback([meddler, observer]).receive(Envelope(SCAN, ADDRESS, scan))
     assert scan.sequence == 1
-    assert witness.heard[0].open(Scan).sequence == 1
+    assert observer.received[0].open(Scan).sequence == 1
 
 
-def test_what_nobody_hears_is_still_told() -> None:
+def test_what_nobody_receives_is_still_reported() -> None:
     assert Loopback([]).receive(Envelope(POSE, ADDRESS, POSE.message())) == []
     assert _names(Loopback([Chain(SCAN, POSE)]).receive(Envelope(SCAN, ADDRESS, Scan()))) == ["pose"]

@@ -130,31 +130,31 @@ def test_a_prompt_core_takes_one_message_at_a_time_from_many_speakers(
     warm_up = {"site": net.site, "robot": "robot", "lidar": "warm_up"}
     while inbox.take(0.2) is None:  # until the service sees who listens to it
         listener.publish(Envelope(SCAN_RAW, warm_up, RawScan(frame_id="0")))
-    heard: dict[str, list[str]] = {name: [] for name in names}
+    received: dict[str, list[str]] = {name: [] for name in names}
     sequences: list[int] = []
     for number in range(bursts):
 
-        def say(name: str, number: int = number) -> None:
+        def send(name: str, number: int = number) -> None:
             address = {"site": net.site, "robot": "robot", "lidar": name}
             for frame in range(number * burst, (number + 1) * burst):
                 voices[name].publish(Envelope(SCAN_RAW, address, RawScan(frame_id=f"{frame:04}")))
 
-        threads = [threading.Thread(target=say, args=(name,)) for name in names]
+        threads = [threading.Thread(target=send, args=(name,)) for name in names]
         for thread in threads:
             thread.start()
         while len(sequences) < (number + 1) * speakers * burst:
             arrival = _next(inbox)
             lidar = arrival.key.rpartition("/")[2]
-            if lidar in heard:
+            if lidar in received:
                 scan = decode(SCAN, arrival.payload, arrival.encoding)
                 assert isinstance(scan, Scan)
-                heard[lidar].append(scan.frame_id)
+                received[lidar].append(scan.frame_id)
                 sequences.append(scan.sequence)
         for thread in threads:
             thread.join()
     assert len(set(sequences)) == len(sequences)  # two at a time would count the same number twice
     expected = [f"{frame:04}" for frame in range(bursts * burst)]
-    assert heard == dict.fromkeys(names, expected)
+    assert received == dict.fromkeys(names, expected)
 
 
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
@@ -202,7 +202,7 @@ def test_none_of_many_dies_of_its_end_amid_traffic(
         thread.join()
 
 
-def test_it_says_how_it_is_and_outlives_all_that_it_hears(
+def test_it_reports_how_it_is_and_outlives_all_that_it_receives(
     net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
 ) -> None:
     bus, scans, others = buses(), Inbox(), Inbox()
@@ -237,10 +237,10 @@ def test_it_says_how_it_is_and_outlives_all_that_it_hears(
     assert "poisoned" in str(fault["exception"])
 
 
-def test_a_core_that_falls_behind_answers_the_newest_scan_of_each_robot_and_says_so(
+def test_a_core_that_falls_behind_answers_the_newest_scan_of_each_robot_and_reports_it(
     net: Any, start: Callable[..., Any], buses: Callable[[], Bus]
 ) -> None:
-    """Each scan takes it 20 ms at least, and two robots say more until it has told that it drops some."""
+    """Each scan takes it 20 ms at least, and two robots publish more until it reports dropped ones."""
     bus, scans, others = buses(), Inbox(), Inbox()
     bus.listen([SCAN], {"site": net.site}, scans)
     bus.listen([HEALTH], {"site": net.site}, others)
@@ -248,23 +248,23 @@ def test_a_core_that_falls_behind_answers_the_newest_scan_of_each_robot_and_says
     service.log("ready")
     _ask(bus, net, "0")
     _next(scans)
-    said, dropped, answers = 0, 0, defaultdict[str, list[int]](list)
+    output, dropped, answers = 0, 0, defaultdict[str, list[int]](list)
     end = time.monotonic() + PATIENCE_S
     while not dropped:
         assert time.monotonic() < end
         for robot in ("a", "b"):
             address = {"site": net.site, "robot": robot, "lidar": "front"}
-            bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id=str(said))))
-        said += 1
+            bus.publish(Envelope(SCAN_RAW, address, RawScan(frame_id=str(output))))
+        output += 1
         while arrival := scans.take(0.005):
             answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]
         while arrival := others.take(0.0):
             dropped = decode(HEALTH, arrival.payload).counters["dropped_scan_raw"]  # type: ignore[attr-defined]
-    while len(answers) < 2 or any(each[-1] != said - 1 for each in answers.values()):  # the newest, always
+    while len(answers) < 2 or any(each[-1] != output - 1 for each in answers.values()):  # the newest, always
         arrival = _next(scans)
         answers[arrival.key].append(int(decode(SCAN, arrival.payload).frame_id))  # type: ignore[attr-defined]
     assert all(each == sorted(set(each)) for each in answers.values())
-    unanswered = 2 * said - sum(map(len, answers.values()))
+    unanswered = 2 * output - sum(map(len, answers.values()))
     for health in _healths(others):  # nothing is lost silently
         if health.counters["dropped_scan_raw"] >= unanswered and health.counters["waiting"] == 0:
             break
@@ -370,15 +370,15 @@ def test_a_fault_of_the_user_is_one_line_and_code_2(
         for service, (_, _, line) in zip(started, cases, strict=True):
             _, errors = service.process.communicate(timeout=PATIENCE_S)
             assert service.process.returncode == 2, errors
-            said = [one for one in errors.splitlines() if not one.startswith("{")]
-            assert len(said) == 1, errors
-            assert said[0].startswith(line)
-            assert ".rs:" not in said[0]
+            output = [one for one in errors.splitlines() if not one.startswith("{")]
+            assert len(output) == 1, errors
+            assert output[0].startswith(line)
+            assert ".rs:" not in output[0]
     finally:
         taken.close()
 
 
-def test_after_two_crashes_on_a_cached_model_it_starts_without_and_says_so(
+def test_after_two_crashes_on_a_cached_model_it_starts_without_and_reports_it(
     net: Any, start: Callable[..., Any], buses: Callable[[], Bus], tmp_path: Path
 ) -> None:
     bus, inbox = buses(), Inbox()

@@ -1,4 +1,4 @@
-"""A session that stops to deliver: noticed by what others no longer say, and the process ends."""
+"""A session that stops to deliver: noticed by what others no longer publish, and the process ends."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATIENCE = 20
 
 @dataclass
 class FakeSession:
-    """A link over which others are heard for as long as `delivers`; what is published arrives at once."""
+    """A link over which others are received for as long as `delivers`; what is published arrives at once."""
 
     delivers: bool = True
     linked: bool = True
@@ -56,97 +56,97 @@ def session() -> FakeSession:
 
 
 @pytest.fixture
-def hearing(session: FakeSession) -> ReceiveWatchdog:
-    """Of a tracker among a router and a projector that have been heard."""
-    hearing = ReceiveWatchdog(PATIENCE)
-    hearing.attach(session, *ADDRESS)  # type: ignore[arg-type]
+def receiving(session: FakeSession) -> ReceiveWatchdog:
+    """Of a tracker among a router and a projector that have been received."""
+    receiving = ReceiveWatchdog(PATIENCE)
+    receiving.attach(session, *ADDRESS)  # type: ignore[arg-type]
     for service in ("router", "projector"):
         session.token(service, there=True)
         session.health(service)
-    assert not ticks(hearing, session, 1)
-    return hearing
+    assert not ticks(receiving, session, 1)
+    return receiving
 
 
-def ticks(hearing: ReceiveWatchdog, session: FakeSession, count: int, *speaking: str) -> bool:
-    """Whether the last of so many seconds finds it deaf; `speaking` say their health in each."""
+def ticks(receiving: ReceiveWatchdog, session: FakeSession, count: int, *speaking: str) -> bool:
+    """Whether the last of so many seconds finds it deaf; `speaking` publish their health in each."""
     lost = False
     for _ in range(count):
         for service in speaking:
             session.health(service)
-        lost = hearing.is_lost(session)  # type: ignore[arg-type]
+        lost = receiving.is_lost(session)  # type: ignore[arg-type]
     return lost
 
 
 def test_who_is_given_nothing_any_more_is_deaf_after_its_patience(
-    session: FakeSession, hearing: ReceiveWatchdog
+    session: FakeSession, receiving: ReceiveWatchdog
 ) -> None:
-    assert not ticks(hearing, session, 100, "router", "projector")
+    assert not ticks(receiving, session, 100, "router", "projector")
     session.delivers = False
-    assert not ticks(hearing, session, PATIENCE - 1, "router", "projector")
-    assert ticks(hearing, session, 1, "router", "projector")
+    assert not ticks(receiving, session, PATIENCE - 1, "router", "projector")
+    assert ticks(receiving, session, 1, "router", "projector")
 
 
-def test_one_that_is_heard_is_enough(session: FakeSession, hearing: ReceiveWatchdog) -> None:
-    assert not ticks(hearing, session, 10 * PATIENCE, "router")
+def test_one_that_is_received_is_enough(session: FakeSession, receiving: ReceiveWatchdog) -> None:
+    assert not ticks(receiving, session, 10 * PATIENCE, "router")
 
 
-def test_its_own_voice_is_none(session: FakeSession, hearing: ReceiveWatchdog) -> None:
-    assert ticks(hearing, session, PATIENCE, "tracker")
+def test_its_own_voice_is_none(session: FakeSession, receiving: ReceiveWatchdog) -> None:
+    assert ticks(receiving, session, PATIENCE, "tracker")
 
 
-def test_others_that_ended_are_not_missed(session: FakeSession, hearing: ReceiveWatchdog) -> None:
+def test_others_that_ended_are_not_missed(session: FakeSession, receiving: ReceiveWatchdog) -> None:
     for service in ("router", "projector"):
         session.token(service, there=False)
-    assert not ticks(hearing, session, 10 * PATIENCE)
+    assert not ticks(receiving, session, 10 * PATIENCE)
 
 
 def test_others_that_never_spoke_are_not_waited_for(session: FakeSession) -> None:
-    hearing = ReceiveWatchdog(PATIENCE)
-    hearing.attach(session, *ADDRESS)  # type: ignore[arg-type]
+    receiving = ReceiveWatchdog(PATIENCE)
+    receiving.attach(session, *ADDRESS)  # type: ignore[arg-type]
     session.token("projector", there=True)
     session.token("projector", there=True, instance="r18")
     session.health("projector", instance="r18")
-    assert not ticks(hearing, session, 10 * PATIENCE)
+    assert not ticks(receiving, session, 10 * PATIENCE)
 
 
-def test_without_a_link_nothing_is_expected(session: FakeSession, hearing: ReceiveWatchdog) -> None:
+def test_without_a_link_nothing_is_expected(session: FakeSession, receiving: ReceiveWatchdog) -> None:
     session.linked = False
-    assert not ticks(hearing, session, 10 * PATIENCE)
+    assert not ticks(receiving, session, 10 * PATIENCE)
     session.linked = True
-    assert not ticks(hearing, session, PATIENCE - 1)
-    assert ticks(hearing, session, 1)
+    assert not ticks(receiving, session, PATIENCE - 1)
+    assert ticks(receiving, session, 1)
 
 
 def test_a_word_that_comes_late_starts_the_patience_again(
-    session: FakeSession, hearing: ReceiveWatchdog
+    session: FakeSession, receiving: ReceiveWatchdog
 ) -> None:
-    assert not ticks(hearing, session, PATIENCE - 1)
-    assert not ticks(hearing, session, 1, "projector")
-    assert not ticks(hearing, session, PATIENCE - 1)
+    assert not ticks(receiving, session, PATIENCE - 1)
+    assert not ticks(receiving, session, 1, "projector")
+    assert not ticks(receiving, session, PATIENCE - 1)
 
 
-def test_two_sessions_of_real_zenoh_hear_each_other(buses: Callable[[], Bus], net: Any) -> None:
+def test_two_sessions_of_real_zenoh_receive_each_other(buses: Callable[[], Bus], net: Any) -> None:
     """What the fake stands for: tokens and health of another process, not of its own."""
     from eigenscan.schemas.channels import HEALTH
     from eigenscan.schemas.envelope import Envelope
     from eigenscan.schemas.health_pb2 import Health
 
-    own, other, hearing = buses(), buses(), ReceiveWatchdog(2)
+    own, other, receiving = buses(), buses(), ReceiveWatchdog(2)
     own.announce(net.site, "tracker", "r17")
-    own.watch_others(hearing, net.site, "tracker", "r17")
+    own.watch_others(receiving, net.site, "tracker", "r17")
     other.announce(net.site, "projector", "r17")
     spoken = threading.Event()
     address = {"site": net.site, "instance": "r17"}
     for _ in range(600):
         other.publish(Envelope(HEALTH, address | {"service": "projector"}, Health()))
         own.publish(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
-        if hearing._alive & hearing._speaking:
+        if receiving._alive & receiving._speaking:
             break
         spoken.wait(0.05)
-    assert hearing._alive & hearing._speaking == {"projector"}
+    assert receiving._alive & receiving._speaking == {"projector"}
     assert not own.is_deaf
     own.publish(Envelope(HEALTH, address | {"service": "tracker"}, Health()))
-    assert [own.is_deaf for _ in range(3)][-1]  # the other one's token stands, and it says nothing
+    assert [own.is_deaf for _ in range(3)][-1]  # the other one's token stands, and it publishes nothing
 
 
 DEAF = """

@@ -53,7 +53,7 @@ def recording(tmp_path: Path) -> Path:
 
 def test_a_stranger_decodes_every_message_with_the_file_alone(tmp_path: Path) -> None:
     path = tmp_path / "all.mcap"
-    said = []
+    output = []
     with RecordingWriter(path) as writer:
         for number, channel in enumerate(CHANNELS):
             message: Any = channel.message()
@@ -62,12 +62,12 @@ def test_a_stranger_decodes_every_message_with_the_file_alone(tmp_path: Path) ->
             envelope = Envelope(channel, dict.fromkeys(channel.fields, "x"), message)
             writer.write(envelope, log_time=number)
             size = len(encode(message))
-            said.append(f"{envelope.key} {channel.schema_name} {size} {size}")
+            output.append(f"{envelope.key} {channel.schema_name} {size} {size}")
     ran = subprocess.run(
         [sys.executable, "-c", STRANGER, path], capture_output=True, text=True, timeout=600, check=False
     )
     assert ran.stderr == ""
-    assert ran.stdout.splitlines() == said
+    assert ran.stdout.splitlines() == output
 
 
 def test_it_gives_back_what_was_written(recording: Path) -> None:

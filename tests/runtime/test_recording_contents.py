@@ -21,7 +21,7 @@ def model_set(version: int) -> Envelope:
     return Envelope(MODEL_SET, {"site": "s"}, ModelSet(version=str(version)))
 
 
-def told(path: Path, begin: int) -> list[tuple[int, str]]:
+def reported(path: Path, begin: int) -> list[tuple[int, str]]:
     """Log time, and what it is, of all that is read."""
     return [(record.log_time, record.envelope.channel.name) for record in read(path, begin)]
 
@@ -44,13 +44,13 @@ def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def test_it_begins_with_the_models_that_held_then(path: Path) -> None:
-    assert told(path, 25) == [(20, "model_set"), *((second, "scan") for second in range(25, 30))]
-    assert told(path, 13)[:3] == [(12, "model_set"), (13, "scan"), (14, "scan")]
-    assert told(path, 11)[:3] == [(11, "scan"), (12, "model_set"), (12, "scan")]
-    assert told(path, 99) == [(20, "model_set")]
+    assert reported(path, 25) == [(20, "model_set"), *((second, "scan") for second in range(25, 30))]
+    assert reported(path, 13)[:3] == [(12, "model_set"), (13, "scan"), (14, "scan")]
+    assert reported(path, 11)[:3] == [(11, "scan"), (12, "model_set"), (12, "scan")]
+    assert reported(path, 99) == [(20, "model_set")]
 
 
-def test_contents_are_told(path: Path) -> None:
+def test_contents_are_reported(path: Path) -> None:
     found = contents(path)
     assert (found.begin, found.end, found.messages) == (10, 29, 22)
     assert found.counts == {"s/models": 2, "s/robot/r/scan/l": 20}

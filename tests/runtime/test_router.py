@@ -59,30 +59,30 @@ def _next_version(inbox: Inbox) -> str:
     return decode(MODEL, arrival.payload, arrival.encoding).version  # type: ignore[attr-defined]
 
 
-def test_a_model_said_while_the_router_was_away_arrives_after_it(
+def test_a_model_published_while_the_router_was_away_arrives_after_it(
     net: Any, routed: tuple[Callable[[], Any], Path]
 ) -> None:
     starter, client = routed
     first = starter()
-    holder, hearer, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
+    holder, subscriber, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
     holder.offer([MODEL], {"site": net.site})
     holder.publish(_model(net, "1"))
-    hearer.listen([MODEL], {"site": net.site}, inbox)
+    subscriber.listen([MODEL], {"site": net.site}, inbox)
     assert _next_version(inbox) == "1"
     first.process.kill()
     first.process.wait()
     holder.publish(_model(net, "2"))
     starter()
     assert _next_version(inbox) == "2"
-    hearer.close()
+    subscriber.close()
     holder.close()
 
 
 def test_it_ends_with_sessions_on_it(net: Any, routed: tuple[Callable[[], Any], Path]) -> None:
     starter, client = routed
     service = starter()
-    speaker, hearer, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
-    hearer.listen([SCAN], {"site": net.site}, inbox)
+    speaker, subscriber, inbox = Bus(open_session(client)), Bus(open_session(client)), Inbox()
+    subscriber.listen([SCAN], {"site": net.site}, inbox)
     end = time.monotonic() + PATIENCE_S
     while not len(inbox):
         assert time.monotonic() < end
@@ -90,5 +90,5 @@ def test_it_ends_with_sessions_on_it(net: Any, routed: tuple[Callable[[], Any], 
         time.sleep(0.01)
     service.process.send_signal(signal.SIGTERM)
     assert service.process.wait(PATIENCE_S) == 0
-    hearer.close()
+    subscriber.close()
     speaker.close()

@@ -191,15 +191,15 @@ def test_an_unknown_or_shortened_flag_is_refused_with_the_nearest(flag: str) -> 
         _load(flag, "1")
 
 
-def test_help_tells_every_field_and_default(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_every_field_and_default(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         _load("--help")
     assert end.value.code == 0
-    told = " ".join(capsys.readouterr().out.split())
+    reported = " ".join(capsys.readouterr().out.split())
     for name in ProbeSettings.model_fields:
-        assert f"--{name.replace('_', '-')}" in told
-    assert "m, at most 50 % of a room (default: 0.5)" in told
-    assert "100 % made up" in told
+        assert f"--{name.replace('_', '-')}" in reported
+    assert "m, at most 50 % of a room (default: 0.5)" in reported
+    assert "100 % made up" in reported
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A service that no longer gets what it lives on says so."""
+"""A service that no longer gets what it lives on reports it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Content:
     def start(self) -> Iterable[Envelope]:
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         return ()
 
     def finish(self) -> Iterable[Envelope]:

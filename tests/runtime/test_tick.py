@@ -1,4 +1,4 @@
-"""A core that hears ticks is told the time once a second; nobody else is."""
+"""A core that receives ticks receives the time once a second; no other core does."""
 
 import threading
 import time
@@ -23,22 +23,22 @@ PATIENCE_S = 30.0
 
 
 class Clockwork:
-    """Notes what it hears, and fails on the first of it."""
+    """Notes what it receives, and fails on the first of it."""
 
     outputs: tuple[Channel, ...] = ()
 
-    def __init__(self, hears: tuple[Channel, ...], enough: threading.Event) -> None:
-        self.inputs, self._enough = hears, enough
-        self.heard: list[Envelope] = []
+    def __init__(self, receives: tuple[Channel, ...], enough: threading.Event) -> None:
+        self.inputs, self._enough = receives, enough
+        self.received: list[Envelope] = []
 
     def start(self) -> Iterable[Envelope]:
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        self.heard.append(heard)
-        if len(self.heard) == 1:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        self.received.append(received)
+        if len(self.received) == 1:
             raise RuntimeError("not yet wound up")
-        if len(self.heard) >= ENOUGH:
+        if len(self.received) >= ENOUGH:
             self._enough.set()
         return ()
 
@@ -50,7 +50,7 @@ class Clockwork:
 
 
 @pytest.mark.parametrize("prompt", [False, True])
-def test_a_core_that_hears_ticks_is_told_the_time(monkeypatch: pytest.MonkeyPatch, prompt: bool) -> None:
+def test_a_core_that_receives_ticks_receives_the_time(monkeypatch: pytest.MonkeyPatch, prompt: bool) -> None:
     monkeypatch.setattr(work, "TICK_S", 0.01)
     enough, stop, inbox, counters = threading.Event(), StopEvent(), Inbox(), Counters(logger())
     clockwork, idle = Clockwork((TICK,), enough), Clockwork((SCAN,), threading.Event())
@@ -68,12 +68,12 @@ def test_a_core_that_hears_ticks_is_told_the_time(monkeypatch: pytest.MonkeyPatc
     for thread in threads:
         thread.join(PATIENCE_S)
     stop.close()
-    times = [nanoseconds(heard.open(Timestamp)) for heard in clockwork.heard]
+    times = [nanoseconds(received.open(Timestamp)) for received in clockwork.received]
     assert before <= times[0] <= times[-1] <= time.time_ns()
     assert times == sorted(times)
     assert counters.counts["core_failed"] == 1
     assert counters.counts["heard_tick"] == len(times)
-    assert idle.heard == []
+    assert idle.received == []
 
 
 def test_ticks_leave_no_process_and_move_no_core_that_is_replayed() -> None:

@@ -1,4 +1,4 @@
-"""Services in one process: they hand each other what they say, others hear it too, and they end together."""
+"""Services in one process: they hand each other what they publish, others get it too, all end together."""
 
 import json
 import re
@@ -52,11 +52,11 @@ def test_each_has_its_own_health(net: Any, start: Callable[..., Any], buses: Cal
     bus, inbox = buses(), Inbox()
     bus.listen([HEALTH], {"site": net.site}, inbox)
     start(program=TINY, config=net.leaf)
-    heard: set[str] = set()
-    while heard != {"first", "second", "keeper"}:
+    received: set[str] = set()
+    while received != {"first", "second", "keeper"}:
         arrival = inbox.take(PATIENCE_S)
         assert arrival
-        heard.add(arrival.key.split("/")[2])
+        received.add(arrival.key.split("/")[2])
 
 
 def test_who_keeps_all_ends_last_and_has_each_message_once(
@@ -107,15 +107,15 @@ def test_one_session_has_one_configuration_and_each_service_a_port_of_its_own(tm
     def find(name: str) -> Service[Any]:
         return Service(name, ServiceSettings, lambda _: None)  # type: ignore[arg-type, return-value]
 
-    told = read([(["a", "b"], ["--metrics-port", "9100"]), (["c"], [])], find)
-    assert [settings.metrics_port for _, settings in told] == [9100, 9101, None]
+    reported = read([(["a", "b"], ["--metrics-port", "9100"]), (["c"], [])], find)
+    assert [settings.metrics_port for _, settings in reported] == [9100, 9101, None]
     with pytest.raises(SettingsError, match="zenoh"):
         read([(["a"], []), (["b"], ["--zenoh", str(tmp_path / "z.json5")])], find)
     with pytest.raises(SettingsError, match="twice"):
         read([(["a", "a"], [])], find)
 
 
-def test_an_exchange_hands_the_message_itself_to_those_who_hear_its_key() -> None:
+def test_an_exchange_hands_the_message_itself_to_those_who_receive_its_key() -> None:
     exchange, inbox, other = Exchange(), Inbox(), Inbox()
     exchange.listen("s/robot/r/scan/*", Intake([SCAN], inbox))
     exchange.listen("s/robot/q/scan/*", Intake([SCAN], other))

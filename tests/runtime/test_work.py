@@ -28,8 +28,8 @@ class Noting:
     def start(self) -> Iterable[Envelope]:
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        self.handled.append(heard.open(Scan).sequence)
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        self.handled.append(received.open(Scan).sequence)
         return ()
 
     def finish(self) -> Iterable[Envelope]:

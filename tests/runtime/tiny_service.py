@@ -50,19 +50,19 @@ class TinyCore:
             model = RegionModel(region="hall", version="1", panoramas=bytes(self._settings.model_bytes))
             yield Envelope(MODEL, {"site": self._settings.site, "region": "hall"}, model)
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        if heard.channel is MODEL:
-            if heard.open(RegionModel).version == "kills":
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        if received.channel is MODEL:
+            if received.open(RegionModel).version == "kills":
                 os.kill(os.getpid(), signal.SIGSEGV)  # as compiled code does
             return
-        raw = heard.open(RawScan)
+        raw = received.open(RawScan)
         print_waiting("handle", self._settings.handle_s)
         if raw.frame_id == "poison":
             raise RuntimeError("poisoned")
         if raw.frame_id == "leave":
             sys.exit(0)
         self._handled += 1
-        yield Envelope(SCAN, heard.address, Scan(frame_id=raw.frame_id, sequence=self._handled - 1))
+        yield Envelope(SCAN, received.address, Scan(frame_id=raw.frame_id, sequence=self._handled - 1))
 
     def finish(self) -> Iterable[Envelope]:
         yield Envelope(
@@ -75,7 +75,7 @@ class TinyCore:
 
 
 def print_waiting(what: str, seconds: float) -> None:
-    """Sleeps where seconds are given, and says so first."""
+    """Sleeps where seconds are given, and reports it first."""
     if seconds:
         sys.stderr.write(f"{what} takes long\n")
         time.sleep(seconds)

@@ -1,4 +1,4 @@
-"""Three tiny services in one process: one answers raw scans, one hears that, one keeps all."""
+"""Three tiny services in one process: one answers raw scans, one receives that, one keeps all."""
 
 import sys
 import threading
@@ -13,7 +13,7 @@ from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
-SAID: list[int] = []
+PUBLISHED: list[int] = []
 
 
 class Silent:
@@ -26,7 +26,7 @@ class Silent:
     def start(self) -> Iterable[Envelope]:
         return ()
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
         return ()
 
     def finish(self) -> Iterable[Envelope]:
@@ -40,46 +40,48 @@ class First(Silent):
     inputs: tuple[Channel, ...] = (SCAN_RAW,)
     outputs: tuple[Channel, ...] = (SCAN,)
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        name = heard.open(RawScan).frame_id
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        name = received.open(RawScan).frame_id
         if name == "leave":
             sys.exit(0)
         scan = Scan(frame_id=name)
-        SAID.append(id(scan))
-        yield Envelope(SCAN, heard.address, scan)
+        PUBLISHED.append(id(scan))
+        yield Envelope(SCAN, received.address, scan)
 
 
 class Second(Silent):
-    """Says of each scan whether it is the very object that was published, and in the same thread."""
+    """States of each scan whether it is the very object that was published, and in the same thread."""
 
     inputs: tuple[Channel, ...] = (SCAN,)
     outputs: tuple[Channel, ...] = (HYPOTHESES,)
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        same = id(heard.message) in SAID
-        name = f"{heard.open(Scan).frame_id} {'same' if same else 'copy'} {threading.current_thread().name}"
-        yield Envelope(HYPOTHESES, {**heard.address, "projector": "p"}, Hypotheses(frame_id=name))
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        same = id(received.message) in PUBLISHED
+        name = (
+            f"{received.open(Scan).frame_id} {'same' if same else 'copy'} {threading.current_thread().name}"
+        )
+        yield Envelope(HYPOTHESES, {**received.address, "projector": "p"}, Hypotheses(frame_id=name))
 
     def finish(self) -> Iterable[Envelope]:
         address = {"site": self._settings.site, "robot": "robot", "lidar": "l", "projector": "p"}
         return (Envelope(HYPOTHESES, address, Hypotheses(frame_id="last")),)
 
 
-class Keeper(Silent):
-    """Prints what it hears of the two."""
+class Detector(Silent):
+    """Prints what it receives the two."""
 
     inputs = CHANNELS
 
-    def handle(self, heard: Envelope) -> Iterable[Envelope]:
-        if heard.channel in (SCAN, HYPOTHESES, OBSTACLES):
-            print(f"kept {heard.channel.name} {heard.message.frame_id}", flush=True)  # type: ignore[attr-defined]
+    def handle(self, received: Envelope) -> Iterable[Envelope]:
+        if received.channel in (SCAN, HYPOTHESES, OBSTACLES):
+            print(f"kept {received.channel.name} {received.message.frame_id}", flush=True)  # type: ignore[attr-defined]
         return ()
 
 
 SERVICES: dict[str, Service[Any]] = {
     "first": Service("first", ServiceSettings, First, quick=True),
     "second": Service("second", ServiceSettings, Second, quick=True),
-    "keeper": Service("keeper", ServiceSettings, Keeper, whole_site=True),
+    "keeper": Service("keeper", ServiceSettings, Detector, whole_site=True),
 }
 
 

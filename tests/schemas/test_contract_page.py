@@ -16,11 +16,11 @@ def test_the_page_is_current() -> None:
 
 
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda channel: channel.name)
-def test_every_channel_is_told_whole(channel: Channel) -> None:
+def test_every_channel_is_reported_whole(channel: Channel) -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert f"`{channel.template}`" in text
     assert f"| `{channel.template}` | `{channel.schema_name}` |" in text
-    assert encoding(channel) == f"application/protobuf;{channel.schema_name}/1"  # as the page says in words
+    assert encoding(channel) == f"application/protobuf;{channel.schema_name}/1"  # as the page states in words
     (row,) = [
         line
         for line in text.splitlines()

@@ -28,7 +28,7 @@ def test_other_groups_give_other_names(one: str, other: str) -> None:
     assert (patterns(one) == patterns(other)) == (instance_name(one) == instance_name(other))
 
 
-def test_one_robot_is_told_from_several() -> None:
+def test_one_robot_is_distinguished_from_several() -> None:
     assert is_one("r17")
     assert not any(map(is_one, ("*", "r*", "r1,r2")))
 

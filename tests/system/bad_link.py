@@ -28,7 +28,7 @@ class BadLink:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def cut(self) -> None:
-        """Nothing passes any more, and nobody is told."""
+        """Nothing passes any more, and nobody is notified."""
         self._whole.clear()
 
     def mend(self) -> None:

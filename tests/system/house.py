@@ -1,4 +1,4 @@
-"""The services as processes on a router of their own, and what they are heard to say."""
+"""The services as processes on a router of their own, and what they publish."""
 
 import csv
 import signal
@@ -27,7 +27,7 @@ BEGIN_S, LENGTH_S = 1_000_000_180.0, 30.0
 SPACING = 0.5
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 PATIENCE_S = 240.0
-"""What a step may take on a machine that is busy; nothing is judged by time but what says so."""
+"""What a step may take on a machine that is busy; nothing is judged by time unless stated."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def reference(stamps: np.ndarray) -> np.ndarray:
 
 
 def eventually(what: Callable[[], T], about: str, seen: object = "") -> T:
-    """What `what` gives, as soon as it is true; `seen` is told where it never is."""
+    """What `what` gives, as soon as it is true; `seen` is reported where it never is."""
     end = time.monotonic() + PATIENCE_S
     while not (result := what()):
         assert time.monotonic() < end, f"waited {PATIENCE_S:.0f} s in vain for {about}; {seen}"
@@ -75,7 +75,7 @@ class Ear:
             self.news.notify_all()
 
     def wait_for(self, what: Callable[[list[Envelope]], T], about: str) -> T:
-        """What `what` makes of all that was heard, as soon as it is true."""
+        """What `what` makes of all that was received, as soon as it is true."""
         with self.news:
             result = self.news.wait_for(lambda: what(self.received), PATIENCE_S)
         assert result, f"waited {PATIENCE_S:.0f} s in vain for {about}"
@@ -113,7 +113,7 @@ class House:
     running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def start(self, service: str, *flags: object, alias: str = "") -> None:
-        """Starts a service and waits until it says how it is; `alias` names it among several of its kind."""
+        """Starts a service and waits until it reports how it is; `alias` names one of several."""
         before = self._words(service)
         with (self.logs / f"{service}.log").open("ab") as log:
             self.running[alias or service] = subprocess.Popen(

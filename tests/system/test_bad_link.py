@@ -60,7 +60,7 @@ class Machine:
         self.start("scan-ingest")
 
     def start(self, service: str, *flags: object) -> None:
-        """Starts a service on the robot, and hears of it there: the site may be cut off."""
+        """Starts a service on the robot, and receives it there: the site may be cut off."""
         outside, self.house.ear = self.house.ear, self.ear
         try:
             self.house.start(service, "--zenoh", self.config, *flags)

@@ -27,7 +27,7 @@ SERVICES = ("scan-ingest", "projector", "tracker", "recorder")
 
 
 def visit(house: House, name: str, published: list[Envelope]) -> None:
-    """A robot with a session of its own that says a little and leaves."""
+    """A robot with a session of its own that publishes a little and leaves."""
     bus = Bus(open_session(house.config))
     bus.announce(house.site, "driver", name)
     raw = SCAN_RAW.key({"site": house.site, "robot": name, "lidar": "front"})

@@ -55,7 +55,7 @@ def complaints(house: House, *flags: str) -> list[tuple[str, str]]:
 
 
 def until_it_finds(house: House, *wanted: tuple[str, str], flags: Sequence[str] = ()) -> None:
-    """Doctor finds this and nothing else: on a busy machine once all has come that it has to hear."""
+    """Doctor finds this and nothing else: on a busy machine once all has come that it has to receive."""
     found: list[tuple[str, str]] = []
 
     def finds() -> bool:
@@ -114,7 +114,7 @@ def test_an_empty_site_is_named(house: House) -> None:
 def speaking(
     house: House, service: str, instance: str, contract: int, words: Callable[[int], dict[str, Any]]
 ) -> Iterator[None]:
-    """An instance of a service that says its health five times a second, `words` by its number."""
+    """An instance of a service that publishes its health five times a second, `words` by its number."""
     who = {"site": house.site, "service": service, "instance": instance}
     token = house.session.liveliness().declare_token(ALIVE_TEMPLATE.format(**who, contract=contract))
     stop = threading.Event()
@@ -141,7 +141,7 @@ def speaking(
 
 @pytest.fixture
 def stranger(house: House) -> Iterator[dict[str, Any]]:
-    """A projector of another release, a minute behind, that drops scans; what it says can be changed."""
+    """A projector of another release, a minute behind, that drops scans; what it reports can be changed."""
     published: dict[str, Any] = {"status": Health.STATUS_OK, "detail": ""}
 
     def words(number: int) -> dict[str, Any]:
@@ -182,10 +182,10 @@ def test_two_trackers_of_one_robot_and_a_part_that_nobody_searches_are_named(hou
     ]
     with ExitStack() as stack:
         for service, instance, settings in there:
-            told = json.dumps(settings)
+            reported = json.dumps(settings)
 
-            def words(number: int, told: str = told) -> dict[str, Any]:
-                return {"settings": told, "counters": {"heard_scan_raw": number}}
+            def words(number: int, reported: str = reported) -> dict[str, Any]:
+                return {"settings": reported, "counters": {"heard_scan_raw": number}}
 
             stack.enter_context(speaking(house, service, instance, CONTRACT_VERSION, words))
         wanted = [

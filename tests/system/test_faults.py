@@ -1,4 +1,4 @@
-"""What goes wrong on a site: services that end, come late or hear nonsense."""
+"""What goes wrong on a site: services that end, come late or receive nonsense."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,7 +34,7 @@ def ready(health: Health) -> bool:
     return health.status == Health.STATUS_OK
 
 
-def say(house: House, channel: Channel, message: object, **address: str) -> None:
+def send(house: House, channel: Channel, message: object, **address: str) -> None:
     """One message from a stranger on a key of the site."""
     envelope = Envelope(channel, {"site": house.site, "robot": "robot", **address}, message)  # type: ignore[arg-type]
     house.session.put(envelope.key, encode(envelope.message), encoding=zenoh.Encoding(encoding(channel)))
@@ -45,10 +45,10 @@ def scans_of(drive: Drive, count: int) -> list[RawScan]:
 
 
 @pytest.mark.dataset
-def test_every_service_ends_in_good_order_when_told_to(drive: Drive, models: Path, house: House) -> None:
+def test_every_service_ends_in_good_order_when_asked_to(drive: Drive, models: Path, house: House) -> None:
     start_all(house, models)
     for scan in scans_of(drive, 5):
-        say(house, SCAN_RAW, scan, lidar="front")
+        send(house, SCAN_RAW, scan, lidar="front")
     house.ear.wait_for(lambda received: any(e.channel is HYPOTHESES for e in received), "hypotheses")
     for service in ORDER:
         assert house.terminate(service) == 0, f"{service}\n{house.log(service)}"
@@ -65,7 +65,7 @@ def test_a_projector_that_comes_last_gets_the_models_and_answers(
     house.until("projector", ready, "has models")
     (version,) = {message.version for message in house.ear.of(MODEL_SET, ModelSet)}
     house.start("scan-ingest")
-    say(house, SCAN_RAW, scans_of(drive, 1)[0], lidar="front")
+    send(house, SCAN_RAW, scans_of(drive, 1)[0], lidar="front")
     house.ear.wait_for(lambda received: any(e.channel is HYPOTHESES for e in received), "hypotheses")
     (answer,) = house.ear.of(HYPOTHESES, Hypotheses)
     assert answer.model_version == version
@@ -73,7 +73,7 @@ def test_a_projector_that_comes_last_gets_the_models_and_answers(
 
 
 @pytest.mark.dataset
-def test_a_projector_that_starts_without_the_site_has_the_models_it_heard(
+def test_a_projector_that_starts_without_the_site_has_the_models_it_received(
     drive: Drive, models: Path, house: House
 ) -> None:
     house.start("mapbuilder", "--model", models)
@@ -107,7 +107,7 @@ def test_each_service_may_be_killed_and_started_again(drive: Drive, models: Path
     drive_on(house, scans)
     for victim in ("scan-ingest", "projector", "tracker", "mapbuilder"):
         house.kill(victim)
-        say(house, SCAN_RAW, next(scans), lidar="front")
+        send(house, SCAN_RAW, next(scans), lidar="front")
         house.start(victim, *(("--model", models) if victim == "mapbuilder" else ()))
         house.until("projector", ready, "has models")
         claims = drive_on(house, scans)
@@ -134,10 +134,10 @@ def test_the_services_start_in_any_order(
 
 
 def drive_on(house: House, scans: Iterator[RawScan]) -> list[PoseEstimate]:
-    """Says ten more scans; the claims among their poses but the last, which may wait for another scan."""
+    """Publishes ten more scans; gives the claims but for the last pose, which may wait for another scan."""
     some = [next(scans) for _ in range(10)]
     for scan in some:
-        say(house, SCAN_RAW, scan, lidar="front")
+        send(house, SCAN_RAW, scan, lidar="front")
     first, last = nanoseconds(some[0].timestamp), nanoseconds(some[7].timestamp)
     house.ear.wait_for(lambda _: last_pose(house) >= last, "poses")
     poses = [pose for pose in house.ear.of(POSE, PoseEstimate) if nanoseconds(pose.timestamp) >= first]
@@ -187,8 +187,8 @@ def test_nonsense_is_counted_and_harms_nobody(drive: Drive, models: Path, house:
         empty.CopyFrom(true_scan)
         empty.timestamp.CopyFrom(stamp(start + number * 100_000_000))
         empty.ranges[:] = ranges
-        say(house, SCAN_RAW, empty, lidar="front")
-        say(house, SCAN, as_canonical(empty), lidar="other")
+        send(house, SCAN_RAW, empty, lidar="front")
+        send(house, SCAN, as_canonical(empty), lidar="other")
     refused = ("set_aside_no_beams", "set_aside_no_valid_range")
     house.until(
         "scan-ingest", lambda health: all(health.counters[name] for name in refused), "sets scans aside"
@@ -198,7 +198,7 @@ def test_nonsense_is_counted_and_harms_nobody(drive: Drive, models: Path, house:
     sound = [scan for scan in scans_of(drive, 20) if nanoseconds(scan.timestamp) > start + 500_000_000]
     last = nanoseconds(sound[0].timestamp)
     for scan in sound:
-        say(house, SCAN_RAW, scan, lidar="front")
+        send(house, SCAN_RAW, scan, lidar="front")
     house.ear.wait_for(lambda _: last_pose(house) >= last, "a pose after all that")
     for service in ORDER:
         assert house.running[service].poll() is None, f"{service} ended\n{house.log(service)}"

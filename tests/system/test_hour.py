@@ -18,7 +18,7 @@ CUT_S, FULL_S, PAUSE_S = 15.0, 5.0, 1.0
 UNLOCALIZED_S = 3.0
 """At most, of robots from which nothing was taken; by the stamps of their scans."""
 BACK_S = 30.0
-"""At most, beyond the time until what was taken says that it works. Zenoh tries again after up to 4 s."""
+"""At most, beyond the time until what was taken states that it works. Zenoh tries again after up to 4 s."""
 LATE_S = 20.0
 """Of what is judged by the time of arrival, on a busy machine."""
 UNDELIVERED = 0.05
@@ -51,21 +51,21 @@ def test_no_robot_is_unlocalized_for_long(passed: dict[str, Any]) -> None:
             assert seconds < (BACK_S if robot in event["touches"] else UNLOCALIZED_S), (robot, event)
 
 
-def test_what_the_site_hears_is_recorded_but_while_its_recorder_or_router_is_gone(
+def test_what_the_site_receives_is_recorded_but_while_its_recorder_or_router_is_gone(
     passed: dict[str, Any],
 ) -> None:
     assert passed["heard_at_site"] > 100
     assert passed["unrecorded"] == 0
 
 
-def test_what_a_robot_says_is_heard_at_the_site_while_there_is_a_way(passed: dict[str, Any]) -> None:
-    """That it is heard again after each event, the script waits for."""
+def test_what_a_robot_publishes_is_received_at_the_site_while_there_is_a_way(passed: dict[str, Any]) -> None:
+    """That it is received again after each event, the script waits for."""
     assert passed["said"] > 100
     assert passed["longest_undelivered"] < MISSED
     assert passed["undelivered"] < UNDELIVERED * passed["said"]
 
 
-def test_a_full_disk_is_said_and_what_is_written_stays(passed: dict[str, Any]) -> None:
+def test_a_full_disk_is_reported_and_what_is_written_stays(passed: dict[str, Any]) -> None:
     disk = passed["disk"]
     assert "No space left" in disk["detail"]
     assert f"{disk['counters']['mcap_lost']} messages lost" in disk["detail"]
@@ -73,7 +73,7 @@ def test_a_full_disk_is_said_and_what_is_written_stays(passed: dict[str, Any]) -
     assert min(disk["files"].values()) > 0
 
 
-def test_a_bad_link_delays_what_the_site_hears_and_nothing_else(passed: dict[str, Any]) -> None:
+def test_a_bad_link_delays_what_the_site_receives_and_nothing_else(passed: dict[str, Any]) -> None:
     air = passed["bad_air"]
     assert air["said"] > 15
     assert air["arrived"] > 1.0 - UNDELIVERED  # TCP brings again what the link loses, and all of it counts
@@ -87,7 +87,7 @@ def test_who_was_cut_off_gets_the_models_that_were_made_meanwhile(passed: dict[s
     assert min(passed["new_models_s"].values()) > 0.0
 
 
-def test_the_site_tells_how_old_its_view_is_and_whose_clock_is_off(passed: dict[str, Any]) -> None:
+def test_the_site_shows_how_old_its_view_is_and_whose_clock_is_off(passed: dict[str, Any]) -> None:
     behind, right = passed["status"]["whole"]
     assert (behind["robot"], right["robot"]) == ROBOTS
     assert abs(behind["clock_offset_s"] - CLOCK_S) < LATE_S

@@ -39,7 +39,7 @@ def model(tmp_path: Path) -> Path:
 
 
 def patrol(house: House, number: int) -> list[Envelope]:
-    """What is said of the drive number `number`, each in a visit of its own."""
+    """What is published of the drive number `number`, each in a visit of its own."""
     return list(Patrol(number).messages(MOVED, number * VISIT_S, site=house.site))
 
 
@@ -49,7 +49,7 @@ def count_of(house: House, version: str) -> int:
 
 
 def drive(house: House, scans: list[int], stop: threading.Event) -> None:
-    """At the pace of a lidar, until told to stop; `scans`: the stamps of what was said."""
+    """At the pace of a lidar, until asked to stop; `scans`: the stamps of what was published."""
     with Bus(open_session(house.config)) as bus:
         for number in itertools.count(6):
             for envelope in Patrol(number).messages(MOVED, number * VISIT_S, site=house.site):
@@ -69,8 +69,8 @@ def _has_received(poses: int) -> Callable[[Health], bool]:
     return lambda health: health.counters["heard_pose"] >= poses
 
 
-def tell(house: House, messages: list[Envelope], received: int) -> int:
-    """As fast as the mapbuilder hears, who has heard so many poses; gives how many it has then."""
+def report(house: House, messages: list[Envelope], received: int) -> int:
+    """As fast as the mapbuilder receives, after so many poses; gives how many it has then."""
     with Bus(open_session(house.config)) as bus:
         for first in range(0, len(messages), AT_ONCE):
             part = messages[first : first + AT_ONCE]
@@ -86,13 +86,13 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
 ) -> None:
     before = read_models(model).to_message()
     house.start("mapbuilder", "--model", model)
-    tell(house, patrol(house, 1), tell(house, patrol(house, 0), 0))
+    report(house, patrol(house, 1), report(house, patrol(house, 0), 0))
     # of the visit that runs only what was saved is kept; the one before must be
     house.kill("mapbuilder")
     house.start("mapbuilder", "--model", model)
     received = 0
     for number in range(2, 6):
-        received = tell(house, patrol(house, number), received)
+        received = report(house, patrol(house, number), received)
     health = house.until("mapbuilder", lambda health: "proposed as" in health.detail, "proposes a version")
     assert health.status == Health.STATUS_OK
     assert f"eigenscan models accept {model}" in health.detail
@@ -102,7 +102,7 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
 
     house.start("projector", "--robot", "r1")
     house.until("projector", lambda health: health.status == Health.STATUS_OK, "has models")
-    told = len(house.ear.of(MODEL, RegionModel))
+    reported = len(house.ear.of(MODEL, RegionModel))
     scans, stop = list[int](), threading.Event()
     robot = threading.Thread(target=drive, args=(house, scans, stop))
     robot.start()
@@ -125,5 +125,5 @@ def test_a_moved_cupboard_is_proposed_accepted_and_used_and_no_scan_is_lost(
     assert [one.version for one in sets][-1] == after.version
     old = {entry.version for entry in before.entries}
     fresh = {entry.version for entry in after.entries} - old
-    assert {one.version for one in house.ear.of(MODEL, RegionModel)[told:]} == fresh
+    assert {one.version for one in house.ear.of(MODEL, RegionModel)[reported:]} == fresh
     assert 0 < len(fresh) < len(after.entries)

@@ -42,7 +42,7 @@ def expressions() -> list[str]:
 
 
 def metrics_of(log: Path) -> str:
-    """The address that a service says it serves its metrics on."""
+    """The address that a service states it serves its metrics on."""
     (url,) = re.findall(r"(http://\S+:\d+)/metrics", log.read_text())
     return str(url).removeprefix("http://")
 

@@ -48,7 +48,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def odometry(received: Sequence[Envelope]) -> list[int]:
-    """Ticks of the recording that were said, in order of arrival."""
+    """Ticks of the recording that were published, in order of arrival."""
     stamps = [nanoseconds(e.open(Odometry).timestamp) for e in received if e.channel is ODOMETRY]
     return [(stamp - START) * RATE_HZ // S for stamp in stamps]
 
@@ -214,7 +214,7 @@ def test_one_of_several_robots_is_chosen(two: Path, house: House, flags: tuple[s
         (("--service", "tracker", "--compare", "--robots", "2"), "no such option: --robots"),
     ],
 )
-def test_what_cannot_be_played_is_said(two: Path, flags: tuple[str, ...], named: str) -> None:
+def test_what_cannot_be_played_is_reported(two: Path, flags: tuple[str, ...], named: str) -> None:
     done = CliRunner().invoke(app, ["replay", str(two), *flags])
     assert done.exit_code == 2
     assert named in done.stderr

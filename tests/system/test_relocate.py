@@ -15,7 +15,7 @@ from tests.system.robot import Robot
 pytestmark = pytest.mark.slow
 
 
-def tell(house: House, *arguments: object) -> tuple[int, dict[str, Any], str]:
+def report(house: House, *arguments: object) -> tuple[int, dict[str, Any], str]:
     """Exit code, figures and errors of the command."""
     where = ["--site", house.site, "--zenoh", str(house.config), "--json", "-"]
     done = subprocess.run(
@@ -27,7 +27,7 @@ def tell(house: House, *arguments: object) -> tuple[int, dict[str, Any], str]:
     return done.returncode, json.loads(done.stdout or "{}"), done.stderr
 
 
-def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: House) -> None:
+def test_a_robot_is_relocated_and_the_operator_gets_the_result(house: House) -> None:
     robot = Robot(house.site, house.config)
     house.start("mapbuilder", "--map", robot.write_map(house.logs), "--step", "1.0")
     for service in ("projector", "scan-ingest", "tracker"):
@@ -38,7 +38,7 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
             return [p for p in house.ear.of(POSE, PoseEstimate) if p.state == STATE_LOCALIZED]
 
         newest = house.ear.wait_for(sure, "a claim")[-1]
-        code, found, _ = tell(
+        code, found, _ = report(
             house,
             "robot",
             "--pose",
@@ -51,23 +51,23 @@ def test_a_robot_is_told_where_it_is_and_the_operator_what_came_of_it(house: Hou
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert found["away_m"] < 20.0  # it has driven on since
 
-        code, found, _ = tell(house, "robot", "--search", "--seconds", PATIENCE_S)
+        code, found, _ = report(house, "robot", "--search", "--seconds", PATIENCE_S)
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert house.ear.health("tracker").counters["relocated"] == 2  # type: ignore[union-attr]
 
-        code, found, error = tell(house, "lost", "--search", "--seconds", 8)
+        code, found, error = report(house, "lost", "--search", "--seconds", 8)
         assert (code, found) == (1, {})
         assert "lost: no tracker of it" in error
         assert "robot" in error.rpartition(":")[2]
 
 
-def test_what_is_asked_wrongly_is_refused_before_anything_is_said(house: House) -> None:
+def test_what_is_asked_wrongly_is_refused_before_anything_is_published(house: House) -> None:
     for wrong, words in (
         (["robot"], "either --pose X Y DEG or --search"),
         (["robot", "--search", "--pose", 1, 2, 3], "either --pose X Y DEG or --search"),
         (["robot", "--pose", "nan", 2, 3], "give finite numbers"),
         (["*", "--search"], "is no robot's name"),
     ):
-        code, _, error = tell(house, *wrong)
+        code, _, error = report(house, *wrong)
         assert code == 2
         assert words in error

@@ -1,4 +1,4 @@
-"""`eigenscan replay`: what was recorded is said again, unchanged and in order."""
+"""`eigenscan replay`: what was recorded is published again, unchanged and in order."""
 
 import subprocess
 from pathlib import Path
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.dataset
-def test_a_stretch_of_a_recording_is_said_as_it_was(drive: Drive, house: House) -> None:
+def test_a_stretch_of_a_recording_is_published_as_it_was(drive: Drive, house: House) -> None:
     start = drive.envelopes[0].stamp
     wanted = [e for e in drive.envelopes if 2.0 <= (e.stamp - start) * 1e-9 <= 8.0]
     assert len(wanted) > 20
@@ -27,7 +27,7 @@ def test_a_stretch_of_a_recording_is_said_as_it_was(drive: Drive, house: House) 
 
 
 @pytest.mark.dataset
-def test_only_the_channels_asked_for_are_said(drive: Drive, house: House) -> None:
+def test_only_the_channels_asked_for_are_published(drive: Drive, house: House) -> None:
     house.replay(drive.recording, "--to", 3, "--speed", 20, "--only", "odometry", "--robot", "r9")
     house.ear.wait_for(lambda received: len(received) >= 10, "odometry")
     assert {(e.channel.name, e.address["robot"]) for e in house.ear.received} == {("odometry", "r9")}

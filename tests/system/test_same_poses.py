@@ -21,7 +21,7 @@ Published = dict[int, tuple[float, float, float, int]]
 
 
 def evaluated(drive: Drive, folder: Path) -> Published:
-    """What `eigenscan evaluate` says for one window over the whole recording."""
+    """What `eigenscan evaluate` states for one window over the whole recording."""
     windows, poses = folder / "windows.csv", folder / "poses.csv"
     first, last = (drive.envelopes[i].stamp for i in (0, -1))
     windows.write_text(f"start_time,end_time\n{first / 1e9:.9f},{(last + 1000) / 1e9:.9f}\n")
@@ -69,7 +69,7 @@ def test_processes_and_one_process_agree_pose_for_pose(drive: Drive, house: Hous
         health = house.ear.health(service)
         assert health
         assert not [name for name, count in health.counters.items() if name.startswith("dropped") and count]
-    # the tracker says what it held back when it is told to stop
+    # the tracker publishes what it held back when it is asked to stop
     for service in ("scan-ingest", "projector", "tracker", "mapbuilder", "recorder"):
         assert house.terminate(service) == 0
 

@@ -89,7 +89,7 @@ def test_each_group_of_robots_has_services_of_its_own(drive: Drive, models: Path
         ("r-003", "+-003,+4"),
         ("r-004", "+-003,+4"),
     }
-    # one tracker a robot: nobody says a pose twice
+    # one tracker a robot: nobody publishes a pose twice
     poses = [
         (e.address["robot"], nanoseconds(e.open(PoseEstimate).timestamp))
         for e in house.ear.received

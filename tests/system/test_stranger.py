@@ -154,9 +154,9 @@ def await_right_pose(published: IO[str], truth: Callable[[float], Array]) -> Non
 
 def test_the_pages_example_finds_the_robot(site: Site, bare: Path, tmp_path: Path) -> None:
     (code,) = re.findall(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    for told, here in ((MEETING, site.endpoint), ('"site", "robot"', f'"{site.name}", "{ROBOT}"')):
-        assert code.count(told) == 1
-        code = code.replace(told, here)
+    for reported, here in ((MEETING, site.endpoint), ('"site", "robot"', f'"{site.name}", "{ROBOT}"')):
+        assert code.count(reported) == 1
+        code = code.replace(reported, here)
     (tmp_path / "driver.py").write_text(code)
     (tmp_path / "my_robot.py").write_text(MY_ROBOT)
     site.write_drive(tmp_path / "drive.jsonl")
@@ -183,9 +183,9 @@ def test_a_driver_in_rust_finds_the_robot(site: Site, tmp_path: Path) -> None:
     target = ROOT / "out/rust"
     subprocess.run(["cargo", "build", "--release", "--target-dir", target], cwd=RUST, check=True)
     site.write_drive(tmp_path / "drive.jsonl")
-    told, *measured = [json.loads(line) for line in (tmp_path / "drive.jsonl").read_text().splitlines()]
+    reported, *measured = [json.loads(line) for line in (tmp_path / "drive.jsonl").read_text().splitlines()]
     names = ("angle_min", "angle_increment", "range_min", "range_max")
-    lidar = [*(told[name] for name in names), *told["mount"].values()]
+    lidar = [*(reported[name] for name in names), *reported["mount"].values()]
     with subprocess.Popen(
         [target / "release/eigenscan-driver-rust", site.name, ROBOT, site.endpoint],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,

@@ -1,4 +1,4 @@
-"""All services in one process say what they say in processes of their own, byte for byte."""
+"""All services in one process publish what they publish in processes of their own, byte for byte."""
 
 import signal
 import subprocess
@@ -29,7 +29,7 @@ COMPARED = (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, POSE, TRACKS)
 QUICK = ("scan-ingest", "projector", "tracker")
 
 
-def said(recording: Path) -> dict[Channel, list[bytes]]:
+def output(recording: Path) -> dict[Channel, list[bytes]]:
     """What the services published, in order."""
     found: dict[Channel, list[bytes]] = {channel: [] for channel in COMPARED}
     for record in read(recording):
@@ -49,7 +49,7 @@ def play(house: House, drive: Drive) -> None:
 
 
 @pytest.mark.dataset
-def test_together_and_separate_say_the_same_bytes(
+def test_together_and_separate_publish_the_same_bytes(
     drive: Drive, models: Path, house: House, tmp_path: Path
 ) -> None:
     one, many = tmp_path / "one.mcap", tmp_path / "many.mcap"
@@ -76,7 +76,7 @@ def test_together_and_separate_say_the_same_bytes(
     for service in (*QUICK, "mapbuilder", "recorder"):
         assert house.terminate(service) == 0
 
-    together, separate = said(one), said(many)
+    together, separate = output(one), output(many)
     assert len(separate[POSE]) > 100
     for channel in COMPARED:
         assert together[channel] == separate[channel], channel.name

@@ -1,4 +1,4 @@
-"""A short tour: processes over Zenoh tell right poses, and the recording replays to the same bits."""
+"""A short tour: processes over Zenoh show right poses, and the recording replays to the same bits."""
 
 import csv
 import subprocess

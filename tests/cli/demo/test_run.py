@@ -71,7 +71,7 @@ def test_a_name_that_is_no_part_of_a_key_starts_nothing(tmp_path: Path) -> None:
     _expect_one_line(tmp_path, ["--map", str(tmp_path / "map.yaml"), "--robot", "r 17"], "--robot 'r 17'")
 
 
-def test_an_old_pose_is_not_told_as_where_the_robot_is() -> None:
+def test_an_old_pose_is_not_reported_as_where_the_robot_is() -> None:
     pose = PoseEstimate(state=STATE_LOCALIZED, confidence=1.0)
     assert "localized  confidence 1.00" in pose_text(pose, 0.1, [])
     assert pose_text(pose, 60.0, []).startswith("no pose for 60 s")

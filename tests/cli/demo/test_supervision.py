@@ -101,7 +101,7 @@ def test_all_end_also_when_this_process_fails(tmp_path: Path, make: Make) -> Non
     assert all(process.returncode is not None for process in processes)
 
 
-def test_the_recorder_hears_the_last_words(tmp_path: Path, make: Make) -> None:
+def test_the_recorder_receives_the_last_words(tmp_path: Path, make: Make) -> None:
     body = """
         def end(*_):
             time.sleep(0.3)

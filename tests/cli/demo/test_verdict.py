@@ -44,7 +44,7 @@ def test_found_after_being_lost() -> None:
     assert (stretch.claims, stretch.wrong_claims) == (23, 0)
 
 
-def test_a_wrong_claim_starts_the_count_anew() -> None:
+def test_a_wrong_claim_starts_the_count_again() -> None:
     stretch = judge(_stretch((10, 0.1, True), (1, 4.0, True), (10, 0.1, True)), 0.0, 2.1)
     assert stretch.found_after == pytest.approx(1.1)
     assert stretch.wrong_claims == 1
@@ -88,7 +88,7 @@ def test_a_stretch_takes_no_sightings_of_the_other() -> None:
     assert not judge(sightings, 1.0, 2.0).found
 
 
-def test_the_summary_says_in_one_line_why_it_failed() -> None:
+def test_the_summary_states_in_one_line_why_it_failed() -> None:
     good, bad = judge(_stretch((30, 0.1, True)), 0.0, 3.0), judge(_stretch((30, 9.0, True)), 0.0, 3.0)
     assert "found itself again" in summarize(good, good, 3.0, [])
     failed = [line for line in summarize(good, bad, 3.0, []).splitlines() if "FAILED" in line]

@@ -183,6 +183,6 @@ def test_scans_of_a_real_building_a_metre_apart_join_without_odometry() -> None:
         expected = between(poses[one], poses[other])
         close = np.hypot(*(found - expected)[:2]) < 0.2
         right.append(close and abs(difference(found[2], expected[2])) < np.deg2rad(3.0))
-    # two scans of a hallway may not tell where they are: then they are not joined, rather than wrongly
+    # two scans of a hallway may not show where they are: then they are not joined, rather than wrongly
     assert len(right) >= 0.75 * tried
     assert np.mean(right) > 0.95

@@ -86,7 +86,7 @@ def test_what_was_found_is_found_again_from_its_own_outlines(
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "stated"),
     [
         ("{", "is not JSON"),
         ([], "features: give a FeatureCollection"),
@@ -102,10 +102,10 @@ def test_what_was_found_is_found_again_from_its_own_outlines(
         (collection(1), "feature 1"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_named(tmp_path: Path, content: object, says: str) -> None:
+def test_what_is_wrong_with_a_file_is_named(tmp_path: Path, content: object, stated: str) -> None:
     file = tmp_path / "rooms.geojson"
     file.write_text(content if isinstance(content, str) else json.dumps(content))
-    with pytest.raises(RegionsError, match=says) as error:
+    with pytest.raises(RegionsError, match=stated) as error:
         read_regions(file)
     assert "rooms.geojson" in str(error.value)
 

@@ -117,7 +117,7 @@ def test_huge_unknown_areas_change_nothing(usual: tuple[GridMap, SiteModel], tmp
 
 
 @pytest.mark.parametrize(
-    ("cells", "meta", "says"),
+    ("cells", "meta", "stated"),
     [
         (np.full((90, 90), 255), {}, "no free cell in {}/map.png: check negate, free_thresh"),
         (np.full((90, 90), OCCUPIED), {}, "no free cell"),
@@ -127,8 +127,8 @@ def test_huge_unknown_areas_change_nothing(usual: tuple[GridMap, SiteModel], tmp
         ("deep", {}, "has more than 8 bits a pixel: save it with 8"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line_with_the_fix(
-    office: GridMap, tmp_path: Path, cells: np.ndarray | str, meta: dict[str, Any], says: str
+def test_what_is_wrong_is_reported_in_one_line_with_the_fix(
+    office: GridMap, tmp_path: Path, cells: np.ndarray | str, meta: dict[str, Any], stated: str
 ) -> None:
     if isinstance(cells, str):
         pixels = grey(office.cells).astype(np.uint16 if cells == "deep" else np.uint8)
@@ -139,6 +139,6 @@ def test_what_is_wrong_is_said_in_one_line_with_the_fix(
     assert done.returncode == 2, done.stdout
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith(f"eigenscan build: {yaml}")
-    assert says.format(tmp_path) in line
+    assert stated.format(tmp_path) in line
     assert not (tmp_path / "model").exists()
     assert not (tmp_path / "model.pieces").exists()

@@ -106,7 +106,7 @@ def test_parts_that_no_edge_joins_stay_where_they_begin() -> None:
     np.testing.assert_allclose(found, truth, atol=1e-4)
 
 
-def test_without_the_library_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_the_error_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     from eigenscan.mapbuilder.mapping import pose_graph
 
     monkeypatch.setattr(pose_graph, "find_spec", lambda name: None)

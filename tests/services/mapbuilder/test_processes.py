@@ -31,7 +31,7 @@ def build(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
-def test_build_writes_models_and_tells_of_them_on_one_screen(office: GridMap, tmp_path: Path) -> None:
+def test_build_writes_models_and_shows_them_on_one_screen(office: GridMap, tmp_path: Path) -> None:
     write_map(office, tmp_path / "map.yaml")
     result = build(tmp_path / "map.yaml", "-o", tmp_path / "model", "--spacing", "0.25", "--step", "2")
     assert result.returncode == 0, result.stderr
@@ -43,7 +43,7 @@ def test_build_writes_models_and_tells_of_them_on_one_screen(office: GridMap, tm
 
 
 @pytest.mark.parametrize(
-    ("yaml", "arguments", "says"),
+    ("yaml", "arguments", "stated"),
     [
         ("image: map.pgm\norigin: [0, 0, 0]\n", [], "resolution is missing"),
         (None, [], "cannot be read"),
@@ -52,7 +52,7 @@ def test_build_writes_models_and_tells_of_them_on_one_screen(office: GridMap, tm
     ],
 )
 def test_a_users_error_is_one_line_and_leaves_nothing(
-    office: GridMap, tmp_path: Path, yaml: str | None, arguments: list[str], says: str
+    office: GridMap, tmp_path: Path, yaml: str | None, arguments: list[str], stated: str
 ) -> None:
     write_map(office, tmp_path / "map.yaml")
     if yaml is None:
@@ -65,7 +65,7 @@ def test_a_users_error_is_one_line_and_leaves_nothing(
     assert result.returncode == 2
     (line,) = result.stderr.strip().splitlines()
     assert line.startswith("eigenscan build: ")
-    assert says in line
+    assert stated in line
     assert str(tmp_path) in line
     assert sorted(p.name for p in tmp_path.iterdir()) == before
 
@@ -118,13 +118,13 @@ def _listen(config: Path, site: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "stated"),
     [
         (["--spacing", "-1", "--map", "m.yaml"], "spacing"),
         (["--model", "absent"], "manifest.json"),
     ],
 )
-def test_the_service_tells_a_wrong_setting_in_one_line(flags: list[str], says: str, tmp_path: Path) -> None:
+def test_the_service_shows_a_wrong_setting_in_one_line(flags: list[str], stated: str, tmp_path: Path) -> None:
     config = tmp_path / "z.json5"
     config.write_text(json.dumps({"scouting": {"multicast": {"enabled": False}}}))
     result = subprocess.run(
@@ -135,5 +135,5 @@ def test_the_service_tells_a_wrong_setting_in_one_line(flags: list[str], says: s
         check=False,
     )
     assert result.returncode == 2
-    assert says in result.stderr
+    assert stated in result.stderr
     assert "Traceback" not in result.stderr

@@ -1,4 +1,4 @@
-"""What is said of a map before any robot drives in it."""
+"""What is published of a map before any robot drives in it."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_thin_walls_promise_nothing_out_of_the_ordinary() -> None:
     assert found.usual_range_m == pytest.approx(3.4, abs=0.4)
 
 
-def test_thick_walls_are_told_and_what_follows() -> None:
+def test_thick_walls_are_reported_and_what_follows() -> None:
     found = quality(room(5), POINTS, 20.0)
     assert found.wall_thickness_m == pytest.approx(0.5, abs=0.11)
     assert found.thinned

@@ -118,7 +118,7 @@ def published(core: MapbuilderCore) -> list[Envelope]:
     return list(Loopback([core]).start())
 
 
-def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -> None:
+def test_the_core_publishes_the_map_then_the_models_then_their_set(office: GridMap) -> None:
     core = MapbuilderCore(MapbuilderSettings(step=2.0), office, site="lab")
     assert core.condition().status == Health.STATUS_WAITING
     envelopes = published(core)
@@ -133,7 +133,7 @@ def test_the_core_says_the_map_then_the_models_then_their_set(office: GridMap) -
     assert list(core.finish()) == []
 
 
-def test_models_that_were_built_before_are_said_as_they_are(office: GridMap) -> None:
+def test_models_that_were_built_before_are_published_as_they_are(office: GridMap) -> None:
     site = build_site(office, replace(QUICK, frame_id="floor2"))
     core = MapbuilderCore(MapbuilderSettings(), site)
     envelopes = published(core)

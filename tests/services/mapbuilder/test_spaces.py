@@ -1,4 +1,4 @@
-"""Eigenspaces for lidars unlike the declared one: made once, said once, kept with the models."""
+"""Eigenspaces for lidars unlike the declared one: made once, published once, kept with the models."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -81,7 +81,7 @@ def changed(model: RegionModel) -> RegionModel:
     return model.with_ranges(model.index, model.ranges + np.uint16(1))
 
 
-def test_after_a_change_only_what_changed_is_said_again(site: SiteModel) -> None:
+def test_after_a_change_only_what_changed_is_published_again(site: SiteModel) -> None:
     core = started(site)
     published(core, ask(180))
     after = replace(site, regions=(changed(site.regions[0]), *site.regions[1:]))
@@ -91,7 +91,7 @@ def test_after_a_change_only_what_changed_is_said_again(site: SiteModel) -> None
     ]
 
 
-def test_what_was_made_is_kept_with_the_models_and_said_at_the_next_start(
+def test_what_was_made_is_kept_with_the_models_and_published_at_the_next_start(
     site: SiteModel, tmp_path: Path
 ) -> None:
     folder = tmp_path / "model"

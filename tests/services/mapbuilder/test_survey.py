@@ -185,7 +185,7 @@ def test_a_cloud_is_found_on_another_at_any_heading(grid: GridMap, way: np.ndarr
     assert abs(step[2]) < np.deg2rad(0.2)
 
 
-def test_alignment_takes_from_the_prior_what_the_walls_do_not_tell() -> None:
+def test_alignment_takes_from_the_prior_what_the_walls_do_not_show() -> None:
     # two long parallel walls: nothing fixes the place along them
     x = np.linspace(-8, 8, 400)
     walls = Cloud(

@@ -63,11 +63,11 @@ class Recorder:
 
         return self.await_health(has_all)
 
-    def await_on_disk(self, path: Path, count: int, say: Callable[[], object]) -> list[Record]:
-        """Says more until so many messages of POSE can be read while the recorder is at work; gives them."""
+    def await_on_disk(self, path: Path, count: int, send: Callable[[], object]) -> list[Record]:
+        """Publishes until so many messages of POSE can be read while the recorder is at work; gives them."""
         deadline = time.monotonic() + PATIENCE_S
         while True:
-            say()
+            send()
             found = [record for record in read(path) if record.envelope.channel is POSE]
             if len(found) >= count:
                 return found
@@ -86,7 +86,7 @@ class Recorder:
 
 @pytest.fixture
 def start_recorder(tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
-    """Starts a recorder with the given flags, and waits until it is heard. All end with the test."""
+    """Starts a recorder with the given flags, and waits until it is received. All end with the test."""
     started: list[Recorder] = []
 
     def start(*flags: str) -> Recorder:

@@ -1,4 +1,4 @@
-"""Every channel of the contract reaches Rerun, in a form that says what is in it."""
+"""Every channel of the contract reaches Rerun, in a form that states what is in it."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_each_channel_is_seen(
     assert SEEN_AS[channel] in whole - without
 
 
-def test_odometry_and_scans_tell_the_speed_on_one_axis(tmp_path: Path) -> None:
+def test_odometry_and_scans_show_the_speed_on_one_axis(tmp_path: Path) -> None:
     """Driven backwards at 0.5 m/s in a curve of 20 degrees/s; odometry every 20 ms, scans every 200 ms."""
     step = np.array([-0.5 * 0.02, 0.0, math.radians(20.0) * 0.02])
     pose, published = np.array([3.0, -2.0, 2.0]), []
@@ -171,12 +171,12 @@ def test_frames_hang_below_their_parents(tmp_path: Path) -> None:
     assert "/frames/r1/map/odom" in entities(tmp_path / "a.rrd")
 
 
-def test_a_robot_that_is_told_where_it_is_is_shown_with_it_until_it_is_to_search(tmp_path: Path) -> None:
-    told = Relocation(
+def test_a_robot_that_is_relocated_is_shown_with_it_until_it_is_to_search(tmp_path: Path) -> None:
+    reported = Relocation(
         timestamp=stamp(S), pose=Pose2(x=4.0, y=1.0, theta=0.0), covariance=Covariance3(xx=0.25)
     )
-    anew = Relocation(timestamp=stamp(2 * S))
-    draw(tmp_path / "a.rrd", [Envelope(RELOCATION, ADDRESS, one) for one in (told, anew)])
+    again = Relocation(timestamp=stamp(2 * S))
+    draw(tmp_path / "a.rrd", [Envelope(RELOCATION, ADDRESS, one) for one in (reported, again)])
     ((at, strips),) = [
         row
         for row in rows(tmp_path / "a.rrd", "/world/robots/r1/relocation", "LineStrips3D:strips")

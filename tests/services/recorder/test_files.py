@@ -33,7 +33,7 @@ def pose(number: int) -> Envelope:
 def test_the_oldest_is_the_one_that_began_first_not_the_one_that_was_touched_first(tmp_path: Path) -> None:
     earlier = Files(tmp_path, "s")
     first, second = holding(earlier, NOON), holding(earlier, NOON + HOUR)
-    os.utime(second, ns=(0, 0))  # copied back from elsewhere, say
+    os.utime(second, ns=(0, 0))  # as after a copy from elsewhere
     assert Files(tmp_path, "s").make_room(1000) == 1
     assert not first.exists()
     assert second.exists()

@@ -48,16 +48,16 @@ class Client:
     def _receive(self) -> bytes:
         """The next message's bytes; notes what is advertised before it."""
         while isinstance(received := self._connection.recv(PATIENCE_S), str):
-            said = json.loads(received)
-            for channel in said.get("channels", ()) if said["op"] == "advertise" else ():
+            output = json.loads(received)
+            for channel in output.get("channels", ()) if output["op"] == "advertise" else ():
                 self.channels[channel["topic"]] = channel
         return received
 
     def topics(self, wanted: set[str]) -> None:
         """Waits until these are advertised."""
         while not wanted <= self.channels.keys():
-            said = json.loads(self._connection.recv(PATIENCE_S))
-            for channel in said.get("channels", ()):
+            output = json.loads(self._connection.recv(PATIENCE_S))
+            for channel in output.get("channels", ()):
                 self.channels[channel["topic"]] = channel
 
     def subscribe(self, *topics: str) -> None:

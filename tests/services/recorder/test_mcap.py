@@ -133,18 +133,18 @@ def test_the_file_is_indexed_and_compressed(start_recorder: Callable[..., Any], 
 
 
 def test_a_kill_leaves_all_that_was_on_disk(start_recorder: Callable[..., Any], tmp_path: Path) -> None:
-    """How soon that is, is said below, where the test has the clock."""
+    """How soon that is, is published below, where the test has the clock."""
     recorder = start_recorder("--mcap", str(tmp_path / "k.mcap"))
     address = {"site": recorder.site, "robot": "r1"}
     published = itertools.count(1)
 
-    def say() -> None:
+    def send() -> None:
         for _ in range(10):
             recorder.bus.publish(Envelope(POSE, address, PoseEstimate(timestamp=stamp(next(published)))))
             time.sleep(0.005)
 
     # what has just come goes to the disk while the recorder is at work, not at its end
-    on_disk = recorder.await_on_disk(tmp_path / "k.mcap", 200, say)
+    on_disk = recorder.await_on_disk(tmp_path / "k.mcap", 200, send)
     recorder.process.send_signal(signal.SIGKILL)
     recorder.process.wait()
 

@@ -255,7 +255,7 @@ def test_the_error_is_the_distance_from_the_truth_of_the_same_moment(tmp_path: P
                 assert plotted[moment][0] == pytest.approx(errors[index], abs=1e-6), name
 
 
-def test_a_viewer_that_comes_after_hours_of_the_same_state_is_told_it(tmp_path: Path) -> None:
+def test_a_viewer_that_comes_after_hours_of_the_same_state_receives_it(tmp_path: Path) -> None:
     """Old rows are dropped from a live viewer's memory: state and bar must come again."""
     draw(tmp_path / "a.rrd", [localized(S * second, [1.0, 1.0, 0.0]) for second in range(1, 302)])
     for entity, column in (("/state/r1", "StateChange:state"), ("/status", "Image:buffer")):
@@ -265,7 +265,7 @@ def test_a_viewer_that_comes_after_hours_of_the_same_state_is_told_it(tmp_path: 
         assert len(moments) <= 16
 
 
-def test_a_robot_that_says_nothing_any_more_is_not_shown_as_well(tmp_path: Path) -> None:
+def test_a_robot_that_publishes_nothing_any_more_is_not_shown_as_well(tmp_path: Path) -> None:
     """Health goes on at the services' clock, which is another than the log's."""
     clock = 1_000_000 * S
 
@@ -273,9 +273,10 @@ def test_a_robot_that_says_nothing_any_more_is_not_shown_as_well(tmp_path: Path)
         message = Health(timestamp=stamp(clock + second * S), service="recorder")
         return Envelope(HEALTH, ADDRESS | {"service": "recorder", "instance": "0"}, message)
 
-    told = [health(0), localized(S, [1, 1, 0]), health(1), localized(2 * S, [1, 1, 0])]
+    reported = [health(0), localized(S, [1, 1, 0]), health(1), localized(2 * S, [1, 1, 0])]
     draw(
-        tmp_path / "a.rrd", [*told, *(health(second) for second in range(2, 10)), localized(9 * S, [1, 1, 0])]
+        tmp_path / "a.rrd",
+        [*reported, *(health(second) for second in range(2, 10)), localized(9 * S, [1, 1, 0])],
     )
     states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
     assert states == [(S, ["LOCALIZED"]), (2 * S, ["SILENT"]), (9 * S, ["LOCALIZED"])]
@@ -331,7 +332,7 @@ def test_the_protection_level_is_a_circle_of_its_radius(tmp_path: Path) -> None:
     assert np.hypot(*(np.array(strips[0])[:, :2] - [3.0, 4.0]).T) == pytest.approx(0.7, abs=1e-5)
 
 
-def test_the_board_tells_of_every_robot(tmp_path: Path) -> None:
+def test_the_board_shows_every_robot(tmp_path: Path) -> None:
     """A robot whose line changes all the time does not keep another's off the board."""
     other = ADDRESS | {"robot": "r2"}
     messages = []

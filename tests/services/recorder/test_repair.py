@@ -59,12 +59,12 @@ def test_a_recorder_killed_at_any_moment_leaves_all_that_was_on_disk(
     address = {"site": recorder.site, "robot": "r1"}
     published: list[int] = []
 
-    def say() -> None:
+    def send() -> None:
         published.append(time.time_ns())
         recorder.bus.publish(Envelope(POSE, address, PoseEstimate(timestamp=stamp(published[-1]))))
         time.sleep(0.004)
 
-    on_disk = recorder.await_on_disk(tmp_path / "k.mcap", random.Random(seed).randint(50, 500), say)
+    on_disk = recorder.await_on_disk(tmp_path / "k.mcap", random.Random(seed).randint(50, 500), send)
     recorder.process.send_signal(signal.SIGKILL)
     recorder.process.wait()
     damaged = tmp_path / "k.mcap"

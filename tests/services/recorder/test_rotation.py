@@ -83,7 +83,7 @@ def test_the_next_file_begins_when_one_is_full_and_explains_itself(tmp_path: Pat
     assert sorted(number for file in files for number in numbers(file)) == list(range(1, COUNT + 1))
 
 
-def test_each_file_tells_who_ran_with_which_settings_on_which_models(tmp_path: Path) -> None:
+def test_each_file_shows_who_ran_with_which_settings_on_which_models(tmp_path: Path) -> None:
     clock = Clock()
     sink = McapSink(tmp_path, "s", clock, 0.5, {}, Limits(file_ns=5 * S))
     entries = [ModelSet.Entry(region="hall", version="h1")]
@@ -98,8 +98,8 @@ def test_each_file_tells_who_ran_with_which_settings_on_which_models(tmp_path: P
     first, *_, last = sorted(tmp_path.glob("*.mcap"))
     for path, trust in ((first, 0.2), (last, 0.3)):
         found = read_metadata(path)
-        told = json.loads(found["services"]["tracker/r17"])
-        assert (told["version"], json.loads(told["settings"])) == ("1.2.3", {"trust": trust})
+        reported = json.loads(found["services"]["tracker/r17"])
+        assert (reported["version"], json.loads(reported["settings"])) == ("1.2.3", {"trust": trust})
         models = json.loads(found["models"]["s/models"])
         assert models == {"version": "v1", "map": "m1", "regions": {"hall": "h1"}}
 

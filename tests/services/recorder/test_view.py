@@ -116,7 +116,7 @@ def test_a_recording_that_was_cut_off_is_drawn_as_far_as_it_goes(recording: Path
         (b"", ["--at", "soon"], "give s from the recording's start, or UTC as 03:12"),
     ],
 )
-def test_what_cannot_be_drawn_is_told_in_one_line(
+def test_what_cannot_be_drawn_is_reported_in_one_line(
     tmp_path: Path, content: bytes | None, arguments: list[str], words: str
 ) -> None:
     file = tmp_path / "x.mcap"

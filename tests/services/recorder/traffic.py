@@ -55,7 +55,7 @@ COVARIANCE = np.diag([0.03**2, 0.06**2, np.deg2rad(1.0) ** 2])
 
 
 class Site:
-    """Messages of every channel, in the order in which a recorder would hear them."""
+    """Messages of every channel, in the order in which a recorder would receive them."""
 
     def __init__(self, site: str, robot: str = "r1", seconds: float = 12.0, seed: int = 1) -> None:
         self.grid = office().render()

@@ -100,11 +100,11 @@ def _network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
 
 @dataclass
 class Ear:
-    """All that the site says, in order of arrival."""
+    """All that the site publishes, in order of arrival."""
 
     bus: Bus
     inbox: Inbox = field(default_factory=lambda: Inbox(64))
-    heard: list[Envelope] = field(default_factory=list)
+    received: list[Envelope] = field(default_factory=list)
 
     @classmethod
     @contextmanager
@@ -120,8 +120,8 @@ class Ear:
             address = arrival.channel.parse(arrival.key)
             assert address is not None
             message = decode(arrival.channel, arrival.payload, arrival.encoding)
-            self.heard.append(Envelope(arrival.channel, address, message))
-        return [e.message for e in self.heard if e.channel is channel and isinstance(e.message, kind)]
+            self.received.append(Envelope(arrival.channel, address, message))
+        return [e.message for e in self.received if e.channel is channel and isinstance(e.message, kind)]
 
     def health(self) -> Health | None:
         """The bridge's newest."""
@@ -132,7 +132,7 @@ class Ear:
 def pipeline(
     network: Network, out: Path, dialect: str, ros_router: str, *flags: object, **environment: str
 ) -> Iterator[Ear]:
-    """`eigenscan run` with the bridge, once the projector has its model; gives what it says."""
+    """`eigenscan run` with the bridge, once the projector has its model; gives what it reports."""
     site = f"test-{uuid.uuid4().hex[:12]}"
     command = [sys.executable, "-m", "eigenscan.cli.main", "run", "--site", site, "--zenoh", network.leaf]
     command += ["--no-viewer", "--out", out, "--ros2", dialect, "--ros2-router", ros_router, *flags]
@@ -202,7 +202,7 @@ class Robot:
 
     port: int
     domain: int
-    heard: dict[str, list[Any]] = field(default_factory=dict)
+    received: dict[str, list[Any]] = field(default_factory=dict)
     _open: list[Any] = field(default_factory=list)
     _news: threading.Lock = field(default_factory=threading.Lock)
 
@@ -213,11 +213,11 @@ class Robot:
 
     def subscribe(self, topic: str, kind: str, **more: Any) -> list[Any]:
         """The messages that come, as they come."""
-        heard = self.heard.setdefault(topic, [])
+        received = self.received.setdefault(topic, [])
         self._open.append(
-            ROS2Subscriber(topic, kind, heard.append, domain_id=self.domain, router_port=self.port, **more)
+            ROS2Subscriber(topic, kind, received.append, domain_id=self.domain, router_port=self.port, **more)
         )
-        return heard
+        return received
 
     def close(self) -> None:
         for one in self._open:

@@ -1,4 +1,4 @@
-"""A ROS 2 robot on a DDS, as its RMW has it: Cyclone DDS says and hears ROS 2's topics, types and services.
+"""A ROS 2 robot on a DDS, as its RMW has it: Cyclone DDS has ROS 2's topics, types and services.
 
 Types, CDR and discovery are Cyclone's own. Names are ROS 2's: `rt/` before topics, `rq/…Request` and
 `rr/…Reply` around services, and who is who on `ros_discovery_info`.
@@ -95,7 +95,7 @@ SENSOR, DEFAULT, LATCHED = quality(5, reliable=False), quality(10), quality(1, l
 
 
 class DdsRobot:
-    """One node, `robot`, on a DDS domain. Its writers and readers are told on `ros_discovery_info`."""
+    """One node, `robot`, on a DDS domain. Its writers and readers are reported on `ros_discovery_info`."""
 
     def __init__(self, domain: int) -> None:
         self._participant = DomainParticipant(domain)
@@ -108,17 +108,17 @@ class DdsRobot:
         """A writer; `topic` is DDS's name."""
         writer = DataWriter(self._participant, Topic(self._participant, topic, kind), qos=qos)
         self._writers[topic] = writer
-        self._tell()
+        self._report()
         return writer
 
     def inputs(self, topic: str, kind: type[Any], qos: Qos = DEFAULT) -> DataReader[Any]:
         """A reader; `topic` is DDS's name."""
         reader = DataReader(self._participant, Topic(self._participant, topic, kind), qos=qos)
         self._readers[topic] = reader
-        self._tell()
+        self._report()
         return reader
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         node = NodeEntitiesInfo(
             "/",
             "robot",

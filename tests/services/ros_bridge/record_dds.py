@@ -1,4 +1,4 @@
-"""What the zenoh-bridge-ros2dds says on Zenoh: `python -m tests.services.ros_bridge.record_dds BRIDGE`.
+"""What the zenoh-bridge-ros2dds publishes on Zenoh: `python -m tests.services.ros_bridge.record_dds BRIDGE`.
 
 Writes `recorded_dds.json`, against which `test_recorded_dds.py` holds the bridge's dialect without a build.
 PROGRAM is what `pytest -m rust tests/services/ros_bridge` has built, `out/rust/release/dds-bridge`.
@@ -26,7 +26,7 @@ DOMAIN = 101
 
 
 def hashed(qos: Qos, kind: str) -> Qos:
-    """With the type's hash as ROS 2 tells it."""
+    """With the type's hash as ROS 2 shows it."""
     return qos + Qos(Policy.Userdata(f"typehash={cdr.type_hash(kind)};".encode()))
 
 
@@ -88,7 +88,7 @@ def record(session: zenoh.Session) -> dict[str, Any]:
 
 
 def published_by(robot: dds.DdsRobot) -> list[tuple[Any, Any]]:
-    """Declares the bridge's own topics on the DDS side, and what a robot says; gives writers and messages."""
+    """Declares the bridge's own topics on the DDS side, and a robot's; gives writers and messages."""
     sensor, command, tf = dds.SENSOR, dds.quality(10), dds.quality(100)
     static = dds.quality(100, latched=True)
     robot.inputs("rt/scan", dds.LaserScan, hashed(sensor, cdr.LASER_SCAN))

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from tests.environment import DATASETS
 
 BAG = DATASETS / "olin_mac/rosbag2/macfirst_floor_take_2_0.db3"
-HEARD = (cdr.LASER_SCAN, cdr.ODOMETRY, cdr.TRANSFORMS, cdr.POSE_WITH_COVARIANCE)
+RECEIVED = (cdr.LASER_SCAN, cdr.ODOMETRY, cdr.TRANSFORMS, cdr.POSE_WITH_COVARIANCE)
 TIME = 1_700_000_000_250_000_000
 
 
@@ -60,11 +60,11 @@ def test_damaged_messages_are_refused_and_nothing_else(data: st.DataObject) -> N
     for _ in range(data.draw(st.integers(1, 8))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, len(damaged)))
-    for taken_as in HEARD:
+    for taken_as in RECEIVED:
         assert_is_message_or_refused(taken_as, bytes(damaged[:cut]))
 
 
-@given(st.sampled_from(HEARD), st.binary(max_size=200))
+@given(st.sampled_from(RECEIVED), st.binary(max_size=200))
 def test_any_bytes_are_a_message_or_refused(kind: str, data: bytes) -> None:
     assert_is_message_or_refused(kind, data)
 

@@ -12,7 +12,7 @@ from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 
-from tests.services.ros_bridge.test_core import core, header, hear, transform
+from tests.services.ros_bridge.test_core import core, header, listen, transform
 
 HALF = float(np.sqrt(0.5))
 
@@ -59,14 +59,14 @@ def cloud(
 def bridge(**settings: Any) -> RosBridgeCore:
     """One whose 3D lidar is 0.5 m up and 0.2 m forward, level."""
     made = core(points=["front/points"], base_frame="base_link", **settings)
-    hear(made, "%tf_static", transform("base_link", "os_lidar", (0.2, 0.0, 0.5), (0, 0, 0, 1)))
+    listen(made, "%tf_static", transform("base_link", "os_lidar", (0.2, 0.0, 0.5), (0, 0, 0, 1)))
     return made
 
 
 def scanned(made: RosBridgeCore, data: bytes) -> RawScan:
-    (said,) = hear(made, "%front%points", data)
-    assert said.address["lidar"] == "front"
-    return said.open(RawScan)
+    (output,) = listen(made, "%front%points", data)
+    assert output.address["lidar"] == "front"
+    return output.open(RawScan)
 
 
 def seen(message: RawScan) -> Array:
@@ -99,7 +99,7 @@ def test_rows_may_be_padded() -> None:
 def test_a_tilted_sensor_may_have_a_cloud() -> None:
     """A depth camera that looks down by 90 deg: its x axis is the base's -z."""
     made = core(points=["front/points"], base_frame="base_link")
-    hear(made, "%tf_static", transform("base_link", "os_lidar", (0.0, 0.0, 2.0), (0.0, HALF, 0.0, HALF)))
+    listen(made, "%tf_static", transform("base_link", "os_lidar", (0.0, 0.0, 2.0), (0.0, HALF, 0.0, HALF)))
     found = seen(scanned(made, cloud([(1.7, 0.5, 3.0), (0.1, 0.5, 2.0)])))
     assert found == pytest.approx(np.array([[3.0, 0.5]]), abs=0.02)
 
@@ -141,7 +141,7 @@ BEHIND = [cdr.make(FIELD, name, 4 * at + 6, 7, 1) for at, name in enumerate("xyz
 )
 def test_a_cloud_that_gives_no_scan_is_counted_and_named(data: bytes, reason: str, part: str) -> None:
     made = bridge()
-    assert hear(made, "%front%points", data) == []
+    assert listen(made, "%front%points", data) == []
     condition = made.condition()
     assert condition.counters[f"set_aside_{reason}"] == 1
     assert part in condition.detail

@@ -93,25 +93,25 @@ def transform(parent: str, child: str, xyz: tuple[float, float, float], xyzw: tu
 MOUNT = transform("base_link", "laser", (0.2, 0.1, 0.3), (0.0, 0.0, 1.0, 0.0))
 
 
-def hear(bridge: RosBridgeCore, endpoint: str, data: bytes) -> list[Envelope]:
+def listen(bridge: RosBridgeCore, endpoint: str, data: bytes) -> list[Envelope]:
     """As over Zenoh: the messages are encoded on their way."""
-    heard = Envelope(ROS_RECEIVED, {"endpoint": endpoint}, BytesValue(value=data))
-    return Loopback([bridge]).receive(heard)
+    received = Envelope(ROS_RECEIVED, {"endpoint": endpoint}, BytesValue(value=data))
+    return Loopback([bridge]).receive(received)
 
 
-def tell(bridge: RosBridgeCore, channel: Any, message: Any) -> list[tuple[str, bytes]]:
-    said = Loopback([bridge]).receive(Envelope(channel, SITE, message))
-    assert all(each.channel is ROS_PUBLISHED for each in said)
-    return [(each.address["endpoint"], each.open(BytesValue).value) for each in said]
+def report(bridge: RosBridgeCore, channel: Any, message: Any) -> list[tuple[str, bytes]]:
+    output = Loopback([bridge]).receive(Envelope(channel, SITE, message))
+    assert all(each.channel is ROS_PUBLISHED for each in output)
+    return [(each.address["endpoint"], each.open(BytesValue).value) for each in output]
 
 
-def test_a_scan_is_said_with_the_mount_that_tf_tells() -> None:
+def test_a_scan_is_published_with_the_mount_that_tf_gives() -> None:
     bridge = core()
-    hear(bridge, "%odom", odometry(0, 0, 0))
-    hear(bridge, "%tf_static", MOUNT)
-    (said,) = hear(bridge, "%scan", scan())
-    message = said.open(RawScan)
-    assert said.key == "s/robot/r/scan/raw/scan"
+    listen(bridge, "%odom", odometry(0, 0, 0))
+    listen(bridge, "%tf_static", MOUNT)
+    (output,) = listen(bridge, "%scan", scan())
+    message = output.open(RawScan)
+    assert output.key == "s/robot/r/scan/raw/scan"
     assert nanoseconds(message.timestamp) == TIME
     assert (message.mount.x, message.mount.y) == pytest.approx((0.2, 0.1))
     assert abs(message.mount.theta) == pytest.approx(np.pi)
@@ -124,52 +124,52 @@ def test_a_scan_is_said_with_the_mount_that_tf_tells() -> None:
 
 def test_an_upside_down_lidar_on_an_arm_of_several_joints() -> None:
     bridge = core(base_frame="base_footprint")
-    hear(bridge, "%tf_static", transform("base_footprint", "base_link", (0.0, 0.0, 0.1), (0, 0, 0, 1)))
-    hear(bridge, "%tf", transform("base_link", "mast", (0.5, 0.0, 0.0), (0, 0, 0, 1)))
-    hear(bridge, "%tf_static", transform("mast", "laser", (0.0, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0)))
-    (said,) = hear(bridge, "%scan", scan())
-    assert said.open(RawScan).mount.x == pytest.approx(0.5)
-    assert said.open(RawScan).upside_down
+    listen(bridge, "%tf_static", transform("base_footprint", "base_link", (0.0, 0.0, 0.1), (0, 0, 0, 1)))
+    listen(bridge, "%tf", transform("base_link", "mast", (0.5, 0.0, 0.0), (0, 0, 0, 1)))
+    listen(bridge, "%tf_static", transform("mast", "laser", (0.0, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0)))
+    (output,) = listen(bridge, "%scan", scan())
+    assert output.open(RawScan).mount.x == pytest.approx(0.5)
+    assert output.open(RawScan).upside_down
 
 
-def test_scans_wait_for_the_mount_and_say_so() -> None:
+def test_scans_wait_for_the_mount_and_report_it() -> None:
     bridge = core()
     assert bridge.condition().detail == "no scan yet on /scan"
-    assert hear(bridge, "%scan", scan()) == []
+    assert listen(bridge, "%scan", scan()) == []
     assert "no odometry" in bridge.condition().detail
-    hear(bridge, "%odom", odometry(0, 0, 0, base="base_footprint"))
-    assert hear(bridge, "%scan", scan()) == []
+    listen(bridge, "%odom", odometry(0, 0, 0, base="base_footprint"))
+    assert listen(bridge, "%scan", scan()) == []
     condition = bridge.condition()
     assert condition.status == Health.STATUS_WAITING
     assert "no transform from base_footprint to laser" in condition.detail
     assert condition.counters["set_aside_no_mount"] == 1
-    hear(bridge, "%tf_static", transform("base_footprint", "laser", (0, 0, 0), (0, 0, 0, 1)))
-    assert len(hear(bridge, "%scan", scan())) == 1
+    listen(bridge, "%tf_static", transform("base_footprint", "laser", (0, 0, 0), (0, 0, 0, 1)))
+    assert len(listen(bridge, "%scan", scan())) == 1
 
 
 def test_a_tilted_lidar_is_not_for_this() -> None:
     bridge = core(base_frame="base_link")
-    hear(bridge, "%tf_static", transform("base_link", "laser", (0, 0, 0), (0.0, 0.5, 0.0, 0.8)))
-    assert hear(bridge, "%scan", scan()) == []
+    listen(bridge, "%tf_static", transform("base_link", "laser", (0, 0, 0), (0.0, 0.5, 0.0, 0.8)))
+    assert listen(bridge, "%scan", scan()) == []
     assert bridge.condition().counters["set_aside_tilted"] == 1
 
 
 def test_without_tf_the_mount_is_left_to_scan_ingest() -> None:
     bridge = core(mounts_from_tf=False)
-    (said,) = hear(bridge, "%scan", scan())
-    assert said.open(RawScan).mount == to_message((0, 0, 0))
+    (output,) = listen(bridge, "%scan", scan())
+    assert output.open(RawScan).mount == to_message((0, 0, 0))
 
 
 def test_two_lidars_by_their_topics() -> None:
     bridge = core(scan=["front/scan", "/rear/scan"], mounts_from_tf=False, namespace="r17")
-    assert hear(bridge, "%r17%front%scan", scan())[0].address["lidar"] == "r17_front"
-    assert hear(bridge, "%rear%scan", scan())[0].address["lidar"] == "rear"
+    assert listen(bridge, "%r17%front%scan", scan())[0].address["lidar"] == "r17_front"
+    assert listen(bridge, "%rear%scan", scan())[0].address["lidar"] == "rear"
 
 
-def test_odometry_is_said_with_frames_and_velocity() -> None:
-    (said,) = hear(core(), "%odom", odometry(1.0, -2.0, 3.0))
-    message = said.open(Odometry)
-    assert said.channel is ODOMETRY
+def test_odometry_is_published_with_frames_and_velocity() -> None:
+    (output,) = listen(core(), "%odom", odometry(1.0, -2.0, 3.0))
+    message = output.open(Odometry)
+    assert output.channel is ODOMETRY
     assert (message.frame_id, message.body_frame_id) == ("odom", "base_link")
     assert from_pose3(message.pose) == pytest.approx([1.0, -2.0, 3.0])
     assert message.linear_velocity.x == 0.5
@@ -180,64 +180,64 @@ def test_odometry_is_said_with_frames_and_velocity() -> None:
 def test_odometry_is_tfs_as_amcls_is() -> None:
     """A topic of odometry may be the wheels', and tf that of a filter: map to odom must fit to tf."""
     bridge = core()
-    (said,) = hear(bridge, "%odom", odometry(7.0, 0.0, 0.0))
-    assert said.open(Odometry).pose.position.x == 7.0
+    (output,) = listen(bridge, "%odom", odometry(7.0, 0.0, 0.0))
+    assert output.open(Odometry).pose.position.x == 7.0
     half_turn = (0.0, 0.0, 1.0, 0.0)
-    (said,) = hear(bridge, "%tf", transform("/odom", "/base_footprint", (1.0, -2.0, 0.1), half_turn))
-    message = said.open(Odometry)
-    assert said.channel is ODOMETRY
+    (output,) = listen(bridge, "%tf", transform("/odom", "/base_footprint", (1.0, -2.0, 0.1), half_turn))
+    message = output.open(Odometry)
+    assert output.channel is ODOMETRY
     assert nanoseconds(message.timestamp) == TIME
     assert (message.frame_id, message.body_frame_id) == ("odom", "base_footprint")
     assert from_pose3(message.pose) == pytest.approx([1.0, -2.0, np.pi])
-    assert hear(bridge, "%odom", odometry(7.1, 0.0, 0.0)) == []
+    assert listen(bridge, "%odom", odometry(7.1, 0.0, 0.0)) == []
     # the mount is below the frame that tf moves
-    hear(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
-    hear(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
-    (said,) = hear(bridge, "%scan", scan("/laser"))
-    assert said.open(RawScan).mount.x == pytest.approx(0.7)
+    listen(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
+    listen(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
+    (output,) = listen(bridge, "%scan", scan("/laser"))
+    assert output.open(RawScan).mount.x == pytest.approx(0.7)
 
 
 def test_a_mount_follows_the_base_of_odometry() -> None:
-    """Its topic may name another base than tf, which is heard later."""
+    """Its topic may name another base than tf, which is received later."""
     bridge = core()
-    hear(bridge, "%odom", odometry(0, 0, 0, base="base_link"))
-    hear(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
-    hear(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
-    assert hear(bridge, "%scan", scan())[0].open(RawScan).mount.x == pytest.approx(0.2)
-    hear(bridge, "%tf", transform("odom", "base_footprint", (0, 0, 0), (0, 0, 0, 1)))
-    assert hear(bridge, "%scan", scan())[0].open(RawScan).mount.x == pytest.approx(0.7)
+    listen(bridge, "%odom", odometry(0, 0, 0, base="base_link"))
+    listen(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
+    listen(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
+    assert listen(bridge, "%scan", scan())[0].open(RawScan).mount.x == pytest.approx(0.2)
+    listen(bridge, "%tf", transform("odom", "base_footprint", (0, 0, 0), (0, 0, 0, 1)))
+    assert listen(bridge, "%scan", scan())[0].open(RawScan).mount.x == pytest.approx(0.7)
 
 
 def test_odometry_in_tf_of_a_robot_with_names_of_its_own() -> None:
     bridge = core(namespace="robot1", odom_frame="robot1/odom", odom="")
-    assert hear(bridge, "%robot1%tf", transform("odom", "base_link", (1, 0, 0), (0, 0, 0, 1))) == []
-    (said,) = hear(bridge, "%robot1%tf", transform("robot1/odom", "robot1/base", (1, 0, 0), (0, 0, 0, 1)))
-    assert said.open(Odometry).body_frame_id == "robot1/base"
+    assert listen(bridge, "%robot1%tf", transform("odom", "base_link", (1, 0, 0), (0, 0, 0, 1))) == []
+    (output,) = listen(bridge, "%robot1%tf", transform("robot1/odom", "robot1/base", (1, 0, 0), (0, 0, 0, 1)))
+    assert output.open(Odometry).body_frame_id == "robot1/base"
     mount = transform("robot1/base", "robot1/laser", (0.3, 0, 0), (0, 0, 0, 1))
-    hear(bridge, "%robot1%tf_static", mount)
-    assert len(hear(bridge, "%robot1%scan", scan("robot1/laser"))) == 1
+    listen(bridge, "%robot1%tf_static", mount)
+    assert len(listen(bridge, "%robot1%scan", scan("robot1/laser"))) == 1
 
 
 def test_odometry_of_the_topic_only_where_it_is_wanted() -> None:
     bridge = core(odom_frame="")
-    assert hear(bridge, "%tf", transform("odom", "base_link", (1, 0, 0), (0, 0, 0, 1))) == []
-    assert len(hear(bridge, "%odom", odometry(7.0, 0.0, 0.0))) == 1
+    assert listen(bridge, "%tf", transform("odom", "base_link", (1, 0, 0), (0, 0, 0, 1))) == []
+    assert len(listen(bridge, "%odom", odometry(7.0, 0.0, 0.0))) == 1
 
 
 def test_odometry_in_tf_that_is_no_pose_is_counted() -> None:
     bridge = core()
-    assert hear(bridge, "%tf", transform("odom", "base_link", (np.nan, 0, 0), (0, 0, 0, 1))) == []
+    assert listen(bridge, "%tf", transform("odom", "base_link", (np.nan, 0, 0), (0, 0, 0, 1))) == []
     assert bridge.condition().counters["set_aside_odometry_not_a_pose"] == 1
-    assert len(hear(bridge, "%odom", odometry(7.0, 0.0, 0.0))) == 1
+    assert len(listen(bridge, "%odom", odometry(7.0, 0.0, 0.0))) == 1
 
 
 def test_two_lidars_each_by_its_own_mount() -> None:
     """One ahead, one astern and upside down."""
     bridge = core(scan=["front/scan", "rear/scan"], base_frame="base_link")
-    hear(bridge, "%tf_static", transform("base_link", "front", (0.4, 0.0, 0.2), (0, 0, 0, 1)))
-    hear(bridge, "%tf_static", transform("base_link", "rear", (-0.4, 0.0, 0.2), (0, 1, 0, 0)))
-    ahead = hear(bridge, "%front%scan", scan("front"))[0].open(RawScan)
-    astern = hear(bridge, "%rear%scan", scan("rear"))[0].open(RawScan)
+    listen(bridge, "%tf_static", transform("base_link", "front", (0.4, 0.0, 0.2), (0, 0, 0, 1)))
+    listen(bridge, "%tf_static", transform("base_link", "rear", (-0.4, 0.0, 0.2), (0, 1, 0, 0)))
+    ahead = listen(bridge, "%front%scan", scan("front"))[0].open(RawScan)
+    astern = listen(bridge, "%rear%scan", scan("rear"))[0].open(RawScan)
     assert (ahead.mount.x, ahead.upside_down) == (pytest.approx(0.4), False)
     assert (astern.mount.x, astern.upside_down) == (pytest.approx(-0.4), True)
     assert abs(astern.mount.theta) == pytest.approx(np.pi)
@@ -248,9 +248,9 @@ def test_a_clicked_pose_is_a_relocation() -> None:
     covariance[0, 0], covariance[1, 1], covariance[5, 5], covariance[0, 5] = 0.25, 0.5, 0.07, 0.01
     stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), covariance.ravel())
     data = cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header("map"), stated))
-    (said,) = hear(core(), "%initialpose", data)
-    message = said.open(Relocation)
-    assert said.channel is RELOCATION
+    (output,) = listen(core(), "%initialpose", data)
+    message = output.open(Relocation)
+    assert output.channel is RELOCATION
     assert (message.pose.x, message.pose.y, message.pose.theta) == pytest.approx((3.0, 4.0, -1.0))
     c = message.covariance
     assert (c.xx, c.yy, c.tt, c.xt) == (0.25, 0.5, 0.07, 0.01)
@@ -261,14 +261,14 @@ def click(frame: str) -> bytes:
     return cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header(frame), stated))
 
 
-def test_a_click_in_another_frame_is_not_taken_and_said_until_one_is() -> None:
-    """AMCL refuses it as well: what holds in odom says nothing about the map."""
+def test_a_click_in_another_frame_is_not_taken_and_reported_until_one_is() -> None:
+    """AMCL refuses it as well: what holds in odom shows nothing about the map."""
     bridge = core(mounts_from_tf=False)
-    hear(bridge, "%scan", scan())
-    (unknown,) = hear(bridge, "%initialpose", click("odom"))  # no map has come: it may be one's frame
+    listen(bridge, "%scan", scan())
+    (unknown,) = listen(bridge, "%initialpose", click("odom"))  # no map has come: it may be one's frame
     assert unknown.channel is RELOCATION
-    tell(bridge, MAP, Grid(frame_id="map", cell_stride=1, row_stride=1, column_count=1, data=b"\0"))
-    assert hear(bridge, "%initialpose", click("odom")) == []
+    report(bridge, MAP, Grid(frame_id="map", cell_stride=1, row_stride=1, column_count=1, data=b"\0"))
+    assert listen(bridge, "%initialpose", click("odom")) == []
     assert ask(bridge, "%set_initial_pose", click("odom")) == (b"\0\1\0\0\0", [])
     condition = bridge.condition()
     assert condition.status == Health.STATUS_OK
@@ -276,12 +276,12 @@ def test_a_click_in_another_frame_is_not_taken_and_said_until_one_is() -> None:
     assert "odom" in condition.detail
     assert "map" in condition.detail
     for frame in ("/map", ""):  # old tools write the slash, some write nothing
-        assert [each.channel for each in hear(bridge, "%initialpose", click(frame))] == [RELOCATION]
+        assert [each.channel for each in listen(bridge, "%initialpose", click(frame))] == [RELOCATION]
     assert bridge.condition().detail == ""
 
 
 def ask(bridge: RosBridgeCore, endpoint: str, request: bytes = b"\0\1\0\0\0") -> tuple[bytes, list[Envelope]]:
-    """The response to a service's request, and what was said because of it."""
+    """The response to a service's request, and what was published because of it."""
     asked = Envelope(ROS_ASKED, {"endpoint": endpoint, "number": "7"}, BytesValue(value=request))
     response, *because = Loopback([bridge]).receive(asked)
     assert response.channel is ROS_ANSWERED
@@ -289,10 +289,10 @@ def ask(bridge: RosBridgeCore, endpoint: str, request: bytes = b"\0\1\0\0\0") ->
     return response.open(BytesValue).value, because
 
 
-def test_the_service_says_forget() -> None:
-    response, (said,) = ask(core(), "%reinitialize_global_localization")
+def test_the_service_publishes_forget() -> None:
+    response, (output,) = ask(core(), "%reinitialize_global_localization")
     assert response == b"\0\1\0\0\0"
-    assert not said.open(Relocation).HasField("pose")
+    assert not output.open(Relocation).HasField("pose")
 
 
 def test_every_scan_counts_anyhow() -> None:
@@ -302,9 +302,9 @@ def test_every_scan_counts_anyhow() -> None:
 def test_a_pose_by_service_is_a_relocation() -> None:
     stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), np.zeros(36))
     request = cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header("map"), stated))
-    response, (said,) = ask(core(), "%set_initial_pose", request)
+    response, (output,) = ask(core(), "%set_initial_pose", request)
     assert response == b"\0\1\0\0\0"
-    assert said.open(Relocation).pose.x == 3.0
+    assert output.open(Relocation).pose.x == 3.0
 
 
 def test_a_request_that_is_none_is_answered_by_nothing() -> None:
@@ -326,21 +326,21 @@ def test_a_stamp_that_ros_cannot_hold_is_counted(channel: Channel) -> None:
     assert bridge.condition().counters["set_aside_not_cdr"] == 1
 
 
-def test_only_a_claimed_pose_is_said() -> None:
+def test_only_a_claimed_pose_is_published() -> None:
     bridge = core()
     estimate = PoseEstimate(timestamp=stamp(TIME), frame_id="map", pose=to_message((1, 2, 0.5)))
     for state in (STATE_LOST, STATE_AMBIGUOUS):
         estimate.state = state
-        assert tell(bridge, POSE, estimate) == []
+        assert report(bridge, POSE, estimate) == []
     estimate.state = STATE_LOCALIZED
-    ((endpoint, data),) = tell(bridge, POSE, estimate)
+    ((endpoint, data),) = report(bridge, POSE, estimate)
     body = cdr.decode(cdr.POSE_WITH_COVARIANCE, data)
     assert endpoint == "%amcl_pose"
     assert (body.pose.pose.position.x, body.header.frame_id) == (1.0, "map")
 
 
-def test_the_floor_is_said_when_it_changes() -> None:
-    bridge, said = core(), list[str]()
+def test_the_floor_is_published_when_it_changes() -> None:
+    bridge, output = core(), list[str]()
     for state, floor in (
         (STATE_LOST, ""),
         (STATE_LOCALIZED, "ground"),
@@ -351,21 +351,21 @@ def test_the_floor_is_said_when_it_changes() -> None:
         message = PoseEstimate(timestamp=stamp(TIME), frame_id="map", state=state, floor=floor)
         for one in bridge.handle(Envelope(POSE, SITE, message)):
             if one.address["endpoint"] == "%floor":
-                said.append(cdr.decode(cdr.STRING, one.open(BytesValue).value).data)
-    assert said == ["ground", "", "first"]
+                output.append(cdr.decode(cdr.STRING, one.open(BytesValue).value).data)
+    assert output == ["ground", "", "first"]
 
 
 def test_map_to_odom_is_dated_ahead() -> None:
     message = FrameTransform(timestamp=stamp(TIME), parent_frame_id="map", child_frame_id="odom")
     message.rotation.w = 1.0
-    ((endpoint, data),) = tell(core(transform_tolerance=0.5), TRANSFORM, message)
+    ((endpoint, data),) = report(core(transform_tolerance=0.5), TRANSFORM, message)
     (item,) = cdr.decode(cdr.TRANSFORMS, data).transforms
     assert endpoint == "%tf"
     assert item.header.stamp.sec * 10**9 + item.header.stamp.nanosec == TIME + 500_000_000
 
 
 @pytest.mark.parametrize("channel", [POSE, TRANSFORM, TRACKS, MAP])
-def test_what_is_switched_off_is_not_said(channel: Any) -> None:
+def test_what_is_switched_off_is_not_published(channel: Any) -> None:
     bridge = core(pose="", tf="", particles="", map="")
     messages = {
         POSE: PoseEstimate(state=STATE_LOCALIZED),
@@ -373,12 +373,12 @@ def test_what_is_switched_off_is_not_said(channel: Any) -> None:
         TRACKS: Tracks(),
         MAP: Grid(),
     }
-    assert tell(bridge, channel, messages[channel]) == []
+    assert report(bridge, channel, messages[channel]) == []
 
 
 def test_a_grid_that_is_no_map_is_counted() -> None:
     bridge = core()
-    assert tell(bridge, MAP, Grid(column_count=3, data=b"12345")) == []
+    assert report(bridge, MAP, Grid(column_count=3, data=b"12345")) == []
     assert bridge.condition().counters["set_aside_not_a_map"] == 1
 
 
@@ -402,10 +402,10 @@ def test_what_is_no_message_is_counted_and_the_next_one_goes_through(
 ) -> None:
     bridge = core(mounts_from_tf=True, base_frame="base_link")
     with np.errstate(invalid="ignore"):
-        assert hear(bridge, endpoint, data) == []
+        assert listen(bridge, endpoint, data) == []
     assert bridge.condition().counters[counter] == 1
-    hear(bridge, "%tf_static", MOUNT)
-    assert [each.channel for each in hear(bridge, "%scan", scan())] == [SCAN_RAW]
+    listen(bridge, "%tf_static", MOUNT)
+    assert [each.channel for each in listen(bridge, "%scan", scan())] == [SCAN_RAW]
 
 
 @pytest.mark.parametrize("other", ["%odom", "%tf_static", "%initialpose"])
@@ -445,8 +445,8 @@ def test_no_number_that_is_not_finite_reaches_nav2(bad_number: float) -> None:
 def test_a_covariance_that_is_none_is_not_stated() -> None:
     stated = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose(3.0, 4.0, -1.0), np.full(36, np.nan))
     data = cdr.encode(cdr.make(cdr.POSE_WITH_COVARIANCE, header("map"), stated))
-    (said,) = hear(core(), "%initialpose", data)
-    assert not said.open(Relocation).HasField("covariance")
+    (output,) = listen(core(), "%initialpose", data)
+    assert not output.open(Relocation).HasField("covariance")
 
 
 @pytest.mark.parametrize(

@@ -31,11 +31,11 @@ def statuses(
 ) -> dict[str, Any]:
     """By name, what one health becomes."""
     health = Health(timestamp=stamp(TIME), service=service, instance=instance, **more)
-    told = Envelope(HEALTH, {"site": "s", "service": service, "instance": instance}, health)
-    said = [each for each in Loopback([bridge]).receive(told) if each.channel is ROS_PUBLISHED]
-    if not said:
+    reported = Envelope(HEALTH, {"site": "s", "service": service, "instance": instance}, health)
+    output = [each for each in Loopback([bridge]).receive(reported) if each.channel is ROS_PUBLISHED]
+    if not output:
         return {}
-    (one,) = said
+    (one,) = output
     assert one.address["endpoint"] == "%diagnostics"
     body = cdr.decode(cdr.DIAGNOSTICS, one.open(BytesValue).value)
     assert (body.header.stamp.sec, body.header.stamp.nanosec) == divmod(TIME, 10**9)

@@ -91,7 +91,7 @@ def test_an_attachment_is_number_time_and_id() -> None:
     assert Attachment.from_bytes(data) == Attachment(3, 1_700_000_000_000_000_001, gid_of(token))
 
 
-def test_ids_tell_endpoints_apart() -> None:
+def test_ids_distinguish_endpoints() -> None:
     dialect, bridge = RmwZenoh(0, "", SESSION), ends()
     ids = [dialect.attachment(endpoint, 1, 0)[17:] for endpoint in bridge]
     assert len(set(ids)) == len(ids) == 31

@@ -39,7 +39,7 @@ LATCHED = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
 
 
 class RosDriver:
-    """Says in ROS 2 what the simulated robot says."""
+    """Publishes in ROS 2 what the simulated robot publishes."""
 
     def __init__(self, robot: Robot) -> None:
         self._scan = robot.publisher("/scan", cdr.LASER_SCAN)
@@ -73,16 +73,16 @@ def stage() -> Stage:
 
 @pytest.fixture
 def map_server(robot: Robot, stage: Stage) -> Iterator[None]:
-    """Says the robot's map again and again: the SDK keeps nothing for who comes late."""
+    """Publishes the robot's map again and again: the SDK keeps nothing for who comes late."""
     publisher = robot.publisher("/map", cdr.OCCUPANCY_GRID)
     body = cdr.decode(cdr.OCCUPANCY_GRID, occupancy_grid(to_grid(stage.grid, "map")))
     ended = threading.Event()
 
-    def say() -> None:
+    def send() -> None:
         while not ended.wait(0.5):
             publisher.publish(**fields(body))
 
-    thread = threading.Thread(target=say)
+    thread = threading.Thread(target=send)
     thread.start()
     yield
     ended.set()
@@ -91,7 +91,7 @@ def map_server(robot: Robot, stage: Stage) -> Iterator[None]:
 
 @pytest.fixture
 def ear(network: Network, robot: Robot, map_server: None, tmp_path: Path) -> Iterator[Ear]:
-    """What the running pipeline says."""
+    """What the running pipeline publishes."""
     domain = str(robot.domain)
     with pipeline(network, tmp_path / "out", "rmw_zenoh", network.endpoint, ROS_DOMAIN_ID=domain) as ear:
         yield ear
@@ -127,7 +127,7 @@ def test_a_robot_that_speaks_ros_2_only_is_localized(stage: Stage, ear: Ear, rob
     at = stage.pose_at(header_stamp(item.header) - 100_000_000)
     tick = int(np.argmin(np.abs(stage.poses[:, :2] - at[:2]).sum(axis=1)))
     assert np.hypot(*(compose(anchor, stage.odometry[tick]) - at)[:2]) < 0.2
-    # the map is the robot's; the bridge does not say it once more
+    # the map is the robot's; the bridge does not publish it once more
     grid = from_message(ear.of(MAP, Grid)[0])
     assert np.array_equal(grid.cells, stage.grid.cells)
     asked = {"domain_id": robot.domain, "router_port": robot.port}

@@ -2,7 +2,7 @@
 
 Only where it is asked for, for the build takes many minutes: `pip install cyclonedds` (from PyPI), cmake and
 libclang (of the system), then
-`pytest -m rust tests/services/ros_bridge`. `record_dds.py` writes down what it says.
+`pytest -m rust tests/services/ros_bridge`. `record_dds.py` writes down what it reports.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def router(dds: ModuleType, program: Path, domain: int, tmp_path: Path) -> Itera
     """Where the real bridge listens."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = tmp_path / "bridge.json5"
-    told = {
+    reported = {
         "mode": "router",
         "listen": {"endpoints": [endpoint]},
         "scouting": {"multicast": {"enabled": False}},
@@ -83,7 +83,7 @@ def router(dds: ModuleType, program: Path, domain: int, tmp_path: Path) -> Itera
         "plugins_loading": {"enabled": True},
         "plugins": {"ros2dds": {"domain": domain}},
     }
-    config.write_text(json.dumps(told))
+    config.write_text(json.dumps(reported))
     with subprocess.Popen([program, config], env={**os.environ, "ROS_DISTRO": "jazzy"}) as process:
         yield endpoint
         process.terminate()
@@ -155,17 +155,17 @@ def test_a_robot_on_a_dds_out(start: Start, robot: Any, dds: ModuleType, router:
     move.translation.x, move.rotation.w = 3.0, 1.0
     tracks = Tracks(timestamp=stamp(TIME), frame_id="map", tracks=[Track(probability=0.9)])
 
-    def say(channel: Any, message: Any) -> Callable[[], None]:
+    def send(channel: Any, message: Any) -> Callable[[], None]:
         return lambda: bridge.ear.bus.publish(Envelope(channel, address, message))
 
-    body = taken(poses, say(POSE, estimate), "/amcl_pose")
+    body = taken(poses, send(POSE, estimate), "/amcl_pose")
     assert (body.header.frame_id, header_stamp(body.header)) == ("map", TIME)
     assert (body.pose.pose.position.x, body.pose.pose.position.y) == (1.5, -2.0)
     assert (body.pose.covariance[0], body.pose.covariance[11]) == (0.04, 0.003)
-    (item,) = taken(tf, say(TRANSFORM, move), "/tf").transforms
+    (item,) = taken(tf, send(TRANSFORM, move), "/tf").transforms
     assert (item.header.frame_id, item.child_frame_id) == ("map", "odom")
     assert item.transform.translation.x == 3.0
-    assert taken(clouds, say(TRACKS, tracks), "/particle_cloud").particles[0].weight == 0.9
+    assert taken(clouds, send(TRACKS, tracks), "/particle_cloud").particles[0].weight == 0.9
     # its own transform must not come back from the DDS
     time.sleep(1.0)
     assert bridge.counter("heard_ros_heard") == 0
@@ -185,8 +185,8 @@ def test_who_comes_late_to_a_dds_gets_map_and_pose(
     bridge.ear.bus.publish(Envelope(POSE, {"site": bridge.site, "robot": "robot"}, estimate))
     eventually(lambda: bridge.counter("said_ros_said") == 2, "map and pose to be said")
     map_reader = robot.inputs("rt/map", dds.OccupancyGrid, dds.LATCHED)
-    heard = taken(map_reader, lambda: None, "the map")
-    assert np.array(heard.data).reshape(4, 6)[[1, 3], [2, 5]].tolist() == [100, -1]
+    received = taken(map_reader, lambda: None, "the map")
+    assert np.array(received.data).reshape(4, 6)[[1, 3], [2, 5]].tolist() == [100, -1]
     pose_reader = robot.inputs("rt/amcl_pose", dds.PoseWithCovarianceStamped, dds.LATCHED)
     assert taken(pose_reader, lambda: None, "the pose").pose.pose.position.x == 1.5
 
@@ -202,15 +202,15 @@ def test_services_and_clicks_of_a_dds(start: Start, robot: Any, dds: ModuleType,
     pose = dds.Pose(dds.Point(4.0, 5.0, 0.0), dds.Quaternion(0.0, 0.0, 0.0, 1.0))
     clicked = dds.PoseWithCovarianceStamped(dds.header("map"), dds.PoseWithCovariance(pose, 36 * [0.0]))
 
-    def told() -> list[Relocation]:
+    def reported() -> list[Relocation]:
         clicks.write(clicked)
         return bridge.ear.of(RELOCATION, Relocation)
 
-    assert eventually(told, "the click")[0].pose.x == 4.0
+    assert eventually(reported, "the click")[0].pose.x == 4.0
 
 
 class DdsDriver:
-    """Says on the DDS what the simulated robot says: odometry in tf, its lidar upside down or not."""
+    """Publishes on the DDS what the simulated robot does: odometry in tf, its lidar upside down or not."""
 
     def __init__(self, robot: Any, dds: ModuleType) -> None:
         self._dds = dds
@@ -257,13 +257,13 @@ def test_a_robot_on_a_dds_is_localized(
     with pipeline(network, tmp_path / "out", "ros2dds", router, "--map", tmp_path / "map.yaml"):
         stage.epoch = time.time_ns()
         publish(stage.messages(), driver.publish)
-        heard = poses.take(2000)
+        received = poses.take(2000)
         anchors = [
             item for message in tf.take(5000) for item in message.transforms if item.child_frame_id == "odom"
         ]
     errors = [
         np.hypot(*(np.array(on_plane(m.pose.pose.position, m.pose.pose.orientation)) - at)[:2])
-        for m in heard
+        for m in received
         if (at := stage.pose_at(header_stamp(m.header))) is not None
     ]
     print(f"{len(errors)} poses, median error {np.median(errors):.3f} m, worst {max(errors):.3f} m")

@@ -1,4 +1,4 @@
-"""Against what the real zenoh-bridge-ros2dds said, in front of a robot on Cyclone DDS (`record_dds.py`).
+"""Against what the real zenoh-bridge-ros2dds published, in front of a robot on Cyclone DDS (`record_dds.py`).
 
 All bytes are Cyclone's and the bridge's own: this side's must be the same.
 """
@@ -25,7 +25,7 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 
-from tests.services.ros_bridge.test_core import TIME, core, hear
+from tests.services.ros_bridge.test_core import TIME, core, listen
 
 RECORDED = Path(__file__).with_name("recorded_dds.json")
 
@@ -68,9 +68,9 @@ def test_our_tokens_are_those_of_a_bridge_with_the_same_topics() -> None:
     topics = [end for end in ends if end.role is not Role.SERVICE and end.node != "amcl"]
     ours = {token.split("/", 3)[3] for token in list(dialect.tokens(topics))[1:]}
     theirs = {token for token in DATA["tokens"] if token[:2] in ("MP", "MS")}
-    # what the robot says is there as well
-    says = {end.name.strip("/") for end in topics if end.role is Role.PUBLISHER}
-    assert ours == {token for token in theirs if token.startswith("MS/") or token.split("/")[1] in says}
+    # what the robot publishes is there as well
+    stated = {end.name.strip("/") for end in topics if end.role is Role.PUBLISHER}
+    assert ours == {token for token in theirs if token.startswith("MS/") or token.split("/")[1] in stated}
 
 
 def test_a_request_carries_its_client_and_number_beside_it() -> None:
@@ -80,22 +80,22 @@ def test_a_request_carries_its_client_and_number_beside_it() -> None:
     assert asked.structure_needs_at_least_one_member == 0
 
 
-def test_what_the_robot_said_is_understood() -> None:
+def test_what_the_robot_published_is_understood() -> None:
     bridge = core()
-    (odometry,) = hear(bridge, "%odom", payload("odom"))
+    (odometry,) = listen(bridge, "%odom", payload("odom"))
     assert from_pose3(odometry.open(Odometry).pose) == pytest.approx([1.5, -2.25, YAW])
     assert odometry.open(Odometry).pose_covariance[35] == pytest.approx(0.35)
-    (moved,) = hear(bridge, "%tf", payload("tf"))
+    (moved,) = listen(bridge, "%tf", payload("tf"))
     assert from_pose3(moved.open(Odometry).pose) == pytest.approx([1.0, -2.0, YAW])
-    assert hear(bridge, "%tf_static", payload("tf_static")) == []
-    (said,) = hear(bridge, "%scan", payload("scan"))
-    scan = said.open(RawScan)
+    assert listen(bridge, "%tf_static", payload("tf_static")) == []
+    (output,) = listen(bridge, "%scan", payload("scan"))
+    scan = output.open(RawScan)
     assert (scan.mount.x, scan.mount.y, scan.mount.theta) == pytest.approx((1.0, -2.0, YAW))
     assert list(scan.ranges) == [1.0, 2.5, np.inf, 0.0, 3.0]
     assert nanoseconds(scan.timestamp) == TIME
 
 
-def test_what_we_say_is_what_cyclone_would_have_written() -> None:
+def test_what_we_publish_is_what_cyclone_would_have_written() -> None:
     turn = Quaternion(x=0.0, y=0.0, z=0.6, w=0.8)
     move = FrameTransform(timestamp=stamp(TIME), parent_frame_id="odom", child_frame_id="base_link")
     move.translation.x, move.translation.y, move.translation.z = 1.0, -2.0, 0.1

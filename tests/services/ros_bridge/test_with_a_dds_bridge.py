@@ -1,6 +1,6 @@
 """The other dialects over a real router. Here a plain Zenoh session does what zenoh-bridge-ros2dds does.
 
-Its sources say: topics are plain keys, transient local ones have an advanced publisher, a service's request
+Its sources show: topics are plain keys, transient local ones have an advanced publisher, a service's request
 carries `rqh`, the DDS header and the byte order beside it, its reply nothing.
 """
 
@@ -43,7 +43,7 @@ def dds(network: Network) -> Iterator[zenoh.Session]:
 
 @pytest.fixture
 def name() -> str:
-    """A namespace, so that tests do not hear each other."""
+    """A namespace, so that tests do not receive each other."""
     return f"r{uuid.uuid4().hex[:8]}"
 
 
@@ -52,8 +52,8 @@ def test_a_dds_robot_in_and_out(start: Start, dds: zenoh.Session, name: str) -> 
         dds, f"{name}/tf_static", cache=zenoh.ext.CacheConfig(1), publisher_detection=True
     )
     static.put(MOUNT)
-    heard: dict[str, list[zenoh.Sample]] = {"amcl_pose": [], "tf": []}
-    for topic, samples in heard.items():
+    received: dict[str, list[zenoh.Sample]] = {"amcl_pose": [], "tf": []}
+    for topic, samples in received.items():
         dds.declare_subscriber(f"{name}/{topic}", samples.append)
     bridge = start("--dialect", "ros2dds", "--namespace", name)
 
@@ -69,16 +69,16 @@ def test_a_dds_robot_in_and_out(start: Start, dds: zenoh.Session, name: str) -> 
     estimate.pose.CopyFrom(to_message((1.5, -2.0, 0.7)))
     move = FrameTransform(timestamp=stamp(10**18), parent_frame_id="map", child_frame_id="odom")
 
-    def said() -> bool:
+    def output() -> bool:
         bridge.ear.bus.publish(Envelope(POSE, address, estimate))
         bridge.ear.bus.publish(Envelope(TRANSFORM, address, move))
-        return all(heard.values())
+        return all(received.values())
 
-    eventually(said, "/amcl_pose and /tf")
-    sample = heard["amcl_pose"][0]
+    eventually(output, "/amcl_pose and /tf")
+    sample = received["amcl_pose"][0]
     assert sample.attachment is None
     assert cdr.decode(cdr.POSE_WITH_COVARIANCE, sample.payload.to_bytes()).pose.pose.position.x == 1.5
-    (item,) = cdr.decode(cdr.TRANSFORMS, heard["tf"][0].payload.to_bytes()).transforms
+    (item,) = cdr.decode(cdr.TRANSFORMS, received["tf"][0].payload.to_bytes()).transforms
     assert (item.header.frame_id, item.child_frame_id) == ("map", "odom")
     static.undeclare()
 
@@ -94,8 +94,8 @@ def test_a_dds_client_calls_the_service(start: Start, dds: zenoh.Session, name: 
     (reply,) = eventually(replies, "the service's reply")
     # the bridge puts the header of the request between the first four bytes and the rest
     assert reply.payload.to_bytes() == b"\0\1\0\0\0"
-    told = eventually(lambda: bridge.ear.of(RELOCATION, Relocation), "the request")
-    assert not told[0].HasField("pose")
+    reported = eventually(lambda: bridge.ear.of(RELOCATION, Relocation), "the request")
+    assert not reported[0].HasField("pose")
 
 
 def test_a_dds_robot_that_comes_late_gets_the_map(start: Start, dds: zenoh.Session, name: str) -> None:
@@ -116,7 +116,7 @@ def test_a_dds_robot_that_comes_late_gets_the_map(start: Start, dds: zenoh.Sessi
     subscriber.undeclare()
 
 
-def test_the_dds_bridge_is_told_of_the_topics(start: Start, dds: zenoh.Session, name: str) -> None:
+def test_the_dds_bridge_receives_the_topics(start: Start, dds: zenoh.Session, name: str) -> None:
     bridge = start("--dialect", "ros2dds", "--namespace", name)
 
     def tokens() -> set[str]:
@@ -136,11 +136,11 @@ def test_humble_has_keys_without_hashes(start: Start, dds: zenoh.Session, name: 
     bridge = start("--dialect", "rmw_zenoh_humble", "--namespace", name, "--domain", "5")
     key = f"5/{name}/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
 
-    def heard() -> list[Odometry]:
+    def received() -> list[Odometry]:
         dds.put(key, odometry(3.0, 0.0, 0.0))
         return bridge.ear.of(ODOMETRY, Odometry)
 
-    assert eventually(heard, "odometry")[0].pose.position.x == 3.0
+    assert eventually(received, "odometry")[0].pose.position.x == 3.0
 
 
 def test_a_router_that_comes_later_is_found(start: Start, network: Network) -> None:
@@ -152,8 +152,8 @@ def test_a_router_that_comes_later_is_found(start: Start, network: Network) -> N
     with zenoh.open(zenoh.Config.from_json5(json.dumps(router))) as session:
         key = f"6/odom/{cdr.dds_name(cdr.ODOMETRY)}/{cdr.type_hash(cdr.ODOMETRY)}"
 
-        def heard() -> list[Odometry]:
+        def received() -> list[Odometry]:
             session.put(key, odometry(4.0, 0.0, 0.0))
             return bridge.ear.of(ODOMETRY, Odometry)
 
-        assert eventually(heard, "odometry")[0].pose.position.x == 4.0
+        assert eventually(received, "odometry")[0].pose.position.x == 4.0

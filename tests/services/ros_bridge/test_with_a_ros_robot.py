@@ -63,18 +63,18 @@ def test_a_recorded_drive_comes_through(bridge: Bridge, robot: Robot) -> None:
     drive = recorded(200)
     publishers = {topic: robot.publisher(topic, kind) for topic, kind in TOPICS.items()}
 
-    def say(messages: list[BagMessage]) -> None:
+    def send(messages: list[BagMessage]) -> None:
         for message in messages:
             publishers[message.topic].publish(**fields(message.message))
             time.sleep(0.005)  # faster than a robot, not all at once: full queues drop sensors' topics
 
     def ready() -> list[RawScan]:
         # peers take some time to find each other; the mount is known from tf_static and odometry
-        say([next(m for m in drive if m.topic == topic) for topic in ("/tf_static", "/odom", "/scan")])
+        send([next(m for m in drive if m.topic == topic) for topic in ("/tf_static", "/odom", "/scan")])
         return bridge.ear.of(SCAN_RAW, RawScan)
 
     eventually(ready, "a first scan")
-    say([message for message in drive if message.topic != "/tf_static"])
+    send([message for message in drive if message.topic != "/tf_static"])
     sent = {
         topic: {_time(m.message): m.message for m in drive if m.topic == topic}
         for topic in ("/scan", "/odom")
@@ -90,9 +90,9 @@ def test_a_recorded_drive_comes_through(bridge: Bridge, robot: Robot) -> None:
         assert from_pose3(message.pose)[:2] == pytest.approx([position.x, position.y])
 
 
-def _complete(heard: list[Any], sent: dict[int, Any]) -> dict[int, Any] | None:
-    """What was heard by stamp, once that is all that was sent."""
-    by_time = {nanoseconds(message.timestamp): message for message in heard}
+def _complete(received: list[Any], sent: dict[int, Any]) -> dict[int, Any] | None:
+    """What was received by stamp, once that is all that was sent."""
+    by_time = {nanoseconds(message.timestamp): message for message in received}
     return by_time if by_time.keys() == sent.keys() else None
 
 
@@ -143,9 +143,9 @@ def test_who_comes_late_gets_the_map(bridge: Bridge, robot: Robot) -> None:
     eventually(lambda: bridge.counter("said_ros_said"), "the map to be said")
 
     def come_late() -> list[Any]:
-        heard = robot.subscribe("/map", cdr.OCCUPANCY_GRID, qos=LATCHED)
-        time.sleep(1.0)  # the SDK asks for what was said once, which on a busy machine may be too early
-        return heard
+        received = robot.subscribe("/map", cdr.OCCUPANCY_GRID, qos=LATCHED)
+        time.sleep(1.0)  # the SDK asks for what was published once, which on a busy machine may be too early
+        return received
 
     maps = eventually(come_late, "the map")
     assert np.array(maps[0].data).reshape(4, 6)[[1, 3], [2, 5]].tolist() == [100, -1]
@@ -166,11 +166,11 @@ def test_the_robots_own_map_is_taken(robot: Robot, network: Network) -> None:
     publisher = robot.publisher("/map", cdr.OCCUPANCY_GRID)
     ended = threading.Event()
 
-    def say() -> None:
+    def send() -> None:
         while not ended.wait(0.1):
             publisher.publish(**fields(body))
 
-    server = threading.Thread(target=say)
+    server = threading.Thread(target=send)
     server.start()
     try:
         grid = take_map(settings, PATIENCE_S)
@@ -191,8 +191,10 @@ def test_a_grid_that_is_no_map_is_refused(field: str, value: float) -> None:
         grid_map(body)
 
 
-def test_tf_static_said_before_the_bridge_came_is_heard(start: Start, robot: Robot, network: Network) -> None:
-    """As robot_state_publisher does: said once, kept for who comes."""
+def test_tf_static_published_before_the_bridge_came_is_received(
+    start: Start, robot: Robot, network: Network
+) -> None:
+    """As robot_state_publisher does: published once, kept for who comes."""
     import zenoh
     from eigenscan.ros_bridge.endpoints import endpoints
     from eigenscan.ros_bridge.rmw_zenoh import RmwZenoh
@@ -242,8 +244,8 @@ def test_an_operator_and_a_behaviour_tree_can_relocate(bridge: Bridge, robot: Ro
     reply = eventually(lambda: client.call(structure_needs_at_least_one_member=0), "the service's reply")
     assert asdict(reply)["structure_needs_at_least_one_member"] == 0
     client.close()
-    told = eventually(lambda: bridge.ear.of(RELOCATION, Relocation)[1:], "the request")
-    assert not told[0].HasField("pose")
+    reported = eventually(lambda: bridge.ear.of(RELOCATION, Relocation)[1:], "the request")
+    assert not reported[0].HasField("pose")
 
 
 def test_ros_2_topic_tools_see_it(bridge: Bridge, robot: Robot, network: Network) -> None:
@@ -291,9 +293,9 @@ def test_ros_2_topic_tools_see_it(bridge: Bridge, robot: Robot, network: Network
     eventually(lambda: dict(get_service_names_and_types(**asked)) == served, "the services")
 
     def info(topic: str, publishers: int, subscribers: int) -> TopicInfo | None:
-        told = get_topic_info(topic, verbose=True, **asked)
-        counted = told and (told.publisher_count, told.subscriber_count)
-        return told if counted == (publishers, subscribers) else None
+        reported = get_topic_info(topic, verbose=True, **asked)
+        counted = reported and (reported.publisher_count, reported.subscriber_count)
+        return reported if counted == (publishers, subscribers) else None
 
     (teller,) = eventually(lambda: info("/map", 1, 0), "who says /map").publishers
     assert teller.node_name == "eigenscan"

@@ -63,7 +63,7 @@ class Adapter:
             return max(self._frames.get((parent, child), {0.0: None}))
 
     def pose(self) -> Pose | None:
-        """Of the base in the map frame, as RMF is told; None where tf2 would raise."""
+        """Of the base in the map frame, as RMF gets it; None where tf2 would raise."""
         with self._lock:
             to_odom = self._frames.get(("map", "odom"), {})
             to_base = self._frames.get(("odom", "base_footprint"), {})
@@ -158,7 +158,7 @@ def test_it_reads_the_pose_and_loses_it_ten_seconds_after_the_claim(
     assert last == pytest.approx((10.0, 20.0 + ended + 0.1 - BEGIN, math.pi / 2), abs=0.02)
     robot.drive(2.0)
     eventually(caught_up, "11 s of driving")
-    assert adapter.pose() is None  # RMF is told nothing more
+    assert adapter.pose() is None  # RMF gets nothing more
 
     eventually(claimed, "a pose again")
 

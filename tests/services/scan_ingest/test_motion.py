@@ -63,7 +63,7 @@ def test_the_motion_between_two_scans_is_found_without_a_guess(
     assert moved.delta == pytest.approx((x, y, turn), abs=0.03)
 
 
-def test_along_a_hallway_the_covariance_says_that_nothing_is_known() -> None:
+def test_along_a_hallway_the_covariance_states_that_nothing_is_known() -> None:
     angles = -math.pi + STEP * np.arange(720)
     with np.errstate(divide="ignore"):
         ranges = np.minimum(np.abs(1.0 / np.sin(angles)), 20.0)
@@ -87,7 +87,7 @@ def shelves(x: float, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("moved", [0.1, 0.2])
 @pytest.mark.parametrize("seed", range(5))
-def test_between_shelves_that_look_alike_the_way_is_right_or_not_known(moved: float, seed: int) -> None:
+def test_between_rows_that_look_alike_the_way_is_right_or_not_known(moved: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     before, after = (points_of(shelves(x, rng), FIRST, STEP, (0.0, 0.0, 0.0), 0) for x in (0.0, moved))
     found = motion_between(before, after, (0.0, 0.0, 0.0))
@@ -103,7 +103,7 @@ def test_scans_of_two_places_do_not_fit() -> None:
 
 
 class Lidar:
-    """Says raw scans, ten a second, to a core."""
+    """Publishes raw scans, ten a second, to a core."""
 
     def __init__(self) -> None:
         self.core, self.time = ScanIngestCore(ScanIngestSettings()), 0
@@ -127,8 +127,8 @@ class Lidar:
         return condition.detail if condition.status == Health.STATUS_DEGRADED else ""
 
 
-def test_a_drive_is_told_piece_by_piece() -> None:
-    lidar, rng, told, since = Lidar(), np.random.default_rng(5), (0.0, 0.0, 0.0), 100_000_000
+def test_a_drive_is_reported_piece_by_piece() -> None:
+    lidar, rng, reported, since = Lidar(), np.random.default_rng(5), (0.0, 0.0, 0.0), 100_000_000
     pose = start = (-1.0, 0.5, 0.0)
     for _ in range(40):
         for envelope in lidar.publish(seen(pose, rng)):
@@ -136,14 +136,14 @@ def test_a_drive_is_told_piece_by_piece() -> None:
                 message = envelope.open(ScanMotion)
                 assert message.since == stamp(since)
                 since, last = lidar.time, pose
-                told = composed(told, (message.motion.x, message.motion.y, message.motion.theta))
+                reported = composed(reported, (message.motion.x, message.motion.y, message.motion.theta))
         pose = composed(pose, (0.04, 0.0, 0.02))
-    assert composed(start, told) == pytest.approx(last, abs=0.1)
+    assert composed(start, reported) == pytest.approx(last, abs=0.1)
     assert not lidar.fault
 
 
-def test_scans_that_a_driver_publishes_at_once_tell_the_turn_between_them() -> None:
-    lidar, rng, told = Lidar(), np.random.default_rng(5), 0.0
+def test_scans_that_a_driver_publishes_at_once_show_the_turn_between_them() -> None:
+    lidar, rng, reported = Lidar(), np.random.default_rng(5), 0.0
     pose = (-1.0, 0.5, 0.0)
     for burst in range(5):  # it stands until the scans' mean rate is known
         for after in (2_000_000_000, *[1_000_000] * 9):
@@ -151,10 +151,10 @@ def test_scans_that_a_driver_publishes_at_once_tell_the_turn_between_them() -> N
                 if envelope.channel is SCAN_MOTION:
                     message, last = envelope.open(ScanMotion), pose
                     assert message.HasField("motion")
-                    told += message.motion.theta
+                    reported += message.motion.theta
             pose = composed(pose, (0.0, 0.0, 0.09 if burst else 0.0))
-    assert told == pytest.approx(last[2], abs=0.05)
-    assert told > 3.0
+    assert reported == pytest.approx(last[2], abs=0.05)
+    assert reported > 3.0
 
 
 def test_of_a_fast_lidar_not_every_scan_is_laid_on_an_earlier_one() -> None:
@@ -163,12 +163,12 @@ def test_of_a_fast_lidar_not_every_scan_is_laid_on_an_earlier_one() -> None:
     for lidar, name, period in ((slow, "slow", 100_000_000), (fast, "fast", 25_000_000)):
         for scan in range(10_000_000_000 // period):
             pose = (-1.0, 0.5, 0.3 * scan * period * 1e-9)
-            said = lidar.publish(seen(pose, rng), after=period)
-            published[name] += sum(envelope.channel is SCAN_MOTION for envelope in said)
+            output = lidar.publish(seen(pose, rng), after=period)
+            published[name] += sum(envelope.channel is SCAN_MOTION for envelope in output)
     assert published["fast"] <= 1.2 * published["slow"]
 
 
-def test_identical_scans_are_counted_told_and_named() -> None:
+def test_identical_scans_are_counted_and_named() -> None:
     lidar, still = Lidar(), seen((0.0, 0.5, 0.3), np.random.default_rng(1))
     published = [lidar.publish(still) for _ in range(25)]
     assert all(envelopes[-1].channel is SCAN for envelopes in published)
@@ -180,7 +180,7 @@ def test_identical_scans_are_counted_told_and_named() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_a_covered_lidar_says_nothing_and_is_named(noise: float) -> None:
+def test_a_covered_lidar_publishes_nothing_and_is_named(noise: float) -> None:
     lidar, rng = Lidar(), np.random.default_rng(1)
     for _ in range(6):
         assert not lidar.publish(0.7 + noise * rng.standard_normal(BEAMS))

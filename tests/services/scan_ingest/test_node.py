@@ -61,7 +61,7 @@ def raw_scans() -> list[Envelope]:
     return scans
 
 
-def test_the_process_says_what_the_core_says(hub: tuple[Bus, Path]) -> None:
+def test_the_process_publishes_what_the_core_publishes(hub: tuple[Bus, Path]) -> None:
     bus, leaf = hub
     received = raw_scans()
     settings = ScanIngestSettings(

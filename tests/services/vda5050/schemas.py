@@ -1,6 +1,6 @@
 """JSON schemas of what the bridge publishes, written from the standard's tables of fields (2.1.0 and 3.0.0).
 
-Strict: what no table has is an error. Of parts that the bridge leaves empty only the type is told.
+Strict: what no table has is an error. Of parts that the bridge leaves empty only the type is checked.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What fleet managers read and say, without a broker: both versions, each field by what the tracker says."""
+"""What fleet managers read and publish, without a broker: both versions, each field as the tracker has it."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ class Manager:
     def major(self) -> int:
         return int(self.version[0])
 
-    def take(self, said: Iterable[Envelope]) -> None:
-        for one in said:
+    def take(self, output: Iterable[Envelope]) -> None:
+        for one in output:
             if one.channel is RELOCATION:
                 self.words.append(one.open(Relocation))
                 continue
@@ -69,7 +69,7 @@ class Manager:
 
     def publish(self, *actions: dict[str, Any], topic: str = "instantActions", **changes: Any) -> None:
         self.number += 1
-        told = {
+        reported = {
             "headerId": self.number,
             "timestamp": "2026-11-22T12:00:00Z",
             "version": self.version,
@@ -77,17 +77,17 @@ class Manager:
             "serialNumber": "r1",
             "actions": list(actions),
         }
-        self.receive(topic, json.dumps(told | changes).encode())
+        self.receive(topic, json.dumps(reported | changes).encode())
 
     def pose(self, state: State = STATE_LOCALIZED, pose: Iterable[float] = HERE, **fields: Any) -> None:
         self.at += 100 * MS
         usual = {"confidence": 0.97, "track_id": 1, "protection_radius": 0.4, "frame_id": "map"}
         known: dict[str, Any] = usual | fields
-        told = PoseEstimate(**known)
-        told.timestamp.CopyFrom(stamp(self.at))
-        told.state = state
-        told.pose.CopyFrom(to_message(np.array(list(pose))))
-        self.take(self.core.handle(Envelope(POSE, {"site": "s", "robot": "r1"}, told)))
+        reported = PoseEstimate(**known)
+        reported.timestamp.CopyFrom(stamp(self.at))
+        reported.state = state
+        reported.pose.CopyFrom(to_message(np.array(list(pose))))
+        self.take(self.core.handle(Envelope(POSE, {"site": "s", "robot": "r1"}, reported)))
 
     def wait(self, seconds: int) -> None:
         for _ in range(seconds):
@@ -128,9 +128,9 @@ def set_position(name: str = "a1", map_id: str = "map", major: int = 3, **change
 
 def manager_of(version: Version, **settings: Any) -> Manager:
     core = Vda5050Core(Vda5050Settings(version=version, **settings), "s", "r1")
-    told = Manager(version, core)
-    told.receive("broker", b"")
-    return told
+    reported = Manager(version, core)
+    reported.receive("broker", b"")
+    return reported
 
 
 @pytest.fixture(params=["2.1.0", "3.0.0"])
@@ -268,9 +268,9 @@ def test_a_position_that_the_scans_contradict_has_failed(manager: Manager) -> No
     manager.publish(set_position(major=manager.major))
     manager.pose(STATE_LOST)
     manager.pose(pose=(9.0, 9.0, 0.0))
-    told = manager.action("a1")
-    assert told["actionStatus"] == "FAILED"
-    assert "scans contradict" in told["resultDescription" if manager.major == 2 else "actionResult"]
+    reported = manager.action("a1")
+    assert reported["actionStatus"] == "FAILED"
+    assert "scans contradict" in reported["resultDescription" if manager.major == 2 else "actionResult"]
 
 
 def test_a_position_without_a_claim_fails_in_the_end_and_a_newer_one_replaces_it(manager: Manager) -> None:
@@ -298,9 +298,9 @@ def test_a_position_that_is_none_moves_nobody(manager: Manager, change: dict[str
     manager.pose()
     manager.publish(set_position(major=manager.major, **change))
     assert manager.words == []
-    told = manager.action("a1")
-    assert told["actionStatus"] == "FAILED"
-    assert words in told["resultDescription" if manager.major == 2 else "actionResult"]
+    reported = manager.action("a1")
+    assert reported["actionStatus"] == "FAILED"
+    assert words in reported["resultDescription" if manager.major == 2 else "actionResult"]
     assert ("INVALID_INSTANT_ACTION", "WARNING") in manager.errors
     assert manager.is_localized
     manager.publish(set_position("a2", major=manager.major))
@@ -321,7 +321,7 @@ def test_a_position_that_is_none_moves_nobody(manager: Manager, change: dict[str
         (b'{"headerId": 1, "version": "1.1"}', "version: '1.1'"),
     ],
 )
-def test_what_is_no_message_is_counted_and_told_and_nothing_else(
+def test_what_is_no_message_is_counted_and_reported_and_nothing_else(
     manager: Manager, data: bytes, words: str
 ) -> None:
     manager.pose()
@@ -388,10 +388,10 @@ def test_after_a_broker_was_gone_factsheet_and_state_come_again(manager: Manager
     manager.pose()
     manager.receive("broker", b"connection lost")
     assert "connection lost" in manager.core.condition().detail
-    counts = {topic: len(said) for topic, said in manager.topics.items()}
+    counts = {topic: len(output) for topic, output in manager.topics.items()}
     manager.pose(STATE_LOST)
     manager.wait(3)
-    assert counts == {topic: len(said) for topic, said in manager.topics.items()}
+    assert counts == {topic: len(output) for topic, output in manager.topics.items()}
     manager.receive("broker", b"")
     assert len(manager.topics["factsheet"]) == counts["factsheet"] + 1
     assert len(manager.topics["state"]) == counts["state"] + 1

@@ -42,13 +42,13 @@ BROKEN = {"2.1.0": "CONNECTIONBROKEN", "3.0.0": "CONNECTION_BROKEN"}
 Message = dict[str, Any]
 
 
-def wait_for(what: Callable[[], Any], told: str) -> Any:
+def wait_for(what: Callable[[], Any], reported: str) -> Any:
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         if found := what():
             return found
         time.sleep(0.02)
-    pytest.fail(f"never: {told}")
+    pytest.fail(f"never: {reported}")
 
 
 @dataclass
@@ -78,7 +78,7 @@ class Manager:
 
     version: str
     port: int
-    heard: dict[str, list[Message]] = field(default_factory=dict)
+    received: dict[str, list[Message]] = field(default_factory=dict)
     retained: set[str] = field(default_factory=set)
     wrong: list[str] = field(default_factory=list)
     number: int = 0
@@ -109,10 +109,10 @@ class Manager:
             self.wrong.append(f"{topic}: {error}")
         if message.retain:
             self.retained.add(topic)
-        self.heard.setdefault(topic, []).append(body)
+        self.received.setdefault(topic, []).append(body)
 
     def newest(self, topic: str) -> Message:
-        return dict(self.heard.get(topic, [{}])[-1])
+        return dict(self.received.get(topic, [{}])[-1])
 
     def connection(self, state: str) -> bool:
         return self.newest("connection").get("connectionState") == state
@@ -130,7 +130,7 @@ class Manager:
 
     def publish(self, *actions: Message) -> None:
         self.number += 1
-        told = {
+        reported = {
             "headerId": self.number,
             "timestamp": "2026-11-22T12:00:00.00Z",
             "version": self.version,
@@ -138,9 +138,9 @@ class Manager:
             "serialNumber": "r1",
             "actions": list(actions),
         }
-        self.say_bytes(json.dumps(told).encode())
+        self.publish_bytes(json.dumps(reported).encode())
 
-    def say_bytes(self, data: bytes) -> None:
+    def publish_bytes(self, data: bytes) -> None:
         self.client.publish(f"{self.topics}/instantActions", data).wait_for_publish(PATIENCE_S)
 
     def close(self) -> None:
@@ -149,7 +149,7 @@ class Manager:
 
 
 class Tracker:
-    """Says a pose each tenth of a second."""
+    """Publishes a pose each tenth of a second."""
 
     def __init__(self, bus: Bus, site: str) -> None:
         self.bus, self.site, self.claims = bus, site, True
@@ -159,7 +159,7 @@ class Tracker:
 
     def _run(self) -> None:
         while not self._stop.wait(PERIOD_S):
-            told = PoseEstimate(
+            reported = PoseEstimate(
                 timestamp=stamp(time.time_ns()),
                 pose=Pose2(x=3.0, y=-2.0, theta=0.5),
                 state=STATE_LOCALIZED if self.claims else STATE_LOST,
@@ -167,7 +167,7 @@ class Tracker:
                 track_id=1,
                 protection_radius=0.3,
             )
-            self.bus.publish(Envelope(POSE, {"site": self.site, "robot": "r1"}, told))
+            self.bus.publish(Envelope(POSE, {"site": self.site, "robot": "r1"}, reported))
 
     def close(self) -> None:
         self._stop.set()
@@ -209,24 +209,26 @@ def scene(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Scene]:
     with Bus(open_session(tmp_path / "hub.json5")) as bus:
         inbox = Inbox()
         bus.listen([RELOCATION], {"site": site, "robot": "r1"}, inbox)
-        told = Scene(broker, Manager(request.param, broker.port), Tracker(bus, site), inbox, start, start())
+        reported = Scene(
+            broker, Manager(request.param, broker.port), Tracker(bus, site), inbox, start, start()
+        )
         try:
-            wait_for(lambda: told.manager.localized(True), "localized")
-            yield told
+            wait_for(lambda: reported.manager.localized(True), "localized")
+            yield reported
         finally:
-            told.bridge.kill()
-            told.bridge.wait(PATIENCE_S)
-            told.tracker.close()
-            told.manager.close()
+            reported.bridge.kill()
+            reported.bridge.wait(PATIENCE_S)
+            reported.tracker.close()
+            reported.manager.close()
             broker.stop()
-    assert told.manager.wrong == []
+    assert reported.manager.wrong == []
 
 
 def test_a_fleet_manager_reads_the_pose_and_sets_it(scene: Scene) -> None:
     manager = scene.manager
     assert manager.connection("ONLINE")
-    wait_for(lambda: "factsheet" in manager.heard, "a factsheet")
-    wait_for(lambda: "visualization" in manager.heard, "a visualization")
+    wait_for(lambda: "factsheet" in manager.received, "a factsheet")
+    wait_for(lambda: "visualization" in manager.received, "a visualization")
     scene.tracker.claims = False
     wait_for(lambda: manager.localized(False), "not localized")
     assert [one["errorType"] for one in manager.newest("state")["errors"]] == ["LOCALIZATION_ERROR"]
@@ -241,7 +243,7 @@ def test_a_fleet_manager_reads_the_pose_and_sets_it(scene: Scene) -> None:
     wait_for(lambda: manager.action("a1") == "FINISHED", "finished")
     assert manager.localized(True)
 
-    manager.say_bytes(b"{")
+    manager.publish_bytes(b"{")
     wait_for(lambda: manager.newest("state")["errors"], "an error about what is no JSON")
     assert manager.newest("state")["errors"][0]["errorType"] == "VALIDATION_FAILURE"
     assert manager.localized(True)
@@ -256,15 +258,15 @@ def test_who_comes_late_has_connection_and_factsheet(scene: Scene) -> None:
         late.close()
 
 
-def test_a_broker_that_was_gone_is_told_all_again(scene: Scene) -> None:
+def test_a_broker_that_was_gone_receives_all_again(scene: Scene) -> None:
     scene.broker.stop()
     scene.tracker.claims = False
     time.sleep(1.0)
-    scene.manager.heard.clear()
+    scene.manager.received.clear()
     scene.broker.start()
     wait_for(lambda: scene.manager.connection("ONLINE"), "online again")
     wait_for(lambda: scene.manager.localized(False), "a state again")
-    wait_for(lambda: "factsheet" in scene.manager.heard, "a factsheet again")
+    wait_for(lambda: "factsheet" in scene.manager.received, "a factsheet again")
     scene.manager.publish(set_position("b1", major=int(scene.manager.version[0])))
     assert scene.inbox.take(PATIENCE_S) is not None
 

@@ -28,7 +28,7 @@ else:
 session = zenoh.open(zenoh.Config.from_file(os.environ["EIGENSCAN_ZENOH"]))
 
 
-def say(key: str, payload: bytes, declared: str, channel: Channel) -> None:
+def send(key: str, payload: bytes, declared: str, channel: Channel) -> None:
     other = fault == "other-qos" and channel is SCAN
     priority = zenoh.Priority.DATA if other else getattr(zenoh.Priority, channel.qos.priority.name)
     express = channel.qos.express and not other
@@ -64,7 +64,7 @@ def answer(address: Mapping[str, str], scan: Scan) -> None:
     lidar = address["lidar"]
     key = f"{site}/robot/{robot}/scans/{lidar}" if fault == "other-key" else SCAN.key(address)
     declared = encoding(SCAN).replace("Scan/1", "Scan/2") if fault == "other-schema" else encoding(SCAN)
-    say(key, encode(scan), declared, SCAN)
+    send(key, encode(scan), declared, SCAN)
 
 
 subscriber = session.declare_subscriber(f"{site}/robot/{robot}/scan/raw/*", on_sample)
@@ -74,6 +74,6 @@ address = {"site": site, "service": "scan-ingest", "instance": instance}
 while not over.is_set():
     health = Health(service="scan-ingest", instance=instance, status=Health.STATUS_OK, counters=counters)
     health.timestamp.FromNanoseconds(time.time_ns())
-    say(HEALTH.key(address), encode(health), encoding(HEALTH), HEALTH)
+    send(HEALTH.key(address), encode(health), encoding(HEALTH), HEALTH)
     over.wait(1.0)
 session.close()

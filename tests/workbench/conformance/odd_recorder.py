@@ -28,10 +28,10 @@ bus.listen(channels, {"site": site}, inbox)
 bus.announce(site, "recorder", instance)
 if fault == "never-flushes":
     writing.CHUNK_BYTES = 2**30  # nor does a chunk that is full reach the file
-writer, told, flushed = RecordingWriter(Path(folder) / "a.mcap"), 0.0, 0.0
+writer, reported, flushed = RecordingWriter(Path(folder) / "a.mcap"), 0.0, 0.0
 while not over.is_set():
-    if time.monotonic() - told > 1.0:
-        told = time.monotonic()
+    if time.monotonic() - reported > 1.0:
+        reported = time.monotonic()
         health = Health(service="recorder", instance=instance, status=Health.STATUS_OK, counters=counters)
         health.timestamp.CopyFrom(stamp(time.time_ns()))
         bus.publish(Envelope(HEALTH, {"site": site, "service": "recorder", "instance": instance}, health))

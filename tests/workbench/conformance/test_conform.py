@@ -23,7 +23,7 @@ AT_ONCE = 5
 ODD_RECORDER = Path(__file__).parent / "odd_recorder.py"
 OURS = ("scan-ingest", "projector", "tracker", "mapbuilder")
 
-# fault: the checks that must fail for it, and words that one of them must say
+# fault: the checks that must fail for it, and words that one of them must report
 FAULTS = {
     "other-key": (["keys", "answers"], "is no key of the contract"),
     "other-schema": (["schema", "answers"], "eigenscan.Scan/2"),
@@ -39,7 +39,7 @@ FAULTS = {
     "miscounts": (["counted"], "counter undecodable grew by 0, not by 12"),
     "deaf-to-sigterm": (["stops"], "SIGTERM does not end it"),
 }
-# of the odd recorder: the check that must fail, and words that it must say
+# of the odd recorder: the check that must fail, and words that it must report
 RECORDING_FAULTS = {
     "no-past": ("kept", "that was published before its start, 1 are lost"),
     "loses-some": ("kept", "are lost, changed or out of order"),
@@ -136,7 +136,7 @@ def test_a_wrong_recorder_fails_at_that_clause_alone(ended: dict[str, Ended], fa
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_fails_at_that_and_says_so(ended: dict[str, Ended], fault: str) -> None:
+def test_what_is_wrong_fails_at_that_and_reports_it(ended: dict[str, Ended], fault: str) -> None:
     checks, words = FAULTS[fault]
     run = ended[fault]
     assert run.code == 1, run.out + run.err

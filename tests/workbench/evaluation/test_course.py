@@ -135,7 +135,7 @@ def check(figures: Any, schema: Any, name: str) -> None:
 def test_settings_change_what_is_judged(drive: Drive) -> None:
     """The whole way through the commands' own choices, to each of the cores."""
     task = replace(drive.task, skip=frozenset({"exhaustive", "memory"}), limit=4)
-    told = {}
+    reported = {}
     for name, changes in (
         ("default", []),
         ("unsure", ["tracker.localized_above=1.0"]),
@@ -144,12 +144,12 @@ def test_settings_change_what_is_judged(drive: Drive) -> None:
         ("blind", ["scan-ingest.range_max=0.5"]),
     ):
         settings = chosen(Choices.of("default", None, changes, SERVICES), spacing=None)
-        told[name] = run(replace(task, settings=settings))
-    assert told["default"]["success_rate"] == 1.0
-    assert told["unsure"]["success_rate"] == 0.0
-    assert told["one"]["single_scan"]["list_length"] == 1.0
-    assert told["coarse"]["model"]["positions"] < told["default"]["model"]["positions"] / 8
-    assert told["blind"]["success_rate"] == 0.0
+        reported[name] = run(replace(task, settings=settings))
+    assert reported["default"]["success_rate"] == 1.0
+    assert reported["unsure"]["success_rate"] == 0.0
+    assert reported["one"]["single_scan"]["list_length"] == 1.0
+    assert reported["coarse"]["model"]["positions"] < reported["default"]["model"]["positions"] / 8
+    assert reported["blind"]["success_rate"] == 0.0
 
 
 def test_the_papers_method_runs_on_a_log(drive: Drive) -> None:
@@ -211,7 +211,7 @@ def test_what_is_not_asked_for_is_null(drive: Drive) -> None:
     assert figures["to_localize"]["scans"] == {"median": None, "p95": None}
 
 
-def test_poses_are_the_same_each_time_in_any_number_of_processes_and_whatever_the_reference_says(
+def test_poses_are_the_same_each_time_in_any_number_of_processes_and_whatever_the_reference_states(
     drive: Drive, tmp_path: Path
 ) -> None:
     elsewhere = tmp_path / "elsewhere.tum"
@@ -290,7 +290,7 @@ def test_a_log_without_odometry_and_one_with_two_lidars(drive: Drive, tmp_path: 
     assert both["per_window"][0]["scans"] == 2 * alone["per_window"][0]["scans"]
 
 
-def test_a_lidar_that_is_mounted_otherwise_than_told_is_noticed(drive: Drive, tmp_path: Path) -> None:
+def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, tmp_path: Path) -> None:
     """Its scans fit the map all the same: only odometry objects."""
 
     def turned(envelope: Envelope) -> list[Envelope]:
@@ -359,12 +359,12 @@ def test_bad_input_is_one_line_and_exit_code_2(
 
 
 def test_a_recording_judges_by_its_own_truth(drive: Drive) -> None:
-    told, by_file = (evaluate(replace(drive.task, reference=r), Bars()) for r in (None, drive.truth))
-    assert told["reference"] == "the recording's own truth"
+    reported, by_file = (evaluate(replace(drive.task, reference=r), Bars()) for r in (None, drive.truth))
+    assert reported["reference"] == "the recording's own truth"
     for figure in ("windows", "success_rate", "false_claim_rate"):
-        assert told[figure] == by_file[figure]
+        assert reported[figure] == by_file[figure]
     # the file has six decimals, the recording all of them
-    assert told["error"]["position_m"]["median"] == pytest.approx(
+    assert reported["error"]["position_m"]["median"] == pytest.approx(
         by_file["error"]["position_m"]["median"], abs=1e-5
     )
 
@@ -388,7 +388,7 @@ def test_without_any_truth_cold_starts_are_compared_with_the_whole_drive(
     assert own["error"]["position_m"]["median"] < judged["error"]["position_m"]["median"]
 
 
-def test_a_log_that_breaks_off_says_so(drive: Drive, tmp_path: Path) -> None:
+def test_a_log_that_breaks_off_reports_it(drive: Drive, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(drive.recording.read_bytes()[:-64])
     figures = evaluate(replace(drive.task, log=cut), Bars())

@@ -1,4 +1,4 @@
-"""Where a reference is in doubt, and where a lookalike is none of that."""
+"""Where a reference is in doubt, and where a similar place is none of that."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _run(claims: list[tuple[float, float, float]], reference: list[tuple[float, 
     return judge(stream, Trajectory(stamps, np.array(reference)))
 
 
-def test_a_reference_that_is_off_is_in_doubt_and_a_lookalike_is_not() -> None:
+def test_a_reference_that_is_off_is_in_doubt_and_a_similar_place_is_not() -> None:
     true = (4.0, 4.5, 0.3)
     off = (4.9, 4.9, 0.3)  # the reference's own error
     alike = (14.0, 4.5, 0.3)

@@ -104,7 +104,7 @@ def test_calibration_error_of_an_honest_and_of_a_boastful_source() -> None:
     assert honest is not None
     assert honest < 0.01
     assert calibration_error(calibration(np.full(100, 0.9), np.arange(100) < 60)) == pytest.approx(0.3)
-    # two bins: 0.95 said and 0.5 right for one pose in four, 0.05 said and none right for the rest
+    # two bins: 0.95 stated and 0.5 right for one pose in four, 0.05 stated and none right for the rest
     mixed = calibration_error(
         calibration(np.array([0.95] * 10 + [0.05] * 30), np.array([True] * 5 + [False] * 35))
     )

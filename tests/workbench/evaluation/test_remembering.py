@@ -9,7 +9,7 @@ from eigenscan.workbench.evaluation.remembering import Remembering
 
 
 class Echo:
-    """Says how many scans it has heard, and takes its time."""
+    """Publishes how many scans it has received, and takes its time."""
 
     inputs: tuple[Channel, ...] = (SCAN,)
     outputs: tuple[Channel, ...] = (HYPOTHESES,)
@@ -54,7 +54,7 @@ def test_the_same_scan_at_another_time_has_the_same_answer_at_that_time_and_the_
     assert again.key == first.key
 
 
-def test_another_scan_or_another_lidar_is_asked_anew() -> None:
+def test_another_scan_or_another_lidar_is_asked_again() -> None:
     core = Echo()
     remembering = Remembering(core)
     for received in (scan(1, [1.0]), scan(1, [2.0]), scan(1, [1.0], lidar="b")):
@@ -62,7 +62,7 @@ def test_another_scan_or_another_lidar_is_asked_anew() -> None:
     assert core.received == 3
 
 
-def test_a_core_that_hears_more_than_scans_is_always_asked() -> None:
+def test_a_core_that_receives_more_than_scans_is_always_asked() -> None:
     core = Echo()
     core.inputs = (SCAN, POSE)
     remembering = Remembering(core)

@@ -23,7 +23,7 @@ PoseAt = Callable[[int], Pose | None]
 
 @dataclass(frozen=True)
 class Judge:
-    """Tells how well scans fit a map from where the robot is known to have been."""
+    """Shows how well scans fit a map from where the robot is known to have been."""
 
     dataset: Path
 

@@ -77,7 +77,7 @@ def test_flaser_gives_a_scan_and_odometry_of_its_stamp(tmp_path: Path) -> None:
     assert (first.key, second.key) == ("lab/robot/r17/odom", "lab/robot/r17/scan/raw/front")
 
 
-def test_robotlaser_tells_its_own_directions_limit_and_mount(tmp_path: Path) -> None:
+def test_robotlaser_shows_its_own_directions_limit_and_mount(tmp_path: Path) -> None:
     mount = (0.2, -0.1, 3.0)
     log = write(tmp_path / "a.log", *(robotlaser(t, (t, 1, -3.0), mount) for t in range(1, 5)))
     scans, moved, _ = read(log)
@@ -106,7 +106,7 @@ def test_several_lidars_have_names_and_one_kind_each(tmp_path: Path) -> None:
 
 
 def test_a_corrected_log_does_not_pass_off_its_correction_as_a_mount(tmp_path: Path) -> None:
-    """There x y theta is a pose from SLAM, in another frame than odometry: the parameters tell the mount."""
+    """There x y theta is a pose from SLAM, in another frame than odometry: the parameters show the mount."""
     lines = ["PARAM robot_frontlaser_offset 0.3 1 host 1"]
     for t in range(1, 9):
         corrected = words(t * 0.9, t * 0.1, 0.01 * t)
@@ -164,7 +164,7 @@ def test_garbage_is_counted_and_left_out(tmp_path: Path) -> None:
     assert counters == {"cut_line": 1, "garbage_line": 4, "absurd_stamp": 1, "odometry_not_finite": 1}
 
 
-def test_odometry_of_one_stamp_is_said_once(tmp_path: Path) -> None:
+def test_odometry_of_one_stamp_is_published_once(tmp_path: Path) -> None:
     lines = [odom(1.0), flaser(1.5), odom(1.5), odom(2.0)]
     scans, moved, counters = read(write(tmp_path / "a.log", *lines))
     assert (len(scans), len(moved)) == (1, 3)
@@ -179,7 +179,7 @@ def test_stamps_that_jump_are_repaired_and_remembered(tmp_path: Path) -> None:
     assert log.counters["stamps_repaired"] == 1
 
 
-def test_stamps_in_six_digits_of_an_epoch_tell_no_time(tmp_path: Path) -> None:
+def test_stamps_in_six_digits_of_an_epoch_give_no_time(tmp_path: Path) -> None:
     """As programs that correct a log print it: the same for hours, or one step of hours; no scan is lost."""
     stamps = ["1.13486e+09", "1.13486e+09", "0"] * 10 + ["1.13487e+09", "1.13487e+09", "0"] * 10
     lines = [
@@ -252,7 +252,7 @@ def test_a_log_without_scans_is_refused(tmp_path: Path) -> None:
     ("count", "first", "last"),
     [(181, -90, 90), (361, -90, 90), (180, -90, 89), (360, -90, 89.5), (401, -50, 50), (1081, -135, 135)],
 )
-def test_the_number_of_beams_tells_the_laser(count: int, first: float, last: float) -> None:
+def test_the_number_of_beams_shows_the_laser(count: int, first: float, last: float) -> None:
     geometry = guess_geometry(count)
     assert math.degrees(geometry.angle_min) == pytest.approx(first)
     assert math.degrees(geometry.angle_min + (count - 1) * geometry.angle_increment) == pytest.approx(last)

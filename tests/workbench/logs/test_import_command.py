@@ -31,8 +31,8 @@ def test_a_log_becomes_a_recording_and_a_summary(tmp_path: Path) -> None:
     assert [r.envelope.key for r in records[:2]] == ["lab/robot/r17/odom", "lab/robot/r17/scan/raw/front"]
     assert len(records) == 40
     assert read_metadata(tmp_path / "a.mcap")["import"] == {"source": "a.clf", "format": "CARMEN log"}
-    for told in ("front", "odometry", "20", "1.0", "19.0", "81.83 m", "a.mcap"):
-        assert told in out
+    for reported in ("front", "odometry", "20", "1.0", "19.0", "81.83 m", "a.mcap"):
+        assert reported in out
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.clf", "a.mcap"]
 
 
@@ -53,7 +53,7 @@ def test_the_recording_reads_as_the_log(tmp_path: Path) -> None:
     assert [e.message for e in original.envelopes()] == [e.message for e in imported.envelopes()]
 
 
-def test_what_was_repaired_is_told_and_kept(tmp_path: Path) -> None:
+def test_what_was_repaired_is_reported_and_kept(tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text(
         FIRST + FIRST.replace("1.000000", "9.0") + FIRST.replace("1.000000", "3.0")
     )
@@ -68,7 +68,7 @@ def test_what_was_repaired_is_told_and_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (None, "a.clf: cannot be read: No such file or directory: check the path"),
         ("", "a.clf: is empty: give a CARMEN log"),
@@ -76,17 +76,19 @@ def test_what_was_repaired_is_told_and_kept(tmp_path: Path) -> None:
         ("ODOM 0 0 0 0 0 0 1.0 host 1\n", "a.clf: no scan line could be read"),
     ],
 )
-def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, content: str | None, told: str) -> None:
+def test_errors_are_one_line_and_leave_nothing_behind(
+    tmp_path: Path, content: str | None, reported: str
+) -> None:
     if content is not None:
         (tmp_path / "a.clf").write_text(content)
     code, _, err = run(tmp_path / "a.clf", "-o", tmp_path / "a.mcap")
     assert code == 2
     (line,) = [text for text in err.splitlines() if text.startswith("eigenscan import: ")]
-    assert told in line
+    assert reported in line
     assert not list(tmp_path.glob("*.mcap*"))
 
 
-def test_a_mount_of_a_lidar_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_mount_of_a_lidar_that_is_not_there_is_reported(tmp_path: Path) -> None:
     log = log_of(tmp_path / "a.clf")
     code, _, err = run(log, "-o", tmp_path / "a.mcap", "--mount", "rear=1,0,180")
     assert code == 2
@@ -102,7 +104,7 @@ def test_the_log_is_not_overwritten(tmp_path: Path) -> None:
     assert log.read_text().startswith("FLASER")
 
 
-def test_a_mount_is_told_in_degrees(tmp_path: Path) -> None:
+def test_a_mount_is_given_in_degrees(tmp_path: Path) -> None:
     log = log_of(tmp_path / "a.clf")
     code, out, _ = run(log, "-o", tmp_path / "a.mcap", "--mount", "front=0.5,-0.25,90,upside-down")
     assert code == 0

@@ -198,7 +198,7 @@ def test_every_container_gives_the_same(tmp_path: Path, container: str) -> None:
     assert moved[7].pose_covariance[0] == 0.01
 
 
-def test_an_upside_down_beam_points_where_tf_says(tmp_path: Path) -> None:
+def test_an_upside_down_beam_points_where_tf_states(tmp_path: Path) -> None:
     """The beam's direction by the rotation matrix, and by the plane pose with its flag."""
     scan = read(usual(False).write(tmp_path / "a"), lidars=("rear",))[0]["rear"][0]
     full = Rotation.from_euler("ZYX", [3.0, 0.0, math.pi])
@@ -210,7 +210,7 @@ def test_an_upside_down_beam_points_where_tf_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ros1", [True, False])
-def test_without_odometry_messages_tf_tells_it(tmp_path: Path, ros1: bool) -> None:
+def test_without_odometry_messages_tf_gives_it(tmp_path: Path, ros1: bool) -> None:
     story = Story(ros1)
     for tenth in range(20):
         time = START + tenth / 10
@@ -268,7 +268,7 @@ def test_a_filtered_copy_of_a_scan_is_not_a_second_lidar(tmp_path: Path) -> None
     assert counters == {"topics_of_the_same_lidar": 1}
 
 
-def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_told(tmp_path: Path) -> None:
+def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_reported(tmp_path: Path) -> None:
     story = usual(False)
     story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))
     for tenth in range(30):
@@ -280,7 +280,7 @@ def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_told(tmp_path: Path)
     assert from_message(scans["lost"][0].mount).tolist() == [0, 0, 0]
 
 
-def test_a_mount_that_is_told_wins(tmp_path: Path) -> None:
+def test_a_stated_mount_wins(tmp_path: Path) -> None:
     story = usual(False)
     story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))
     for tenth in range(30):

@@ -73,7 +73,7 @@ def test_stamps_in_no_order_leave_the_lines_a_lone_step_apart() -> None:
     assert set(np.diff(got).tolist()) == {S // 10}
 
 
-def test_rounded_stamps_still_tell_the_pace() -> None:
+def test_rounded_stamps_still_show_the_pace() -> None:
     """Ten lines a second, written in whole seconds."""
     got = repair_stamps(seconds(*np.repeat(np.arange(500.0, 800.0), 10)), ["A"] * 3000)
     assert (np.diff(got) > 0).all()

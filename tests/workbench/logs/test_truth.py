@@ -71,7 +71,7 @@ def signature(scan: RawScan) -> bytes:
 
 
 @pytest.mark.parametrize(("dataset", "lines", "mount"), [("intel", 6000, 0.0), ("fr079", 5000, -0.04)])
-def test_the_original_logs_tell_the_same(
+def test_the_original_logs_show_the_same(
     judge: Judging, tmp_path: Path, dataset: str, lines: int, mount: float
 ) -> None:
     """Without a reference of their own: their scans are found in the converted log by their ranges."""

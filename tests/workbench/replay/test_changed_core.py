@@ -135,7 +135,7 @@ def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> N
     assert f"failed on {published.missing} messages; first, ArithmeticError on site/robot/robot/" in note
 
 
-def test_what_was_said_before_a_failure_counts() -> None:
+def test_what_was_published_before_a_failure_counts() -> None:
     class Half:
         inputs, outputs = (SCAN,), (HYPOTHESES,)
 
@@ -151,8 +151,8 @@ def test_what_was_said_before_a_failure_counts() -> None:
     assert instance.faults == ["KeyError on s/robot/r/scan/l: 'gone'"]
 
 
-def test_settings_that_are_told_make_the_same_service(tmp_path: Path) -> None:
+def test_settings_that_are_reported_make_the_same_service(tmp_path: Path) -> None:
     settings = TrackerOptions(trust=0.6, robot="r7", metrics_port=9100, zenoh=tmp_path, log_level="debug")
-    told = json.loads(settings.answering_json())
-    assert not {"metrics_port", "metrics_host", "zenoh", "log_level", "log_format"} & told.keys()
-    assert TrackerOptions.model_validate(told) == TrackerOptions(trust=0.6, robot="r7")
+    reported = json.loads(settings.answering_json())
+    assert not {"metrics_port", "metrics_host", "zenoh", "log_level", "log_format"} & reported.keys()
+    assert TrackerOptions.model_validate(reported) == TrackerOptions(trust=0.6, robot="r7")

@@ -78,7 +78,7 @@ def test_headings_are_near_across_the_turn() -> None:
 
 
 def test_the_table_names_fields_that_exist() -> None:
-    """And each float that a service says has a tolerance, so that no processor's last bit fails a replay."""
+    """And each published float has a tolerance, so that no processor's last bit fails a replay."""
     floats: set[tuple[str, ...]] = set()
     names: set[str] = set()
 

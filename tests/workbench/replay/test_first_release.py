@@ -1,4 +1,4 @@
-"""What the first release recorded decodes and replays for ever."""
+"""What the first release recorded decodes and replays without end."""
 
 from __future__ import annotations
 

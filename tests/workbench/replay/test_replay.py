@@ -104,7 +104,7 @@ def test_one_changed_bit_is_shown_with_its_path_stamp_and_both_values(
     _, _, shown = ended.out.partition("first difference: ")
     assert shown.startswith(f"pose {at(pose.envelope.stamp)} on site/robot/robot/pose\n")
     assert shown.splitlines()[2].split()[:3] == ["pose.x", str(nudged), str(x)]
-    assert len(shown.splitlines()) == 4  # the last tells where both sides are drawn
+    assert len(shown.splitlines()) == 4  # the last shows where both sides are drawn
     assert eigenscan(*command, "--tolerant").code == 0
     ignoring = eigenscan(*command, "--ignore", "pose.pose.x")
     assert ignoring.code == 0
@@ -220,14 +220,14 @@ def health(settings: str = "", **counters: int) -> Envelope:
     return Envelope(HEALTH, {"site": "site", "service": "tracker", "instance": "t"}, message)
 
 
-def test_recorded_settings_are_used_and_defaults_are_said(
+def test_recorded_settings_are_used_and_defaults_are_published(
     run: Run, eigenscan: Command, tmp_path: Path
 ) -> None:
     other = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(trust=0.6))
     text = json.dumps({"robot": "*", "instance": "t", "trust": 0.6, "gone_since": 1})
     command = ("--service", "tracker", "--compare")
-    told = [Timed(other[0].time, health(text)), *other]
-    ended = eigenscan("replay", run.write(tmp_path / "told.mcap", told), *command)
+    reported = [Timed(other[0].time, health(text)), *other]
+    ended = eigenscan("replay", run.write(tmp_path / "told.mcap", reported), *command)
     assert ended.code == 0, ended.out + ended.err
     assert "settings as recorded without gone_since, which this version does not know" in ended.out
     assert "recorded with version 9.8.7" in ended.out
@@ -238,7 +238,7 @@ def test_recorded_settings_are_used_and_defaults_are_said(
     assert "default settings, for the recording does not have them" in ended.out
 
 
-def test_what_a_recording_cannot_tell_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+def test_what_a_recording_cannot_show_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
     text = json.dumps({"robot": "*"})
     words = [
         health(text, heard_odometry=300, dropped_odometry=7),
@@ -267,15 +267,17 @@ def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_pat
     count = len(only(run.messages, ODOMETRY))
     command = ("--service", "tracker", "--compare")
     for received, is_noted in ((count, False), (count + 1, True)):
-        told = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=received))
-        file = run.write(tmp_path / f"{received}.mcap", [*run.messages, told])
+        reported = Timed(run.messages[-1].time, health(json.dumps({"robot": "*"}), heard_odometry=received))
+        file = run.write(tmp_path / f"{received}.mcap", [*run.messages, reported])
         ended = eigenscan("replay", file, *command)
         noted = f"note: tracker t had received {received} odometry, the recording holds {count}" in ended.out
         assert noted is is_noted, ended.out
 
 
 @pytest.mark.parametrize("group", ["robot", "r*t,another"])
-def test_an_instance_hears_only_its_robots(run: Run, eigenscan: Command, tmp_path: Path, group: str) -> None:
+def test_an_instance_receives_only_its_robots(
+    run: Run, eigenscan: Command, tmp_path: Path, group: str
+) -> None:
     text = json.dumps({"robot": group, "instance": "t"})
     foreign = [
         Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "robot": "other"}))
@@ -290,19 +292,21 @@ def test_an_instance_hears_only_its_robots(run: Run, eigenscan: Command, tmp_pat
     assert "outside: " not in ended.out
 
 
-def test_two_projectors_are_told_apart_by_their_keys(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+def test_two_projectors_are_distinguished_by_their_keys(run: Run, eigenscan: Command, tmp_path: Path) -> None:
     few = run.messages[: len(run.messages) // 4]
-    twin = [
+    alias = [
         Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "projector": "second"}))
         for timed in only(few, HYPOTHESES, OBSTACLES)
     ]
-    path = run.write(tmp_path / "a.mcap", sorted([*few, *twin], key=lambda timed: timed.time))
+    path = run.write(tmp_path / "a.mcap", sorted([*few, *alias], key=lambda timed: timed.time))
     ended = eigenscan("replay", path, "--service", "projector", "--compare")
     assert ended.code == 0, ended.out
-    assert f"the same: {2 * len(twin)} messages" in ended.out
+    assert f"the same: {2 * len(alias)} messages" in ended.out
 
 
-def test_what_is_said_now_can_be_kept(run: Run, recording: Path, eigenscan: Command, tmp_path: Path) -> None:
+def test_what_is_published_now_can_be_kept(
+    run: Run, recording: Path, eigenscan: Command, tmp_path: Path
+) -> None:
     out = tmp_path / "out.mcap"
     command = ("replay", recording, "--service", "tracker", "--out", out, "--set", "trust=0.6")
     assert eigenscan(*command).code == 0
@@ -342,14 +346,14 @@ def test_models_that_are_missing_are_named(
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "stated"),
     [
         (None, "cannot be read"),
         (b"", "is no readable recording"),
         (b"not an mcap at all" * 100, "is no readable recording"),
     ],
 )
-def test_what_is_no_recording(eigenscan: Command, tmp_path: Path, content: bytes | None, says: str) -> None:
+def test_what_is_no_recording(eigenscan: Command, tmp_path: Path, content: bytes | None, stated: str) -> None:
     path = tmp_path / "a.mcap"
     if content is not None:
         path.write_bytes(content)
@@ -357,7 +361,7 @@ def test_what_is_no_recording(eigenscan: Command, tmp_path: Path, content: bytes
     assert ended.code == 2
     assert ended.err.count("\n") == 1
     assert str(path) in ended.err
-    assert says in ended.err
+    assert stated in ended.err
 
 
 def test_what_a_service_needs_is_named(run: Run, eigenscan: Command, tmp_path: Path) -> None:
@@ -373,7 +377,7 @@ def test_what_a_service_needs_is_named(run: Run, eigenscan: Command, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "stated"),
     [
         (("--service", "nobody", "--compare"), "--service nobody: choose one of scan-ingest"),
         (("--compare",), "missing option '--service'"),
@@ -392,8 +396,8 @@ def test_what_a_service_needs_is_named(run: Run, eigenscan: Command, tmp_path: P
         (("--service", "tracker", "--compare", "--ignore", "pose.nothing"), "--ignore pose.nothing: give"),
     ],
 )
-def test_wrong_usage(recording: Path, eigenscan: Command, options: tuple[object, ...], says: str) -> None:
+def test_wrong_usage(recording: Path, eigenscan: Command, options: tuple[object, ...], stated: str) -> None:
     ended = eigenscan("replay", recording, *options)
     assert ended.code == 2
-    assert says in ended.err
+    assert stated in ended.err
     assert ended.err.count("\n") == 1

@@ -102,7 +102,7 @@ def test_an_update_accepts_and_then_holds(run: Run, folder: Path, eigenscan: Com
     assert ended.code == 0, ended.out
     assert "raw.mcap  pipeline" in ended.out
     assert reference.read_bytes() == before
-    # a reference that says something else fails, transforms included
+    # a reference that states something else fails, transforms included
     alter(reference)
     ended = eigenscan("replay-test", folder)
     assert ended.code == 1
@@ -160,8 +160,8 @@ def alter(reference: Path) -> None:
 
 
 def test_a_folder_that_is_none(eigenscan: Command, tmp_path: Path) -> None:
-    for place, says in ((tmp_path / "absent", "is no folder"), (tmp_path, "holds no .mcap")):
+    for place, stated in ((tmp_path / "absent", "is no folder"), (tmp_path, "holds no .mcap")):
         ended = eigenscan("replay-test", place)
         assert ended.code == 2
-        assert says in ended.err
+        assert stated in ended.err
         assert ended.err.count("\n") == 1

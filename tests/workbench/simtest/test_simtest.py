@@ -43,7 +43,7 @@ def test_every_kind_of_fault_is_drawn_and_has_words() -> None:
     assert {fault.kind for seed in range(100) for fault in draw(seed, plan)} == set(KINDS)
 
 
-def test_a_failure_is_told_by_the_fault_that_causes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_is_reported_by_the_fault_that_causes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """A recorder that forgets to hand over what it has."""
     monkeypatch.setattr(McapSink, "_flush", lambda *_: None)
     faults = [
@@ -60,24 +60,24 @@ def test_a_failure_is_told_by_the_fault_that_causes_it(monkeypatch: pytest.Monke
     assert "broken: recording" in text
 
 
-def _altered(core: TrackerCore, heard: Envelope) -> Iterable[Envelope]:
-    for said in HANDLE(core, heard):
-        if said.channel is TRACKS:
-            said.message.none_probability += 0.5  # type: ignore[attr-defined]
-        yield said
+def _altered(core: TrackerCore, received: Envelope) -> Iterable[Envelope]:
+    for output in HANDLE(core, received):
+        if output.channel is TRACKS:
+            output.message.none_probability += 0.5  # type: ignore[attr-defined]
+        yield output
 
 
-def _elsewhere(core: TrackerCore, heard: Envelope) -> Iterable[Envelope]:
-    for said in HANDLE(core, heard):
-        if said.channel is POSE:
-            said.message.pose.x += 5.0  # type: ignore[attr-defined]
-        yield said
+def _elsewhere(core: TrackerCore, received: Envelope) -> Iterable[Envelope]:
+    for output in HANDLE(core, received):
+        if output.channel is POSE:
+            output.message.pose.x += 5.0  # type: ignore[attr-defined]
+        yield output
 
 
-def _failing(core: TrackerCore, heard: Envelope) -> Iterable[Envelope]:
-    if heard.channel.name == "hypotheses" and heard.stamp % 3 == 0:
+def _failing(core: TrackerCore, received: Envelope) -> Iterable[Envelope]:
+    if received.channel.name == "hypotheses" and received.stamp % 3 == 0:
         raise RuntimeError("a fault of the core")
-    return HANDLE(core, heard)
+    return HANDLE(core, received)
 
 
 HANDLE = TrackerCore.handle

@@ -62,7 +62,7 @@ def test_another_seed_gives_another_drive_and_more_people_the_same(grid: GridMap
     np.testing.assert_array_equal(crowd.odometry, first.odometry)
 
 
-def test_the_recording_holds_what_the_truth_file_says(tmp_path: Path) -> None:
+def test_the_recording_holds_what_the_truth_file_states(tmp_path: Path) -> None:
     _simulate("-o", tmp_path / "r.mcap", "--truth", tmp_path / "r.tum", "--save-map", tmp_path / "m.yaml",
               "--seconds", 5, "--rate", 7, "--beams", 90, "--fov", 360)  # fmt: skip
     truth = np.loadtxt(tmp_path / "r.tum")

@@ -1,4 +1,4 @@
-"""The paper's figure 9 through the projector's and the tracker's cores: four poses, until a niche tells."""
+"""The paper's figure 9 through the projector's and the tracker's cores: four poses, until a niche shows."""
 
 from __future__ import annotations
 

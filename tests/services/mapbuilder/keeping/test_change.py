@@ -27,7 +27,7 @@ def hall() -> GridMap:
 
 
 def seen(grid: GridMap, visits: int = VISITS) -> np.ndarray:
-    """What visits say who see the whole of `grid`: its faces struck, its free ground looked through."""
+    """What visits show that see the whole of `grid`: its faces struck, its free ground looked through."""
     run = np.zeros(grid.cells.shape, np.int8)
     run[grid.cells == OCCUPIED] = visits
     run[grid.cells == FREE] = -visits
@@ -106,7 +106,7 @@ def test_fewer_visits_than_asked_for_change_nothing(run: np.ndarray) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.5))
-def test_a_change_is_where_visits_say_so_and_nowhere_else(seed: int, share: float) -> None:
+def test_a_change_is_where_visits_report_it_and_nowhere_else(seed: int, share: float) -> None:
     grid = blank(8.0, 6.0)
     room(grid, 1.0, 1.0, 7.0, 5.0)
     box(grid, 2.0, 2.0, 3.0, 3.0, OCCUPIED)

@@ -35,7 +35,7 @@ def start(folder: Path, changes: Literal["off", "propose", "publish"]) -> Change
 
 
 def come_by(core: ChangeManager, numbers: Iterable[int]) -> list[Envelope]:
-    """Robots on visits of these numbers, and a pulse at the end; what was said."""
+    """Robots on visits of these numbers, and a pulse at the end; what was published."""
     published: list[Envelope] = []
     for number in numbers:
         for received in Patrol(number).messages(MOVED, number * VISIT_S):
@@ -70,7 +70,7 @@ def test_what_is_published_can_be_taken_back_and_stays_taken_back(folder: Path) 
     assert "eigenscan models accept" in core.condition().detail
 
 
-def test_a_store_that_cannot_be_written_is_told_and_costs_no_evidence(
+def test_a_store_that_cannot_be_written_is_reported_and_costs_no_evidence(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     core = start(folder, "propose")
@@ -89,7 +89,7 @@ def _full(*_: object) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_models_that_cannot_be_read_leave_those_that_were_said(folder: Path) -> None:
+def test_models_that_cannot_be_read_leave_those_that_were_published(folder: Path) -> None:
     core, manifest = start(folder, "off"), folder / "manifest.json"
     assert core.inputs == (TICK, LIDAR_KIND)
     good = manifest.read_text()
@@ -109,7 +109,7 @@ def test_a_map_alone_cannot_be_kept() -> None:
 
 
 def from_map(folder: Path, grid: GridMap, settings: MapbuilderSettings = COARSE) -> tuple[ChangeManager, str]:
-    """A mapbuilder with map and model folder, started; the version that it said."""
+    """A mapbuilder with map and model folder, started; the version that it published."""
     core = ChangeManager(Store(folder), settings, source=Source(grid, settings))
     assert core.condition().status == Health.STATUS_WAITING
     *_, whole = core.start()

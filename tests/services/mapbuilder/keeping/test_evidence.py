@@ -29,7 +29,7 @@ def marks(occupied: bool) -> Marks:
     return Marks(WHOLE, one, none) if occupied else Marks(WHOLE, none, one)
 
 
-def tell(evidence: Evidence, views: Iterable[tuple[int, bool]]) -> Evidence:
+def report(evidence: Evidence, views: Iterable[tuple[int, bool]]) -> Evidence:
     """Views (seconds, occupied) in their order."""
     for second, occupied in views:
         evidence.turn_to(second * 10**9)
@@ -45,13 +45,13 @@ def ended(evidence: Evidence, second: int) -> int:
 @given(st.integers(0, 20 * HOUR), st.lists(st.integers(0, HOUR), min_size=1, max_size=200))
 def test_what_stands_for_an_hour_is_never_seen_by_four_visits(begin: int, stood: list[int]) -> None:
     views = [(begin + second, True) for second in sorted(stood)]
-    assert ended(tell(Evidence.of(GRID, LENGTH_S), views), begin + 2 * HOUR) <= 3
+    assert ended(report(Evidence.of(GRID, LENGTH_S), views), begin + 2 * HOUR) <= 3
 
 
 @given(st.lists(st.tuples(seconds, st.booleans()), max_size=120))
 def test_no_cell_has_more_visits_than_there_were(views: list[tuple[int, bool]]) -> None:
     views = sorted(views)
-    evidence = tell(Evidence.of(GRID, LENGTH_S), views)
+    evidence = report(Evidence.of(GRID, LENGTH_S), views)
     assert abs(ended(evidence, 12 * HOUR)) <= len({second // 1800 for second, _ in views})
 
 
@@ -60,22 +60,22 @@ def test_robots_whose_clocks_differ_make_no_visits(times: list[int], data: st.Da
     """One robot's clock is days ahead: whichever speaks when, visits are not more than by one clock."""
     ahead = 3 * DAY_NS // 10**9
     views = [(t + ahead * data.draw(st.integers(0, 1)), True) for t in sorted(times)]
-    evidence = tell(Evidence.of(GRID, LENGTH_S), views)
+    evidence = report(Evidence.of(GRID, LENGTH_S), views)
     assert ended(evidence, ahead + 12 * HOUR) <= len({second // 1800 for second in times})
 
 
-def test_a_visit_that_says_otherwise_begins_anew() -> None:
+def test_a_visit_that_shows_otherwise_starts_again() -> None:
     evidence = Evidence.of(GRID, LENGTH_S)
     for visit in range(3):
-        tell(evidence, [(visit * 1800, True)] * VIEWS)
+        report(evidence, [(visit * 1800, True)] * VIEWS)
     assert ended(evidence, 3 * 1800) == 3
-    tell(evidence, [(3 * 1800, False)] * VIEWS)
+    report(evidence, [(3 * 1800, False)] * VIEWS)
     assert ended(evidence, 4 * 1800) == -1
 
 
 @pytest.mark.parametrize("views", [[True] * (VIEWS - 1), [True] * VIEWS + [False] * VIEWS])
-def test_a_glimpse_or_a_mixed_visit_says_nothing(views: list[bool]) -> None:
-    assert ended(tell(Evidence.of(GRID, LENGTH_S), [(5, occupied) for occupied in views]), 1800) == 0
+def test_a_glimpse_or_a_mixed_visit_is_no_evidence(views: list[bool]) -> None:
+    assert ended(report(Evidence.of(GRID, LENGTH_S), [(5, occupied) for occupied in views]), 1800) == 0
 
 
 @given(st.lists(st.tuples(seconds, st.booleans()), max_size=60), st.integers(0, 60))
@@ -83,15 +83,15 @@ def test_evidence_goes_on_after_a_restart(
     tmp_path_factory: pytest.TempPathFactory, views: list[tuple[int, bool]], cut: int
 ) -> None:
     views, store = sorted(views), Store(tmp_path_factory.mktemp("site") / "model")
-    store.save(tell(Evidence.of(GRID, LENGTH_S), views[:cut]), GRID)
-    resumed = tell(store.load(GRID, LENGTH_S), views[cut:])
-    whole = tell(Evidence.of(GRID, LENGTH_S), views)
+    store.save(report(Evidence.of(GRID, LENGTH_S), views[:cut]), GRID)
+    resumed = report(store.load(GRID, LENGTH_S), views[cut:])
+    whole = report(Evidence.of(GRID, LENGTH_S), views)
     assert ended(resumed, 12 * HOUR) == ended(whole, 12 * HOUR)
 
 
 def test_evidence_of_other_cells_or_a_damaged_file_is_none(tmp_path: Path) -> None:
     store = Store(tmp_path / "model")
-    evidence = tell(Evidence.of(GRID, LENGTH_S), [(0, True)] * VIEWS)
+    evidence = report(Evidence.of(GRID, LENGTH_S), [(0, True)] * VIEWS)
     store.save(evidence, GRID)
     assert store.load(GRID, LENGTH_S).struck[CELL] == VIEWS
     moved = GridMap(GRID.cells, GRID.resolution, np.array([1.0, 0.0, 0.0]))

@@ -33,7 +33,7 @@ def everything(site: SiteModel) -> dict[tuple[int, ...], list[int]]:
     return {at: row for model in site.regions for at, row in table(model).items()}
 
 
-def test_only_regions_that_see_the_change_are_made_anew(office: GridMap, furnished: GridMap) -> None:
+def test_only_regions_that_see_the_change_are_made_again(office: GridMap, furnished: GridMap) -> None:
     before = build_site(office, PLAN)
     after = rebuild(before, furnished, PLAN)
     assert [m.region for m in after.regions] == [m.region for m in before.regions]
@@ -44,7 +44,7 @@ def test_only_regions_that_see_the_change_are_made_anew(office: GridMap, furnish
 
 
 @pytest.mark.parametrize("gone", [False, True])
-def test_what_is_made_anew_is_what_a_whole_build_sees(
+def test_what_is_made_again_is_what_a_whole_build_sees(
     office: GridMap, furnished: GridMap, gone: bool
 ) -> None:
     old, new = (furnished, office) if gone else (office, furnished)

@@ -59,7 +59,7 @@ def test_what_is_in_use_is_given_once_and_again_when_it_is_another(store: Store,
     assert store.renewed() is None
 
 
-def test_a_folder_that_cannot_be_read_is_told_once_and_read_when_it_is_mended(
+def test_a_folder_that_cannot_be_read_is_reported_once_and_read_when_it_is_mended(
     store: Store, office: GridMap
 ) -> None:
     assert store.renewed() is not None

@@ -59,7 +59,7 @@ def straight(count: int, step: float = 0.25) -> np.ndarray:
     return np.column_stack([np.arange(count) * step, np.zeros(count), np.zeros(count)])
 
 
-def hear(
+def listen(
     observer: TrustedObserver, poses: np.ndarray, judge: float = AGREED, first: int = 0, **claimed: Any
 ) -> list[View]:
     """What counts of a drive over `poses`, twice a second."""
@@ -71,15 +71,15 @@ def hear(
 
 
 def test_a_look_counts_once_ten_others_bear_it_out() -> None:
-    views = hear(TrustedObserver(Counter()), straight(LEAST_RECORD + 5))
+    views = listen(TrustedObserver(Counter()), straight(LEAST_RECORD + 5))
     assert [view.stamp for view in views] == [k * SECOND // 2 for k in range(LEAST_RECORD + 5 - PROBATION)]
 
 
 def test_a_robot_that_stands_sees_one_look() -> None:
     counts = Counter[str]()
     observer = TrustedObserver(counts)
-    views = hear(observer, np.zeros((1200, 3)))
-    views += hear(observer, straight(40)[1:], first=1200)
+    views = listen(observer, np.zeros((1200, 3)))
+    views += listen(observer, straight(40)[1:], first=1200)
     assert sum(view.pose[0] == 0.0 for view in views) == 1
 
 
@@ -109,8 +109,8 @@ def test_scans_and_poses_meet_in_whatever_order_they_come() -> None:
         {"sigma": float("nan")},
     ],
 )
-def test_a_robot_that_is_not_sure_is_no_witness(unsure: dict[str, Any]) -> None:
-    assert hear(TrustedObserver(Counter()), straight(60), **unsure) == []
+def test_a_robot_that_is_not_sure_is_no_trusted_observer(unsure: dict[str, Any]) -> None:
+    assert listen(TrustedObserver(Counter()), straight(60), **unsure) == []
 
 
 def test_numbers_that_make_no_sense_are_set_aside() -> None:
@@ -127,18 +127,18 @@ def test_numbers_that_make_no_sense_are_set_aside() -> None:
     assert counts["looks_counted"] >= 10
 
 
-def test_a_robot_that_disagrees_with_the_map_is_no_witness() -> None:
+def test_a_robot_that_disagrees_with_the_map_is_no_trusted_observer() -> None:
     counts = Counter[str]()
-    assert hear(TrustedObserver(counts), straight(80), judge=0.5) == []
+    assert listen(TrustedObserver(counts), straight(80), judge=0.5) == []
     assert counts["looks_withdrawn"] == 80
 
 
 def test_who_turns_out_to_have_been_elsewhere_takes_his_last_looks_back() -> None:
     counts = Counter[str]()
     observer = TrustedObserver(counts)
-    before = hear(observer, straight(30))
+    before = listen(observer, straight(30))
     far = straight(60) + np.array([40.0, 9.0, 0.0])
-    after = hear(observer, far, first=30)
+    after = listen(observer, far, first=30)
     assert len(before) == 20
     assert counts["looks_withdrawn"] == 10
     assert all(view.pose[1] == 9.0 for view in after)
