@@ -19,7 +19,7 @@ from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.model_pb2 import RegionModel as RegionModelMessage
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from eigenscan.workbench.conformance.hearing import Received
+from eigenscan.workbench.conformance.receiving import Received
 from eigenscan.workbench.conformance.vectors import Vectors
 from eigenscan.workbench.replay.fields import differences
 from foxglove_schemas_protobuf.Grid_pb2 import Grid

@@ -19,7 +19,7 @@ LAST_LINES = 6
 class Candidate:
     """A process of the user's command. Use `with`: at its end the process is gone.
 
-    `told` (zenoh, endpoint, site, …) replaces `{name}` in the command, and is in the environment as
+    `reported` (zenoh, endpoint, site, …) replaces `{name}` in the command, and is in the environment as
     EIGENSCAN_NAME. Raises UsageError if the command cannot be started.
     """
 

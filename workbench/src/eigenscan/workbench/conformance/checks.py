@@ -12,7 +12,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.wire import encode
 from eigenscan.workbench.conformance.check import FAILED, PASSED, Check, check, skipped
-from eigenscan.workbench.conformance.hearing import alive_key
+from eigenscan.workbench.conformance.receiving import alive_key
 from eigenscan.workbench.conformance.travelling import travelling
 from eigenscan.workbench.conformance.trial import Observed
 from eigenscan.workbench.conformance.values import faults

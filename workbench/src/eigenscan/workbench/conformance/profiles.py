@@ -28,7 +28,7 @@ from eigenscan.workbench.conformance.agreement import (
     projection_numbers,
     scan_numbers,
 )
-from eigenscan.workbench.conformance.hearing import Received
+from eigenscan.workbench.conformance.receiving import Received
 from eigenscan.workbench.conformance.vectors import DRIVE, LIDARS, Vectors
 
 Numbers = Callable[[Sequence[Received], Vectors], tuple[list[str], str]]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from eigenscan.schemas.channels import HEALTH, Channel
 from eigenscan.schemas.wire import encoding
 from eigenscan.workbench.conformance.check import Check, check
-from eigenscan.workbench.conformance.hearing import Received
+from eigenscan.workbench.conformance.receiving import Received
 from eigenscan.workbench.conformance.trial import Observed
 
 

@@ -21,8 +21,8 @@ from eigenscan.schemas.wire import decode
 from eigenscan.workbench.conformance.bad_input import bad_samples
 from eigenscan.workbench.conformance.candidate import Candidate
 from eigenscan.workbench.conformance.check import Check
-from eigenscan.workbench.conformance.hearing import Ear, Received, alive_key
 from eigenscan.workbench.conformance.profiles import Profile
+from eigenscan.workbench.conformance.receiving import Ear, Received, alive_key
 from eigenscan.workbench.conformance.recording import LOST_S, Published
 from eigenscan.workbench.conformance.vectors import Vectors
 from eigenscan.workbench.simulation.live import publish

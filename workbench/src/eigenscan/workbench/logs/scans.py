@@ -27,7 +27,7 @@ NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Scans:
-    """The usable scans of a log. `heard`: number of all scans; `reasons`: numbers of rejected ones.
+    """The usable scans of a log. `received`: number of all scans; `reasons`: numbers of rejected ones.
 
     `logged`: the logged stamp, ns, of each scan whose stamp was changed, by the new one.
     """

@@ -51,7 +51,7 @@ class Controls(Protocol):
     """The commands in a few words."""
 
     def wait(self, seconds: float | None) -> Command | None:
-        """The next command, or None after `seconds`; None waits for ever."""
+        """The next command, or None after `seconds`; None waits without end."""
         ...
 
 

@@ -51,7 +51,7 @@ class Player:
         """Plays to the end, or until it is asked to end."""
         begin: int | None = self._score.begin
         while begin is not None:
-            self._start_anew()
+            self._start_again()
             begin = self._play_from(begin)
 
     def _play_from(self, begin: int) -> int | None:
@@ -98,7 +98,7 @@ class Player:
             self._paused = self._stepping = True
         else:
             self._paused = command.do is Do.PAUSE or (command.do is Do.TOGGLE and not self._paused)
-            self._start_anew()
+            self._start_again()
         self._go_to(self._at)
         return None
 
@@ -107,7 +107,7 @@ class Player:
         self._moved(moment, self._paused)
         return moment
 
-    def _start_anew(self) -> None:
+    def _start_again(self) -> None:
         self._metronome.reset()
         self._shift = None
 

@@ -104,9 +104,9 @@ def _kept(recording: Path, choices: tuple[str, ...]) -> dict[str, Iterable[Event
         present = open_beside(recording)
     except ValueError:  # of another recording, or damaged: it is replaced
         return {}
-    anew = {channel for choice in choices for channel in published_by(CHOICES[choice])}
+    again = {channel for choice in choices for channel in published_by(CHOICES[choice])}
     others = (
-        [name for name in present.choices if anew.isdisjoint(published_by(CHOICES[name]))] if present else []
+        [name for name in present.choices if again.isdisjoint(published_by(CHOICES[name]))] if present else []
     )
     return (
         {name: present.words(Side.REPLAYED, published_by(CHOICES[name])) for name in others}

@@ -159,14 +159,14 @@ class Judge:
         if arrived is None:
             return
         counters = health.counters
-        told = counters["undecodable"] + counters["waiting"]
-        told += sum(
+        reported = counters["undecodable"] + counters["waiting"]
+        reported += sum(
             count
             for name, count in counters.items()
             if name.startswith(("heard_", "dropped_")) and name != f"heard_{TICK.name}"
         )
         latched = sum(count for name, count in arrived.items() if _is_latched(name))
-        missing = sum(arrived.values()) - told
+        missing = sum(arrived.values()) - reported
         kept = sum(counters[f"heard_{channel.name}"] for channel in CHANNELS if channel.qos.latched)
         if (
             not -kept - counters["waiting"] <= missing <= latched
@@ -174,7 +174,7 @@ class Judge:
             self.fail("health", f"{process.name}: {missing} messages arrived that no counter has")
 
     def _reports_silence(self, process: Process, health: Health) -> None:
-        """A service that gets nothing says so."""
+        """A service that gets nothing reports it."""
         wanted = INPUTS.get(health.service)
         session = process.session
         if wanted is None or session is None:

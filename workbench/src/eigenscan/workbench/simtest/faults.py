@@ -1,4 +1,4 @@
-"""What befalls a site: drawn from a seed, done to it, and told in words."""
+"""What befalls a site: drawn from a seed, done to it, and reported in words."""
 
 from __future__ import annotations
 
@@ -117,10 +117,10 @@ def _slow(site: Site, fault: Fault) -> Undo:
     return undo
 
 
-def _mute(site: Site, fault: Fault) -> None:
+def _silence(site: Site, fault: Fault) -> None:
     session: Session | None = _process(site, fault).session
     if session is not None:
-        session.is_mute = True
+        session.is_silent = True
 
 
 def _off(site: Site, fault: Fault) -> Undo:
@@ -205,7 +205,7 @@ KINDS: dict[str, Kind] = {
         _slow,
         lambda site, fault: f"{_name(site, fault)} needs {0.02 + 0.5 * fault.amount:.2f} s for a message",
     ),
-    "mute": Kind(_mute, lambda site, fault: f"nothing arrives at {_name(site, fault)}", lasts=False),
+    "mute": Kind(_silence, lambda site, fault: f"nothing arrives at {_name(site, fault)}", lasts=False),
     "off": Kind(_off, lambda _site, fault: f"{fault.place} loses power"),
     "clock": Kind(
         _clock,

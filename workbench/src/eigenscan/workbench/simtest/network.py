@@ -119,8 +119,8 @@ class Declared:
 class Publisher:
     """Puts on one key."""
 
-    def __init__(self, session: Session, key: str, told: Any, *, block: bool) -> None:
-        self._session, self._key, self._encoding, self._block = session, key, told, block
+    def __init__(self, session: Session, key: str, reported: Any, *, block: bool) -> None:
+        self._session, self._key, self._encoding, self._block = session, key, reported, block
 
     def put(self, payload: bytes, timestamp: Timestamp | None = None) -> None:
         """Publishes."""
@@ -162,7 +162,7 @@ class Session:
         self.network, self.machine, self._clock = network, machine, clock
         self.name = f"{number:08x}"
         self.is_open = True
-        self.is_mute = False
+        self.is_silent = False
         """It stands, but nothing arrives any more."""
         self.arrived: Counter[str] = Counter()
         """What was handed to the inbox, by channel."""
@@ -174,7 +174,7 @@ class Session:
         return self.name
 
     def routers_zid(self) -> list[str]:
-        """None: peers are enough to tell of a link."""
+        """None: peers are enough to show a link."""
         return []
 
     def peers_zid(self) -> list[str]:
@@ -365,7 +365,7 @@ class Network:
 
     def _deliver(self, receiver: Declared, sample: Sample) -> None:
         session = receiver.session
-        if not session.is_open or session.is_mute:
+        if not session.is_open or session.is_silent:
             return
         if receiver.fills_inbox:
             found = channel_of(sample.key_expr)
@@ -426,7 +426,7 @@ class Network:
         self._agenda.after(RECONNECT_S * link.random.random(), connect)
 
     def _show_tokens(self) -> None:
-        """Tells each watcher which tokens came and went, as far as its links reach."""
+        """Shows each watcher which tokens came and went, as far as its links reach."""
         for watcher in list(self._watchers):
             there = {
                 token.key
@@ -435,17 +435,17 @@ class Network:
                 and self.link(token.session.machine, watcher.session.machine).stands
             }
             for key in sorted(watcher.seen - there):
-                self._tell(watcher, Sample(key, kind=zenoh.SampleKind.DELETE))
+                self._report(watcher, Sample(key, kind=zenoh.SampleKind.DELETE))
             for key in sorted(there - watcher.seen):
-                self._tell(watcher, Sample(key))
+                self._report(watcher, Sample(key))
             watcher.seen = there
 
-    def _tell(self, watcher: Declared, sample: Sample) -> None:
-        def tell() -> None:
-            if watcher.session.is_open and not watcher.session.is_mute:
+    def _report(self, watcher: Declared, sample: Sample) -> None:
+        def report() -> None:
+            if watcher.session.is_open and not watcher.session.is_silent:
                 watcher.callback(sample)
 
-        self._agenda.after(LOCAL_S, tell)
+        self._agenda.after(LOCAL_S, report)
 
     def ask(
         self, session: Session, selector: str, handler: Any, payload: bytes | None, timeout: float
@@ -459,7 +459,7 @@ class Network:
             open_queries -= 1
 
         def receive(reply: Reply) -> None:
-            if session.is_open and not session.is_mute:
+            if session.is_open and not session.is_silent:
                 if reply.ok is not None:
                     found = channel_of(reply.ok.key_expr)
                     session.arrived[found[0].name if found else "foreign_key"] += 1

@@ -32,7 +32,7 @@ class _Stop:
 
 
 class Process:
-    """One service on one machine, and whoever starts it again."""
+    """One service on one machine, and who starts it again."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Process:
         self.session: Session | None = None
         self.starts = 0
         self.on_end: Callable[[Process, str], None] = lambda _process, _how: None
-        """Told before each end, how: killed, stopped, failed, or with which exit code."""
+        """Reported before each end, how: killed, stopped, failed, or with which exit code."""
         self._life = 0
         self._turn_at = 0
         self._turn_number = 0
@@ -88,7 +88,7 @@ class Process:
             self.end(f"failed to start: {error}")
             return
         self._schedule(0.0)
-        self._tell_later(life)
+        self._report_later(life)
 
     def _after(self, life: int) -> Callable[[float, Callable[[], None]], None]:
         """What ends with the process."""
@@ -160,14 +160,14 @@ class Process:
             self.node.report()
         self._schedule(0.0 if len(self.node.inbox) else CONDITION_PERIOD_S)
 
-    def _tell_later(self, life: int) -> None:
-        def tell() -> None:
+    def _report_later(self, life: int) -> None:
+        def publish() -> None:
             if self._life != life or not self.is_up or self.node is None:
                 return
             self.node.report()
             if self.node.is_deaf:
                 self.stop("deaf")
                 return
-            self._tell_later(life)
+            self._report_later(life)
 
-        self._agenda.after(HEALTH_PERIOD_S, tell)
+        self._agenda.after(HEALTH_PERIOD_S, publish)

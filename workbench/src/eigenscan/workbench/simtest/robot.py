@@ -19,14 +19,14 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose as Pose3
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-TWIN_M = 60.0
+ALIAS_M = 60.0
 """How far away a part of the building is that looks the same as half of this one."""
 CLUTTER = 4
 AREA_M2 = 900.0
 FITS, FITS_BADLY = (14.0, 22.0), (2.0, 6.0)
 """Log-likelihoods of the right place, and of those that a projector lists with it."""
-TOLD_APART = 8.0
-"""Nats by which the right place fits better than its twin, where they differ."""
+APART = 8.0
+"""Nats by which the right place fits better than its alias, where they differ."""
 BEAMS, NOISE_M = 120, 0.01
 MARGIN_M = 1.5
 """From the drive to the room's walls."""
@@ -126,7 +126,7 @@ class Robot:
         return Envelope(ODOMETRY, {"site": self.site, "robot": self.name}, message)
 
     def hypotheses(self, scan: Scan) -> Hypotheses:
-        """What a projector that makes no mistakes beyond its covariances says of a scan."""
+        """What a projector that makes no mistakes beyond its covariances states of a scan."""
         at = nanoseconds(scan.timestamp)
         random = Random(f"{self._seed} list {self.name} {at}")
         sigma, sigma_theta = random.uniform(0.02, 0.08), random.uniform(0.01, 0.03)
@@ -140,8 +140,8 @@ class Robot:
             ),
         )
         likelihood = random.uniform(*FITS)
-        twin = likelihood - (TOLD_APART if self.drive.is_unique(true) else 0.0)
-        listed = [(pose, likelihood), ((pose[0] + TWIN_M, pose[1], pose[2]), twin)]
+        alias = likelihood - (APART if self.drive.is_unique(true) else 0.0)
+        listed = [(pose, likelihood), ((pose[0] + ALIAS_M, pose[1], pose[2]), alias)]
         for _ in range(CLUTTER):
             place = random.uniform(0.0, 90.0), random.uniform(0.0, 30.0), random.uniform(-3.0, 3.0)
             listed.append((place, random.uniform(*FITS_BADLY)))

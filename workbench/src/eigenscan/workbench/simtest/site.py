@@ -300,7 +300,7 @@ class Site:
         own.processes.append(process)
 
     def note(self, text: str) -> None:
-        """Something that a story may tell."""
+        """Something that a story may show."""
         self.notes.append((self.agenda.now, text))
 
     def _end(self, process: Process, how: str) -> None:

@@ -1,4 +1,4 @@
-"""A failure, told with the fewest faults that still cause it."""
+"""A failure, reported with the fewest faults that still cause it."""
 
 from __future__ import annotations
 

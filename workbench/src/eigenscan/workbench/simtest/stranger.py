@@ -43,10 +43,10 @@ class Stranger:
             robot = "r1"
         address = {"site": SITE, "robot": robot, "lidar": "front", "projector": "stranger"}
         channel: Channel = random.choice((SCAN, HYPOTHESES, ODOMETRY, TRACKS, POSE))
-        key, told = channel.key(address), encoding(channel)
+        key, reported = channel.key(address), encoding(channel)
         kind = random.randrange(6)
         if kind == 0:
-            return Sample(key, Bytes(b"\xff" * random.randrange(1, 200)), told)
+            return Sample(key, Bytes(b"\xff" * random.randrange(1, 200)), reported)
         if kind == 1:
             return Sample(key, Bytes(b""), "text/plain")
         if kind == 2:

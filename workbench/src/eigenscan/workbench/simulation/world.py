@@ -19,7 +19,7 @@ WALL = 0.1
 RESOLUTION = 0.05
 
 STORE = (17.0, 2.75)
-"""In the store, between shelves: the first scans there fit several rooms."""
+"""In the store, between rows: the first scans there fit several rooms."""
 
 
 @dataclass(frozen=True)
