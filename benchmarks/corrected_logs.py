@@ -25,7 +25,7 @@ from eigenscan.workbench.logs.carmen_lines import NS, Line, LineError, read_line
 PART_M, WINDOW_M, EVERY_M = 30.0, 30.0, 10.0
 SINGLE_SCANS = 100
 SPEED = 0.5
-"""m/s and rad/s, of the robot where the stamps tell no time."""
+"""m/s and rad/s, of the robot where the stamps give no time."""
 USUAL_NOISE = 0.05
 """Of the way: error of odometry where the log has none between two scans."""
 
@@ -92,20 +92,20 @@ def write_building(lines: list[Line], folder: Path, parts: bool) -> None:
 
 
 def odometry_step(between_scans: list[Line], here: Array, there: Array, seed: int) -> Array:
-    """Way (n, 3) that odometry tells from one scan to the next, seen from the first one.
+    """Way (n, 3) that odometry shows from one scan to the next, seen from the first one.
 
     It ends before the second scan: the last bit is the one before it once more, as long as fits best.
     """
     known = [line.odometry for line in between_scans if line.odometry is not None]
-    told = np.array([between(here, pose) for pose in known if not np.allclose(pose, here, atol=1e-5)])
+    reported = np.array([between(here, pose) for pose in known if not np.allclose(pose, here, atol=1e-5)])
     true = between(here, there)
-    if len(told) < 2:
+    if len(reported) < 2:
         noise = USUAL_NOISE * np.random.default_rng(seed).normal(size=3) * np.abs(true).max()
         made_up: Array = np.linspace(0.2, 1.0, 5)[:, None] * (true + noise)
         return made_up
-    last, missing = between(told[-2], told[-1]), between(told[-1], true)
+    last, missing = between(reported[-2], reported[-1]), between(reported[-1], true)
     share = min(max(float(last @ missing) / max(float(last @ last), 1e-9), 0.0), 2.0)
-    return np.vstack([told, compose(told[-1], share * last)])
+    return np.vstack([reported, compose(reported[-1], share * last)])
 
 
 def stamps(logged: Array, steps: list[Array]) -> Array:

@@ -7,7 +7,7 @@
 
 The datasets are not part of the project; by default they are looked for beside it. `--buildings` takes
 logs of your own instead: each folder in FOLDER that holds map.yaml, and a log with a reference beside it
-(drive.bag, drive.tum), is a row. windows.csv and single_scans.csv say what to try, where they are there.
+(drive.bag, drive.tum), is a row. windows.csv and single_scans.csv name what to try, where they are there.
 """
 
 import argparse

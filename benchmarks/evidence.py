@@ -7,10 +7,10 @@ A track is begun at each hypothesis of a scan that is worth it, and followed by 
 half a metre or half a radian on. There it has a hypothesis of some log-likelihood L, by some nats ahead of
 the next place, or none. The tables are ln p(that | the track was right) / p(that | it was wrong): first of
 wrong tracks whose list has the right place, then of those whose list lacks it, as off the map, where a
-lookalike may well be ahead. The tracker's own figures (services/tracker, evidence.py) stand beside them.
+similar place may well be ahead. The tracker's own figures (services/tracker, evidence.py) stand beside them.
 
 Then how many of a list's ten likeliest go on in the next list, and how many where the robot was carried to
-another place in between: what tells that it was (services/tracker, continuity.py).
+another place in between: what shows that it was (services/tracker, continuity.py).
 
 And how often one list leaves out what the lists before and after it have (services/tracker, belief.py).
 
@@ -169,7 +169,7 @@ def follow(scans: list[Answer], right_tracks: Counts, beside: Counts, alone: Cou
             counts.listed[row, np.searchsorted(AHEAD, lead, side="right") - 1] += 1
 
 
-def twins(windows: list[list[Answer]]) -> dict[str, Any]:
+def aliases(windows: list[list[Answer]]) -> dict[str, Any]:
     """Of wrong tracks how many look right, and of these how many do so later, by steps."""
     looked, counts = list[bool](), {steps: list[bool]() for steps in GOES_ON}
     for scans in windows:
@@ -295,7 +295,7 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
         | hiding(windows)
         | missing(windows)
         | continuity(windows)
-        | twins(windows)
+        | aliases(windows)
         | {"squared_errors": squared_errors(windows)}
     )
 

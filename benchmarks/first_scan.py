@@ -4,7 +4,7 @@
 
 Simulated office floors (benchmarks/floors.py), the mapbuilder's models of them, one projector's core.
 A start is a new view of a lidar: the declared one (first, 180 degrees), the same with tables of an earlier
-process (kept), one of 360 degrees before the mapbuilder has said its eigenspaces (other), and after (told).
+process (kept), one of 360 degrees before the mapbuilder has its eigenspaces (other), and after (added).
 Times are of one core, whatever else the machine does. `right`: the share of such first answers whose first
 pose is within 0.5 m; `later`: of answers once every table is made.
 """
@@ -88,7 +88,7 @@ def measure(area: float, cache: Path | None) -> dict[str, float]:
     row["spaces_mb"] = sum(envelope.message.ByteSize() for envelope in spaces) / 1e6
     for envelope in spaces:
         list(core.handle(envelope))
-    row["told_s"], row["told_right"] = starts(core, wide, truths)
+    row["added_s"], row["added_right"] = starts(core, wide, truths)
     return row
 
 
@@ -113,14 +113,14 @@ def complete(core: ProjectorCore) -> None:
 
 
 def starts(core: ProjectorCore, scans: list[Scan], truths: np.ndarray) -> tuple[float, float]:
-    """Median time, s, of the first answers of views that are made anew, and the share that is right."""
+    """Median time, s, of the first answers of views that are made again, and the share that is right."""
     assert core._site is not None
 
-    def anew() -> None:
+    def restart() -> None:
         core._site._views.clear()  # type: ignore[union-attr]
         core._site._sensors.clear()  # type: ignore[union-attr]
 
-    return answers(core, scans[:STARTS], truths[:STARTS], anew)
+    return answers(core, scans[:STARTS], truths[:STARTS], restart)
 
 
 def later(core: ProjectorCore, scans: list[Scan], truths: np.ndarray) -> tuple[float, float]:

@@ -7,7 +7,7 @@ Each robot reports --rate canonical scans of 361 beams and five times as many od
 before. On the same machine run a router, a mapbuilder, and for each of --groups groups of the robots a
 tracker and --parts projectors, which share the site's regions. It ends where fewer than 95 % of the scans
 become poses. "ms a scan" is processor time, of the process and of its core alone, called in this process over
-the same scans right before: that says how fast the machine is at this moment. "said" is how many scans the
+the same scans right before: that shows how fast the machine is. "sent" is how many scans the
 robots got rid of, latency from a scan's publication to its pose's arrival, "wrong" the share of claims over
 0.5 m off, and air is what leaves a robot by the contract: poses at 10 Hz, tracks at 1 Hz and its services'
 healths, payload and key.
@@ -224,7 +224,7 @@ def main() -> None:
     stage = Stage(office().render(), Scenario(seconds=length, seed=3, people=2, site=SITE))
     rows = []
     print(
-        f"{'robots':>6} {'said/s':>7} {'answered':>8} {'p50 ms':>7} {'p99 ms':>7} {'wrong':>6} "
+        f"{'robots':>6} {'sent/s':>7} {'answered':>8} {'p50 ms':>7} {'p99 ms':>7} {'wrong':>6} "
         f"| cores {'router':>6} {'projector':>9} {'tracker':>7} {'mapbuilder':>10} | MB {'router':>6} "
         f"{'projector':>9} {'tracker':>7} | ms a scan (core alone)    | {'air B/s':>7} {'load':>5}"
     )

@@ -1,4 +1,4 @@
-"""Robots of a benchmark: what they say, each in its own time, and what comes back."""
+"""Robots of a benchmark: what they publish, each in its own time, and what comes back."""
 
 import heapq
 import threading

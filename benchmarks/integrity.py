@@ -1,11 +1,11 @@
-"""Never sure of a wrong place: what is claimed while sensors, set-up or odometry lie, and what health says.
+"""Never sure of a wrong place: what is claimed while sensors, set-up or odometry lie, and what health states.
 
     .venv/bin/python benchmarks/integrity.py [--only jarvis] [--fault frozen] [--quick] [--json OUT]
 
 Each fault (benchmarks/integrity_faults.py) is put into windows of real logs, from their start on unless its
-name says otherwise. Counted are scans whose pose is claimed with a confidence above 0.9 and above 0.99
+name shows otherwise. Counted are scans whose pose is claimed with a confidence above 0.9 and above 0.99
 although it is not within 0.5 m and 10 degrees of where the robot was; for an invented room each claim
-counts. `named` tells in how many of the windows in which the robot moves the health of scan-ingest or
+counts. `named` shows in how many of the windows in which the robot moves the health of scan-ingest or
 tracker became DEGRADED, and how many seconds after it had moved by 0.3 m or 0.3 rad; `alarms` of the
 unfaulted log are false ones. Faults were chosen and judged while looking at jarvis and intel; fr079, the
 guardians and olin are for reporting only.

@@ -199,7 +199,7 @@ def from_elsewhere(share: float) -> Fault:
 
 
 def invented_room(stretch: Stretch) -> Stretch:
-    """A robot turns in a room that no map has, and its odometry says so; no pose is right."""
+    """A robot turns in a room that no map has, and its odometry reports it; no pose is right."""
     first, truth = min(e.stamp for e in stretch.received), dict[int, int | None]()
     received = list[Envelope]()
     half = np.array(ROOM_M) / 2.0

@@ -98,7 +98,7 @@ def _keep(
 
 
 def described(poses: Path) -> dict[str, str]:
-    """What the comments at the top of a table of poses tell: `# system: NAME` and `# settings: WORDS`."""
+    """What the comments at the top of a table of poses show: `# system: NAME` and `# settings: WORDS`."""
     lines = poses.read_text(encoding="utf-8").splitlines()[:10]
     found = dict(re.findall(r"^# (system|settings): (.+)$", "\n".join(lines), re.MULTILINE))
     if "system" not in found:

@@ -205,10 +205,10 @@ def main() -> None:
         print(f"{'':4} {name}: {least} to {most} ms a scan, the filter alone, measured elsewhere")
     for rate in given.rates:
         of = {row["way"]: row["ms_per_scan"]["all"] for row in rows if row["hz"] == rate}
-        told = ", ".join(
+        reported = ", ".join(
             f"{way} {of[ways[0]] / ms:.2f} times cheaper" for way, ms in of.items() if way != ways[0]
         )
-        print(f"at {rate:.0f} Hz, than {ways[0]}: {told}")
+        print(f"at {rate:.0f} Hz, than {ways[0]}: {reported}")
     if given.json:
         amcl = {name: {"least_ms": a, "most_ms": b, "measured": "elsewhere"} for name, (a, b) in AMCL.items()}
         given.json.write_text(json.dumps({"light": rows, "amcl": amcl}, indent=1) + "\n", encoding="utf-8")

@@ -265,7 +265,7 @@ def figure_9(pictures: Path | None) -> dict[str, Any]:
 
 def _ways(start: tuple[float, float, float]) -> dict[str, Any]:
     """Mean over drives of the right path's probability in either room, and the largest of any path in one."""
-    told: dict[str, Any] = {"drives": len(SEEDS)}
+    reported: dict[str, Any] = {"drives": len(SEEDS)}
     for room, niche, method in (
         ("niche", True, "paper"),
         ("square", False, "paper"),
@@ -279,9 +279,9 @@ def _ways(start: tuple[float, float, float]) -> dict[str, Any]:
             }
             for seed in SEEDS
         ]
-        told[room] = {str(n): float(np.mean([each[n][0] for each in drives])) for n in SHOWN}
-        told[room]["largest"] = max(max(moment) for each in drives for moment in each.values())
-    return told
+        reported[room] = {str(n): float(np.mean([each[n][0] for each in drives])) for n in SHOWN}
+        reported[room]["largest"] = max(max(moment) for each in drives for moment in each.values())
+    return reported
 
 
 def _draw_moment(axis: Any, niche: bool, moment: Any) -> None:

@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/projector.py [--area 700] [--spacing 0.5] [--scans 200] [--json OUT]
 
-A made-up floor of `--area` m2, a lidar of 180 degrees in steps of half a degree, 10 % of its beams on people.
+A floor of `--area` m2, a lidar of 180 degrees in steps of half a degree, 10 % of the beams on people.
 Each scan is timed `--repeat` times and its fastest counts: that is what the work costs, not what else the
 machine does. A stage's floor is the greater of its arithmetic at the rate of a matrix product and its
 memory traffic at the rate of a sum over 64 MB. Also: the first scan of a new lidar, the start from the

@@ -1,11 +1,11 @@
 """Runs benchmarks, keeps their figures in benchmarks/results, and writes these into pages.
 
-    .venv/bin/python benchmarks/record.py replay restart     # these; then the pages are written anew
+    .venv/bin/python benchmarks/record.py replay restart     # these; then the pages are written again
     .venv/bin/python benchmarks/record.py                    # the pages alone
-    .venv/bin/python benchmarks/record.py --check            # exit code 1 where a page says another figure
+    .venv/bin/python benchmarks/record.py --check            # exit code 1 where a page states another figure
     .venv/bin/python benchmarks/record.py evaluate --from OUT --commit 1e2d309   # a run made apart
 
-benchmarks.toml says what docs/benchmarks.md shows of each. In other pages a mark `<!--= NAME PLACE UNIT -->`
+benchmarks.toml has what docs/benchmarks.md shows of each. In other pages a mark `<!--= NAME PLACE UNIT -->`
 to `<!--=-->` holds a figure, `<!--= table NAME -->` the table [NAME.short], and `<!--= leaderboard LOG -->`
 that of benchmarks/leaderboard.py. Long lists, and rows a window
 or scan (`per_...`), are not kept.
@@ -64,8 +64,8 @@ def main() -> None:
     failed = [name for name in given.names if not _keep(name, given.earlier, given.commit)]
     wrong = [(page, text) for page, text in pages() if page.read_text(encoding="utf-8") != text]
     if given.check and wrong:
-        told = ", ".join(str(page.relative_to(ROOT)) for page, _ in wrong)
-        sys.exit(f"{told}: other figures than in benchmarks/results: run benchmarks/record.py")
+        reported = ", ".join(str(page.relative_to(ROOT)) for page, _ in wrong)
+        sys.exit(f"{reported}: other figures than in benchmarks/results: run benchmarks/record.py")
     for page, text in wrong:
         page.write_text(text, encoding="utf-8")
     if failed:
@@ -184,7 +184,7 @@ def _table(spec: dict[str, Any], figures: Any, part: dict[str, Any] | None = Non
         if all(value is None for value in values):
             continue  # what was not measured
         cells = [written(v, unit) if reached(v, unit, goal) else f"**{written(v, unit)}**" for v in values]
-        lines.append([what, *cells, *([_told(goal, unit)] if goals else [])])
+        lines.append([what, *cells, *([_goal(goal, unit)] if goals else [])])
     if len(entries) > len(columns):
         lines = [list(line) for line in zip(*lines, strict=True)]
     lines.insert(1, ["---"] * len(lines[0]))
@@ -197,8 +197,8 @@ def _missed(spec: dict[str, Any], figures: Any) -> Iterator[str]:
         values = [(key.strip(), place(entry, where)) for key, entry in _entries(spec, figures).items()]
         wrong = [f"{key} {written(v, unit)}".strip() for key, v in values if not reached(v, unit, goal)]
         if wrong:
-            told = f"{', '.join(wrong)}; goal {_told(goal, unit)}"
-            yield f"- [{spec['title']}](#{anchor}). {what[0].upper()}{what[1:]}: {told}"
+            reported = f"{', '.join(wrong)}; goal {_goal(goal, unit)}"
+            yield f"- [{spec['title']}](#{anchor}). {what[0].upper()}{what[1:]}: {reported}"
 
 
 def _filled(page: Path, spec: dict[str, Any], kept: dict[str, Any], mark: re.Match[str]) -> str:
@@ -261,7 +261,7 @@ def reached(value: Any, unit: str, goal: str) -> bool:
     ]
 
 
-def _told(goal: str, unit: str) -> str:
+def _goal(goal: str, unit: str) -> str:
     relation, _, number = goal.partition(" ")
     sign = {"<=": "≤ ", ">=": "≥ "}.get(relation, "")
     return f"{sign}{number}{_spaced(unit.partition('.')[0])}" if goal else ""

@@ -1,4 +1,4 @@
-"""Reliability diagram of all logs: how often a pose was right, over how sure the tracker said to be."""
+"""Reliability diagram of all logs: how often a pose was right, over how sure the tracker claimed to be."""
 
 import math
 from itertools import product

@@ -80,7 +80,7 @@ def published(channel: Channel) -> Envelope:
 
 
 class Echo:
-    """Says bytes on one key and waits until something comes on another."""
+    """Publishes bytes on one key and waits until something comes on another."""
 
     def __init__(self, session: zenoh.Session, ear: zenoh.Session, out: str, back: str, encoded: str) -> None:
         self._came = threading.Event()

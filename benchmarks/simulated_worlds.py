@@ -1,4 +1,4 @@
-"""Drives through made-up buildings that their maps do not quite show, written as logs to be evaluated."""
+"""Drives through simulated buildings that their maps do not quite show, written as logs to be evaluated."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@
         [--stages] [--json OUT]
 
 `--foreign` adds the scans of the other buildings to each map, none of which may look like home. `--stages`
-tells in what share of the scans each stage of the search still had the right pose, and how many wrong ones
+shows in what share of the scans each stage of the search still had the right pose, and how many wrong ones
 beside it, one a neighbourhood. The datasets are not part of the project; by default they are looked for
 beside it. CPU is process time: set OMP_NUM_THREADS=1.
 """

@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/soak.py [--robots 600] [--restarts 3] [--json OUT]
 
-Each robot has a name and a session of its own, says 10 raw scans and 500 odometries as fast as they are
-taken, waits for the pose of its last scan and is gone for ever. Router, mapbuilder, scan-ingest, projector,
+Each robot has a name and a session of its own, publishes 10 raw scans and 500 odometries as fast as they are
+taken, waits for the pose of its last scan and is gone for good. Router, mapbuilder, scan-ingest, projector,
 tracker (each for all robots), recorder and `fleet metrics` are processes; the router is killed and started
 again --restarts times within the first half. A row is a tenth of the robots: memory, MB, and open files of
 each process. A tracker forgets who was silent for 100,000 messages, so its memory grows until then and no

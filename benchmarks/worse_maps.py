@@ -184,7 +184,7 @@ def half(worse: Worse, path: Array, _seed: int) -> Worse:
 
 
 def smeared(sigma: float, times: int = 4) -> Way:
-    """Drawn so many times, each time displaced by `sigma` anew: a robot that was not sure of its way."""
+    """Drawn so many times, each time displaced by `sigma` again: a robot that was not sure of its way."""
 
     def make(worse: Worse, path: Array, seed: int) -> Worse:
         drawn = [warped(sigma)(worse, path, seed + number).grid.cells for number in range(times)]
