@@ -95,11 +95,11 @@ class ChangeManager:
         if own.status == Health.STATUS_WAITING:
             return own
         seen: Counter[str] = self._detector.counts if self._detector else Counter()
-        told = replace(own, counters={**(self._counts + seen + self._store.counts), **own.counters})
+        reported = replace(own, counters={**(self._counts + seen + self._store.counts), **own.counters})
         problem = self._unreadable or self._problem
         if problem:
-            return replace(told, status=Health.STATUS_DEGRADED, detail=problem)
-        return replace(told, detail=f"{told.detail}; {self._note}") if self._note else told
+            return replace(reported, status=Health.STATUS_DEGRADED, detail=problem)
+        return replace(reported, detail=f"{reported.detail}; {self._note}") if self._note else reported
 
     def _open(self) -> MapbuilderCore:
         """Reads the models in use. Raises ModelError."""

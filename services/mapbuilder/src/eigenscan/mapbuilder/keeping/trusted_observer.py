@@ -72,7 +72,7 @@ class TrustedObserver:
 
     def _take(self, claim: Claim, scan: Scan, judge: Judge) -> list[View]:
         if self._anchor is None or self._anchor.is_left_behind(claim):
-            self._start_anew(claim)
+            self._start_again(claim)
         anchor, new = self._anchor, self._seen is None or self._seen.has_moved(claim)
         if new:
             self._seen = claim
@@ -85,7 +85,7 @@ class TrustedObserver:
             self._between.append((claim, scan))
         return []
 
-    def _start_anew(self, claim: Claim) -> None:
+    def _start_again(self, claim: Claim) -> None:
         """Forgets the views that are not confirmed yet."""
         self._counts["looks_withdrawn"] += len(self._held)
         self._counts["looks_unsure"] += len(self._between)

@@ -106,8 +106,10 @@ class Agreement:
 def compare(one: Submap, other: Submap, pose: Array) -> Agreement:
     """How `other` fits on `one` at `pose` (3,), anchor seen from anchor."""
     agree = contradict = 0
-    for seen, told, where in ((one, other, pose), (other, one, inverse(pose))):
-        near = on_walls(seen.cloud, told.cloud, where, within=0.2)
+    for seen, checked, where in ((one, other, pose), (other, one, inverse(pose))):
+        near = on_walls(seen.cloud, checked.cloud, where, within=0.2)
         agree += int(np.count_nonzero(near))
-        contradict += int(np.count_nonzero(~near & seen.looks_through(transform(where, told.cloud.points))))
+        contradict += int(
+            np.count_nonzero(~near & seen.looks_through(transform(where, checked.cloud.points)))
+        )
     return Agreement(agree, contradict, min(len(one.cloud.points), len(other.cloud.points)))

@@ -22,7 +22,7 @@ SHORTEST_S = 0.1
 """A speed is that between two poses at least so far apart: 50 Hz odometry in mm steps would be noise."""
 LONGEST_S = 2.0
 """Between two poses farther apart nothing is plotted."""
-TOLD_M = 1.8
+RELOCATION_M = 1.8
 """Length of the arrow of a relocation: longer than the pose's own."""
 
 
@@ -118,7 +118,7 @@ class RelocationPicture:
             outline = [lift(ellipse(pose, covariance), 0.09)] if is_place(covariance) else []
             if not self._brief:
                 self._canvas.style(path, _style)
-                self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, TOLD_M, 0.09), *outline]))
+                self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, RELOCATION_M, 0.09), *outline]))
             place = f"{pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg"
             words = f"{robot}: relocated to {place}"
         self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(words, level=rr.TextLogLevel.INFO))
