@@ -135,7 +135,7 @@ def _points(scan: scan_pb2.Scan) -> NDArray[np.float64]:
 
 
 def _captioned(found: list[Moment], jump_s: float) -> list[Moment]:
-    """The same with a line each that says what happens."""
+    """The same with a line each that states what happens."""
     captioned, since, text = [], 0.0, ""
     for before, moment in zip([None, *found], found, strict=False):
         if before is not None and before.time_s < jump_s <= moment.time_s:

@@ -162,7 +162,7 @@ class Projector:
         )
         self._counts["said_hypotheses"] += 1
 
-    def tell_health(self) -> None:
+    def report_health(self) -> None:
         """One Health message."""
         ready = self._models.whole is not None
         health = Health(
@@ -190,7 +190,7 @@ def encoding(kind: type[Message]) -> str:
 
 
 def listed(found: Found, mount: np.ndarray, regions: list[str]) -> list[Hypothesis]:
-    """Poses of the sensor as hypotheses of the base, which is where the mount (3,) says."""
+    """Poses of the sensor as hypotheses of the base, which is where the mount (3,) gives them."""
     theta = found.poses[:, 2] - mount[2]
     c, s = np.cos(theta), np.sin(theta)
     x = found.poses[:, 0] - c * mount[0] + s * mount[1]
@@ -227,18 +227,18 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
 
-    def tell() -> None:
+    def publish() -> None:
         while True:
-            projector.tell_health()
+            projector.report_health()
             if projector.over.wait(1.0):
                 return
 
-    teller = threading.Thread(target=tell)
-    teller.start()
+    publisher = threading.Thread(target=publish)
+    publisher.start()
     while not projector.over.is_set():
         if projector.news.wait(0.2):
             projector.work()
-    teller.join()
+    publisher.join()
     session.close()
 
 

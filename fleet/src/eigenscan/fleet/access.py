@@ -40,7 +40,7 @@ ON_A_ROBOT = (
     "ros-bridge",
     "vda5050-bridge",
 )
-"""Services that a robot's certificate may speak of: made-up names would fill the site's recordings."""
+"""Services that a robot's certificate may speak of: invented names would fill the site's recordings."""
 
 ANSWERS = (HYPOTHESES, OBSTACLES)
 """Channels on which a projector answers a robot."""

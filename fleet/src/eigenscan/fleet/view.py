@@ -25,7 +25,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import decode
 
 OPEN_S = 5.0
-"""A client's configuration may wait for its router for ever; a person does not."""
+"""A client's configuration may wait for its router without end; a person does not."""
 
 ROBOT_SERVICES = ("scan-ingest", "projector", "tracker")
 """Services that each robot needs, its own or one for several robots."""
@@ -56,7 +56,7 @@ def connect(path: Path | None) -> zenoh.Session:
 
 @lru_cache(maxsize=1024)
 def settings_in(text: str) -> Mapping[str, str]:
-    """The settings in a service's health, as text; none if `told` is not a JSON object of a fair size.
+    """The settings in a service's health, as text; none if `text` is not a JSON object of a fair size.
 
     Anyone who may publish health may write anything here.
     """

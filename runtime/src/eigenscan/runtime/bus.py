@@ -77,7 +77,7 @@ class Bus:
         self.close()
 
     def announce(self, site: str, service: str, instance: str) -> None:
-        """Shows a liveliness token while this bus is open, and counts health messages of `twins`."""
+        """Declares a liveliness token while this bus is open, and counts health messages of namesakes."""
         address = {"site": site, "service": service, "instance": instance}
         self._declare_token(ALIVE_TEMPLATE.format(**address, contract=CONTRACT_VERSION))
 

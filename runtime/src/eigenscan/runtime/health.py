@@ -95,7 +95,7 @@ class Monitor:
         self._settings, self._clock = settings, clock
         self._condition = Condition(Health.STATUS_WAITING, "starting")
         self.remark = ""
-        """Said in every health message of this process, after the core's own detail."""
+        """Published in every health message of this process, after the core's own detail."""
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
         self._duplicate_seen_at = -math.inf

@@ -13,8 +13,8 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
 AMONG = 100_000
-"""Messages of others after which who said none is forgotten: a minute and more of all the robots that one
-process can serve."""
+"""Messages of others after which a silent publisher is forgotten: a minute and more of all the robots that
+one process can serve."""
 
 
 class RecentlyUsed(Generic[K, V]):
