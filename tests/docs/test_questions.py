@@ -1,4 +1,4 @@
-"""Ten strangers' questions are answered by a sentence of the page that they are sent to."""
+"""Twenty strangers' questions are answered by a sentence of the page that they are sent to."""
 
 import re
 
@@ -19,5 +19,5 @@ def test_the_page_answers(question: str, answer: str, page: str) -> None:
     assert lines, f"{page} no longer has the answer to: {question}"
 
 
-def test_there_are_ten() -> None:
-    assert len(ROWS) == 10
+def test_there_are_twenty() -> None:
+    assert len(ROWS) == 20

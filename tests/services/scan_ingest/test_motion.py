@@ -74,7 +74,7 @@ def test_along_a_hallway_the_covariance_states_that_nothing_is_known() -> None:
     assert covariance[1, 1] < 0.01
 
 
-def shelves(x: float, rng: np.random.Generator) -> np.ndarray:
+def racks(x: float, rng: np.random.Generator) -> np.ndarray:
     """Ranges, 5.6 m at most, between two rows of posts that stand every 0.4 m before a wall."""
     angles = FIRST + STEP * np.arange(BEAMS)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -89,7 +89,7 @@ def shelves(x: float, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(5))
 def test_between_rows_that_look_alike_the_way_is_right_or_not_known(moved: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    before, after = (points_of(shelves(x, rng), FIRST, STEP, (0.0, 0.0, 0.0), 0) for x in (0.0, moved))
+    before, after = (points_of(racks(x, rng), FIRST, STEP, (0.0, 0.0, 0.0), 0) for x in (0.0, moved))
     found = motion_between(before, after, (0.0, 0.0, 0.0))
     assert abs(found.delta[0] - moved) < 0.05 or found.covariance[0, 0] > 0.5
     assert abs(found.delta[2]) < 0.02
