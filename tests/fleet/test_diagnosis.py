@@ -1,4 +1,4 @@
-"""What `doctor` says of a robot, by what its services publish."""
+"""What `doctor` states of a robot, by what its services publish."""
 
 from __future__ import annotations
 

@@ -413,11 +413,11 @@ def test_a_message_of_another_type_is_no_scan(other: str) -> None:
     """As from a robot whose topics were mixed up: sound bytes of the wrong schema."""
     sound = {"%odom": odometry(1.0, 2.0, 0.5), "%tf_static": MOUNT}
     bridge = core(mounts_from_tf=False)
-    assert hear(bridge, "%scan", sound.get(other, odometry(0, 0, 0))) == []
+    assert listen(bridge, "%scan", sound.get(other, odometry(0, 0, 0))) == []
     condition = bridge.condition()
     assert condition.counters["set_aside_not_cdr"] == 1
     assert "no scan yet on /scan" in condition.detail
-    assert [each.channel for each in hear(bridge, "%scan", scan())] == [SCAN_RAW]
+    assert [each.channel for each in listen(bridge, "%scan", scan())] == [SCAN_RAW]
 
 
 @pytest.mark.parametrize("bad_number", [np.nan, np.inf, -np.inf])
@@ -436,7 +436,7 @@ def test_no_number_that_is_not_finite_reaches_nav2(bad_number: float) -> None:
         endpoint
         for channel, messages in ((POSE, estimates), (TRANSFORM, moves), (TRACKS, tracks))
         for message in messages
-        for endpoint, _ in tell(bridge, channel, message)
+        for endpoint, _ in report(bridge, channel, message)
     ]
     assert published == ["%amcl_pose", "%tf", "%particle_cloud"]
     assert bridge.condition().counters["set_aside_not_finite"] == 5

@@ -12,7 +12,7 @@ from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
 
-from tests.services.ros_bridge.test_core import TIME, core, header, hear, odometry, scan, transform, vector
+from tests.services.ros_bridge.test_core import TIME, core, header, listen, odometry, scan, transform, vector
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 STEP = 10_000_000
@@ -32,8 +32,8 @@ def imu(rate: tuple[float, float, float], time: int, stated: float = 0.0) -> byt
 
 def bridge(turned: tuple[float, ...] = LEVEL, **settings: Any) -> RosBridgeCore:
     made = core(imu="imu/data", **settings)
-    hear(made, "%odom", odometry(0, 0, 0))
-    hear(made, "%tf_static", transform("base_link", "imu", (0.1, 0.0, 0.2), turned))
+    listen(made, "%odom", odometry(0, 0, 0))
+    listen(made, "%tf_static", transform("base_link", "imu", (0.1, 0.0, 0.2), turned))
     return made
 
 
@@ -41,7 +41,7 @@ def play(
     made: RosBridgeCore, rate: tuple[float, float, float], count: int, first: int = TIME
 ) -> list[Heading]:
     published = [
-        each for n in range(count) for each in hear(made, "%imu%data", imu(rate, first + n * STEP))
+        each for n in range(count) for each in listen(made, "%imu%data", imu(rate, first + n * STEP))
     ]  # fmt: skip
     return [each.open(Heading) for each in published]
 
@@ -72,13 +72,13 @@ def test_what_is_no_rate_is_counted_and_a_gap_begins_a_new_sum() -> None:
     made = bridge()
     play(made, (0.0, 0.0, 0.5), 11)
     later = TIME + 100 * STEP
-    assert not hear(made, "%imu%data", imu((0.0, 0.0, np.nan), later))
-    assert not hear(made, "%imu%data", imu((0.0, 0.0, 1e308), later))
-    assert not hear(made, "%imu%data", imu((0.0, 0.0, 1.0), later, stated=-1.0))
+    assert not listen(made, "%imu%data", imu((0.0, 0.0, np.nan), later))
+    assert not listen(made, "%imu%data", imu((0.0, 0.0, 1e308), later))
+    assert not listen(made, "%imu%data", imu((0.0, 0.0, 1.0), later, stated=-1.0))
     (first,) = play(made, (0.0, 0.0, 0.5), 1, later)
     assert (first.heading, nanoseconds(first.since)) == (0.0, later)
-    assert not hear(made, "%imu%data", imu((0.0, 0.0, 0.5), later))
-    assert not hear(made, "%imu%data", b"no imu")
+    assert not listen(made, "%imu%data", imu((0.0, 0.0, 0.5), later))
+    assert not listen(made, "%imu%data", b"no imu")
     counters = made.condition().counters
     assert {name: counters[name] for name in counters if "imu" in name or "cdr" in name} == {
         "set_aside_imu_not_finite": 2,
@@ -91,10 +91,10 @@ def test_what_is_no_rate_is_counted_and_a_gap_begins_a_new_sum() -> None:
 
 def test_without_its_mount_it_is_left_out_and_health_names_the_frame() -> None:
     made = core(imu="imu/data", mounts_from_tf=True)
-    hear(made, "%odom", odometry(0, 0, 0))
-    hear(made, "%tf_static", transform("base_link", "laser", (0.1, 0.0, 0.2), LEVEL))
+    listen(made, "%odom", odometry(0, 0, 0))
+    listen(made, "%tf_static", transform("base_link", "laser", (0.1, 0.0, 0.2), LEVEL))
     assert not play(made, (0.0, 0.0, 0.5), 3)
-    hear(made, "%scan", scan())
+    listen(made, "%scan", scan())
     condition = made.condition()
     assert condition.status == Health.STATUS_OK  # scans come
     assert "no transform from base_link to imu" in condition.detail
@@ -103,4 +103,4 @@ def test_without_its_mount_it_is_left_out_and_health_names_the_frame() -> None:
 
 def test_without_the_setting_there_is_no_such_endpoint() -> None:
     with pytest.raises(KeyError):
-        hear(core(), "%imu%data", imu((0.0, 0.0, 0.5), TIME))
+        listen(core(), "%imu%data", imu((0.0, 0.0, 0.5), TIME))

@@ -14,7 +14,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
-from tests.services.ros_bridge.test_core import ask, core, header, hear, tell
+from tests.services.ros_bridge.test_core import ask, core, header, listen, report
 
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE, SHUTDOWN = 1, 2, 3, 4, 5  # lifecycle_msgs/Transition
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 1, 2, 3, 4  # lifecycle_msgs/State
@@ -40,7 +40,7 @@ def beat(active: bool, name: str = "amcl", instance: str = "3f2b-manager") -> by
 def answered(bridge: RosBridgeCore, data: bytes) -> list[Any]:
     return [
         cdr.decode(cdr.BOND, each.open(cdr_value()).value)
-        for each in hear(bridge, "%bond", data)
+        for each in listen(bridge, "%bond", data)
         if each.address["endpoint"] == "%bond"
     ]
 
@@ -109,7 +109,7 @@ def test_each_transition_has_the_events_of_a_lifecycle_node() -> None:
     assert events(bridge, 99) == []
 
 
-def test_while_it_is_not_active_it_says_only_the_map() -> None:
+def test_while_it_is_not_active_it_reports_only_the_map() -> None:
     bridge = core()
     pose = PoseEstimate(timestamp=stamp(10**18), frame_id="map", pose=to_message((1, 2, 0)))
     pose.state = STATE_LOCALIZED
@@ -118,13 +118,13 @@ def test_while_it_is_not_active_it_says_only_the_map() -> None:
     grid.pose.orientation.w = 1.0
     messages = {POSE: pose, TRANSFORM: FrameTransform(), TRACKS: Tracks(), MAP: grid}
     change(bridge, DEACTIVATE)
-    said = {channel for channel, message in messages.items() if tell(bridge, channel, message)}
-    assert said == {MAP}
+    output = {channel for channel, message in messages.items() if report(bridge, channel, message)}
+    assert output == {MAP}
     condition = bridge.condition()
     assert condition.status == Health.STATUS_WAITING
     assert "a lifecycle manager has it inactive" in condition.detail
     change(bridge, ACTIVATE)
-    assert {channel for channel, message in messages.items() if tell(bridge, channel, message)} == {*messages}
+    assert {name for name, message in messages.items() if report(bridge, name, message)} == {*messages}
 
 
 def test_the_bond_beats_as_the_manager_does() -> None:
@@ -133,7 +133,7 @@ def test_the_bond_beats_as_the_manager_does() -> None:
     assert (ours.id, ours.active) == ("amcl", True)
     assert ours.instance_id != "3f2b-manager"
     assert (ours.heartbeat_timeout, ours.heartbeat_period) == (4.0, 0.25)
-    # its own, as a second bridge would say it, and those of the other nodes
+    # its own, as a second bridge would publish it, and those of the other nodes
     assert answered(bridge, beat(active=True, instance=ours.instance_id)) == []
     assert answered(bridge, beat(active=True, name="controller_server")) == []
 
@@ -147,7 +147,7 @@ def test_the_bond_breaks_when_either_side_ends_it(active: bool) -> None:
     assert not ours.active
 
 
-def test_states_and_transitions_are_told() -> None:
+def test_states_and_transitions_are_reported() -> None:
     bridge = core()
     kinds = {
         name: kind for kind in SERVICES for name in ("states", "transitions") if kind.endswith(name.title())
@@ -166,4 +166,4 @@ def test_a_node_of_another_name() -> None:
     bridge = core(lifecycle="localizer", namespace="r17")
     response, _ = ask(bridge, "%r17%localizer%get_state")
     assert cdr.decode(f"{GET_STATE}_Response", response).current_state.id == ACTIVE
-    assert len(hear(bridge, "%r17%bond", beat(active=True, name="localizer"))) == 1
+    assert len(listen(bridge, "%r17%bond", beat(active=True, name="localizer"))) == 1

@@ -22,7 +22,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import Relocation
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
-from tests.services.ros_bridge.test_core import ask, core, tell
+from tests.services.ros_bridge.test_core import ask, core, report
 
 BRIDGE, AMCL = "%eigenscan", "%amcl"
 
@@ -111,8 +111,8 @@ def test_they_are_described_and_most_are_not_to_be_set() -> None:
 
 def transform_ahead(bridge: RosBridgeCore) -> list[float]:
     """By how much the transforms are dated ahead, s, that follow from one of the tracker's."""
-    said = tell(bridge, TRANSFORM, FrameTransform(timestamp=stamp(10**18)))
-    stamps = [cdr.decode(cdr.TRANSFORMS, data).transforms[0].header.stamp for _, data in said]
+    output = report(bridge, TRANSFORM, FrameTransform(timestamp=stamp(10**18)))
+    stamps = [cdr.decode(cdr.TRANSFORMS, data).transforms[0].header.stamp for _, data in output]
     return [each.sec - 10**9 + each.nanosec * 1e-9 for each in stamps]
 
 
@@ -150,7 +150,7 @@ def started(bridge: RosBridgeCore, service: str = "tracker", instance: str = "r"
     ]
 
 
-def test_a_known_start_is_told_once_the_tracker_is_there() -> None:
+def test_a_known_start_is_reported_once_the_tracker_is_there() -> None:
     bridge = core(start_known=True, start_x=1.0, start_y=-2.0, start_yaw=0.5)
     assert started(bridge, service="projector") == started(bridge, instance="another") == []
     (at,) = started(bridge)

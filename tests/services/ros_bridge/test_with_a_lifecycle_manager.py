@@ -1,6 +1,6 @@
 """The bridge in AMCL's place under a lifecycle manager, over a real Zenoh router.
 
-The manager's requests and heartbeats are those of nav2_lifecycle_manager, said by an independent program
+The manager's requests and heartbeats are those of nav2_lifecycle_manager, published by an independent program
 (see conftest): it finds the services by their types' hashes.
 """
 
@@ -70,21 +70,21 @@ def test_a_manager_brings_it_up_and_keeps_a_bond_with_it(start: Start, robot: Ro
     eventually(reconfigured, "a transition event")
     assert [events[0].transition.label, events[0].goal_state.label] == ["configure", "configuring"]
     assert change(ACTIVATE) == ACTIVE
-    heard = robot.subscribe("/bond", cdr.BOND)
+    received = robot.subscribe("/bond", cdr.BOND)
     bond = robot.publisher("/bond", cdr.BOND)
 
     def beat(active: bool) -> list[Any]:
         message = cdr.make(cdr.BOND, _header(), "amcl", "the-manager", active, 4.0, 0.25)
         bond.publish(**fields(message))
         time.sleep(0.1)
-        return [each for each in heard if each.instance_id != "the-manager"]
+        return [each for each in received if each.instance_id != "the-manager"]
 
     assert eventually(lambda: beat(active=True), "a heartbeat")[0].active
     assert change(DEACTIVATE) == INACTIVE
     assert eventually(lambda: [each for each in beat(active=False) if not each.active], "the bond's end")
     bridge.process.terminate()
     bridge.process.wait()
-    heard.clear()
+    received.clear()
     # nobody beats any more: the manager takes the robot's navigation down
     assert not any(beat(active=True) for _ in range(5))
 
@@ -112,16 +112,16 @@ def test_amcls_other_services(start: Start, robot: Robot, call: Call) -> None:
     estimate = PoseEstimate(timestamp=stamp(10**18), frame_id="map", pose=to_message((4.0, 5.0, 1.0)))
     pose = cdr.decode(cdr.POSE_WITH_COVARIANCE, pose_with_covariance(estimate))
     call("/set_initial_pose", SET_INITIAL_POSE, pose=pose)
-    told = eventually(lambda: bridge.ear.of(RELOCATION, Relocation), "the pose")
-    assert (told[0].pose.x, told[0].pose.y) == (4.0, 5.0)
+    reported = eventually(lambda: bridge.ear.of(RELOCATION, Relocation), "the pose")
+    assert (reported[0].pose.x, reported[0].pose.y) == (4.0, 5.0)
 
 
 def test_ros2_param_is_answered(start: Start, robot: Robot, call: Call) -> None:
     start("--domain", str(robot.domain), "--odom-frame", "wheels")
     listed = call("/amcl/list_parameters", LIST_PARAMETERS, prefixes=[], depth=0).result
     assert "odom_frame_id" in listed.names
-    told = call("/eigenscan/get_parameters", GET_PARAMETERS, names=["odom_frame"]).values
-    assert [each.string_value for each in told] == ["wheels"]
+    reported = call("/eigenscan/get_parameters", GET_PARAMETERS, names=["odom_frame"]).values
+    assert [each.string_value for each in reported] == ["wheels"]
     (value,) = call("/amcl/get_parameters", GET_PARAMETERS, names=["transform_tolerance"]).values
     value.double_value = 0.5
     wanted = cdr.make("rcl_interfaces/msg/Parameter", "transform_tolerance", value)
