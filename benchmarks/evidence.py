@@ -44,7 +44,7 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
-from eigenscan.tracker.evidence import ENDS, EVEN_EXACT, EVEN_POOR, HIDES, MOST_AHEAD, SHOWS, SLOPE, TWINS
+from eigenscan.tracker.evidence import ALIASES, ENDS, EVEN_EXACT, EVEN_POOR, HIDES, MOST_AHEAD, SHOWS, SLOPE
 from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.log import read_log
@@ -189,7 +189,7 @@ def aliases(windows: list[list[Answer]]) -> dict[str, Any]:
                         pose = compose(begun.poses[k], between(begun.truth, scans[then].truth))
                         later.append(looks_right(scans[then], pose))
     go_on = {steps: float(np.mean(later)) if later else float("nan") for steps, later in counts.items()}
-    return {"twins": float(np.mean(looked)) if looked else float("nan"), "twins_go_on": go_on}
+    return {"aliases": float(np.mean(looked)) if looked else float("nan"), "aliases_go_on": go_on}
 
 
 def looks_right(scan: Answer, pose: np.ndarray) -> bool:
@@ -308,8 +308,8 @@ def show(row: dict[str, Any]) -> None:
         print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))
     ratio = [max(BY_CHANCE - count, np.log(LEAST)) for count in range(COMPARED + 1)]
     print(f"{'tracker, ln of their ratio':<30} " + "".join(f"{nats:>+7.0f}" for nats in ratio))
-    later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["twins_go_on"].items())
-    print(f"twins: {row['twins']:.1%} of wrong tracks (tracker {TWINS:.1%}); of these {later}, ", end="")
+    later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["aliases_go_on"].items())
+    print(f"aliases: {row['aliases']:.1%} of wrong tracks (tracker {ALIASES:.1%}); {later}, ", end="")
     print(f"({', '.join(f'{np.exp(-ENDS * steps):.0%}' for steps in GOES_ON)})")
     for name, what in (("listed", "has"), ("not_listed", "lacks")):
         print(f"beside {row['wrong_tracks'][name]:.0f} wrong tracks whose list {what} the right place")

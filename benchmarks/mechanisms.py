@@ -199,7 +199,7 @@ Patches = Sequence[tuple[Any, str, Any]]
 MECHANISMS: Mapping[str, Patches] = {
     "as it is": (),
     "lead over the next place": ((evidence, "ahead", lambda seen: np.zeros(len(seen.poses))),),
-    "aliases": ((evidence, "TWINS", 1e-12),),
+    "aliases": ((evidence, "ALIASES", 1e-12),),
     "what the map is worth, learned": ((robot, "learned", lambda *_: evidence.EVEN_EXACT),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, __: moved.turn),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),

@@ -31,6 +31,7 @@ MOST_WORDS = 22_000
 """Words of all pages together."""
 
 CODE = ("schemas", "geometry", "eigenspace", "runtime", "services", "library", "workbench", "fleet", "cli")
+BESIDE = ("tests", "benchmarks", "examples", "tools")
 END = re.compile(r"(?<=[.!?])[\"')*]*\s+(?=[\"'(*]*[A-Z0-9])")
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
@@ -100,10 +101,12 @@ def of_settings() -> Iterator[Text]:
 
 
 def names_in_code() -> Iterator[Text]:
-    """Each name that a module defines, its words apart."""
+    """Each name that a module, a test or a tool defines, its words apart."""
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    for file in sorted(file for room in CODE for file in (ROOT / room).glob("**/src/**/*.py")):
-        if not file.stem.endswith("_pb2"):
+    modules = [file for room in CODE for file in (ROOT / room).glob("**/src/**/*.py")]
+    beside = [file for room in BESIDE for file in (ROOT / room).glob("**/*.py")]
+    for file in sorted(modules + beside):
+        if not file.stem.endswith("_pb2") and ".venv" not in file.parts:
             where = str(file.relative_to(ROOT))
             yield Text(where, _apart(file.stem))
             for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

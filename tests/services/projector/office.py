@@ -73,7 +73,7 @@ def site(
 
 
 def envelopes(built: SiteModel) -> list[Envelope]:
-    """Map, models and set as the mapbuilder says them."""
+    """Map, models and set as the mapbuilder publishes them."""
     announced = built.to_message()
     return [
         Envelope(MAP, {"site": "s"}, to_message(built.grid, built.frame_id)),
@@ -150,10 +150,10 @@ def occlude(scan: Scan, share: float, seed: int) -> Scan:
     return other
 
 
-def hear(core: ProjectorCore, scan: Scan, **address: str) -> tuple[Hypotheses, Obstacles | None]:
-    said = list(core.handle(Envelope(SCAN, {**ADDRESS, **address}, scan)))
-    hypotheses = said[0].open(Hypotheses)
-    return hypotheses, said[1].open(Obstacles) if len(said) > 1 else None
+def receive(core: ProjectorCore, scan: Scan, **address: str) -> tuple[Hypotheses, Obstacles | None]:
+    output = list(core.handle(Envelope(SCAN, {**ADDRESS, **address}, scan)))
+    hypotheses = output[0].open(Hypotheses)
+    return hypotheses, output[1].open(Obstacles) if len(output) > 1 else None
 
 
 def poses_of(message: Hypotheses) -> Array:

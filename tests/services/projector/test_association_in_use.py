@@ -15,7 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, site, tower
+from tests.services.projector.office import (
+    free_poses,
+    is_right,
+    poses_of,
+    ready,
+    receive,
+    scan_at,
+    site,
+    tower,
+)
 
 # written out, not taken from what is tested: a change there must show here
 SURELY_LARGER = 2.0
@@ -28,7 +37,7 @@ def test_every_association_finds_the_pose_of_a_clean_scan(kind: Kind) -> None:
     core = ready(association=kind)
     listed = 0
     for i, truth in enumerate(free_poses(12, 61)):
-        poses = poses_of(hear(core, scan_at(truth, noise=0.0, seed=i))[0])
+        poses = poses_of(receive(core, scan_at(truth, noise=0.0, seed=i))[0])
         listed += bool(is_right(poses, truth).any())
     assert listed >= 11
 
@@ -37,7 +46,7 @@ def test_a_scan_outside_of_all_volumes_has_no_hypotheses_and_is_no_fault() -> No
     core = ready(association="tetrahedra", margin=0.0)
     lengths = []
     for i, truth in enumerate(free_poses(20, 5, tower())):
-        message, obstacles = hear(core, scan_at(truth, grid=tower(), range_max=3.0, seed=i))
+        message, obstacles = receive(core, scan_at(truth, grid=tower(), range_max=3.0, seed=i))
         lengths.append(len(message.hypotheses))
         assert message.status == Hypotheses.STATUS_OK
         assert (obstacles is None) == (lengths[-1] == 0)
@@ -81,7 +90,7 @@ def test_some_regions_are_pruned_and_none_that_holds_the_pose() -> None:
     core = ready()
     pruned = 0
     for i, truth in enumerate(free_poses(30, 3)):
-        message, _ = hear(core, scan_at(truth, field_of_view=2 * np.pi, seed=i))
+        message, _ = receive(core, scan_at(truth, field_of_view=2 * np.pi, seed=i))
         searched = {p.region for p in message.projections if p.searched}
         pruned += len(message.projections) - len(searched)
         assert {h.region for h in message.hypotheses} <= searched

@@ -8,7 +8,7 @@ from eigenscan.projector.observation import observe
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 
-from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, site
+from tests.services.projector.office import free_poses, is_right, poses_of, ready, receive, scan_at, site
 
 
 def test_they_are_those_of_the_nearest_pose_of_the_model() -> None:
@@ -34,7 +34,7 @@ def test_where_the_model_has_a_position_the_scan_and_its_pose_lie_together() -> 
     together = []
     for p in range(0, len(model.positions), 7):
         truth = np.array([*model.positions[p], np.deg2rad(20.0)])
-        message, _ = hear(core, scan_at(truth, noise=0.0))
+        message, _ = receive(core, scan_at(truth, noise=0.0))
         scan = {p.region: np.array(p.coefficients) for p in message.projections}
         first = message.hypotheses[0]
         if is_right(poses_of(message)[:1], truth)[0]:

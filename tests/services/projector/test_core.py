@@ -1,4 +1,4 @@
-"""What the projector says, and what it makes of messages that are late, foreign or broken."""
+"""What the projector publishes, and what it makes of messages that are late, foreign or broken."""
 
 from dataclasses import replace
 
@@ -21,12 +21,12 @@ from tests.services.projector.office import (
     base_of,
     envelopes,
     free_poses,
-    hear,
     is_right,
     occlude,
     office,
     poses_of,
     ready,
+    receive,
     scan_at,
     site,
     tower,
@@ -44,7 +44,7 @@ def _copy(message: RegionModel) -> RegionModel:
     return other
 
 
-def test_without_a_model_it_waits_and_says_nothing() -> None:
+def test_without_a_model_it_waits_and_publishes_nothing() -> None:
     core = ProjectorCore(ProjectorSettings())
     assert core.condition().status == Health.STATUS_WAITING
     assert core.condition().detail == "no model"
@@ -55,15 +55,15 @@ def test_without_a_model_it_waits_and_says_nothing() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_set_is_taken_whole_in_any_order(seed: int) -> None:
     core = ProjectorCore(ProjectorSettings())
-    heard = envelopes(site())
-    np.random.default_rng(seed).shuffle(heard)
+    received = envelopes(site())
+    np.random.default_rng(seed).shuffle(received)
     scan = scan_at(free_poses(1, 1)[0])
-    for envelope in heard:
+    for envelope in received:
         assert core.condition().status == Health.STATUS_WAITING
         assert list(core.handle(Envelope(SCAN, ADDRESS, scan))) == []
         core.handle(envelope)
     assert core.condition().status == Health.STATUS_OK
-    message, _ = hear(core, scan)
+    message, _ = receive(core, scan)
     assert message.model_version == site().to_message().version
 
 
@@ -91,18 +91,18 @@ def test_every_lidar_finds_its_place(
         scan = scan_at(
             truth, field_of_view=np.deg2rad(field_of_view), step=np.deg2rad(step), range_max=range_max, seed=i
         )
-        right = is_right(poses_of(hear(core, scan)[0]), truth)
+        right = is_right(poses_of(receive(core, scan)[0]), truth)
         first += bool(right[0])
         listed += bool(right.any())
     assert first >= 20
     assert listed >= 22
 
 
-def test_poses_are_the_robots_base_and_say_where_the_mount_says(core: ProjectorCore) -> None:
+def test_poses_are_the_robots_base_and_lie_where_the_mount_states(core: ProjectorCore) -> None:
     mount = (0.4, -0.2, 2.0)
     found = 0
     for i, truth in enumerate(free_poses(10, 21)):
-        message, obstacles = hear(core, scan_at(truth, field_of_view=2 * np.pi, mount=mount, seed=i))
+        message, obstacles = receive(core, scan_at(truth, field_of_view=2 * np.pi, mount=mount, seed=i))
         base = base_of(truth, mount)
         pose = poses_of(message)[0]
         found += bool(np.allclose(pose[:2], base[:2], atol=0.1) and is_right(pose[None], base)[0])
@@ -114,7 +114,7 @@ def test_poses_are_the_robots_base_and_say_where_the_mount_says(core: ProjectorC
 def test_covariances_match_the_errors(core: ProjectorCore) -> None:
     squares = []
     for i, truth in enumerate(free_poses(60, 31)):
-        message, _ = hear(core, scan_at(truth, field_of_view=np.deg2rad(270), noise=0.03, seed=i))
+        message, _ = receive(core, scan_at(truth, field_of_view=np.deg2rad(270), noise=0.03, seed=i))
         if not is_right(poses_of(message)[:1], truth)[0]:
             continue
         c = message.hypotheses[0].covariance
@@ -133,8 +133,8 @@ def test_people_in_front_of_the_sensor_cost_little(core: ProjectorCore) -> None:
     plain = hidden = listed = 0
     for i, truth in enumerate(free_poses(60, 41)):
         scan = scan_at(truth, seed=i)
-        plain += bool(is_right(poses_of(hear(core, scan)[0])[:1], truth)[0])
-        right = is_right(poses_of(hear(core, occlude(scan, 0.3, i))[0]), truth)
+        plain += bool(is_right(poses_of(receive(core, scan)[0])[:1], truth)[0])
+        right = is_right(poses_of(receive(core, occlude(scan, 0.3, i))[0]), truth)
         hidden += bool(right[0])
         listed += bool(right.any())
     assert plain >= 54
@@ -146,9 +146,9 @@ def test_another_building_and_a_covered_lidar_are_not_squeezed_in(core: Projecto
     own, foreign = [], []
     for i in range(25):
         wide = np.deg2rad(270)
-        own.append(hear(core, scan_at(free_poses(25, 51)[i], field_of_view=wide, seed=i))[0])
+        own.append(receive(core, scan_at(free_poses(25, 51)[i], field_of_view=wide, seed=i))[0])
         elsewhere = scan_at(free_poses(25, 52, tower())[i], grid=tower(), field_of_view=wide, seed=i)
-        foreign.append(hear(core, elsewhere)[0])
+        foreign.append(receive(core, elsewhere)[0])
 
     def best(messages: list[Hypotheses]) -> np.ndarray:
         return np.array([m.hypotheses[0].log_likelihood for m in messages])
@@ -158,13 +158,13 @@ def test_another_building_and_a_covered_lidar_are_not_squeezed_in(core: Projecto
     assert best(foreign).max() < 13.0
     covered = scan_at(free_poses(1, 53)[0])
     covered.ranges[:] = (0.12 + 0.01 * np.random.default_rng(0).normal(size=len(covered.ranges))).tolist()
-    message, _ = hear(core, covered)
+    message, _ = receive(core, covered)
     assert message.status == Hypotheses.STATUS_UNUSABLE_SCAN
 
 
 def test_unlisted_is_never_likelier_than_listed(core: ProjectorCore) -> None:
     for i, truth in enumerate(free_poses(10, 61)):
-        message, _ = hear(core, scan_at(truth, seed=i))
+        message, _ = receive(core, scan_at(truth, seed=i))
         values = [h.log_likelihood for h in message.hypotheses]
         assert values == sorted(values, reverse=True)
         assert len(values) <= 30
@@ -174,18 +174,18 @@ def test_unlisted_is_never_likelier_than_listed(core: ProjectorCore) -> None:
 def test_each_lidar_of_each_robot_is_answered_on_its_own_key() -> None:
     core = ready(instance="7")
     scan = scan_at(free_poses(1, 71)[0])
-    said = list(core.handle(Envelope(SCAN, {"site": "s", "robot": "r9", "lidar": "rear"}, scan)))
-    assert [e.channel for e in said] == [HYPOTHESES, OBSTACLES]
-    assert said[0].key == "s/robot/r9/hypotheses/rear/7"
-    assert said[1].key == "s/robot/r9/obstacles/rear/7"
+    output = list(core.handle(Envelope(SCAN, {"site": "s", "robot": "r9", "lidar": "rear"}, scan)))
+    assert [e.channel for e in output] == [HYPOTHESES, OBSTACLES]
+    assert output[0].key == "s/robot/r9/hypotheses/rear/7"
+    assert output[1].key == "s/robot/r9/obstacles/rear/7"
 
 
 def test_the_same_scan_has_the_same_answer_bit_for_bit() -> None:
     scan = scan_at(free_poses(1, 72)[0])
     other = scan_at(free_poses(1, 73)[0], field_of_view=2 * np.pi)
     one, two = ready(), ready()
-    hear(two, other)
-    assert hear(one, scan)[0].SerializeToString() == hear(two, scan)[0].SerializeToString()
+    receive(two, other)
+    assert receive(one, scan)[0].SerializeToString() == receive(two, scan)[0].SerializeToString()
 
 
 @pytest.mark.parametrize("usable", [True, False])
@@ -193,16 +193,16 @@ def test_the_scans_motion_goes_on_with_its_hypotheses(core: ProjectorCore, usabl
     scan = scan_at(free_poses(1, 74)[0])
     if not usable:
         scan.ranges[:] = [np.nan] * len(scan.ranges)
-    assert not hear(core, scan)[0].HasField("motion")
+    assert not receive(core, scan)[0].HasField("motion")
     scan.motion.motion.theta = 0.25
-    assert hear(core, scan)[0].motion == scan.motion
+    assert receive(core, scan)[0].motion == scan.motion
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_scan_without_returns_is_unusable(core: ProjectorCore, value: float) -> None:
     scan = scan_at(free_poses(1, 0)[0])
     scan.ranges[:] = [value] * len(scan.ranges)
-    message, obstacles = hear(core, scan)
+    message, obstacles = receive(core, scan)
     assert message.status == Hypotheses.STATUS_UNUSABLE_SCAN
     assert not message.hypotheses
     assert obstacles is None
@@ -225,7 +225,7 @@ def test_ranges_that_no_lidar_has_count_as_no_return(core: ProjectorCore, far: f
     for one, value in ((scan, far), (empty, np.inf)):
         one.range_max = 0.0
         one.ranges[:] = np.where(some, value, one.ranges)
-    assert hear(core, scan)[0].hypotheses == hear(core, empty)[0].hypotheses
+    assert receive(core, scan)[0].hypotheses == receive(core, empty)[0].hypotheses
 
 
 @pytest.mark.parametrize(
@@ -251,8 +251,8 @@ def test_a_scan_that_makes_no_sense_is_counted(change: dict[str, float]) -> None
 
 def _broken(change: str) -> list[Envelope]:
     """A newer set of which one region cannot be used."""
-    heard = envelopes(site(of="tower"))
-    model = _copy(next(e for e in heard if e.channel == MODEL).open(RegionModel))
+    received = envelopes(site(of="tower"))
+    model = _copy(next(e for e in received if e.channel == MODEL).open(RegionModel))
     if change == "format":
         model.format += 1
     elif change == "bytes":
@@ -261,7 +261,7 @@ def _broken(change: str) -> list[Envelope]:
         model.spacing += 0.1
     elif change == "empty":
         del model.index_x[:], model.index_y[:]
-    rest = [e for e in heard if e.channel != MODEL or e.open(RegionModel).region != model.region]
+    rest = [e for e in received if e.channel != MODEL or e.open(RegionModel).region != model.region]
     return [*rest, Envelope(MODEL, {"site": "s", "region": model.region}, model)]
 
 
@@ -269,21 +269,21 @@ def _broken(change: str) -> list[Envelope]:
 def test_a_broken_model_is_refused_by_name_and_the_last_good_one_stays(change: str) -> None:
     core = ready()
     truth = free_poses(1, 81)[0]
-    before = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
+    before = receive(core, scan_at(truth, field_of_view=2 * np.pi))[0]
     for envelope in _broken(change):
         core.handle(envelope)
     condition = core.condition()
     assert condition.status == Health.STATUS_DEGRADED
     assert "region" in condition.detail
     assert condition.counters["refused_model"] == 1
-    after = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
+    after = receive(core, scan_at(truth, field_of_view=2 * np.pi))[0]
     assert after.SerializeToString() == before.SerializeToString()
 
 
 def test_regions_on_different_grids_are_refused_by_name_and_the_last_good_set_stays() -> None:
     core = ready()
     truth = free_poses(1, 82)[0]
-    before = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
+    before = receive(core, scan_at(truth, field_of_view=2 * np.pi))[0]
     coarse, fine = site(of="tower"), site(0.25)
     mixed = [replace(coarse.regions[0], region="coarse"), replace(fine.regions[0], region="fine")]
     announced = model_set(mixed, coarse.grid.version, "map", 100.0)
@@ -296,20 +296,20 @@ def test_regions_on_different_grids_are_refused_by_name_and_the_last_good_set_st
     condition = core.condition()
     assert condition.status == Health.STATUS_DEGRADED
     assert "'fine'" in condition.detail
-    after = hear(core, scan_at(truth, field_of_view=2 * np.pi))[0]
+    after = receive(core, scan_at(truth, field_of_view=2 * np.pi))[0]
     assert after.SerializeToString() == before.SerializeToString()
     # and the next good one is taken
     for envelope in envelopes(site(of="tower")):
         core.handle(envelope)
     assert core.condition().status == Health.STATUS_OK
-    assert hear(core, scan_at(truth))[0].model_version == site(of="tower").to_message().version
+    assert receive(core, scan_at(truth))[0].model_version == site(of="tower").to_message().version
 
 
 @pytest.mark.parametrize("change", ["bytes", "resolution", "pose"])
 def test_a_broken_map_is_refused_and_the_last_good_set_stays(change: str) -> None:
     core = ready()
     truth = free_poses(1, 83)[0]
-    before = hear(core, scan_at(truth))[0]
+    before = receive(core, scan_at(truth))[0]
     for envelope in envelopes(site(of="tower")):
         message = envelope.message
         if envelope.channel == MAP:
@@ -324,16 +324,16 @@ def test_a_broken_map_is_refused_and_the_last_good_set_stays(change: str) -> Non
     condition = core.condition()
     assert condition.status == Health.STATUS_DEGRADED
     assert condition.counters["refused_map"] == 1
-    assert hear(core, scan_at(truth))[0].SerializeToString() == before.SerializeToString()
+    assert receive(core, scan_at(truth))[0].SerializeToString() == before.SerializeToString()
 
 
-def test_a_set_that_is_not_what_its_version_says_is_refused() -> None:
+def test_a_set_that_is_not_what_its_version_states_is_refused() -> None:
     core = ready()
     foreign = ModelSet(version="0" * 64, map_version="1", entries=[ModelSet.Entry(region="r", version="2")])
     for message in (foreign, ModelSet(version="1")):
         core.handle(Envelope(MODEL_SET, {"site": "s"}, message))
     assert core.condition().counters["refused_model_set"] == 2
-    assert hear(core, scan_at(free_poses(1, 0)[0]))[0].model_version == site().to_message().version
+    assert receive(core, scan_at(free_poses(1, 0)[0]))[0].model_version == site().to_message().version
 
 
 def test_a_new_set_takes_over_between_two_scans() -> None:
@@ -342,11 +342,11 @@ def test_a_new_set_takes_over_between_two_scans() -> None:
     scan = scan_at(truth, grid=tower(), field_of_view=2 * np.pi)
     versions = []
     for envelope in envelopes(site(of="tower")):
-        versions.append(hear(core, scan)[0].model_version)
+        versions.append(receive(core, scan)[0].model_version)
         core.handle(envelope)
     old, new = site().to_message().version, site(of="tower").to_message().version
     assert set(versions) == {old}
-    message, _ = hear(core, scan)
+    message, _ = receive(core, scan)
     assert message.model_version == new
     assert is_right(poses_of(message)[:1], truth)[0]
 
@@ -354,7 +354,7 @@ def test_a_new_set_takes_over_between_two_scans() -> None:
 def test_plain_ranges_as_in_the_paper_work_too() -> None:
     core = ready(site(embedding="range"))
     found = sum(
-        bool(is_right(poses_of(hear(core, scan_at(truth, seed=i))[0])[:1], truth)[0])
+        bool(is_right(poses_of(receive(core, scan_at(truth, seed=i))[0])[:1], truth)[0])
         for i, truth in enumerate(free_poses(20, 101))
     )
     assert found >= 14
@@ -365,7 +365,7 @@ def test_obstacles_are_found_where_they_are(core: ProjectorCore) -> None:
     for i, truth in enumerate(free_poses(20, 111)):
         scan = scan_at(truth, field_of_view=2 * np.pi, seed=i)
         blocked = occlude(scan, 0.15, i)
-        message, obstacles = hear(core, blocked)
+        message, obstacles = receive(core, blocked)
         if not is_right(poses_of(message)[:1], truth)[0]:
             continue
         assert obstacles is not None
@@ -389,7 +389,7 @@ def test_missing_beams_are_marked_missing(core: ProjectorCore) -> None:
     scan = scan_at(free_poses(1, 121)[0])
     scan.ranges[3] = np.nan
     scan.ranges[4] = np.inf
-    _, obstacles = hear(core, scan)
+    _, obstacles = receive(core, scan)
     assert obstacles is not None
     assert obstacles.mask[3] == 255
     assert obstacles.mask[4] == 255

@@ -1,4 +1,4 @@
-"""A projector that hears where the robot is searches there, and everything once a second."""
+"""A projector that receives where the robot is searches there, and everything once a second."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate
 
-from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at
+from tests.services.projector.office import free_poses, is_right, poses_of, ready, receive, scan_at
 
 # written out, not taken from what is tested: a change there must show here
 FULL_EVERY = 1_000_000_000
@@ -34,7 +34,7 @@ def pose_at(truth: np.ndarray, time: int, **change: Any) -> PoseEstimate:
     return PoseEstimate(**{**fields, **change})
 
 
-def say(core: ProjectorCore, estimate: PoseEstimate) -> None:
+def publish(core: ProjectorCore, estimate: PoseEstimate) -> None:
     assert list(core.handle(Envelope(POSE, {"site": "s", "robot": "r"}, estimate))) == []
 
 
@@ -42,7 +42,7 @@ def searched(message: Hypotheses) -> set[str]:
     return {projection.region for projection in message.projections}
 
 
-def test_only_who_is_told_so_hears_poses() -> None:
+def test_only_who_is_configured_so_receives_poses() -> None:
     assert POSE in ready(focus=True).inputs
     assert POSE not in ready().inputs
 
@@ -52,10 +52,10 @@ def test_around_a_sure_pose_little_is_searched_and_the_place_is_found() -> None:
     found, shares = 0, []
     for i, truth in enumerate(free_poses(15, 161)):
         time = START + i * 10 * FULL_EVERY
-        everywhere = hear(core, scan_at(truth, field_of_view=FULL, seed=i, time=time))[0]
-        say(core, pose_at(truth, time))
+        everywhere = receive(core, scan_at(truth, field_of_view=FULL, seed=i, time=time))[0]
+        publish(core, pose_at(truth, time))
         scan = scan_at(truth, field_of_view=FULL, seed=i, time=time + SETTLED)
-        focused, plain = hear(core, scan)[0], hear(whole, scan)[0]
+        focused, plain = receive(core, scan)[0], receive(whole, scan)[0]
         assert searched(focused) <= searched(everywhere)
         shares.append(focused.searched_area_m2 / everywhere.searched_area_m2)
         assert focused.unlisted_log_likelihood == 0.0
@@ -75,8 +75,8 @@ def test_once_a_second_the_whole_site_is_searched() -> None:
     areas = []
     for i in range(30):
         time = START + i * 100_000_000
-        message = hear(core, scan_at(truth, field_of_view=FULL, seed=i, time=time))[0]
-        say(core, pose_at(truth, time))
+        message = receive(core, scan_at(truth, field_of_view=FULL, seed=i, time=time))[0]
+        publish(core, pose_at(truth, time))
         areas.append(message.searched_area_m2)
     # three scans until the first pose counts
     assert np.flatnonzero(np.equal(areas, max(areas))).tolist() == [0, 1, 2, 12, 22]
@@ -93,13 +93,13 @@ def test_once_a_second_the_whole_site_is_searched() -> None:
         (SETTLED, {"pose": Pose2(x=500.0)}),
     ],
 )
-def test_a_pose_that_tells_nothing_narrows_nothing(age: int, change: dict[str, object]) -> None:
+def test_a_pose_that_shows_nothing_narrows_nothing(age: int, change: dict[str, object]) -> None:
     core = ready(focus=True)
     truth = free_poses(1, 163)[0]
-    everywhere = hear(core, scan_at(truth, time=START))[0]
+    everywhere = receive(core, scan_at(truth, time=START))[0]
     at = START + FULL_EVERY - 1
-    say(core, pose_at(truth, at - age, **change))
-    later = hear(core, scan_at(truth, seed=1, time=at))[0]
+    publish(core, pose_at(truth, at - age, **change))
+    later = receive(core, scan_at(truth, seed=1, time=at))[0]
     assert later.searched_area_m2 == everywhere.searched_area_m2
     assert "scan_focused" not in core.condition().counters
 
@@ -109,11 +109,11 @@ def test_a_pose_may_come_before_or_after_the_scan() -> None:
     answers = []
     for early in (True, False):
         core = ready(focus=True)
-        hear(core, scan_at(truth, time=START))
-        say(core, pose_at(truth, START))
+        receive(core, scan_at(truth, time=START))
+        publish(core, pose_at(truth, START))
         if early:
-            say(core, pose_at(truth + 3.0, START + SETTLED // 2))
-        answers.append(hear(core, scan_at(truth, time=START + SETTLED))[0].SerializeToString())
+            publish(core, pose_at(truth + 3.0, START + SETTLED // 2))
+        answers.append(receive(core, scan_at(truth, time=START + SETTLED))[0].SerializeToString())
     assert answers[0] == answers[1]
 
 

@@ -1,4 +1,4 @@
-"""Narrow things that stand free are told from walls and furniture."""
+"""Narrow things that stand free are distinguished from walls and furniture."""
 
 import numpy as np
 from eigenscan.projector.foreground import foreground

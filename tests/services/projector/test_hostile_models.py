@@ -26,7 +26,7 @@ def _put(assembler: ModelSetAssembler, built: SiteModel) -> WholeSet | None:
 
 
 def _moved(built: SiteModel, shift: float) -> SiteModel:
-    """The site with one region elsewhere, and every hash made anew."""
+    """The site with one region elsewhere, and every hash made again."""
     first = built.regions[0]
     return replace(built, regions=(replace(first, origin=first.origin + shift), *built.regions[1:]))
 

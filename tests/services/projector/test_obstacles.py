@@ -17,7 +17,7 @@ from eigenscan.workbench.simulation.lidar import Lidar, unexpected
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office as furnished
 
-from tests.services.projector.office import hear, is_right, poses_of, ready
+from tests.services.projector.office import is_right, poses_of, ready, receive
 
 # written out, not taken from what is tested: a change there must show here
 REACH = 1.0
@@ -50,7 +50,7 @@ def test_people_and_new_furniture_are_found_and_little_else() -> None:
         raw = envelope.open(RawScan)
         time = nanoseconds(raw.timestamp)
         truth = stage.pose_at(time)
-        message, obstacles = hear(core, _canonical(raw))
+        message, obstacles = receive(core, _canonical(raw))
         if not is_right(poses_of(message)[:1], truth)[0]:
             continue
         assert obstacles is not None
@@ -75,7 +75,7 @@ def _hall() -> GridMap:
     return GridMap(cells, 0.1, np.zeros(3))
 
 
-def test_where_no_wall_is_in_sight_free_ground_tells() -> None:
+def test_where_no_wall_is_in_sight_free_ground_shows() -> None:
     grid = _hall()
     pose = np.array([2.0, 2.1, 0.0])
     # one on free ground, two where the map ends
@@ -102,7 +102,7 @@ def test_along_a_wall_a_small_error_of_the_pose_is_no_obstacle() -> None:
     assert not np.any(found.mask == 0)
 
 
-def test_the_error_energy_tells_how_far_to_trust_the_mask() -> None:
+def test_the_error_energy_shows_how_far_to_trust_the_mask() -> None:
     grid = _hall()
     caster, walls = RayCaster.of(grid), WallField.of(DistanceField.of(grid))
     bearings = np.deg2rad(np.arange(-90.0, 90.0, 1.0))

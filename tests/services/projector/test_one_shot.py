@@ -54,7 +54,7 @@ def raw(scan: Scan) -> RawScan:
     )
 
 
-def said(core: ProjectorCore, query: LocalizeQuery) -> Envelope:
+def output(core: ProjectorCore, query: LocalizeQuery) -> Envelope:
     (only,) = core.handle(Envelope(LOCALIZE_ASKED, {"query": "7"}, query))
     assert only.address == {"query": "7"}
     return only
@@ -63,13 +63,13 @@ def said(core: ProjectorCore, query: LocalizeQuery) -> Envelope:
 def ask(core: ProjectorCore, pose: Array, **known: object) -> LocalizeReply:
     """What is answered to a whole turn of a lidar on `MOUNT` of a base at `pose`."""
     scan = scan_at(compose(pose, MOUNT), field_of_view=2 * np.pi, mount=MOUNT)
-    envelope = said(core, LocalizeQuery(scan=raw(scan), **known))  # type: ignore[arg-type]
+    envelope = output(core, LocalizeQuery(scan=raw(scan), **known))  # type: ignore[arg-type]
     assert envelope.channel is LOCALIZE_ANSWERED
     return envelope.open(LocalizeReply)
 
 
 def refusal(core: ProjectorCore, query: LocalizeQuery) -> str:
-    envelope = said(core, query)
+    envelope = output(core, query)
     assert envelope.channel is LOCALIZE_REFUSED
     return envelope.open(StringValue).value
 
@@ -99,7 +99,7 @@ def test_the_first_candidate_is_where_the_scan_was_taken_and_all_sums_to_one(cor
 def test_it_is_the_answer_that_a_robots_scan_gets(core: ProjectorCore) -> None:
     scan = scan_at(free_poses(1, 11)[0])
     ordinary = next(iter(core.handle(Envelope(SCAN, ADDRESS, scan)))).open(Hypotheses)
-    asked = said(core, LocalizeQuery(scan=raw(scan))).open(LocalizeReply)
+    asked = output(core, LocalizeQuery(scan=raw(scan))).open(LocalizeReply)
     assert [one.pose for one in asked.candidates] == [one.pose for one in ordinary.hypotheses]
     assert [one.log_likelihood for one in asked.candidates] == [
         one.log_likelihood for one in ordinary.hypotheses
@@ -112,7 +112,7 @@ def test_a_scan_of_another_building_is_at_none_of_these(core: ProjectorCore) -> 
     none = []
     for pose in free_poses(8, 5, tower()):
         query = LocalizeQuery(scan=raw(scan_at(pose, grid=tower(), field_of_view=2 * np.pi)))
-        none.append(said(core, query).open(LocalizeReply).none_probability)
+        none.append(output(core, query).open(LocalizeReply).none_probability)
     assert np.median(none) > 0.5
 
 
@@ -142,7 +142,7 @@ def test_a_wrong_prior_is_answered_by_none_of_these(core: ProjectorCore) -> None
     assert np.median(none) > 0.9
 
 
-def test_a_floor_is_told_and_asked_for() -> None:
+def test_a_floor_is_reported_and_asked_for() -> None:
     """The office's left and right half as two floors, the right one with a frame of its own."""
     origin = np.array([5.0, 2.0, math.pi / 2])
 
@@ -182,10 +182,10 @@ def test_at_most_so_many_candidates_are_listed_and_the_others_are_none(core: Pro
     assert two.none_probability == pytest.approx(every.none_probability + rest, abs=1e-9)
 
 
-def test_too_few_beams_are_told_from_no_place(core: ProjectorCore) -> None:
+def test_too_few_beams_are_distinguished_from_no_place(core: ProjectorCore) -> None:
     scan = raw(scan_at(free_poses(1, 1)[0]))
     scan.ranges[5:] = [math.inf] * (len(scan.ranges) - 5)
-    reply = said(core, LocalizeQuery(scan=scan)).open(LocalizeReply)
+    reply = output(core, LocalizeQuery(scan=scan)).open(LocalizeReply)
     assert reply.status == Hypotheses.STATUS_UNUSABLE_SCAN
     assert not reply.candidates
     assert reply.none_probability == 1.0
@@ -233,17 +233,17 @@ def test_what_is_wrong_is_named_by_its_field_and_changes_nothing(
     core: ProjectorCore, change: Callable[[LocalizeQuery], None], words: str
 ) -> None:
     query = LocalizeQuery(scan=raw(scan_at(free_poses(1, 2)[0])))
-    before = said(core, query).open(LocalizeReply)
+    before = output(core, query).open(LocalizeReply)
     bad = LocalizeQuery()
     bad.CopyFrom(query)
     change(bad)
     counted = core.condition().counters.get("queries_refused", 0)
     assert re.match(words, refusal(core, bad))
     assert core.condition().counters["queries_refused"] == counted + 1
-    assert said(core, query).open(LocalizeReply) == before
+    assert output(core, query).open(LocalizeReply) == before
 
 
-def test_without_a_model_it_says_what_is_missing() -> None:
+def test_without_a_model_it_reports_what_is_missing() -> None:
     core = ProjectorCore(ProjectorSettings())
     assert refusal(core, LocalizeQuery(scan=raw(scan_at(free_poses(1, 2)[0])))) == "no answer yet: no model"
 
@@ -257,7 +257,7 @@ def test_queries_with_any_number_of_lidars_leave_a_robots_own_tables_alone() -> 
     kept = core._site.view(own)
     for number in range(12):
         scan = raw(scan_at(pose, range_max=8.0 + number))
-        assert said(core, LocalizeQuery(scan=scan)).channel is LOCALIZE_ANSWERED
+        assert output(core, LocalizeQuery(scan=scan)).channel is LOCALIZE_ANSWERED
     assert core._site.has_view(own)
     assert core._site.view(own) is kept
     assert core._site.sensors == [own]

@@ -11,7 +11,7 @@ from eigenscan.projector.association.ratios import Ratios
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.schemas.methods import of_service
 
-from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, site
+from tests.services.projector.office import free_poses, is_right, poses_of, ready, receive, scan_at, site
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_the_right_pose_is_listed_with_the_grids_covariance(paper: ProjectorCore
     truths = free_poses(40, 5)
     held = 0
     for seed, truth in enumerate(truths):
-        listed, _ = hear(paper, scan_at(truth, seed=seed))
+        listed, _ = receive(paper, scan_at(truth, seed=seed))
         held += bool(is_right(poses_of(listed), truth).any())
         for each in listed.hypotheses:
             c = each.covariance
@@ -92,7 +92,7 @@ def test_what_stands_before_the_reconstruction_is_masked(paper: ProjectorCore) -
         blocked[40:60] = ranges[40:60] > 3.0
         ranges[blocked] -= 2.0
         scan.ranges[:] = ranges.tolist()
-        _, obstacles = hear(paper, scan)
+        _, obstacles = receive(paper, scan)
         if obstacles is None:
             continue
         mask = np.frombuffer(obstacles.mask, dtype=np.uint8)

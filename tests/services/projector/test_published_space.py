@@ -6,7 +6,16 @@ import numpy as np
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.eigenspace.model import RegionModel
 
-from tests.services.projector.office import Array, free_poses, hear, is_right, poses_of, ready, scan_at, site
+from tests.services.projector.office import (
+    Array,
+    free_poses,
+    is_right,
+    poses_of,
+    ready,
+    receive,
+    scan_at,
+    site,
+)
 
 
 def _with_noise(model: RegionModel, seed: int) -> RegionModel:
@@ -29,7 +38,7 @@ def _noisy(built: SiteModel) -> SiteModel:
 
 def _found(built: SiteModel, truths: Array) -> list[Array]:
     core = ready(built, candidates=100)
-    return [poses_of(hear(core, scan_at(truth, seed=i))[0]) for i, truth in enumerate(truths)]
+    return [poses_of(receive(core, scan_at(truth, seed=i))[0]) for i, truth in enumerate(truths)]
 
 
 def test_noise_in_the_place_of_the_published_eigenspaces_changes_the_poses() -> None:

@@ -103,7 +103,7 @@ def query(pose: np.ndarray) -> LocalizeQuery:
     return LocalizeQuery(scan=raw(scan_at(pose, field_of_view=2 * np.pi)))
 
 
-def test_an_answer_comes_without_any_robot_and_says_where(served: Served) -> None:
+def test_an_answer_comes_without_any_robot_and_states_where(served: Served) -> None:
     pose = free_poses(1, 17)[0]
     reply = served.ask(query(pose).SerializeToString(), "application/protobuf;eigenscan.LocalizeQuery/1")
     assert isinstance(reply, LocalizeReply)
@@ -127,9 +127,9 @@ def test_an_answer_comes_without_any_robot_and_says_where(served: Served) -> Non
 def test_bad_input_is_answered_by_an_error_in_words(
     served: Served, payload: bytes | None, encoding: str | None, words: str
 ) -> None:
-    told = served.ask(payload, encoding)
-    assert isinstance(told, str)
-    assert words in told
+    reported = served.ask(payload, encoding)
+    assert isinstance(reported, str)
+    assert words in reported
 
 
 def test_a_flood_of_queries_starves_no_scan_of_the_robot(served: Served) -> None:
@@ -138,11 +138,11 @@ def test_a_flood_of_queries_starves_no_scan_of_the_robot(served: Served) -> None
     inbox, stop = Inbox(), threading.Event()
     served.bus.listen([HYPOTHESES], address, inbox)
     payload = query(free_poses(1, 3)[0]).SerializeToString()
-    told: list[LocalizeReply | str] = []
+    reported: list[LocalizeReply | str] = []
 
     def flood() -> None:
         while not stop.is_set():
-            told.append(served.ask(payload))
+            reported.append(served.ask(payload))
             time.sleep(0.02)
 
     threads = [threading.Thread(target=flood, daemon=True) for _ in range(FLOOD)]
@@ -161,8 +161,8 @@ def test_a_flood_of_queries_starves_no_scan_of_the_robot(served: Served) -> None
         stop.set()
         for thread in threads:
             thread.join(PATIENCE_S)
-    answered = [one for one in told if isinstance(one, LocalizeReply)]
-    refused = [one for one in told if isinstance(one, str)]
+    answered = [one for one in reported if isinstance(one, LocalizeReply)]
+    refused = [one for one in reported if isinstance(one, str)]
     assert answered
     assert refused
     assert all(one.startswith("busy: ") for one in refused)

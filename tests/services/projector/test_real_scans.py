@@ -14,7 +14,7 @@ from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.logs.log import LogOptions
 
 from tests.environment import DATASETS
-from tests.services.projector.office import hear, ready, scan_at
+from tests.services.projector.office import ready, receive, scan_at
 
 LOGS = {
     "intel": ("log.clf.gz", ()),
@@ -63,8 +63,8 @@ def confidence(message: Hypotheses) -> float:
 )
 def test_scans_of_another_building_are_not_squeezed_into_the_best_room(home: str, stranger: str) -> None:
     core = at_home(home)
-    own = [confidence(hear(core, scan)[0]) for scan in real_scans(home)]
-    foreign = [confidence(hear(core, scan)[0]) for scan in real_scans(stranger)]
+    own = [confidence(receive(core, scan)[0]) for scan in real_scans(home)]
+    foreign = [confidence(receive(core, scan)[0]) for scan in real_scans(stranger)]
     assert np.median(own) > 0.8
     assert np.mean(np.array(foreign) > 0.5) < 0.1
     assert np.max(foreign) < 0.95
@@ -75,19 +75,19 @@ def test_a_scan_of_one_range_all_round_is_nowhere(ranges: float) -> None:
     core = at_home("intel")
     scan = scan_at(np.zeros(3))
     scan.ranges[:] = [ranges] * len(scan.ranges)
-    assert confidence(hear(core, scan)[0]) < 0.2
+    assert confidence(receive(core, scan)[0]) < 0.2
 
 
-def test_a_lidar_with_a_cover_on_half_of_its_view_still_says_what_it_knows() -> None:
+def test_a_lidar_with_a_cover_on_half_of_its_view_still_states_what_it_knows() -> None:
     core = at_home("jarvis")
-    told = []
+    reported = []
     for scan in real_scans("jarvis"):
         half = Scan()
         half.CopyFrom(scan)
         covered = np.array(scan.ranges)
         covered[: len(covered) // 2] = 0.1
         half.ranges[:] = covered.tolist()
-        message, _ = hear(core, half)
-        told.append(confidence(message))
+        message, _ = receive(core, half)
+        reported.append(confidence(message))
         assert message.used_beams <= 91
-    assert np.median(told) > 0.8
+    assert np.median(reported) > 0.8

@@ -229,7 +229,7 @@ def test_support_counts_walls_and_beams_through_them() -> None:
     assert longer < shorter - 0.2
 
 
-def test_many_beams_on_one_near_thing_say_little_more_than_one() -> None:
+def test_many_beams_on_one_near_thing_show_little_more_than_one() -> None:
     weight = by_reach(np.array([0.5, 8.0]))
     assert np.isclose(weight.mean(), 1.0)
     # half-way between beams, which count alike, and lengths of wall, of which the far beam sees 16 times more

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from eigenscan.projector.candidates import Candidates, Projected
 from eigenscan.projector.options import ProjectorOptions
-from eigenscan.projector.publishing import told_regions
+from eigenscan.projector.publishing import reported_regions
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share
 from eigenscan.schemas.health_pb2 import Health
 from pydantic import ValidationError
 
-from tests.services.projector.office import free_poses, hear, is_right, poses_of, ready, scan_at, site
+from tests.services.projector.office import free_poses, is_right, poses_of, ready, receive, scan_at, site
 
 # written out, not taken from what is tested: a change there must show here
-TOLD = 64
+REPORTED = 64
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3])
@@ -39,7 +39,7 @@ def test_a_part_that_is_none_is_refused(part: str) -> None:
         ProjectorSettings(part=part)
 
 
-def test_parts_are_called_by_other_names_without_being_told() -> None:
+def test_parts_are_called_by_other_names_without_a_request() -> None:
     def name(**given: str) -> str:
         return ProjectorOptions.model_validate(given).instance
 
@@ -59,8 +59,8 @@ def test_the_lists_of_all_parts_are_as_good_as_one_list() -> None:
     nearly = []
     for i, truth in enumerate(free_poses(40, 141)):
         scan = scan_at(truth, field_of_view=np.deg2rad(270), seed=i)
-        one = hear(whole, scan)[0]
-        several = [hear(half, scan)[0] for half in halves]
+        one = receive(whole, scan)[0]
+        several = [receive(half, scan)[0] for half in halves]
         right = bool(is_right(poses_of(one)[:1], truth)[0])
         alone += right
         listed = [h for message in several for h in message.hypotheses]
@@ -86,9 +86,9 @@ def test_a_message_does_not_grow_with_the_site() -> None:
         rng.normal(size=(count, 4)), rng.uniform(0, 1, count), np.ones(count, bool), np.ones(count, bool)
     )
     none = np.empty(30)
-    told = told_regions(
+    reported = reported_regions(
         Candidates(np.empty((30, 3)), np.empty((30, 3, 3)), none, none, none, region, projected, 0.0, 0.0)
     )
-    assert len(told) <= TOLD
-    assert np.isin(region, told).all()
-    assert np.isin(np.argsort(projected.error_energy)[:30], told).all()
+    assert len(reported) <= REPORTED
+    assert np.isin(region, reported).all()
+    assert np.isin(np.argsort(projected.error_energy)[:30], reported).all()

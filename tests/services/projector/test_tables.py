@@ -25,9 +25,9 @@ from tests.services.projector.office import (
     ADDRESS,
     envelopes,
     free_poses,
-    hear,
     is_right,
     poses_of,
+    receive,
     scan_at,
     site,
 )
@@ -55,7 +55,7 @@ def _at_once(work: Callable[[], None]) -> None:
 
 
 def _answer(core: ProjectorCore, scan: Scan) -> bytes:
-    return hear(core, scan)[0].SerializeToString(deterministic=True)
+    return receive(core, scan)[0].SerializeToString(deterministic=True)
 
 
 def _tables(core: ProjectorCore) -> tables.Tables:
@@ -65,19 +65,19 @@ def _tables(core: ProjectorCore) -> tables.Tables:
 
 @pytest.mark.usefixtures("one_a_scan")
 @pytest.mark.parametrize("view", [np.pi, WIDE])
-def test_a_scan_waits_for_few_regions_and_says_of_what_it_speaks(view: float) -> None:
-    """Until all are ready an answer is about less than the site, and says nothing of the rest."""
+def test_a_scan_waits_for_few_regions_and_states_which_they_are(view: float) -> None:
+    """Until all are ready an answer is about less than the site, and states nothing about the rest."""
     core, truth = _core(), free_poses(1, 3)[0]
     areas, unlisted = [], []
     for i in range(len(site().regions) + 1):
-        message, _ = hear(core, scan_at(truth, field_of_view=view, seed=i))
+        message, _ = receive(core, scan_at(truth, field_of_view=view, seed=i))
         areas.append(message.searched_area_m2)
         unlisted.append(message.unlisted_log_likelihood)
     assert np.all(np.diff(areas) >= 0)
     assert areas[0] < areas[-1] == pytest.approx(site().grid.free_area)
     assert unlisted[0] == 0.0
     scan, whole = scan_at(truth, field_of_view=view), _core()
-    hear(whole, scan)
+    receive(whole, scan)
     assert whole._view is not None
     whole._view.complete()
     assert _answer(core, scan) == _answer(whole, scan)
@@ -102,17 +102,17 @@ def test_the_likeliest_region_is_made_first(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(tables, "PER_SCAN", 2)
     truths = free_poses(15, 9)
     right = [
-        bool(is_right(poses_of(hear(_core(), scan_at(truth, seed=i))[0])[:1], truth)[0])
+        bool(is_right(poses_of(receive(_core(), scan_at(truth, seed=i))[0])[:1], truth)[0])
         for i, truth in enumerate(truths)
     ]
     assert sum(right) >= 12
 
 
-def test_health_says_how_far_the_work_aside_is() -> None:
+def test_health_states_how_far_the_work_aside_is() -> None:
     waiting: list[Callable[[], None]] = []
     core = _core(aside=waiting.append)
     total = len(site().regions)
-    hear(core, scan_at(free_poses(1, 3)[0]))
+    receive(core, scan_at(free_poses(1, 3)[0]))
     made = _tables(core).made
     if made < total:
         assert f"eigenspaces for this lidar: {made} of {total} regions" in core.condition().detail
@@ -147,7 +147,7 @@ def _flip_all(folder: Path) -> None:
         shutil.rmtree,
     ],
 )
-def test_kept_tables_that_are_damaged_are_made_anew(harm: Callable[[Path], object], tmp_path: Path) -> None:
+def test_kept_tables_that_are_damaged_are_made_again(harm: Callable[[Path], object], tmp_path: Path) -> None:
     scans = [scan_at(p, field_of_view=WIDE, seed=i) for i, p in enumerate(free_poses(4, 4))]
     want = [_answer(core, scan) for core in [_core(tmp_path, _at_once)] for scan in scans]
     (kept,) = tmp_path.iterdir()
@@ -161,13 +161,13 @@ def test_kept_tables_that_are_damaged_are_made_anew(harm: Callable[[Path], objec
 
 
 def test_tables_of_another_model_or_lidar_are_not_taken(tmp_path: Path) -> None:
-    hear(_core(tmp_path, _at_once), scan_at(free_poses(1, 3)[0]))
+    receive(_core(tmp_path, _at_once), scan_at(free_poses(1, 3)[0]))
     other = ProjectorCore(ProjectorSettings(), store=TableFolder(tmp_path), aside=_at_once)
     for envelope in envelopes(site(of="tower")):
         list(other.handle(envelope))
-    hear(other, scan_at(free_poses(1, 3)[0]))
+    receive(other, scan_at(free_poses(1, 3)[0]))
     assert "tables_taken" not in other.condition().counters
-    hear(other, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))
+    receive(other, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))
     assert other.condition().counters["tables_kept"] == 2
 
 
@@ -175,7 +175,7 @@ def test_a_full_disk_is_counted_and_costs_no_answer(tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.write_text("")
     core = _core(place / "tables", _at_once)
-    message, _ = hear(core, scan_at(free_poses(1, 3)[0]))
+    message, _ = receive(core, scan_at(free_poses(1, 3)[0]))
     assert message.hypotheses
     assert core.condition().counters["tables_not_kept"] == 1
 
@@ -187,9 +187,9 @@ def test_the_mapbuilders_spaces_are_the_projectors_own_to_the_bit(view: float, r
     """Asked for with a scan, answered once; the answers are the same with them and without."""
     truths = free_poses(5, 12)
     scans = [scan_at(p, field_of_view=view, range_max=reach, seed=i) for i, p in enumerate(truths)]
-    alone, told = _core(), _core()
-    said = list(alone.handle(Envelope(SCAN, ADDRESS, scans[0])))
-    (asked,) = (envelope for envelope in said if envelope.channel is LIDAR_KIND)
+    alone, reported = _core(), _core()
+    output = list(alone.handle(Envelope(SCAN, ADDRESS, scans[0])))
+    (asked,) = (envelope for envelope in output if envelope.channel is LIDAR_KIND)
     builder = MapbuilderCore(MapbuilderSettings(), site(), "s")
     list(builder.start())
     spaces = list(builder.handle(asked))
@@ -197,16 +197,16 @@ def test_the_mapbuilders_spaces_are_the_projectors_own_to_the_bit(view: float, r
     assert all(envelope.channel is SPACE for envelope in spaces)
     assert list(builder.handle(asked)) == []
     for envelope in spaces:
-        assert list(told.handle(envelope)) == []
+        assert list(reported.handle(envelope)) == []
     for scan in scans:
-        assert _answer(told, scan) == _answer(alone, scan)
-    own, heard = _tables(alone), _tables(told)
-    assert heard.is_known
+        assert _answer(reported, scan) == _answer(alone, scan)
+    own, received = _tables(alone), _tables(reported)
+    assert received.is_known
     assert not own.is_known
     for name in ("mean", "vectors", "prior"):
-        np.testing.assert_array_equal(getattr(own.subspaces, name), getattr(heard.subspaces, name))
-    np.testing.assert_array_equal(own.usual_error, heard.usual_error)
-    assert not any(e.channel is LIDAR_KIND for e in told.handle(Envelope(SCAN, ADDRESS, scans[0])))
+        np.testing.assert_array_equal(getattr(own.subspaces, name), getattr(received.subspaces, name))
+    np.testing.assert_array_equal(own.usual_error, received.usual_error)
+    assert not any(e.channel is LIDAR_KIND for e in reported.handle(Envelope(SCAN, ADDRESS, scans[0])))
 
 
 def test_who_is_not_answered_asks_again_later() -> None:
@@ -222,15 +222,15 @@ def test_who_is_not_answered_asks_again_later() -> None:
 
 def test_a_damaged_space_is_refused_by_name_and_the_lidar_is_served() -> None:
     core = _core()
-    said = list(core.handle(Envelope(SCAN, ADDRESS, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))))
+    output = list(core.handle(Envelope(SCAN, ADDRESS, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))))
     builder = MapbuilderCore(MapbuilderSettings(), site(), "s")
     list(builder.start())
-    for envelope in builder.handle(said[-1]):
+    for envelope in builder.handle(output[-1]):
         envelope.message.space.vectors[3] = float("nan")  # type: ignore[attr-defined]
         list(core.handle(envelope))
     assert core.condition().counters["refused_space"] == len(site().regions)
     assert "space: holds numbers that are not finite" in core.condition().detail
-    assert hear(core, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))[0].status == Hypotheses.STATUS_OK
+    assert receive(core, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))[0].status == Hypotheses.STATUS_OK
 
 
 def test_the_first_look_is_the_least_truncated_error_over_all_positions_and_headings() -> None:
@@ -252,10 +252,10 @@ def test_the_first_look_is_the_least_truncated_error_over_all_positions_and_head
 
 def test_a_new_set_forgets_spaces_of_models_that_are_gone() -> None:
     core = _core()
-    said = list(core.handle(Envelope(SCAN, ADDRESS, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))))
+    output = list(core.handle(Envelope(SCAN, ADDRESS, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))))
     builder = MapbuilderCore(MapbuilderSettings(), site(), "s")
     list(builder.start())
-    for envelope in builder.handle(said[-1]):
+    for envelope in builder.handle(output[-1]):
         list(core.handle(envelope))
     first = site().regions[0]
     changed = first.with_ranges(first.index, first.ranges + np.uint16(1))

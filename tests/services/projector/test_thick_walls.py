@@ -10,7 +10,7 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.covariance import pose_covariances
 from scipy.ndimage import distance_transform_edt
 
-from tests.services.projector.office import free_poses, hear, is_right, office, poses_of, ready, scan_at
+from tests.services.projector.office import free_poses, is_right, office, poses_of, ready, receive, scan_at
 
 SCANS = 20
 
@@ -31,7 +31,7 @@ def first_right(by: float, seen_in: GridMap) -> float:
     """Share of the scans of a building whose first pose is right in the map with walls fatter `by` m."""
     hits = []
     for i, truth in enumerate(free_poses(SCANS, 21, fat(0.2))):
-        message, _ = hear(projector(by), scan_at(truth, seed=i, grid=seen_in))
+        message, _ = receive(projector(by), scan_at(truth, seed=i, grid=seen_in))
         hits.append(bool(is_right(poses_of(message)[:1], truth).any()))
     return float(np.mean(hits))
 
@@ -57,7 +57,7 @@ def test_a_thick_wall_makes_its_pose_less_sure() -> None:
 def test_the_pose_is_not_drawn_to_the_faces_of_blurred_walls() -> None:
     off = []
     for i, truth in enumerate(free_poses(SCANS, 21, fat(0.2))):
-        message, _ = hear(projector(0.2), scan_at(truth, seed=i))
+        message, _ = receive(projector(0.2), scan_at(truth, seed=i))
         best = poses_of(message)[0]
         if is_right(best[None], truth)[0]:
             off.append(np.hypot(*(best - truth)[:2]))

@@ -7,7 +7,7 @@ import numpy as np
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
 
-from tests.services.projector.office import free_poses, hear, ready, scan_at
+from tests.services.projector.office import free_poses, ready, receive, scan_at
 
 
 def test_both_scans_are_answered() -> None:
@@ -40,7 +40,7 @@ def _check() -> None:
     before = _compiled()
     core = ready(built)
     for i, truth in enumerate(free_poses(4, 1)):
-        hear(core, scan_at(truth, field_of_view=np.deg2rad(90.0 * (i + 1)), seed=i))
+        receive(core, scan_at(truth, field_of_view=np.deg2rad(90.0 * (i + 1)), seed=i))
     more = sorted(name for name, count in _compiled().items() if count > before.get(name, 0))
     assert before
     assert not more, f"compiled at a scan: {', '.join(more)}"

@@ -26,7 +26,7 @@ SIGMA = np.array([0.05, 0.05, 0.0175])
 
 @dataclass
 class Speaker:
-    """Says what a projector and a robot base would say."""
+    """Publishes what a projector and a robot base would."""
 
     area: float = 400.0
     unlisted: float = 0.0
@@ -90,9 +90,9 @@ def make_core() -> MakeCore:
 
 @pytest.fixture
 def poses_of() -> PosesOf:
-    return lambda said: [each.open(PoseEstimate) for each in said if each.channel is POSE]
+    return lambda output: [each.open(PoseEstimate) for each in output if each.channel is POSE]
 
 
 @pytest.fixture
 def tracks_of() -> TracksOf:
-    return lambda said: [each.open(Tracks) for each in said if each.channel is TRACKS]
+    return lambda output: [each.open(Tracks) for each in output if each.channel is TRACKS]

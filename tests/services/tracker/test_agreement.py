@@ -1,4 +1,4 @@
-"""Odometry held against the motion that scans tell: what lies is found out, named, and not claimed."""
+"""Odometry held against the motion that scans show: what lies is found out, named, and not claimed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
 Step = tuple[float, float, float]
 STEP: Step = (0.05, 0.0, 0.03)
-"""Of a scan, 0.1 s; each third one is told of by scan motion."""
+"""Of a scan, 0.1 s; each third one has scan motion."""
 
 
 def motion(time: float, since: float, moved: Step | None, repeats: int = 0) -> Envelope:
@@ -38,18 +38,18 @@ def drive(
     scans: Callable[[int], Step],
     count: int = 60,
 ) -> list[PoseEstimate]:
-    """A robot that drives by STEP and is seen there; what odometry and scan motion say of each step."""
-    truth, told, seen, said = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.zeros(3), list[PoseEstimate]()
+    """A robot that drives by STEP and is seen there; gives odometry and scan motion of each step."""
+    truth, reported, seen, output = np.array([2.0, 3.0, 0.0]), np.zeros(3), np.zeros(3), list[PoseEstimate]()
     for scan in range(count):
         time = 10.0 + 0.1 * scan
-        list(core.handle(speaker.odometry(time, told)))
+        list(core.handle(speaker.odometry(time, reported)))
         if scan and scan % 3 == 0:
             list(core.handle(motion(time, time - 0.3, (seen[0], seen[1], seen[2]))))
             seen = np.zeros(3)
-        said += poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
-        truth, told = compose(truth, np.array(STEP)), compose(told, np.array(odometry(scan)))
+        output += poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        truth, reported = compose(truth, np.array(STEP)), compose(reported, np.array(odometry(scan)))
         seen = compose(seen, np.array(scans(scan)))
-    return said
+    return output
 
 
 def turned(angle: float) -> Step:
@@ -60,9 +60,9 @@ def test_what_agrees_is_claimed_and_stays_healthy(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     core = make_core()
-    said = drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP)
-    assert said[-1].state == STATE_LOCALIZED
-    assert said[-1].confidence > 0.99
+    output = drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP)
+    assert output[-1].state == STATE_LOCALIZED
+    assert output[-1].confidence > 0.99
     assert core.condition().status == Health.STATUS_OK
 
 
@@ -85,8 +85,8 @@ def test_what_disagrees_is_named_and_not_claimed(
     words: str,
 ) -> None:
     core = make_core()
-    said = drive(core, speaker, poses_of, odometry, scans)
-    late = said[20:]
+    output = drive(core, speaker, poses_of, odometry, scans)
+    late = output[20:]
     assert not any(pose.state == STATE_LOCALIZED or pose.confidence > 0.7 for pose in late)
     assert not any(pose.HasField("protection_radius") for pose in late)
     condition = core.condition()
@@ -108,44 +108,44 @@ def test_late_scans_are_named_with_their_delay(
     assert "1.0 s" in detail
 
 
-def test_encoders_without_a_sign_are_made_up_for_and_told(
+def test_encoders_without_a_sign_are_made_up_for_and_reported(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
-    """Once it has driven ahead as odometry says, the mount is right: what runs backwards is the encoders."""
-    core, truth, told, said = make_core(), np.array([2.0, 3.0, 0.0]), np.zeros(3), list[PoseEstimate]()
+    """Once it has driven ahead as odometry states, the mount is right: the encoders run backwards."""
+    core, truth, reported, output = make_core(), np.array([2.0, 3.0, 0.0]), np.zeros(3), list[PoseEstimate]()
     errors = []
     for scan in range(90):
         time, back = 10.0 + 0.1 * scan, 40 <= scan < 70
-        list(core.handle(speaker.odometry(time, told)))
+        list(core.handle(speaker.odometry(time, reported)))
         if scan:
             moved = (-0.1 if 40 < scan <= 70 else 0.1, 0.0, 0.0)
             list(core.handle(motion(time, time - 0.1, moved)))
         # while it backs out, the map hardly shows the place
-        said += poses_of(core.handle(speaker.hypotheses(time, *(([], []) if back else ([truth], [17.0])))))
-        errors.append(np.hypot(said[-1].pose.x - truth[0], said[-1].pose.y - truth[1]))
+        output += poses_of(core.handle(speaker.hypotheses(time, *(([], []) if back else ([truth], [17.0])))))
+        errors.append(np.hypot(output[-1].pose.x - truth[0], output[-1].pose.y - truth[1]))
         truth = compose(truth, np.array([-0.1 if back else 0.1, 0.0, 0.0]))
-        told = compose(told, np.array([0.1, 0.0, 0.0]))
+        reported = compose(reported, np.array([0.1, 0.0, 0.0]))
     assert max(errors[5:]) < 0.3
-    assert said[-1].state == STATE_LOCALIZED
+    assert output[-1].state == STATE_LOCALIZED
     condition = core.condition()
     assert condition.status == Health.STATUS_DEGRADED
     assert "without a sign" in condition.detail
 
 
 def test_a_repeated_scan_is_no_evidence(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
-    core, told = make_core(), np.zeros(3)
+    core, reported = make_core(), np.zeros(3)
     for scan in range(40):
         time = 10.0 + 0.1 * scan
-        list(core.handle(speaker.odometry(time, told)))
+        list(core.handle(speaker.odometry(time, reported)))
         if scan:
             list(core.handle(motion(time, time - 0.1, None, scan)))
         # of two places the first is a little likelier, again and again
-        said = poses_of(
+        output = poses_of(
             core.handle(speaker.hypotheses(time, [np.array([1.0, 1, 0]), np.array([9.0, 4, 2])], [9.0, 8.0]))
         )
-        told = compose(told, np.array([0.1, 0.0, 0.0]))
+        reported = compose(reported, np.array([0.1, 0.0, 0.0]))
     assert core.condition().counters["scan_repeated"] == 39
-    assert said[-1].state != STATE_LOCALIZED
+    assert output[-1].state != STATE_LOCALIZED
     assert "frozen" in core.condition().detail
 
 
@@ -156,37 +156,39 @@ def test_odometry_of_two_robots_is_not_localized(
     for scan in range(30):
         time = 10.0 + 0.1 * scan
         list(core.handle(speaker.odometry(time, np.array([8.0 * (scan % 2), 0.0, 0.0]))))
-        said = poses_of(core.handle(speaker.hypotheses(time, [np.array([2.0, 3.0, 0.0])], [17.0])))
-    assert said[-1].state != STATE_LOCALIZED
+        output = poses_of(core.handle(speaker.hypotheses(time, [np.array([2.0, 3.0, 0.0])], [17.0])))
+    assert output[-1].state != STATE_LOCALIZED
     assert "two robots" in core.condition().detail
 
 
 def test_map_to_odom_ends_with_the_claim(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP, count=30)
-    ahead, told = np.array([0.1, 0.0, 0.0]), np.zeros(3)
+    ahead, reported = np.array([0.1, 0.0, 0.0]), np.zeros(3)
     for _ in range(29):
-        told = compose(told, np.array(STEP))
+        reported = compose(reported, np.array(STEP))
 
     def transforms(time: float) -> int:
-        heard = core.handle(speaker.odometry(time, told))
-        return sum(envelope.channel is TRANSFORM for envelope in heard)
+        received = core.handle(speaker.odometry(time, reported))
+        return sum(envelope.channel is TRANSFORM for envelope in received)
 
     # no scans any more: odometry carries the claim for some metres, and no farther
-    said = list[int]()
+    output = list[int]()
     for step in range(200):
-        told = compose(told, ahead)
-        said.append(transforms(13.0 + 0.1 * step))
-    assert said[20] == 1
-    assert said[-1] == 0
-    assert 2.0 < 0.1 * sum(said) < 12.0
+        reported = compose(reported, ahead)
+        output.append(transforms(13.0 + 0.1 * step))
+    assert output[20] == 1
+    assert output[-1] == 0
+    assert 2.0 < 0.1 * sum(output) < 12.0
 
 
-def test_map_to_odom_is_not_told_while_lost(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+def test_map_to_odom_is_not_reported_while_lost(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     drive(core, speaker, poses_of, lambda _: STEP, lambda _: (0.0, 0.0, 0.0))
-    heard = core.handle(speaker.odometry(16.1, np.zeros(3)))
-    assert not [envelope for envelope in heard if envelope.channel is TRANSFORM]
+    received = core.handle(speaker.odometry(16.1, np.zeros(3)))
+    assert not [envelope for envelope in received if envelope.channel is TRANSFORM]
 
 
 def test_the_protection_level_holds_the_error_and_is_absent_where_two_places_fit(
@@ -225,7 +227,7 @@ def test_a_hallway_that_hides_how_far_the_robot_came_is_no_evidence_against_it(
             along = motion(time, time - 0.3, (0.0, 0.0, 0.0))
             along.message.covariance.xx = 1.0  # type: ignore[attr-defined]
             list(core.handle(along))
-        said = poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        output = poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
         truth = compose(truth, np.array([0.05, 0.0, 0.0]))
-    assert said[-1].state == STATE_LOCALIZED
+    assert output[-1].state == STATE_LOCALIZED
     assert core.condition().status == Health.STATUS_OK

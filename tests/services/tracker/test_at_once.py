@@ -29,20 +29,20 @@ def at(time: float, speed: float = 0.5, turn: float = 0.4) -> np.ndarray:
 
 def drive(speaker: Speaker, seconds: float) -> list[Envelope]:
     """Odometry of 50 Hz and lists of 10 Hz between, in order of their stamps."""
-    heard: list[tuple[float, Envelope]] = []
+    received: list[tuple[float, Envelope]] = []
     for k in range(round(seconds / PERIOD)):
-        heard.append((k * PERIOD, speaker.odometry(100.0 + k * PERIOD, at(k * PERIOD))))
+        received.append((k * PERIOD, speaker.odometry(100.0 + k * PERIOD, at(k * PERIOD))))
     rng = np.random.default_rng(7)
     for k in range(round(seconds / 0.1) - 1):
         time = 0.1 * k + 0.053
         truth = compose(START, at(time)) + rng.normal(size=3) * 0.02
-        heard.append((time, speaker.hypotheses(100.0 + time, [truth], [25.0])))
-    return [envelope for _, envelope in sorted(heard, key=lambda one: one[0])]
+        received.append((time, speaker.hypotheses(100.0 + time, [truth], [25.0])))
+    return [envelope for _, envelope in sorted(received, key=lambda one: one[0])]
 
 
-def published(core: TrackerCore, heard: Iterable[Envelope]) -> dict[Channel, list[Envelope]]:
+def published(core: TrackerCore, received: Iterable[Envelope]) -> dict[Channel, list[Envelope]]:
     found: dict[Channel, list[Envelope]] = {POSE: [], TRACKS: [], TRANSFORM: []}
-    for envelope in [*(each for one in heard for each in core.handle(one)), *core.finish()]:
+    for envelope in [*(each for one in received for each in core.handle(one)), *core.finish()]:
         found[envelope.channel].append(envelope)
     return found
 
@@ -64,8 +64,8 @@ def test_the_pose_comes_with_the_scan(make_core: MakeCore, speaker: Speaker) -> 
 
 
 def test_poses_are_as_if_they_had_waited(make_core: MakeCore, speaker: Speaker) -> None:
-    heard = drive(speaker, 6.0)
-    waiting, at_once = published(make_core(at_once=False), heard), published(make_core(), heard)
+    received = drive(speaker, 6.0)
+    waiting, at_once = published(make_core(at_once=False), received), published(make_core(), received)
     poses = [[e.open(PoseEstimate) for e in way[POSE]] for way in (waiting, at_once)]
     assert [p.timestamp for p in poses[0]] == [p.timestamp for p in poses[1]]
     assert sum(p.extrapolated for p in poses[1]) == len(poses[1])
@@ -89,15 +89,15 @@ def test_a_robot_that_brakes_hard_is_where_odometry_puts_it_in_the_end(
             where = compose(START, np.array([2.0 * (k * PERIOD + 0.015), 0.0, 0.0]))
             core.handle(speaker.hypotheses(10.015 + k * PERIOD, [where], [25.0]))
     stop = np.array([2.0 * 49 * PERIOD, 0.0, 0.0])
-    said = list(core.handle(speaker.hypotheses(10.995, [compose(START, stop)], [25.0])))
-    ahead = said[0].open(PoseEstimate)
+    output = list(core.handle(speaker.hypotheses(10.995, [compose(START, stop)], [25.0])))
+    ahead = output[0].open(PoseEstimate)
     assert ahead.extrapolated
     for k in range(50, 60):
-        said += core.handle(speaker.odometry(10.0 + k * PERIOD, stop))
-    told = [each.message for each in said if each.channel is TRANSFORM][-1]
-    assert isinstance(told, FrameTransform)
-    theta = yaw(told.rotation)
-    found = compose(np.array([told.translation.x, told.translation.y, theta]), stop)
+        output += core.handle(speaker.odometry(10.0 + k * PERIOD, stop))
+    reported = [each.message for each in output if each.channel is TRANSFORM][-1]
+    assert isinstance(reported, FrameTransform)
+    theta = yaw(reported.rotation)
+    found = compose(np.array([reported.translation.x, reported.translation.y, theta]), stop)
     right = compose(START, stop)
     # what is left of the 3 cm is the share that the last hypothesis took of them
     assert np.hypot(*(found - right)[:2]) < 0.01
@@ -106,15 +106,15 @@ def test_a_robot_that_brakes_hard_is_where_odometry_puts_it_in_the_end(
 
 def test_lists_of_two_projectors_are_taken_in_one_order(make_core: MakeCore, speaker: Speaker) -> None:
     """Their answers to one scan come in any order, and poses do not depend on it."""
-    heard: tuple[list[Envelope], list[Envelope]] = [], []
+    received: tuple[list[Envelope], list[Envelope]] = [], []
     for envelope in drive(speaker, 2.0):
         one = [envelope]
         if "hypotheses" in envelope.key:
             one.append(Envelope(envelope.channel, {**envelope.address, "projector": "1"}, envelope.message))
-        heard[0].extend(one)
+        received[0].extend(one)
         # until both have answered once nobody knows that there are two
-        heard[1].extend(one if envelope.stamp < 100_100_000_000 else reversed(one))
-    either, other = (published(make_core(), way) for way in heard)
+        received[1].extend(one if envelope.stamp < 100_100_000_000 else reversed(one))
+    either, other = (published(make_core(), way) for way in received)
     assert len(either[POSE]) == 38
     for channel in (POSE, TRACKS):
         assert payloads(either[channel]) == payloads(other[channel])
@@ -124,11 +124,11 @@ def test_odometry_that_came_meanwhile_changes_nothing(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     """A projector that takes its time: its lists arrive after the odometry of up to 0.15 s later."""
-    heard = drive(speaker, 3.0)
-    stamps = np.array([envelope.stamp for envelope in heard])
-    late = np.array(["hypotheses" in envelope.key for envelope in heard]) * 150_000_000
-    slow = [heard[k] for k in np.argsort(stamps + late, kind="stable")]
-    expected, found = published(make_core(), heard), published(make_core(), slow)
+    received = drive(speaker, 3.0)
+    stamps = np.array([envelope.stamp for envelope in received])
+    late = np.array(["hypotheses" in envelope.key for envelope in received]) * 150_000_000
+    slow = [received[k] for k in np.argsort(stamps + late, kind="stable")]
+    expected, found = published(make_core(), received), published(make_core(), slow)
     assert payloads(found[POSE]) == payloads(expected[POSE])
     assert payloads(found[TRACKS]) == payloads(expected[TRACKS])
 
@@ -139,8 +139,8 @@ def test_odometry_that_is_due_is_waited_for(make_core: MakeCore, speaker: Speake
         list(core.handle(speaker.odometry(10.0 + k * PERIOD, at(k * PERIOD))))
     # one of 10.06 s is under way
     assert not list(core.handle(speaker.hypotheses(10.065, [compose(START, at(0.065))], [25.0])))
-    told = list(core.handle(speaker.odometry(10.06, at(0.06))))
-    assert [e.open(PoseEstimate).extrapolated for e in told if e.channel is POSE] == [True]
+    reported = list(core.handle(speaker.odometry(10.06, at(0.06))))
+    assert [e.open(PoseEstimate).extrapolated for e in reported if e.channel is POSE] == [True]
 
 
 @pytest.mark.parametrize(
@@ -152,18 +152,20 @@ def test_odometry_that_is_due_is_waited_for(make_core: MakeCore, speaker: Speake
         pytest.param([(10.03, 0.0), (10.05, 0.01)], id="of that very stamp"),
     ],
 )
-def test_where_no_velocity_is_told_the_pose_is_not_marked(
+def test_where_no_velocity_is_known_the_pose_is_not_marked(
     before: list[tuple[float, float]], make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     core = make_core()
     for time, x in before:
         list(core.handle(speaker.odometry(time, np.array([x, 0.0, 0.0]))))
-    told = poses_of(core.handle(speaker.hypotheses(10.05, [START], [25.0])))
-    told += poses_of(core.handle(speaker.odometry(10.06, np.array([before[-1][1], 0.0, 0.0]))))
-    assert [pose.extrapolated for pose in told] == [False]
+    reported = poses_of(core.handle(speaker.hypotheses(10.05, [START], [25.0])))
+    reported += poses_of(core.handle(speaker.odometry(10.06, np.array([before[-1][1], 0.0, 0.0]))))
+    assert [pose.extrapolated for pose in reported] == [False]
 
 
-def test_it_is_said_once_also_at_the_end(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+def test_it_is_published_once_also_at_the_end(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
     core = make_core()
     for k in range(3):
         list(core.handle(speaker.odometry(10.0 + k * PERIOD, at(k * PERIOD))))
@@ -171,7 +173,7 @@ def test_it_is_said_once_also_at_the_end(make_core: MakeCore, speaker: Speaker, 
     assert not list(core.finish())
 
 
-def test_a_relocation_meanwhile_does_not_say_it_twice(
+def test_a_relocation_meanwhile_does_not_publish_it_twice(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     core = make_core()

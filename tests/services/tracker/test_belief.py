@@ -29,7 +29,7 @@ def drive(
     """One right hypothesis among wrong ones that change from scan to scan; gives (pose message, truth)."""
     rng = np.random.default_rng(1)
     truth, odometry = np.array(start), np.zeros(3)
-    heard = []
+    received = []
     for scan in range(scans):
         time += 0.1
         if scan == jump_at:
@@ -42,8 +42,8 @@ def drive(
             logs.append(15.0 + 3.0 * rng.normal())
         core.handle(speaker.odometry(time, odometry))
         for message in poses_of(core.handle(speaker.hypotheses(time, poses, logs))):
-            heard.append((message, truth))
-    return heard
+            received.append((message, truth))
+    return received
 
 
 def is_right(message: PoseEstimate, truth: np.ndarray) -> bool:
@@ -60,18 +60,22 @@ def test_one_sure_scan_localizes(make_core: MakeCore, speaker: Speaker, poses_of
 
 
 def test_tracks_a_driving_robot(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
-    heard = drive(make_core(), speaker, poses_of, scans=100)
-    errors = [np.hypot(m.pose.x - t[0], m.pose.y - t[1]) for m, t in heard]
-    assert len(heard) == 100
+    received = drive(make_core(), speaker, poses_of, scans=100)
+    errors = [np.hypot(m.pose.x - t[0], m.pose.y - t[1]) for m, t in received]
+    assert len(received) == 100
     assert np.median(errors) < 0.03
-    assert all(m.state == STATE_LOCALIZED and is_right(m, t) for m, t in heard)
-    assert len({m.track_id for m, _ in heard}) == 1
+    assert all(m.state == STATE_LOCALIZED and is_right(m, t) for m, t in received)
+    assert len({m.track_id for m, _ in received}) == 1
 
 
 def test_kidnap_is_noticed_and_recovered(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
-    heard = drive(make_core(), speaker, poses_of, scans=80, jump_at=40)
-    wrong_claims = [i for i, (m, t) in enumerate(heard) if m.state == STATE_LOCALIZED and not is_right(m, t)]
-    right = [i for i, (m, t) in enumerate(heard) if i >= 40 and m.state == STATE_LOCALIZED and is_right(m, t)]
+    received = drive(make_core(), speaker, poses_of, scans=80, jump_at=40)
+    wrong_claims = [
+        i for i, (m, t) in enumerate(received) if m.state == STATE_LOCALIZED and not is_right(m, t)
+    ]
+    right = [
+        i for i, (m, t) in enumerate(received) if i >= 40 and m.state == STATE_LOCALIZED and is_right(m, t)
+    ]
     assert all(40 <= i < 50 for i in wrong_claims)
     assert right
     assert right[0] < 50
@@ -89,9 +93,9 @@ def test_standing_in_a_symmetric_place_stays_ambiguous(
     for scan in range(600):
         time = 10.0 + scan * 0.1
         core.handle(speaker.odometry(time, np.zeros(3)))
-        said = core.handle(speaker.hypotheses(time, symmetric(4), 18.0 + 0.5 * rng.normal(size=4)))
-        assert poses_of(said)[0].state == STATE_AMBIGUOUS
-        assert len([t for t in tracks_of(said)[0].tracks if t.probability > 0.05]) == 4
+        output = core.handle(speaker.hypotheses(time, symmetric(4), 18.0 + 0.5 * rng.normal(size=4)))
+        assert poses_of(output)[0].state == STATE_AMBIGUOUS
+        assert len([t for t in tracks_of(output)[0].tracks if t.probability > 0.05]) == 4
 
 
 def test_a_symmetric_place_is_left_by_what_breaks_it(
@@ -125,8 +129,8 @@ def test_a_scan_that_nothing_explains_leaves_the_robot_lost(
 
 def test_leaving_the_map_is_noticed(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
-    heard = drive(core, speaker, poses_of, scans=30)
-    assert heard[-1][0].state == STATE_LOCALIZED
+    received = drive(core, speaker, poses_of, scans=30)
+    assert received[-1][0].state == STATE_LOCALIZED
     states = []
     speaker.unlisted = -20.0
     for scan in range(30):
@@ -180,15 +184,15 @@ def make_stream(speaker: Speaker, scans: int) -> tuple[list[Envelope], list[Enve
     return odometries, hypotheses
 
 
-Said = list[tuple[int, bytes]]
+Published = list[tuple[int, bytes]]
 
 
-def run(core: TrackerCore, envelopes: Iterable[Envelope], poses_of: PosesOf) -> Said:
-    said = []
+def run(core: TrackerCore, envelopes: Iterable[Envelope], poses_of: PosesOf) -> Published:
+    output = []
     for envelope in envelopes:
-        said += poses_of(core.handle(envelope))
-    said += poses_of(core.finish())
-    return [(m.timestamp.ToNanoseconds(), m.SerializeToString(deterministic=True)) for m in said]
+        output += poses_of(core.handle(envelope))
+    output += poses_of(core.finish())
+    return [(m.timestamp.ToNanoseconds(), m.SerializeToString(deterministic=True)) for m in output]
 
 
 def test_order_of_arrival_between_channels_does_not_matter(
@@ -197,11 +201,11 @@ def test_order_of_arrival_between_channels_does_not_matter(
     odometries, hypotheses = make_stream(speaker, 30)
     rng = np.random.default_rng(5)
     both = [*odometries, *hypotheses]
-    heard: list[Odometry | Hypotheses] = [
+    received: list[Odometry | Hypotheses] = [
         *(e.open(Odometry) for e in odometries),
         *(e.open(Hypotheses) for e in hypotheses),
     ]
-    stamps = np.array([message.timestamp.ToNanoseconds() * 1e-9 for message in heard])
+    stamps = np.array([message.timestamp.ToNanoseconds() * 1e-9 for message in received])
     expected = run(make_core(), [both[i] for i in np.argsort(stamps, kind="stable")], poses_of)
     assert len(expected) == 30
     for _ in range(20):
@@ -214,7 +218,7 @@ def test_order_of_arrival_between_channels_does_not_matter(
 def test_a_scan_whose_odometry_does_not_come_in_time_is_counted(
     make_core: MakeCore, speaker: Speaker
 ) -> None:
-    """The answer then hangs on what was there when: a replay must say so."""
+    """The answer then hangs on what was there when: a replay must have it."""
     odometries, hypotheses = make_stream(speaker, 30)
     core = make_core()
     for odometry, seen in zip(odometries[:10], hypotheses[:10], strict=True):
@@ -245,8 +249,8 @@ def test_carried_away_is_noticed_at_once_and_found_again(
         for _ in range(30):
             time += 0.1
             core.handle(speaker.odometry(time, np.zeros(3)))
-            said = core.handle(speaker.hypotheses(time, [place, *aliases], [17.0] + [8.0] * 12))
-            messages += [(message, place) for message in poses_of(said)]
+            output = core.handle(speaker.hypotheses(time, [place, *aliases], [17.0] + [8.0] * 12))
+            messages += [(message, place) for message in poses_of(output)]
     assert not [m for m, place in messages if m.state == STATE_LOCALIZED and not is_right(m, place)]
     assert all(m.state == STATE_LOCALIZED for m, _ in [*messages[5:30], *messages[35:]])
 
@@ -262,8 +266,8 @@ def test_carried_away_is_noticed_where_two_of_ten_go_on_by_chance(
         for _ in range(30):
             time += 0.1
             core.handle(speaker.odometry(time, np.zeros(3)))
-            said = core.handle(speaker.hypotheses(time, [place, *aliases], [19.0] + [9.0] * 12))
-            messages += [(message, place) for message in poses_of(said)]
+            output = core.handle(speaker.hypotheses(time, [place, *aliases], [19.0] + [9.0] * 12))
+            messages += [(message, place) for message in poses_of(output)]
     claims = [(m.state == STATE_LOCALIZED, is_right(m, place)) for m, place in messages]
     assert all(claim == (True, True) for claim in [*claims[5:30], *claims[40:]])
     assert (True, False) not in claims[33:]
@@ -282,9 +286,9 @@ def test_sparse_lists_of_what_the_map_lacks_do_not_end_the_claim(
         core.handle(speaker.odometry(time, odometry))
         lacking = scan >= 11
         poses, logs = [truth, *others(rng)], [17.0] + [6.0] * 12
-        said = core.handle(speaker.hypotheses(time, poses[lacking:], logs[lacking:]))
+        output = core.handle(speaker.hypotheses(time, poses[lacking:], logs[lacking:]))
         if scan > 2:
-            message = poses_of(said)[0]
+            message = poses_of(output)[0]
             assert message.state == STATE_LOCALIZED
             assert is_right(message, truth)
 
@@ -301,8 +305,8 @@ def test_a_covered_sensor_costs_the_claim_only_while_it_is_covered(
         covered = 30 <= scan < 40
         poses = others(rng, 13) if covered else [place, *aliases]
         core.handle(speaker.odometry(time, np.zeros(3)))
-        said = core.handle(speaker.hypotheses(time, poses, ([7.0] if covered else [17.0]) + [6.0] * 12))
-        states += [(m.state, is_right(m, place)) for m in poses_of(said)]
+        output = core.handle(speaker.hypotheses(time, poses, ([7.0] if covered else [17.0]) + [6.0] * 12))
+        states += [(m.state, is_right(m, place)) for m in poses_of(output)]
     assert all(state == (STATE_LOCALIZED, True) for state in states[5:30])
     assert all(state == (STATE_LOCALIZED, True) for state in states[42:])
     assert not any(state == STATE_LOCALIZED and not right for state, right in states)
@@ -316,8 +320,8 @@ def test_a_robot_that_stands_for_an_hour_stays_sure(
     for scan in range(3600):
         time = 10.0 + scan
         core.handle(speaker.odometry(time, np.zeros(3)))
-        said = poses_of(core.handle(speaker.hypotheses(time, [[2.0, 3.0, 0.4]], [17.0])))
-        assert [m.state for m in said] == [STATE_LOCALIZED]
+        output = poses_of(core.handle(speaker.hypotheses(time, [[2.0, 3.0, 0.4]], [17.0])))
+        assert [m.state for m in output] == [STATE_LOCALIZED]
 
 
 def test_a_stretch_that_the_map_hardly_shows_is_driven_through(
@@ -339,30 +343,30 @@ def test_a_stretch_that_the_map_hardly_shows_is_driven_through(
             assert is_right(message, truth)
 
 
-def test_a_lookalike_does_not_take_a_robot_from_where_it_drove(
+def test_a_similar_place_does_not_take_a_robot_from_where_it_drove(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     """Two metres that the map lacks, while another room fits as well as the right one does elsewhere."""
     core, rng = make_core(), np.random.default_rng(8)
     truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
     wrong, aliases = np.array([15.0, 12.0, 1.0]), others(rng, 6)
-    heard, speaker.clutter = [], 0
+    received, speaker.clutter = [], 0
     for scan in range(100):
         truth, odometry, wrong = (compose(pose, STEP) for pose in (truth, odometry, wrong))
         aliases = [compose(pose, STEP) for pose in aliases]
         core.handle(speaker.odometry(10.0 + 0.1 * scan, odometry))
         lacking = 40 <= scan < 80
         poses = [wrong if lacking else truth + rng.normal(size=3) * [0.03, 0.03, 0.01], *aliases]
-        said = core.handle(speaker.hypotheses(10.0 + 0.1 * scan, poses, [15.5, *[7.0] * 6]))
-        heard += [(message, truth) for message in poses_of(said)]
-    assert all(is_right(m, t) for m, t in heard if m.state == STATE_LOCALIZED)
-    assert all(m.state == STATE_LOCALIZED for m, _ in [*heard[5:40], *heard[90:]])
+        output = core.handle(speaker.hypotheses(10.0 + 0.1 * scan, poses, [15.5, *[7.0] * 6]))
+        received += [(message, truth) for message in poses_of(output)]
+    assert all(is_right(m, t) for m, t in received if m.state == STATE_LOCALIZED)
+    assert all(m.state == STATE_LOCALIZED for m, _ in [*received[5:40], *received[90:]])
 
 
 def test_wheels_that_slip_do_not_lose_the_robot(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
-    """Odometry says forward while the robot goes back: what the scans show nearby takes over."""
+    """Odometry reports forward while the robot goes back: what the scans show nearby takes over."""
     core, rng = make_core(), np.random.default_rng(9)
     truth, odometry = np.array([2.0, 3.0, 0.0]), np.zeros(3)
     wrong_for = 0
@@ -380,7 +384,7 @@ def test_wheels_that_slip_do_not_lose_the_robot(
 
 
 @pytest.mark.parametrize("metres", [1.0, 2.0, 4.0])
-def test_between_sparse_scans_wheels_slip_and_the_next_list_tells(
+def test_between_sparse_scans_wheels_slip_and_the_next_list_shows(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, metres: float
 ) -> None:
     """That the robot was right metres ago is no word on the way since."""
@@ -401,15 +405,15 @@ def test_between_sparse_scans_wheels_slip_and_the_next_list_tells(
 
 def test_off_the_map_the_claim_ends(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core, rng = make_core(), np.random.default_rng(10)
-    heard = drive(core, speaker, poses_of, scans=30)
-    assert heard[-1][0].state == STATE_LOCALIZED
+    received = drive(core, speaker, poses_of, scans=30)
+    assert received[-1][0].state == STATE_LOCALIZED
     states, odometry = [], np.zeros(3)
     for scan in range(400):
         time = 103.0 + 0.1 * (scan + 1)
         odometry = compose(odometry, STEP)
         core.handle(speaker.odometry(time, odometry))
-        said = core.handle(speaker.hypotheses(time, others(rng, 5), 5.0 + rng.normal(size=5)))
-        states += [m.state for m in poses_of(said)]
+        output = core.handle(speaker.hypotheses(time, others(rng, 5), 5.0 + rng.normal(size=5)))
+        states += [m.state for m in poses_of(output)]
     # twenty metres
     assert states[-1] == STATE_LOST
     assert STATE_LOCALIZED not in states[300:]
@@ -427,12 +431,12 @@ def test_two_projectors_share_a_site(
         time = 10.0 + 0.1 * scan
         truth, odometry, alias = (compose(pose, STEP) for pose in (truth, odometry, alias))
         core.handle(speaker.odometry(time, odometry))
-        said = [
+        output = [
             *core.handle(speaker.hypotheses(time, [truth, *others(rng, 3)], [14.0, 7, 6, 5], projector="0")),
             *core.handle(speaker.hypotheses(time, [alias, *others(rng, 3)], [10.0, 7, 6, 5], projector="1")),
         ]
         # that the second list lacks the robot's place is no news of it
-        last = poses_of(said)[-1]
+        last = poses_of(output)[-1]
         assert last.state == STATE_LOCALIZED
         assert is_right(last, truth)
         assert last.confidence > 0.9

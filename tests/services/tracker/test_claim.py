@@ -81,7 +81,7 @@ def test_a_robot_that_stands_is_claimed_again_after_its_memory() -> None:
     assert states == [STATE_AMBIGUOUS] * 5 + [STATE_LOCALIZED] * 10
 
 
-def test_where_scans_tell_that_the_robot_was_carried_away_nothing_is_held_back() -> None:
+def test_where_scans_show_that_the_robot_was_carried_away_nothing_is_held_back() -> None:
     claim = Claim(TrackerSettings())
     claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
     claim.forget()

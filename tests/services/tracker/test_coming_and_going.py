@@ -1,4 +1,4 @@
-"""Robots that come and go: a tracker for many keeps those that it heard lately."""
+"""Robots that come and go: a tracker for many keeps those that it received lately."""
 
 import gc
 
@@ -23,7 +23,7 @@ def trackers() -> int:
     return sum(type(one) is RobotTracker for one in gc.get_objects())
 
 
-def test_who_is_gone_is_forgotten_and_begins_anew_and_who_stays_does_not(
+def test_who_is_gone_is_forgotten_and_starts_again_and_who_stays_does_not(
     make_core: MakeCore, speaker: Speaker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recently_used, "AMONG", AMONG)
@@ -31,8 +31,8 @@ def test_who_is_gone_is_forgotten_and_begins_anew_and_who_stays_does_not(
 
     def knows(robot: str, time: float) -> bool:
         """Its odometry is placed in the map only once a pose was claimed."""
-        said = core.handle(of(robot, speaker.odometry(time, np.zeros(3))))
-        return any(each.channel is TRANSFORM for each in said)
+        output = core.handle(of(robot, speaker.odometry(time, np.zeros(3))))
+        return any(each.channel is TRANSFORM for each in output)
 
     for robot in ("gone", "stays"):
         for time in np.arange(0.0, 2.0, 0.1).tolist():

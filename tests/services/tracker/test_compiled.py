@@ -43,8 +43,8 @@ def test_files_of_two_that_compiled_at_once_fit_each_other(tmp_path: Path) -> No
     one, other, mixed = (tmp_path / name for name in ("one", "other", "mixed"))
     running = [begin(one, 0), begin(other, 5)]
     for process in running:
-        _, said = process.communicate(timeout=600)
-        assert process.returncode == 0, said
+        _, output = process.communicate(timeout=600)
+        assert process.returncode == 0, output
     files = sorted(path.relative_to(one) for path in one.rglob("*.nb?"))
     assert files == sorted(path.relative_to(other) for path in other.rglob("*.nb?"))
     assert len(files) > 10
@@ -53,5 +53,5 @@ def test_files_of_two_that_compiled_at_once_fit_each_other(tmp_path: Path) -> No
             (mixed / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2((one, other)[number >> bit & 1] / file, mixed / file)
         last = begin(mixed, 0)
-        _, said = last.communicate(timeout=600)
-        assert last.returncode == 0, said
+        _, output = last.communicate(timeout=600)
+        assert last.returncode == 0, output

@@ -57,7 +57,7 @@ def test_the_more_go_on_the_less_was_the_robot_carried_away() -> None:
     ratios = [carried_ratio(count, near) for count in range(COMPARED + 1)]
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[2] > 1.0 > ratios[8]
-    # a metre or a turn on, fewer go on anyhow: their number tells little, but that there is none does
+    # a metre or a turn on, fewer go on anyhow: their number shows little, but that there is none does
     for moved_on in (far, moved(0.05, 0.4)):
         none, *some = (carried_ratio(count, moved_on) for count in range(COMPARED + 1))
         assert none > 1.0 > some[0]
@@ -77,6 +77,6 @@ def test_the_more_go_on_the_less_was_the_robot_carried_away() -> None:
         (20, 20, moved(0.0, 0.0, unknown=1.0)),
     ],
 )
-def test_what_cannot_be_compared_tells_nothing(before: int, after: int, motion: Motion) -> None:
+def test_what_cannot_be_compared_shows_nothing(before: int, after: int, motion: Motion) -> None:
     rng = np.random.default_rng(2)
     assert goes_on(somewhere(rng, before), somewhere(rng, after), motion) is None

@@ -1,4 +1,4 @@
-"""What a scan says of a track, against formulas written out."""
+"""What a scan shows of a track, against formulas written out."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.evidence import (
     Merit,
-    explained_by_twins,
+    aliases_go_on,
+    aliases_of,
+    explained_by_aliases,
     hide_and_show,
     learned,
     likelihood_at,
     present_evidence,
-    share_twins,
+    share_aliases,
     slipped,
     surprise,
-    twins_go_on,
-    twins_of,
 )
 from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.odometry import Motion
@@ -46,7 +46,7 @@ SLIP_M = 0.1
 SLIP_RAD = 0.1
 SLIP_SHARE = 1.0
 SLIPS = 0.02
-TWINS = 0.015
+ALIASES = 0.015
 
 R = np.diag([0.05, 0.05, 0.02]) ** 2
 
@@ -81,7 +81,7 @@ def test_the_best_is_worth_what_it_is_ahead_of_other_places() -> None:
     merit = Merit.of(seen)
     # its neighbour is of the same place, and ahead of the next one by less
     np.testing.assert_allclose(merit.alone, [15.0 + 3.0, 14.0 + 2.0, 12.0, 11.0 - 1.5 * 0.25])
-    lone = merit.foretold - Merit.of(listed(seen.poses[2:3], [12.0])).foretold[0]
+    lone = merit.predicted - Merit.of(listed(seen.poses[2:3], [12.0])).predicted[0]
     assert lone[3] < lone[2] < lone[0]
 
 
@@ -110,11 +110,11 @@ def test_an_empty_list_is_worth_nothing() -> None:
     assert len(Merit.of(listed(np.zeros((0, 3)), [])).alone) == 0
 
 
-def test_a_vague_track_learns_no_more_than_the_scan_alone_tells() -> None:
+def test_a_vague_track_learns_no_more_than_the_scan_alone_shows() -> None:
     seen = listed([[1.0, 1.0, 0.0]], [12.0])
     sharp, vague = R[None] / 4, R[None] * 1e6
     merit = Merit.of(seen)
-    for C, bound in ((sharp, merit.foretold[0]), (vague, merit.alone[0] - np.log(1e6 + 1.0) * 1.5)):
+    for C, bound in ((sharp, merit.predicted[0]), (vague, merit.alone[0] - np.log(1e6 + 1.0) * 1.5)):
         pairs = associate(np.array([[1.0, 1.0, 0.0]]), C, seen.poses, seen.covariances, 16.0)
         assert merit.of_pairs(pairs)[0] == pytest.approx(bound, abs=1e-9)
 
@@ -141,7 +141,7 @@ def within_gates(tracks: Tracks, seen: Observation, gate: float = 16.0) -> Pairs
 
 def test_slipped_mass_is_a_wide_gaussian_about_each_track() -> None:
     tracks = join([track([2, 3, 0.5], mass=0.6, way=1.5, turn=0.4), track([8, 1, -3.1], mass=0.4)])
-    # so little speaks for them that what a scan alone tells is the less
+    # so little speaks for them that what a scan alone shows is the less
     seen = listed([[3.8, 2.7, 0.9], [7.5, 1.1, 3.1]], [-8.0, -9.0])
     merit, expected = Merit.of(seen), np.zeros(2)
     for x, mass, way, turn in (([2, 3, 0.5], 0.6, 1.5, 0.4), ([8, 1, -3.1], 0.4, 0.0, 0.0)):
@@ -150,16 +150,16 @@ def test_slipped_mass_is_a_wide_gaussian_about_each_track() -> None:
         off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
         density = multivariate_normal(np.zeros(3), R + R + np.diag(sigma**2)).pdf(off)
         volume = np.sqrt((2.0 * np.pi) ** 3 * np.linalg.det(R))
-        expected += SLIPS * mass * np.minimum(np.exp(merit.foretold), np.exp(merit.alone) * volume * density)
+        expected += SLIPS * mass * np.minimum(np.exp(merit.predicted), np.exp(merit.alone) * volume * density)
     found = slipped(tracks, seen, merit, within_gates(tracks, seen))
     np.testing.assert_allclose(found, np.log(expected), rtol=1e-9)
 
 
-def test_a_hypothesis_nearby_says_no_more_of_a_slip_than_of_a_track() -> None:
+def test_a_hypothesis_nearby_shows_no_more_of_a_slip_than_of_a_track() -> None:
     tracks, seen = track([2.0, 3.0, 0.5], way=0.5), listed([[2.4, 3.0, 0.5]], [40.0])
     merit = Merit.of(seen)
     found = slipped(tracks, seen, merit, within_gates(tracks, seen))
-    assert found[0] == pytest.approx(np.log(SLIPS) + merit.foretold[0])
+    assert found[0] == pytest.approx(np.log(SLIPS) + merit.predicted[0])
 
 
 def test_a_track_has_not_slipped_to_what_is_in_its_gate() -> None:
@@ -187,13 +187,13 @@ def test_without_tracks_nothing_slips() -> None:
     st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-12.0, 12.0)), min_size=1, max_size=6),
     st.floats(0.0, 1.0),
 )
-def test_twins_are_weighed_by_bayes(tracks: list[tuple[float, float]], none: float) -> None:
-    """Case by case: none of the tracks is a twin, or the first is, or the second, and so on."""
+def test_aliases_are_weighed_by_bayes(tracks: list[tuple[float, float]], none: float) -> None:
+    """Case by case: none of the tracks is an alias, or the first is, or the second, and so on."""
     prior = np.array([none + 0.01, *(share for share, _ in tracks)])
     prior /= prior.sum()
     likelihood = np.exp([0.0, *(gained for _, gained in tracks)])
     gained = np.array([gained for _, gained in tracks])
-    explained, of_others, after = explained_by_twins(prior[1:], gained)
+    explained, of_others, after = explained_by_aliases(prior[1:], gained)
     joint = prior * likelihood
     assert explained == pytest.approx(np.log(joint.sum()), abs=1e-9)
     np.testing.assert_allclose(after, joint[1:] / joint.sum(), atol=1e-9)
@@ -203,26 +203,26 @@ def test_twins_are_weighed_by_bayes(tracks: list[tuple[float, float]], none: flo
             assert other == pytest.approx(np.log(rest), abs=1e-6)
 
 
-def test_a_lookalike_that_goes_on_gains_no_more_than_twins_end() -> None:
-    """What looked right at first tells little by looking right again, however well it does."""
-    twin, told = twins_of(np.array([6.0])), []
+def test_a_similar_place_that_goes_on_gains_no_more_than_aliases_end() -> None:
+    """What looked right at first shows little by looking right again, however well it does."""
+    alias, reported = aliases_of(np.array([6.0])), []
     for _ in range(20):
-        explained, _, twin = explained_by_twins(twins_go_on(twin, 1.0), np.array([6.0]))
-        told.append(6.0 - explained)
-    # the share of twins that end over a step is all that is left to learn
-    assert told[-1] == pytest.approx(-np.log(np.exp(-ENDS)), abs=0.02)
-    assert max(told[1:]) < 0.5
+        explained, _, alias = explained_by_aliases(aliases_go_on(alias, 1.0), np.array([6.0]))
+        reported.append(6.0 - explained)
+    # the share of aliases that end over a step is all that is left to learn
+    assert reported[-1] == pytest.approx(-np.log(np.exp(-ENDS)), abs=0.02)
+    assert max(reported[1:]) < 0.5
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1e3))
-def test_twins_are_one_at_most_and_in_the_end_as_many_as_usual(a: float, b: float, progress: float) -> None:
-    tracks = Tracks(**{**vars(join([track([0, 0, 0]), track([5, 0, 0])])), "twin": np.array([a, b])})
-    shared = share_twins(tracks).twin
+def test_aliases_are_one_at_most_and_in_the_end_as_many_as_usual(a: float, b: float, progress: float) -> None:
+    tracks = Tracks(**{**vars(join([track([0, 0, 0]), track([5, 0, 0])])), "alias": np.array([a, b])})
+    shared = share_aliases(tracks).alias
     assert shared.sum() <= 1.0 + 1e-9
-    after = twins_go_on(shared, progress)
+    after = aliases_go_on(shared, progress)
     assert (after >= 0.0).all()
     assert after.sum() <= 1.0 + 1e-9
-    np.testing.assert_allclose(twins_go_on(np.zeros(2), 1e6), [TWINS, TWINS])
+    np.testing.assert_allclose(aliases_go_on(np.zeros(2), 1e6), [ALIASES, ALIASES])
 
 
 def test_a_usual_innovation_leaves_the_covariance_as_it_is() -> None:
@@ -245,8 +245,8 @@ def test_two_places_that_look_the_same_stay_even_where_one_of_them_had_a_poor_tr
         step = np.array([0.1 * (number - 20), 0.0, 0.0])
         core.handle(speaker.odometry(0.1 * number, compose(turning[-1], step)))
         here, there = compose(poor + out, step), compose(poor + out + [0.0, 40.0, 0.0], step)
-        said = core.handle(speaker.hypotheses(0.1 * number, [here, there], [22.0, 22.0]))
-        (tracks,) = tracks_of(said)
+        output = core.handle(speaker.hypotheses(0.1 * number, [here, there], [22.0, 22.0]))
+        (tracks,) = tracks_of(output)
         masses = [
             sum(t.probability for t in tracks.tracks if np.hypot(t.pose.x - x, t.pose.y - y) < 1.0)
             for x, y in (here[:2], there[:2])
@@ -256,8 +256,8 @@ def test_two_places_that_look_the_same_stay_even_where_one_of_them_had_a_poor_tr
 
 
 @given(st.floats(EVEN_POOR, EVEN_EXACT), st.floats(0.0, 300.0), st.floats(0.0, 1.0))
-def test_a_map_counts_as_between_poor_and_exact(even: float, likelihood: float, novelty: float) -> None:
-    after = learned(even, likelihood, novelty)
+def test_a_map_counts_as_between_poor_and_exact(even: float, likelihood: float, weight: float) -> None:
+    after = learned(even, likelihood, weight)
     assert EVEN_POOR <= after <= EVEN_EXACT
     # towards what the scan shows, or not at all
     assert (after - even) * (likelihood - EVEN_BELOW - even) >= 0.0

@@ -41,15 +41,15 @@ def drive(
     core: TrackerCore, speaker: Speaker, at: np.ndarray, begin_s: float, scans: int = 15
 ) -> list[PoseEstimate]:
     """Poses while the robot drives on from `at` with odometry, 0.1 m a scan."""
-    said: list[Envelope] = []
+    output: list[Envelope] = []
     for number in range(scans):
         step = np.array([0.1 * number, 0.0, 0.0])
-        said += core.handle(speaker.odometry(begin_s + 0.1 * number, step))
-        said += core.handle(speaker.hypotheses(begin_s + 0.1 * number, [compose(at, step)], [20.0]))
-    return [each.open(PoseEstimate) for each in said if each.channel is POSE]
+        output += core.handle(speaker.odometry(begin_s + 0.1 * number, step))
+        output += core.handle(speaker.hypotheses(begin_s + 0.1 * number, [compose(at, step)], [20.0]))
+    return [each.open(PoseEstimate) for each in output if each.channel is POSE]
 
 
-def test_a_pose_names_its_floor_and_is_told_in_that_floors_own_frame(
+def test_a_pose_names_its_floor_and_is_reported_in_that_floors_own_frame(
     make_core: MakeCore, speaker: Speaker
 ) -> None:
     core = make_core()
@@ -130,7 +130,7 @@ def test_one_place_in_two_map_frames_is_ambiguous_and_health_names_them(
     rate_hz: float,
     has_odometry: bool,
 ) -> None:
-    core, pose, said, reasons = make_core(), HERE, list[PoseEstimate](), set[str]()
+    core, pose, output, reasons = make_core(), HERE, list[PoseEstimate](), set[str]()
     for number in range(60):
         at = number / rate_hz
         out: list[Envelope] = []
@@ -139,27 +139,27 @@ def test_one_place_in_two_map_frames_is_ambiguous_and_health_names_them(
         for frame in ORDERS[order](number):
             listed = speaker.hypotheses(at, [pose], [20.0], projector=FRAMES[frame], frame=FRAMES[frame])
             out += core.handle(listed)
-        said += [each.open(PoseEstimate) for each in out if each.channel is POSE]
+        output += [each.open(PoseEstimate) for each in out if each.channel is POSE]
         if core.condition().status == Health.STATUS_DEGRADED:
             reasons.add(core.condition().detail)
         pose = compose(pose, [0.5 / rate_hz, 0.0, 0.05 / rate_hz])
     alone = next(
-        number for number, one in enumerate(said) if one.frame_id != said[0].frame_id or number == 11
+        number for number, one in enumerate(output) if one.frame_id != output[0].frame_id or number == 11
     )
-    later = said[alone:]  # before, one frame was all that there was
+    later = output[alone:]  # before, one frame was all that there was
     assert not [one for one in later if one.state == STATE_LOCALIZED]
     assert {one.state for one in later} >= {STATE_AMBIGUOUS}
     assert any("'first' and 'ground'" in reason for reason in reasons), reasons
 
 
 def test_frames_of_which_one_fits_keep_the_claim(make_core: MakeCore, speaker: Speaker) -> None:
-    core, said = make_core(), list[Envelope]()
+    core, output = make_core(), list[Envelope]()
     for number in range(40):
         pose, at = compose(HERE, [0.05 * number, 0.0, 0.0]), 0.1 * number
-        said += core.handle(speaker.odometry(at, pose))
-        said += core.handle(speaker.hypotheses(at, [pose], [20.0], projector="0", frame="ground"))
-        said += core.handle(speaker.hypotheses(at, [pose], [1.0], projector="1", frame="first"))
-    states = [one.open(PoseEstimate).state for one in said if one.channel is POSE]
+        output += core.handle(speaker.odometry(at, pose))
+        output += core.handle(speaker.hypotheses(at, [pose], [20.0], projector="0", frame="ground"))
+        output += core.handle(speaker.hypotheses(at, [pose], [1.0], projector="1", frame="first"))
+    states = [one.open(PoseEstimate).state for one in output if one.channel is POSE]
     assert states[4:] == [STATE_LOCALIZED] * (len(states) - 4)
     assert core.condition().status == Health.STATUS_OK
 
@@ -187,11 +187,11 @@ def test_a_robot_that_leaves_a_lift_into_another_frame_is_claimed_there_at_its_n
 
 
 def test_a_frame_that_is_silent_for_long_holds_nothing_up(make_core: MakeCore, speaker: Speaker) -> None:
-    core, said = make_core(), list[Envelope]()
+    core, output = make_core(), list[Envelope]()
     for number in range(80):
         pose, at = compose(HERE, [0.05 * number, 0.0, 0.0]), 0.1 * number
-        frame = "ground" if number < 20 else "first"  # its projector was started anew with another name
-        said += core.handle(speaker.odometry(at, pose))
-        said += core.handle(speaker.hypotheses(at, [pose], [20.0], projector=frame, frame=frame))
-    last = [one.open(PoseEstimate) for one in said if one.channel is POSE][-1]
+        frame = "ground" if number < 20 else "first"  # its projector was started again with another name
+        output += core.handle(speaker.odometry(at, pose))
+        output += core.handle(speaker.hypotheses(at, [pose], [20.0], projector=frame, frame=frame))
+    last = [one.open(PoseEstimate) for one in output if one.channel is POSE][-1]
     assert (last.state, last.frame_id) == (STATE_LOCALIZED, "first")

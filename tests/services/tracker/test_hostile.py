@@ -82,8 +82,8 @@ def relocation(draw: st.DrawFn) -> Envelope:
     return Envelope(RELOCATION, ADDRESS, message)
 
 
-def check(said: list[Envelope]) -> None:
-    for each in said:
+def check(output: list[Envelope]) -> None:
+    for each in output:
         if each.channel is TRACKS:
             tracks = each.open(Tracks)
             masses = [track.probability for track in tracks.tracks]
@@ -118,14 +118,14 @@ TRUTH = np.array([4.0, 5.0, 1.0])
 def standing(
     core: TrackerCore, speaker: Speaker, poses_of: PosesOf, start: float, scans: int
 ) -> list[PoseEstimate]:
-    said = []
+    output = []
     for scan in range(scans):
         time = start + 0.1 * scan
         core.handle(speaker.odometry(time, np.array([1.0, 1.0, 0.0])))
-        said += poses_of(
+        output += poses_of(
             core.handle(speaker.hypotheses(time, [TRUTH, np.add(TRUTH, [5, 0, 0])], [30.0, 15.0]))
         )
-    return said
+    return output
 
 
 def is_right(message: PoseEstimate) -> bool:
@@ -191,15 +191,15 @@ def test_a_jump_of_odometry_lowers_the_confidence_until_a_scan_confirms(
     blind = poses_of(core.handle(speaker.hypotheses(10.5, [], [], status=Hypotheses.STATUS_UNUSABLE_SCAN)))[0]
     assert core.condition().counters["odometry_taken_as_jump"] == 1
     assert blind.confidence < 0.6 < before.confidence
-    said = []
+    output = []
     for scan in range(5):
         time = 10.6 + 0.1 * scan
         core.handle(speaker.odometry(time, np.array([11.0, 1.0, 0.0])))
-        said += poses_of(
+        output += poses_of(
             core.handle(speaker.hypotheses(time, [TRUTH, np.add(TRUTH, [5, 0, 0])], [30.0, 15.0]))
         )
-    assert said[-1].state == STATE_LOCALIZED
-    assert is_right(said[-1])
+    assert output[-1].state == STATE_LOCALIZED
+    assert is_right(output[-1])
 
 
 def test_a_scan_from_the_future_is_set_aside(
@@ -239,14 +239,14 @@ def test_sparse_scans_without_odometry_get_their_poses(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, apart_s: float
 ) -> None:
     core = make_core()
-    said = [
+    output = [
         pose
         for scan in range(26)
         for pose in poses_of(core.handle(speaker.hypotheses(10.0 + apart_s * scan, [TRUTH], [60.0])))
     ]
     # one waits for odometry that never comes, and the first far stamp for another that confirms it
-    assert len(said) >= 24
-    assert is_right(said[-1])
+    assert len(output) >= 24
+    assert is_right(output[-1])
 
 
 def test_late_hypotheses_of_a_second_lidar_count(
@@ -256,8 +256,8 @@ def test_late_hypotheses_of_a_second_lidar_count(
     for scan in range(10):
         time = 10.0 + 0.1 * scan
         core.handle(speaker.odometry(time, np.array([0.1 * scan, 0.0, 0.0])))
-        twins = [np.array([1.0 + 0.1 * scan, 2.0, 0.0]), np.array([9.0 + 0.1 * scan, 2.0, 0.0])]
-        message = poses_of(core.handle(speaker.hypotheses(time, twins, [30.0, 30.0])))[0]
+        aliases = [np.array([1.0 + 0.1 * scan, 2.0, 0.0]), np.array([9.0 + 0.1 * scan, 2.0, 0.0])]
+        message = poses_of(core.handle(speaker.hypotheses(time, aliases, [30.0, 30.0])))[0]
     assert message.state != STATE_LOCALIZED
     late = speaker.hypotheses(10.5, [np.array([1.5, 2.0, 0.0])], [30.0], lidar="rear")
     message = poses_of(core.handle(late))[0]
@@ -275,13 +275,13 @@ def test_a_repeated_message_counts_once(make_core: MakeCore, speaker: Speaker, p
     assert core.condition().counters["hypotheses_duplicate"] == 1
 
 
-def test_a_clock_set_back_starts_anew(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
+def test_a_clock_set_back_starts_again(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     standing(core, speaker, poses_of, 1000.0, 5)
-    said = standing(core, speaker, poses_of, 10.0, 20)
-    assert len(said) >= 15
-    assert said[-1].state == STATE_LOCALIZED
-    assert is_right(said[-1])
+    output = standing(core, speaker, poses_of, 10.0, 20)
+    assert len(output) >= 15
+    assert output[-1].state == STATE_LOCALIZED
+    assert is_right(output[-1])
 
 
 def test_covariances_that_are_none_are_replaced(
@@ -302,8 +302,8 @@ def test_robots_do_not_share_a_belief(make_core: MakeCore, speaker: Speaker, pos
     two = Envelope(two.channel, {**two.address, "robot": "other"}, two.message)
     core.handle(one)
     core.handle(two)
-    said = list(core.finish())
-    found = {e.address["robot"]: e.open(PoseEstimate).pose.x for e in said if e.channel is POSE}
+    output = list(core.finish())
+    found = {e.address["robot"]: e.open(PoseEstimate).pose.x for e in output if e.channel is POSE}
     assert found == pytest.approx({"r": TRUTH[0], "other": TRUTH[0] + 3})
 
 
@@ -315,10 +315,10 @@ def test_a_message_of_other_floors_leaves_a_floor_alone(
         time = 10.0 + 0.1 * scan
         core.handle(speaker.odometry(time, np.zeros(3)))
         core.handle(speaker.hypotheses(time, [TRUTH], [30.0], projector="ground", frame="ground"))
-        said = poses_of(
+        output = poses_of(
             core.handle(
                 speaker.hypotheses(time, [np.add(TRUTH, [2, 0, 0])], [12.0], projector="first", frame="first")
             )
         )
-    assert said[-1].state == STATE_LOCALIZED
-    assert said[-1].frame_id == "ground"
+    assert output[-1].state == STATE_LOCALIZED
+    assert output[-1].frame_id == "ground"

@@ -1,4 +1,4 @@
-"""The normalised innovation squared that a track tells: filterpy's, and as large as the covariances say."""
+"""The normalised innovation squared that a track shows: filterpy's, and as large as the covariances state."""
 
 from __future__ import annotations
 
@@ -49,26 +49,26 @@ def oracle(before: np.ndarray, C: np.ndarray, seen: np.ndarray) -> float:
 def drive(
     core: TrackerCore, speaker: Speaker, tracks_of: TracksOf, scans: int, seed: int
 ) -> list[tuple[Tracks, np.ndarray]]:
-    """A robot whose odometry and hypotheses err exactly as their covariances say; (tracks, what was seen)."""
+    """A robot whose odometry and hypotheses err as their covariances state; (tracks, what was seen)."""
     rng = np.random.default_rng(seed)
     truth, odometry = np.array([2.0, 3.0, 0.1]), np.zeros(3)
-    speaker.covariance, speaker.clutter, heard = R, 0, []
+    speaker.covariance, speaker.clutter, received = R, 0, []
     for scan in range(scans):
         time = 10.0 + 0.5 * scan
         seen = truth + rng.multivariate_normal(np.zeros(3), R)
         core.handle(speaker.odometry(time, odometry))
-        said = core.handle(speaker.hypotheses(time, [seen, compose(seen, AWAY)], [17.0, 5.0]))
-        heard += [(tracks, seen) for tracks in tracks_of(said)]
+        output = core.handle(speaker.hypotheses(time, [seen, compose(seen, AWAY)], [17.0, 5.0]))
+        received += [(tracks, seen) for tracks in tracks_of(output)]
         odometry = compose(odometry, STEP)
         truth = compose(truth, STEP + rng.multivariate_normal(np.zeros(3), noise()))
-    assert len(heard) == scans
-    return heard
+    assert len(received) == scans
+    return received
 
 
 def test_it_is_filterpys(make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf) -> None:
-    heard = drive(make_core(), speaker, tracks_of, 12, 1)
-    assert not heard[0][0].tracks[0].HasField("nis")
-    for (earlier, _), (later, seen) in pairwise(heard):
+    received = drive(make_core(), speaker, tracks_of, 12, 1)
+    assert not received[0][0].tracks[0].HasField("nis")
+    for (earlier, _), (later, seen) in pairwise(received):
         before = next(track for track in earlier.tracks if track.id == later.tracks[0].id)
         pose, C = from_message(before.pose), covariance_from_message(before.covariance)
         assert later.tracks[0].nis == pytest.approx(oracle(pose, C, seen), rel=1e-5)
@@ -90,7 +90,7 @@ def test_a_scan_that_gives_a_track_no_hypothesis_leaves_none(
 def test_right_covariances_give_innovations_within_their_bounds(
     make_core: MakeCore, speaker: Speaker, tracks_of: TracksOf
 ) -> None:
-    heard = drive(make_core(), speaker, tracks_of, 400, 2)
-    squares = [tracks.tracks[0].nis for tracks, _ in heard[1:]]
+    received = drive(make_core(), speaker, tracks_of, 400, 2)
+    squares = [tracks.tracks[0].nis for tracks, _ in received[1:]]
     low, high = chi2.interval(0.95, 3 * len(squares))
     assert low < sum(squares) < high

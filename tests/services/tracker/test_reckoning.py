@@ -30,7 +30,7 @@ SECOND = 1_000_000_000
 START = np.array([[2.0, 3.0, 0.5], [7.0, 1.0, -2.0]])
 
 
-def told(delta: Pose, seconds: float = 1.0, unknown: float = 0.0) -> Motion:
+def reported(delta: Pose, seconds: float = 1.0, unknown: float = 0.0) -> Motion:
     return Motion(delta, float(np.hypot(*delta[:2])), abs(delta[2]), 0.0, unknown, 0.0, seconds)
 
 
@@ -41,7 +41,7 @@ def tracks(stamp: int) -> Tracks:
 
 def steady(delta: Pose) -> Callable[[int, int], Motion]:
     """Odometry of a robot that drives `delta` every second, straight ahead."""
-    return lambda a, b: told(scaled(delta, (b - a) / SECOND), (b - a) / SECOND)
+    return lambda a, b: reported(scaled(delta, (b - a) / SECOND), (b - a) / SECOND)
 
 
 @given(
@@ -50,11 +50,11 @@ def steady(delta: Pose) -> Callable[[int, int], Motion]:
 )
 def test_a_leg_is_kalmans_update_of_odometry_by_scan_motion(way: Pose, off: Pose) -> None:
     seen = compose_one(way, off)
-    found = leg(ScanInterval("front", 0, SECOND, seen, (1e-4, 2e-5, 4e-4), 1e-4), told(way), SETTINGS)
+    found = leg(ScanInterval("front", 0, SECOND, seen, (1e-4, 2e-5, 4e-4), 1e-4), reported(way), SETTINGS)
     slow = KalmanFilter(3, 3)
-    slow.x, slow.P, slow.H = np.zeros((3, 1)), motion_noise(told(way), SETTINGS), np.eye(3)
-    told_by_fit = np.array([[1e-4, 2e-5, 0.0], [2e-5, 4e-4, 0.0], [0.0, 0.0, 1e-4]])
-    slow.R = np.diag(SCAN_SIGMA**2) + told_by_fit
+    slow.x, slow.P, slow.H = np.zeros((3, 1)), motion_noise(reported(way), SETTINGS), np.eye(3)
+    reported_by_fit = np.array([[1e-4, 2e-5, 0.0], [2e-5, 4e-4, 0.0], [0.0, 0.0, 1e-4]])
+    slow.R = np.diag(SCAN_SIGMA**2) + reported_by_fit
     slow.update(np.array(off).reshape(3, 1))
     np.testing.assert_allclose(found.correction, slow.x[:, 0], atol=1e-9)
     np.testing.assert_allclose(found.noise, slow.P, atol=1e-9)
@@ -63,13 +63,13 @@ def test_a_leg_is_kalmans_update_of_odometry_by_scan_motion(way: Pose, off: Pose
 
 def test_odometry_that_slips_gives_way_to_the_scans() -> None:
     seen = (0.2, 0.0, 0.0)
-    found = leg(ScanInterval("front", 0, SECOND, seen), told((0.0, 0.0, 0.8)), SETTINGS)
+    found = leg(ScanInterval("front", 0, SECOND, seen), reported((0.0, 0.0, 0.8)), SETTINGS)
     np.testing.assert_allclose(found.delta, seen, atol=0.02)
 
 
 def test_a_track_that_nothing_confirmed_is_where_odometry_and_scans_together_lead() -> None:
     step = (0.3, 0.0, 0.1)
-    way = leg(ScanInterval("front", 0, SECOND, (0.25, 0.0, 0.2)), told(step), SETTINGS)
+    way = leg(ScanInterval("front", 0, SECOND, (0.25, 0.0, 0.2)), reported(step), SETTINGS)
     before = tracks(0)
     # predicted by odometry to 1.5 s, then set right over the first second
     rest = steady(step)(SECOND, 3 * SECOND // 2)
@@ -78,7 +78,7 @@ def test_a_track_that_nothing_confirmed_is_where_odometry_and_scans_together_lea
     np.testing.assert_allclose(after.x, right, atol=1e-12)
     assert (after.fixed_at == SECOND).all()
     # surer than by odometry alone
-    _, alone = predict(*predict(START, before.C, told(step), SETTINGS), rest, SETTINGS)
+    _, alone = predict(*predict(START, before.C, reported(step), SETTINGS), rest, SETTINGS)
     assert (np.linalg.det(after.C) < np.linalg.det(alone)).all()
 
 
@@ -87,7 +87,7 @@ def test_a_track_takes_the_part_of_a_correction_since_it_was_confirmed(
     confirmed: float, share: float
 ) -> None:
     step = (0.4, 0.0, 0.0)
-    way = leg(ScanInterval("front", 0, SECOND, (0.4, 0.0, 0.1)), told(step), SETTINGS)
+    way = leg(ScanInterval("front", 0, SECOND, (0.4, 0.0, 0.1)), reported(step), SETTINGS)
     at = round(confirmed * SECOND)
     before = tracks(at)
     after = correct(before, way, max(at, SECOND), steady(step), SETTINGS)
@@ -98,14 +98,14 @@ def test_a_track_takes_the_part_of_a_correction_since_it_was_confirmed(
 def test_a_turn_that_odometry_misses_does_not_lead_a_hidden_track_astray(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
-    """Odometry tells nothing of half a radian, in a place that the map does not show."""
-    core, truth, says = make_core(), np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    """Odometry shows nothing of half a radian, in a place that the map does not show."""
+    core, truth, stated = make_core(), np.array([2.0, 3.0, 0.0]), np.zeros(3)
     before = truth
     errors = list[float]()
     for scan in range(80):
         time, hidden = 10.0 + 0.1 * scan, 30 <= scan < 70
         turns = 0.05 if 30 <= scan < 40 else 0.0
-        list(core.handle(speaker.odometry(time, says)))
+        list(core.handle(speaker.odometry(time, stated)))
         if scan and scan % 3 == 0:
             list(core.handle(motion(time, time - 0.3, _since(truth, before))))
         if scan % 3 == 0:
@@ -114,14 +114,14 @@ def test_a_turn_that_odometry_misses_does_not_lead_a_hidden_track_astray(
         (pose,) = poses_of(core.handle(speaker.hypotheses(time, *seen)))
         errors.append(float(np.hypot(pose.pose.x - truth[0], pose.pose.y - truth[1])))
         truth = compose(truth, np.array([0.05, 0.0, turns]))
-        says = compose(says, np.array([0.05, 0.0, 0.0]))
+        stated = compose(stated, np.array([0.05, 0.0, 0.0]))
     assert max(errors) < 0.25
 
 
 @pytest.mark.parametrize(
     "ways", [{"alone"}, {"with hypotheses"}, {"alone", "with hypotheses"}, {"both, late"}]
 )
-def test_a_pose_has_the_turn_that_its_own_scan_tells(
+def test_a_pose_has_the_turn_that_its_own_scan_shows(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, ways: set[str]
 ) -> None:
     """Odometry misses a quick turn, and the scan's list is empty."""
@@ -169,7 +169,7 @@ def _since(now: NDArray[np.float64], before: NDArray[np.float64]) -> Pose:
     return between((x, y, heading), (a, b, c))
 
 
-def test_nothing_told_leaves_the_tracks() -> None:
+def test_no_report_leaves_the_tracks() -> None:
     before = tracks(5 * SECOND)
-    way = leg(ScanInterval("front", 0, SECOND, IDENTITY), told(IDENTITY), SETTINGS)
+    way = leg(ScanInterval("front", 0, SECOND, IDENTITY), reported(IDENTITY), SETTINGS)
     assert correct(before, way, 6 * SECOND, steady(IDENTITY), SETTINGS) is before

@@ -1,4 +1,4 @@
-"""Word from outside of where the robot is: it overrules the belief, and scans overrule it."""
+"""Word from outside about where the robot is: it overrules the belief, and scans overrule it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from eigenscan.tracker.core import TrackerCore
 from tests.services.tracker.conftest import MakeCore, Speaker
 
 HERE, THERE = np.array([2.0, 3.0, 0.5]), np.array([12.0, -4.0, -2.0])
-SURE, TWINS = [30.0], [20.0, 20.0]
+SURE, ALIASES = [30.0], [20.0, 20.0]
 
 
 def word(
@@ -31,11 +31,11 @@ def stand(
     core: TrackerCore, speaker: Speaker, times: np.ndarray, poses: list[np.ndarray], merits: list[float]
 ) -> PoseEstimate:
     """The last estimate of a robot that stands at the odometry's origin."""
-    said: list[Envelope] = []
+    output: list[Envelope] = []
     for time in times.tolist():
-        said += core.handle(speaker.odometry(time, np.zeros(3)))
-        said += core.handle(speaker.hypotheses(time, poses, merits))
-    return [each.open(PoseEstimate) for each in said if each.channel is POSE][-1]
+        output += core.handle(speaker.odometry(time, np.zeros(3)))
+        output += core.handle(speaker.hypotheses(time, poses, merits))
+    return [each.open(PoseEstimate) for each in output if each.channel is POSE][-1]
 
 
 def is_near(message: PoseEstimate, pose: np.ndarray) -> bool:
@@ -48,37 +48,37 @@ def test_a_click_settles_which_of_two_rooms_alike(
     make_core: MakeCore, speaker: Speaker, method: str, which: int
 ) -> None:
     core = make_core(method=method)
-    twins = [HERE, THERE]
-    assert stand(core, speaker, np.arange(0, 1, 0.1), twins, TWINS).state == STATE_AMBIGUOUS
-    core.handle(word(1.0, twins[which] + [0.4, -0.3, 0.2]))
-    after = stand(core, speaker, np.arange(1.0, 2.0, 0.1), twins, TWINS)
+    aliases = [HERE, THERE]
+    assert stand(core, speaker, np.arange(0, 1, 0.1), aliases, ALIASES).state == STATE_AMBIGUOUS
+    core.handle(word(1.0, aliases[which] + [0.4, -0.3, 0.2]))
+    after = stand(core, speaker, np.arange(1.0, 2.0, 0.1), aliases, ALIASES)
     assert after.state == STATE_LOCALIZED
-    assert is_near(after, twins[which])
+    assert is_near(after, aliases[which])
 
 
 def test_a_precise_word_is_enough_to_claim(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(0.0, HERE, sigma=0.1))
-    said = stand(core, speaker, np.arange(0, 1, 0.1), [HERE, THERE], TWINS)
-    assert said.state == STATE_LOCALIZED
-    assert is_near(said, HERE)
+    output = stand(core, speaker, np.arange(0, 1, 0.1), [HERE, THERE], ALIASES)
+    assert output.state == STATE_LOCALIZED
+    assert is_near(output, HERE)
 
 
 def test_a_wrong_click_does_not_last(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(0.0, THERE))
-    said = stand(core, speaker, np.arange(0, 1, 0.1), [HERE], SURE)
-    assert said.state == STATE_LOCALIZED
-    assert is_near(said, HERE)
+    output = stand(core, speaker, np.arange(0, 1, 0.1), [HERE], SURE)
+    assert output.state == STATE_LOCALIZED
+    assert is_near(output, HERE)
 
 
-def test_told_to_forget_it_begins_as_at_the_start(make_core: MakeCore, speaker: Speaker) -> None:
+def test_asked_to_forget_it_begins_as_at_the_start(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     before = stand(core, speaker, np.arange(0, 1, 0.1), [HERE], SURE)
     assert before.state == STATE_LOCALIZED
     core.handle(word(1.0))
     assert [each.channel for each in core.handle(speaker.odometry(1.0, np.zeros(3)))] == []
-    after = stand(core, speaker, np.arange(1.05, 1.15, 0.1), [HERE, THERE], TWINS)
+    after = stand(core, speaker, np.arange(1.05, 1.15, 0.1), [HERE, THERE], ALIASES)
     assert after.state == STATE_AMBIGUOUS
     assert after.track_id > before.track_id
     found = stand(core, speaker, np.arange(1.2, 2.0, 0.1), [THERE], SURE)
@@ -92,8 +92,8 @@ def test_a_word_is_moved_on_to_the_scan(make_core: MakeCore, speaker: Speaker) -
     for time in np.arange(0, 1.05, 0.1):
         core.handle(speaker.odometry(time, np.array([time, 0.0, 0.0])))
     core.handle(word(0.2, np.array([5.0, 5.0, np.pi / 2]), sigma=0.1))
-    said = [*core.handle(speaker.hypotheses(1.0, [], []))]
-    tracks = next(each.open(Tracks) for each in said if each.channel is TRACKS)
+    output = [*core.handle(speaker.hypotheses(1.0, [], []))]
+    tracks = next(each.open(Tracks) for each in output if each.channel is TRACKS)
     assert tracks.tracks[0].pose.x == pytest.approx(5.0, abs=1e-6)
     assert tracks.tracks[0].pose.y == pytest.approx(5.8, abs=1e-6)
     assert tracks.tracks[0].observations == 0
@@ -102,17 +102,17 @@ def test_a_word_is_moved_on_to_the_scan(make_core: MakeCore, speaker: Speaker) -
 def test_a_stamp_of_another_clock_counts_as_now(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(1e6, HERE, sigma=0.1))
-    assert is_near(stand(core, speaker, np.arange(0, 0.5, 0.1), [HERE, THERE], TWINS), HERE)
+    assert is_near(stand(core, speaker, np.arange(0, 0.5, 0.1), [HERE, THERE], ALIASES), HERE)
 
 
 def test_a_word_waits_for_a_scan_of_its_floor(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     core.handle(word(0.0, HERE, sigma=0.1, frame="upstairs"))
-    other = stand(core, speaker, np.arange(0, 0.5, 0.1), [HERE, THERE], TWINS)
+    other = stand(core, speaker, np.arange(0, 0.5, 0.1), [HERE, THERE], ALIASES)
     assert other.state == STATE_AMBIGUOUS
-    said = [*core.handle(speaker.hypotheses(0.5, [HERE, THERE], TWINS, frame="upstairs"))]
-    said += core.handle(speaker.odometry(0.5, np.zeros(3)))
-    tracks = next(each.open(Tracks) for each in said if each.channel is TRACKS)
+    output = [*core.handle(speaker.hypotheses(0.5, [HERE, THERE], ALIASES, frame="upstairs"))]
+    output += core.handle(speaker.odometry(0.5, np.zeros(3)))
+    tracks = next(each.open(Tracks) for each in output if each.channel is TRACKS)
     assert np.hypot(tracks.tracks[0].pose.x - HERE[0], tracks.tracks[0].pose.y - HERE[1]) < 0.2
 
 

@@ -29,20 +29,20 @@ def pose_and_covariance(track: Track) -> tuple[np.ndarray, np.ndarray]:
 
 def after(tracker: TrackerCore, speaker: Speaker, tracks_of: TracksOf, *lists: list[np.ndarray]) -> Tracks:
     """Tracks after lists a second apart, without odometry, every hypothesis as likely as another."""
-    said = [
+    output = [
         tracks
         for number, poses in enumerate(lists)
         for tracks in tracks_of(tracker.handle(speaker.hypotheses(float(number), poses, [20.0] * len(poses))))
     ]
-    said += tracks_of(tracker.finish())
-    assert len(said) == len(lists)
-    return said[-1]
+    output += tracks_of(tracker.finish())
+    assert len(output) == len(lists)
+    return output[-1]
 
 
 def test_a_new_track_has_the_grids_covariance(
     tracker: TrackerCore, speaker: Speaker, tracks_of: TracksOf
 ) -> None:
-    """Cp, whatever the projector says."""
+    """Cp, no matter what the projector states."""
     (track,) = after(tracker, speaker, tracks_of, [HERE]).tracks
     pose, C = pose_and_covariance(track)
     assert pose == pytest.approx(HERE)
@@ -112,12 +112,12 @@ def test_poses_that_err_by_centimetres_are_no_evidence(
     """Four places that look alike stay four: pose estimates differ by less than the grid's spacing."""
     rng = np.random.default_rng(seed)
     places = np.array([[5.0 * k, 0.0, 0.5 * k] for k in range(4)])
-    driven, said = np.zeros(3), []
+    driven, output = np.zeros(3), []
     for number in range(60):
         time = 1.0 + 0.5 * number
         list(tracker.handle(speaker.odometry(time, driven)))
         seen = compose(places, driven) + rng.normal(0.0, [0.03, 0.03, 0.01], (4, 3))
-        said += tracks_of(tracker.handle(speaker.hypotheses(time, seen, [20.0] * 4)))
+        output += tracks_of(tracker.handle(speaker.hypotheses(time, seen, [20.0] * 4)))
         driven = compose(driven, np.array([0.05, 0.0, 0.02]))
-    assert len(said) == 60
-    assert [track.probability for track in said[-1].tracks] == pytest.approx([0.25] * 4, abs=0.06)
+    assert len(output) == 60
+    assert [track.probability for track in output[-1].tracks] == pytest.approx([0.25] * 4, abs=0.06)

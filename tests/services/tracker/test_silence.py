@@ -1,4 +1,4 @@
-"""Hypotheses that end without a pose for more than 2 s: health is degraded and says why."""
+"""Hypotheses that end without a pose for more than 2 s: health is degraded and states why."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ HERE = np.array([2.0, 3.0, 0.0])
 RATE_S = 0.1
 
 
-def said_poses(core: TrackerCore, heard: Iterable[Envelope]) -> int:
+def published_poses(core: TrackerCore, received: Iterable[Envelope]) -> int:
     """How many estimates with a pose came of it."""
-    said = [each for message in heard for each in core.handle(message)]
-    return sum(each.open(PoseEstimate).track_id != 0 for each in said if each.channel is POSE)
+    output = [each for message in received for each in core.handle(message)]
+    return sum(each.open(PoseEstimate).track_id != 0 for each in output if each.channel is POSE)
 
 
-def lists(speaker: Speaker, seconds: float, start: float = 0.0, **told: object) -> list[Envelope]:
+def lists(speaker: Speaker, seconds: float, start: float = 0.0, **reported: object) -> list[Envelope]:
     times = start + np.arange(0.0, seconds, RATE_S)
-    return [speaker.hypotheses(float(time), [HERE], [20.0], **told) for time in times]  # type: ignore[arg-type]
+    return [speaker.hypotheses(float(time), [HERE], [20.0], **reported) for time in times]  # type: ignore[arg-type]
 
 
 def degraded(core: TrackerCore) -> str:
@@ -38,7 +38,7 @@ def degraded(core: TrackerCore) -> str:
 
 def test_while_poses_come_nothing_is_wrong(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
-    assert said_poses(core, lists(speaker, 5.0)) > 40
+    assert published_poses(core, lists(speaker, 5.0)) > 40
     assert degraded(core) == ""
 
 
@@ -46,24 +46,24 @@ def test_odometry_that_is_behind(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core(patience=10.0)
     for time in np.arange(20.0, 23.0, RATE_S):
         list(core.handle(speaker.odometry(float(time) - 7.0, HERE)))
-        assert not said_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])])
+        assert not published_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])])
     assert "odometry stamps are 7.0 s behind the scans" in degraded(core)
     # it catches up: the lists that waited are answered
-    assert said_poses(core, [speaker.odometry(23.0, HERE)])
+    assert published_poses(core, [speaker.odometry(23.0, HERE)])
     assert degraded(core) == ""
 
 
 def test_odometry_that_never_comes(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core(patience=10.0)
-    assert not said_poses(core, lists(speaker, 3.0))
+    assert not published_poses(core, lists(speaker, 3.0))
     assert degraded(core).endswith("wait for odometry, no pose: none has come")
 
 
 def test_stamps_that_stand_still(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
-    said_poses(core, [speaker.hypotheses(5.0, [HERE], [20.0]) for _ in range(30)])
+    published_poses(core, [speaker.hypotheses(5.0, [HERE], [20.0]) for _ in range(30)])
     assert "each repeats an earlier stamp" in degraded(core)
-    said_poses(core, lists(speaker, 0.5, start=5.1))
+    published_poses(core, lists(speaker, 0.5, start=5.1))
     assert degraded(core) == ""
 
 
@@ -72,26 +72,26 @@ def test_stamps_that_stand_still_are_noticed_by_odometrys(make_core: MakeCore, s
     core = make_core()
     for time in (5.0, 6.0, 7.0, 8.0, 9.0):
         list(core.handle(speaker.odometry(time, HERE)))
-        said_poses(core, [speaker.hypotheses(5.0, [HERE], [20.0])])
+        published_poses(core, [speaker.hypotheses(5.0, [HERE], [20.0])])
     assert "each repeats an earlier stamp" in degraded(core)
 
 
 def test_stamps_too_far_apart_to_confirm_each_other(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
-    heard = [speaker.hypotheses(100.0 * k, [HERE], [20.0]) for k in range(4)]
-    assert not said_poses(core, heard)
+    received = [speaker.hypotheses(100.0 * k, [HERE], [20.0]) for k in range(4)]
+    assert not published_poses(core, received)
     assert "none within 60 s confirms it" in degraded(core)
 
 
 def test_one_lidar_of_two_whose_clock_is_behind(make_core: MakeCore, speaker: Speaker) -> None:
-    """Tracking begins anew again and again, as either lidar's clock counts."""
+    """Tracking starts again and again, as either lidar's clock counts."""
     core = make_core()
     for time in np.arange(20.0, 25.0, RATE_S):
         list(core.handle(speaker.odometry(float(time), HERE)))
-        said_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])])
-        said_poses(core, [speaker.hypotheses(float(time) - 10.0, [HERE], [20.0], lidar="rear")])
+        published_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])])
+        published_poses(core, [speaker.hypotheses(float(time) - 10.0, [HERE], [20.0], lidar="rear")])
     assert "jump back by 10.0 s repeatedly" in degraded(core)
-    said_poses(core, lists(speaker, 6.0, start=25.0))
+    published_poses(core, lists(speaker, 6.0, start=25.0))
     assert degraded(core) == ""
 
 
@@ -99,37 +99,37 @@ def test_a_few_lists_from_the_past_over_a_long_time(make_core: MakeCore, speaker
     """Four in a row do not set the clock back; another lidar's poses do not hide that they are lost."""
     core = make_core()
     for time in np.arange(20.0, 24.1, 1.0):
-        said_poses(core, lists(speaker, 0.9, start=float(time)))
+        published_poses(core, lists(speaker, 0.9, start=float(time)))
         if time < 24.0:
-            said_poses(core, [speaker.hypotheses(float(time) - 3.0, [HERE], [20.0], lidar="rear")])
+            published_poses(core, [speaker.hypotheses(float(time) - 3.0, [HERE], [20.0], lidar="rear")])
     assert "hypotheses of rear/0 arrive, no pose: their stamps are" in degraded(core)
     assert "s behind the newest" in degraded(core)
 
 
 def test_unusable_scans(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
-    assert not said_poses(core, lists(speaker, 3.0, status=Hypotheses.STATUS_UNUSABLE_SCAN))
+    assert not published_poses(core, lists(speaker, 3.0, status=Hypotheses.STATUS_UNUSABLE_SCAN))
     assert "is the lidar covered?" in degraded(core)
-    said_poses(core, lists(speaker, 1.0, start=3.0))
+    published_poses(core, lists(speaker, 1.0, start=3.0))
     assert degraded(core) == ""
 
 
 def test_unusable_scans_for_a_moment_are_no_fault(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
-    said_poses(core, lists(speaker, 1.0, status=Hypotheses.STATUS_UNUSABLE_SCAN))
+    published_poses(core, lists(speaker, 1.0, status=Hypotheses.STATUS_UNUSABLE_SCAN))
     assert degraded(core) == ""
 
 
-def test_a_frozen_lidar_after_a_search_anew(make_core: MakeCore, speaker: Speaker) -> None:
+def test_a_frozen_lidar_after_a_new_search(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     robot = {"site": "s", "robot": "r"}
-    said_poses(core, lists(speaker, 1.0))
+    published_poses(core, lists(speaker, 1.0))
     list(core.handle(Envelope(RELOCATION, robot, Relocation(timestamp=stamp(1_000_000_000)))))
     for number in range(10, 40):
         since, until = stamp(round((number - 1) * RATE_S * 1e9)), stamp(round(number * RATE_S * 1e9))
         frozen = ScanMotion(since=since, timestamp=until, repeats=1)
         list(core.handle(Envelope(SCAN_MOTION, {**robot, "lidar": "front"}, frozen)))
-        assert not said_poses(core, [speaker.hypotheses(number * RATE_S, [HERE], [20.0])])
+        assert not published_poses(core, [speaker.hypotheses(number * RATE_S, [HERE], [20.0])])
     assert "each scan repeats the one before" in degraded(core)
 
 
@@ -137,15 +137,15 @@ def test_maps_of_different_names_are_no_reason(make_core: MakeCore, speaker: Spe
     core = make_core()
     for number in range(50):
         listed = ([HERE], [20.0]) if number % 2 else ([], [])
-        heard = speaker.hypotheses(number * RATE_S, *listed, frame=f"floor_{number % 2}")
-        said_poses(core, [heard])
+        received = speaker.hypotheses(number * RATE_S, *listed, frame=f"floor_{number % 2}")
+        published_poses(core, [received])
     assert degraded(core) == ""
 
 
 def test_empty_lists(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     times = np.arange(0.0, 3.0, RATE_S)
-    assert not said_poses(core, [speaker.hypotheses(float(time), [], []) for time in times])
+    assert not published_poses(core, [speaker.hypotheses(float(time), [], []) for time in times])
     assert "the lists are empty" in degraded(core)
 
 
@@ -154,12 +154,12 @@ def test_lists_of_no_numbers(make_core: MakeCore, speaker: Speaker) -> None:
     speaker.clutter = 0
     nowhere = np.full(3, np.nan)
     times = np.arange(0.0, 3.0, RATE_S)
-    assert not said_poses(core, [speaker.hypotheses(float(time), [nowhere], [1.0]) for time in times])
+    assert not published_poses(core, [speaker.hypotheses(float(time), [nowhere], [1.0]) for time in times])
     assert "no numbers" in degraded(core)
 
 
-def test_hypotheses_that_say_nothing(make_core: MakeCore, speaker: Speaker) -> None:
+def test_hypotheses_that_show_nothing(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     speaker.clutter, speaker.unlisted = 0, 20.0
-    assert not said_poses(core, lists(speaker, 3.0))
+    assert not published_poses(core, lists(speaker, 3.0))
     assert "none is likelier than a pose that is not listed" in degraded(core)

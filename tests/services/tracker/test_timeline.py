@@ -28,8 +28,8 @@ def seen(seconds: float, source: str = "front/0") -> Observation:
 def test_a_clock_that_was_set_back_catches_up_unseen() -> None:
     """Found by simtest: 2.2 s back, and two scans later a claim 1.5 m off."""
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
-    heard = [timeline.receive(seen(stamp)) for stamp in (37.0, 38.0, 36.76, 37.76, 38.76)]
-    assert heard == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TOO_LATE, Outcome.TAKEN]
+    received = [timeline.receive(seen(stamp)) for stamp in (37.0, 38.0, 36.76, 37.76, 38.76)]
+    assert received == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TOO_LATE, Outcome.TAKEN]
 
 
 def test_a_slow_projector_is_taken_after_one_list_that_came_too_late() -> None:

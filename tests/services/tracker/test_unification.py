@@ -93,7 +93,7 @@ def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
         expected = {
             "log_weight": np.log(weight.sum()),
             "hidden": weight @ tracks.hidden[group] / weight.sum(),
-            "twin": tracks.twin[group].sum(),
+            "alias": tracks.alias[group].sum(),
             "evidence": shown @ tracks.evidence[group] / shown.sum(),
             "frame": tracks.frame[group[0]],
             "fixed_at": 99 if len(group) > 1 else tracks.fixed_at[group[0]],

@@ -15,7 +15,7 @@ STEP_NOISE = (0.01, 0.01, 0.01)
 
 
 def oracle_readings(steps: np.ndarray, seconds: np.ndarray) -> list[Reading]:
-    """What filterpy says of increments after the first, none of which is refused."""
+    """What filterpy computes for increments after the first, none of which is refused."""
     kalman = KalmanFilter(dim_x=3, dim_z=3)
     kalman.F = kalman.H = np.eye(3)
     kalman.x, kalman.P = steps[0] / seconds[0], np.diag((np.array(STEP_NOISE) / seconds[0]) ** 2)

@@ -38,7 +38,7 @@ def support(
 ) -> tuple[Array, Array]:
     """Mean support (n,) of a scan for sensor poses (n, 3), at most 1, and the share (n,) of explained beams.
 
-    `seen` (B,) are finite ranges along `bearings` (B,); `through` (n, B), 0 to 1, tells how surely beams went
+    `seen` (B,) are finite ranges along `bearings` (B,); `through` (n, B), 0 to 1, shows how surely beams went
     through a wall. A beam is explained that ends at a wall, and more likely than not at the first one. Beams
     count `by_reach`.
     """

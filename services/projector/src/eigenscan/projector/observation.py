@@ -52,7 +52,7 @@ def by_reach(ranges: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.fl
     """Weights (n,) of beams with ranges (n,), m, 1 in the mean: the root of the range.
 
     Half-way between beams that count alike and stretches of wall that count by their length, for many beams
-    on one near thing (a person) say little more than one.
+    on one near thing (a person) show little more than one.
     """
     root: NDArray[np.float64] = np.sqrt(ranges, dtype=np.float64)
     return root / max(float(root.mean()), 1e-9)

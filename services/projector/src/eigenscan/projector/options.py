@@ -32,6 +32,6 @@ class ProjectorOptions(ProjectorSettings, ServiceSettings):
         robot, part = str(given.get("robot", DEFAULT_ROBOT)), str(given.get("part", "1/1"))
         if part == "1/1" or not re.fullmatch(PART, part):
             return given
-        with suppress(ContractError):  # the robot's own field tells what is wrong
+        with suppress(ContractError):  # the robot's own field shows what is wrong
             return given | {"instance": f"{instance_name(robot)}-{part.replace('/', 'of')}"}
         return given

@@ -222,7 +222,7 @@ def _weigh(
         kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
         ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
         found.append((polished, supported, explained, kept, ordinary))
-    # whether walls are as thick as they are drawn is the same for all beams: the whole scan tells
+    # whether walls are as thick as they are drawn is the same for all beams: the whole scan shows
     polished, supported, explained, kept, ordinary = max(
         found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4]).sum())
     )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-TOLD = 64
+REPORTED = 64
 """Projections of a message at most: it must not grow with the site."""
 _UPPER = np.array([0, 1, 2, 4, 5, 8])
 """Of a covariance row by row: what is on or above its diagonal."""
@@ -38,14 +38,14 @@ class _Blanks:
 
 @cache
 def _blanks(components: int) -> _Blanks:
-    of, told = Hypothesis, Projection
+    of, reported = Hypothesis, Projection
     C = Covariance3
     upper = C.XX_FIELD_NUMBER, C.XY_FIELD_NUMBER, C.XT_FIELD_NUMBER, C.YY_FIELD_NUMBER, C.YT_FIELD_NUMBER
     return _Blanks(
         record(
-            coefficients=floats(told.COEFFICIENTS_FIELD_NUMBER, components),
-            error_energy=doubles(told.ERROR_ENERGY_FIELD_NUMBER),
-            searched=flag(told.SEARCHED_FIELD_NUMBER),
+            coefficients=floats(reported.COEFFICIENTS_FIELD_NUMBER, components),
+            error_energy=doubles(reported.ERROR_ENERGY_FIELD_NUMBER),
+            searched=flag(reported.SEARCHED_FIELD_NUMBER),
         ),
         record(
             pose=nested(
@@ -78,7 +78,7 @@ def hypotheses_message(
     """The hypotheses found in `scope`, most likely first."""
     base, covariances = to_base(found.poses, found.covariances, mount)
     energy = found.projected.error_energy
-    told = told_regions(found)
+    reported = reported_regions(found)
     message = Hypotheses(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
@@ -94,11 +94,11 @@ def hypotheses_message(
         messages(
             Hypotheses.PROJECTIONS_FIELD_NUMBER,
             alike.projection,
-            (Projection.REGION_FIELD_NUMBER, [site.regions[r] for r in told]),
+            (Projection.REGION_FIELD_NUMBER, [site.regions[r] for r in reported]),
             {
-                "coefficients": projected.coefficients[told],
-                "error_energy": energy[told, None],
-                "searched": projected.searched[told],
+                "coefficients": projected.coefficients[reported],
+                "error_energy": energy[reported, None],
+                "searched": projected.searched[reported],
             },
         )
         + messages(
@@ -128,14 +128,14 @@ def _searched(scope: Scope, found: Candidates) -> NDArray[np.bool_] | None:
     return ~waiting if scope.regions is None else scope.regions & ~waiting
 
 
-def told_regions(found: Candidates) -> NDArray[np.int64]:
+def reported_regions(found: Candidates) -> NDArray[np.int64]:
     """Regions (r,) whose projections are published: on large sites the candidates' and the best ones."""
     energy = found.projected.error_energy
     projected = np.flatnonzero(np.isfinite(energy))
-    if len(projected) <= TOLD:
+    if len(projected) <= REPORTED:
         return projected
-    best = np.argpartition(energy, TOLD)[:TOLD]
-    return np.union1d(best[np.argsort(energy[best])][: TOLD - len(found.poses)], found.region)
+    best = np.argpartition(energy, REPORTED)[:REPORTED]
+    return np.union1d(best[np.argsort(energy[best])][: REPORTED - len(found.poses)], found.region)
 
 
 def obstacles_message(

@@ -135,7 +135,7 @@ class Site:
     """The set in use, as far as this projector searches it.
 
     `readings`: where the walls' surfaces may be, in their middle and, where they are thick, at their faces;
-    each scan tells which. `caster` is the first one's, `drawn` of the walls as the map draws them.
+    each scan shows which. `caster` is the first one's, `drawn` of the walls as the map draws them.
     `inexactness`, m: how far surfaces may be from there.
     `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
@@ -148,7 +148,7 @@ class Site:
         given: Given | None = None,
         store: Store | None = None,
     ) -> None:
-        """`given`: eigenspaces for other lidars that were heard; it may grow. `store`: of tables."""
+        """`given`: eigenspaces for other lidars that were received; it may grow. `store`: of tables."""
         self.version, self.frame_id, self.floors = whole.version, whole.frame_id, whole.floors
         own = own_share(whole.regions, settings.share)
         self.parts = settings.share[1]
@@ -183,7 +183,7 @@ class Site:
         if len(self.readings) == 1:
             return surfaces, leaves
         drawn = self.readings[1].caster.panoramas(positions, ANALYSIS_TURN, RANGE_CAP)
-        # a position within a wall as it is drawn tells nothing of where rays enter it
+        # a position within a wall as it is drawn shows nothing of where rays enter it
         return np.where(drawn > 0, np.minimum(drawn, surfaces), surfaces), leaves
 
     def area(self, regions: NDArray[np.bool_] | None) -> float:

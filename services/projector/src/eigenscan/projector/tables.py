@@ -234,7 +234,7 @@ class Tables:
         return total
 
     def _largest(self) -> float:
-        """The largest coefficient to tell apart, m: the declared lidar's, by how much wider this one sees."""
+        """The largest coefficient to distinguish, m: the declared lidar's, times the wider view."""
         declared = max(float(model.space.space.eigenvalues[0]) for model in self.models)
         wider = self.analysis.beams / self.models[0].space.space.beams
         return LARGEST * float(np.sqrt(declared * max(wider, 1.0)))

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 SHORT, LONG = 0.5, 1.0
-"""m: a beam that ends before its wall by more says no more, nor one that ends behind it: people and open
+"""m: a beam that ends before its wall by more shows no more, nor one that ends behind it: people and open
 doors shorten a beam, but nothing lets it through a wall."""
 RANGE_CAP = 10.0
 """m: beyond, ranges differ too much within a grid cell to be compared."""

@@ -2,7 +2,7 @@
 
 Scan-ingest publishes how the robot moved between two scans, by these alone. If odometry differs again
 and again, one of them lies: scans are frozen, late, mirrored or of another robot, the lidar's mount is not as
-stated, or wheels slip. Then no pose is claimed, for a lookalike goes on as well as the right place does.
+stated, or wheels slip. Then no pose is claimed, for a similar place goes on as well as the right place does.
 """
 
 from __future__ import annotations
@@ -215,9 +215,9 @@ class Agreement:
             self._judge_turn(turn, interval.stamp)
         # a lidar that stands beside the turn's centre, other than stated, moves sideways with each turn
         done = [_moves(way) or _turns(way), _turns(turn)]
-        anew = _Open(interval.stamp)
+        again = _Open(interval.stamp)
         self._open[interval.lidar] = tuple(  # type: ignore[assignment]
-            anew if over or interval.stamp - each.since >= TOGETHER_NS else each
+            again if over or interval.stamp - each.since >= TOGETHER_NS else each
             for each, over in zip((way, turn), done, strict=True)
         )
 
@@ -241,7 +241,7 @@ class Agreement:
             self.reversed = is_reversed
 
     def _judge_turn(self, held: _Open, stamp: int) -> None:
-        # each interval errs anew
+        # each interval errs again
         off = distances2(held.scans, held.odometry, held.spread)[1] / max(held.count * ONE_SHARE, 1.0)
         self._note(held, stamp, off > 2.0 * NEUTRAL)
         self._turn.take(0.5 * off - NEUTRAL)
@@ -257,7 +257,7 @@ class Agreement:
             self._way = _Odds()  # what spoke for a fault was this
 
     def change(self) -> float:
-        """How much the scans changed of what odometry foretold, 0..1, when they were last compared."""
+        """How much the scans changed of what odometry predicted, 0..1, when they were last compared."""
         last = self._compared[-1] if self._compared else None
         if last is None or last.scans is None:
             return 1.0
@@ -275,7 +275,7 @@ def _is_far(driven: Motion, interval: ScanInterval) -> bool:
 
 
 def _along(odometry: Pose, scans: Pose) -> Pose:
-    """What odometry without a sign foretells nearest to the scans: a part of its way, either way."""
+    """What odometry without a sign predicts nearest to the scans: a part of its way, either way."""
     x, y, turn = odometry
     length2 = x * x + y * y
     share = (x * scans[0] + y * scans[1]) / length2 if length2 else 0.0

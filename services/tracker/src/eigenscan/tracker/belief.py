@@ -21,9 +21,9 @@ from eigenscan.tracker.evidence import (
     SHOWN_YET_MISSED,
     SHOWS,
     Merit,
-    share_twins,
+    aliases_of,
+    share_aliases,
     slipped,
-    twins_of,
 )
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
@@ -70,7 +70,7 @@ class Elsewhere:
         if share.in_part:
             return
         self.log_weight += log1p(expm1(SHOWN_YET_MISSED) * self._emerging(source, share))
-        left = (1.0 - self.searched.get(source, 0.0)) * (1.0 - (1.0 - MISSES) * share.novelty)
+        left = (1.0 - self.searched.get(source, 0.0)) * (1.0 - (1.0 - MISSES) * share.weight)
         self.searched[source] = 1.0 - left
 
     def take(self, mass: float) -> None:
@@ -172,7 +172,7 @@ class Belief:
         evidence[:, source] = 0.0
         count = len(self.tracks)
         self.tracks = replace(
-            self.tracks, evidence=evidence, hidden=np.full(count, 0.5), twin=np.zeros(count)
+            self.tracks, evidence=evidence, hidden=np.full(count, 0.5), alias=np.zeros(count)
         )
 
     def _return(self, share: float) -> None:
@@ -207,12 +207,12 @@ class Belief:
         first = merit.at_first(pairs, old.observations)
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         evidence = np.zeros((len(alone), len(self.sources)))
-        evidence[:, source] = merit.foretold
-        twin = twins_of(merit.foretold)
-        grown = at_least(grown, len(old), pairs, alone, evidence, twin)
+        evidence[:, source] = merit.predicted
+        alias = aliases_of(merit.predicted)
+        grown = at_least(grown, len(old), pairs, alone, evidence, alias)
         k, log_weight = births(grown, seen, pairs, alone)
-        new = begin(seen.poses[k], seen.covariances[k], log_weight, twin[k], evidence[k], frame, seen.stamp)
-        self.tracks = share_twins(join([*others, grown, new]))
+        new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], evidence[k], frame, seen.stamp)
+        self.tracks = share_aliases(join([*others, grown, new]))
         part.search(source, share)
         self.normalise()
 

@@ -10,10 +10,10 @@ from eigenscan.tracker.association import Pairs, crowding
 from eigenscan.tracker.covariance import determinant, fuse
 from eigenscan.tracker.evidence import (
     SHOWN_YET_MISSED,
-    explained_by_twins,
+    aliases_go_on,
+    explained_by_aliases,
     hide_and_show,
     surprise,
-    twins_go_on,
 )
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.share import Share
@@ -43,16 +43,16 @@ def branch(
     total, preference = np.full(count, -np.inf), np.full(count, -np.inf)
     np.logaddexp.at(total, origin, fit)
     # which of several hypotheses is the track's: scans from one place repeat each other's preference
-    np.logaddexp.at(preference, origin, share.novelty * fit)
+    np.logaddexp.at(preference, origin, share.weight * fit)
     evidence = old.evidence.copy()
-    gained = share.novelty * (total - evidence[:, source])
+    gained = share.weight * (total - evidence[:, source])
     evidence[:, source] += gained
-    explained, of_others, twin = explained_by_twins(twins_go_on(old.twin, share.progress), gained)
+    explained, of_others, alias = explained_by_aliases(aliases_go_on(old.alias, share.progress), gained)
     hidden = hide_and_show(old.hidden, share.progress)
     with np.errstate(divide="ignore"):
         shown = old.log_weight + np.log1p(-hidden) + gained - explained
         unseen = old.log_weight + np.log(hidden) + of_others - explained
-    part = share.novelty * fit - preference[origin]
+    part = share.weight * fit - preference[origin]
     log_weight = shown[origin] + part
     log_weight[count:] += first
     log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
@@ -64,7 +64,7 @@ def branch(
         branches,
         log_weight=log_weight,
         hidden=hidden_share,
-        twin=twin[origin] * np.exp(part),
+        alias=alias[origin] * np.exp(part),
         evidence=evidence[origin],
         id=id_,
         parent=parent,
@@ -103,12 +103,12 @@ def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precis
 
 
 def at_least(
-    grown: Tracks, alone: int, pairs: Pairs, log_mass: Array, evidence: Array, twin: Array
+    grown: Tracks, alone: int, pairs: Pairs, log_mass: Array, evidence: Array, alias: Array
 ) -> Tracks:
     """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
 
     A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it, with the `evidence` (k, sources) and the `twin` (k,) of a track that begins: with a
+    hypothesis takes it, with the `evidence` (k, sources) and the `alias` (k,) of a track that begins: with a
     poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
     same and had no track.
     """
@@ -120,10 +120,10 @@ def at_least(
     k = pairs.hypothesis[raised]
     own = np.exp(joined[raised] - log_mass[k])
     joined[raised] = log_mass[k]
-    evidences, twins, rows = grown.evidence.copy(), grown.twin.copy(), raised + alone
+    evidences, aliases, rows = grown.evidence.copy(), grown.alias.copy(), raised + alone
     evidences[rows] = own[:, None] * evidences[rows] + (1.0 - own)[:, None] * evidence[k]
-    twins[rows] = own * twins[rows] + (1.0 - own) * twin[k]
-    return replace(grown, log_weight=log_weight, evidence=evidences, twin=twins)
+    aliases[rows] = own * aliases[rows] + (1.0 - own) * alias[k]
+    return replace(grown, log_weight=log_weight, evidence=evidences, alias=aliases)
 
 
 def births(tracks: Tracks, seen: Observation, pairs: Pairs, log_mass: Array) -> tuple[Index, Array]:

@@ -1,6 +1,6 @@
 """Why odometry and scans disagree, in words for the person who can mend it.
 
-Each usual fault foretells another motion from odometry's; the one that foretells the scans' best is named.
+Each usual fault predicts another motion from odometry's; the one that predicts the scans' best is named.
 """
 
 from __future__ import annotations

@@ -39,13 +39,13 @@ Chosen on intel, guardian 3, aces and fr079 with benchmarks/mechanisms.py.
 """
 
 
-def learned(even: float, likelihood: float, novelty: float) -> float:
+def learned(even: float, likelihood: float, weight: float) -> float:
     """`even` after a scan at a claimed pose had a hypothesis of this log-likelihood there; 0: it had none.
 
     A map counts as exact until the robot's own scans show otherwise: then less is asked of each.
     """
     return float(
-        np.clip(even + novelty / EVEN_STEPS * (likelihood - EVEN_BELOW - even), EVEN_POOR, EVEN_EXACT)
+        np.clip(even + weight / EVEN_STEPS * (likelihood - EVEN_BELOW - even), EVEN_POOR, EVEN_EXACT)
     )
 
 
@@ -95,13 +95,13 @@ def _ahead(poses: Array, log_likelihoods: Array, unlisted: float) -> Array:
 class Merit:
     """What the hypotheses (k,) of a list are worth, in nats.
 
-    `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing foretold.
-    `foretold`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was exactly
+    `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
+    `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
     there.
     """
 
     alone: Array
-    foretold: Array
+    predicted: Array
 
     @classmethod
     def of(cls, seen: Observation, even: float = EVEN_EXACT) -> Merit:
@@ -116,7 +116,7 @@ class Merit:
 
         For a vague track, the hypothesis' own likelihood spread over all the track's room is less.
         """
-        return np.minimum(self.foretold[pairs.hypothesis] - 0.5 * pairs.distance2, self._alone_of(pairs))
+        return np.minimum(self.predicted[pairs.hypothesis] - 0.5 * pairs.distance2, self._alone_of(pairs))
 
     def at_first(self, pairs: Pairs, observations: Index) -> Array:
         """What it is worth more (p,) to tracks (n,) without observations: those that a relocation began.
@@ -138,7 +138,7 @@ def hide_and_show(hidden: Array, progress: float) -> Array:
     return result
 
 
-TWINS, ENDS = 0.015, 0.35
+ALIASES, ENDS = 0.015, 0.35
 """Of the wrong tracks those that the building shows as it would show right ones; over the way that makes a
 scan new evidence, how many of these it ceases to.
 
@@ -146,35 +146,35 @@ Rounded from what three buildings have in common: benchmarks/evidence.py.
 """
 
 
-def twins_of(foretold: Array) -> Array:
-    """How many (k,) of the wrong tracks that such hypotheses begin are twins; `foretold` as in `Merit`."""
-    result: Array = expit(np.log(TWINS / (1.0 - TWINS)) + foretold)
+def aliases_of(predicted: Array) -> Array:
+    """How many (k,) of the wrong tracks that such hypotheses begin are aliases; `predicted` as in `Merit`."""
+    result: Array = expit(np.log(ALIASES / (1.0 - ALIASES)) + predicted)
     return result
 
 
-def twins_go_on(twin: Array, progress: float) -> Array:
-    """Twins (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+def aliases_go_on(alias: Array, progress: float) -> Array:
+    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
     stay = np.exp(-ENDS * progress)
-    none = max(1.0 - float(twin.sum()), 0.0)
-    result: Array = twin * stay + none * TWINS * (1.0 - stay)
+    none = max(1.0 - float(alias.sum()), 0.0)
+    result: Array = alias * stay + none * ALIASES * (1.0 - stay)
     return result
 
 
-def share_twins(tracks: Tracks) -> Tracks:
-    """The same tracks, of which at most one is a twin."""
-    return replace(tracks, twin=tracks.twin / max(float(tracks.twin.sum()), 1.0))
+def share_aliases(tracks: Tracks) -> Tracks:
+    """The same tracks, of which at most one is an alias."""
+    return replace(tracks, alias=tracks.alias / max(float(tracks.alias.sum()), 1.0))
 
 
-def explained_by_twins(twin: Array, gained: Array) -> tuple[float, Array, Array]:
-    """How much likelier twins make a scan, in nats, where no shown track (n,) is right.
+def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
+    """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
 
-    Then the same (n,) where it is known of each track that it is no twin, and the twins (n,) after the scan.
-    Of a twin it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
+    Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
+    Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     """
-    none = max(1.0 - float(twin.sum()), 1e-12)
-    odds = twin * np.exp(gained)
+    none = max(1.0 - float(alias.sum()), 1e-12)
+    odds = alias * np.exp(gained)
     total = none + float(odds.sum())
-    others = (total - odds) / (1.0 - twin).clip(min=1e-12)
+    others = (total - odds) / (1.0 - alias).clip(min=1e-12)
     return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
 
 
@@ -206,7 +206,7 @@ def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Ar
     """
     result: Array = _slipped(
         tracks.x, tracks.C, tracks.log_weight - present_evidence(tracks), tracks.unchecked, seen.poses,
-        seen.covariances, merit.alone, merit.foretold, pairs.track, pairs.hypothesis,
+        seen.covariances, merit.alone, merit.predicted, pairs.track, pairs.hypothesis,
     )  # fmt: skip
     return result
 
@@ -218,7 +218,7 @@ def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Ar
 )
 def _slipped(
     x: Array, C: Array, log_mass: Array, unchecked: Array, y: Array, R: Array,
-    alone: Array, foretold: Array, track: Index, hypothesis: Index,
+    alone: Array, predicted: Array, track: Index, hypothesis: Index,
 ) -> Array:  # fmt: skip
     out = np.full(len(y), -np.inf)
     pair = 0
@@ -236,7 +236,7 @@ def _slipped(
             # the hypothesis' volume by the density that the slipped track has there
             overlap = 0.5 * np.log(determinant(own) / determinant(total))
             overlap -= 0.5 * square(inverse(total), apart(y[k], x[i]))
-            worth = log_mass[i] + min(foretold[k], alone[k] + overlap)
+            worth = log_mass[i] + min(predicted[k], alone[k] + overlap)
             most = max(out[k], worth)
             out[k] = most + np.log1p(np.exp(min(out[k], worth) - most))
     result: Array = np.log(SLIPS) + out

@@ -195,7 +195,7 @@ class OdometryTrail:
 def _extrapolated(before: Sample, last: Sample, stamp: int) -> Sample | None:
     """The pose at `stamp`, ns, by the velocity from `before` to `last`.
 
-    None where the next message is due by then; or where a jump or slip, or too long an interval, tells no
+    None where the next message is due by then; or where a jump or slip, or too long an interval, shows no
     velocity.
     """
     period, ahead = last.stamp - before.stamp, stamp - last.stamp

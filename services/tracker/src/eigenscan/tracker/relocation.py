@@ -1,4 +1,4 @@
-"""Word from outside of where the robot is: an operator's click, a marker, or "search anew".
+"""Word from outside about where the robot is: an operator's click, a marker, or "search again".
 
 The word overrules what was believed, but it is not the truth: people click beside the robot, and into the
 wrong one of two rooms alike. So it takes most of the mass, and the next scans decide.

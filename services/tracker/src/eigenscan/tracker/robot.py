@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 STANDING_RATE = 0.02
-"""1/s, how fast scans from one place count anew: people pass, noise changes."""
+"""1/s, how fast scans from one place count again: people pass, noise changes."""
 BLIND_RATE = 0.5
 """1/s, the same where nobody knows whether the robot moves."""
 BLIND_NS = 1_000_000_000
@@ -122,7 +122,7 @@ class RobotTracker:
         self._corrected = 0
 
     def relocate(self, hint: Hint | None) -> None:
-        """Forgets where the robot was; begins anew, from the next scan on, at the hint if there is one."""
+        """Forgets where the robot was; starts again, from the next scan on, at the hint if there is one."""
         next_id = self.belief.next_id
         self._reset()
         self.belief.next_id = next_id
@@ -239,7 +239,7 @@ class RobotTracker:
         if share is not None and estimate.state == STATE_LOCALIZED:
             source = self._sources[seen.source]
             there = likelihood_at(estimate.tracks.x[estimate.verdict.track], seen)
-            source.even = learned(source.even, there, share.novelty)
+            source.even = learned(source.even, there, share.weight)
         self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
         return estimate
 
@@ -291,15 +291,15 @@ class RobotTracker:
         shown = moved._replace(turn=source.new_turn(moved, self._settings.independence_m))
         progress = self._progress(shown) * self._agreement.change()
         progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
-        # a new place counts anew, more scans from the same one are averaged
+        # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
-        novelty = max(1.0 / source.scans, fresh)
+        weight = max(1.0 / source.scans, fresh)
         # after a kidnap hardly any hypothesis goes on
         rate = self._settings.kidnap_rate * carried_ratio(count, moved) / len(self._sources)
         carried = happened(rate * seconds)
         precision = min(1.0, progress)
         return Share(
-            novelty / peers, progress / peers, precision / peers, carried, broken, peers > 1, source.even
+            weight / peers, progress / peers, precision / peers, carried, broken, peers > 1, source.even
         )
 
     def _progress(self, moved: Motion) -> float:

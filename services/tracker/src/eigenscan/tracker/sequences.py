@@ -2,7 +2,7 @@
 
 For reading and comparing: it assumes that the robot is on the map and that one of the sequences is right, so
 there is no mass for "none of these", and it takes every scan as new evidence. The mixture in `belief` is what
-goes beyond. Filters are made anew for each step, of the tracks that both keep.
+goes beyond. Filters are made again for each step, of the tracks that both keep.
 
 Where the paper leaves a choice, or states what cannot hold, this does:
 - A sequence's probability is the product of its p(Y|X) and of its hypotheses' own likelihoods.

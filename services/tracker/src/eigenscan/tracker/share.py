@@ -11,7 +11,7 @@ from eigenscan.tracker.evidence import EVEN_EXACT
 class Share:
     """How far one scan counts.
 
-    `novelty` 0..1: its share in its source's evidence on the present place. `progress`: how far the robot
+    `weight` 0..1: its share in its source's evidence on the present place. `progress`: how far the robot
     moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
     covariance's information is independent of earlier scans. `carried`: probability that the robot was
     carried away since the source's last scan. `broken`: nothing of the source's last list goes on in this
@@ -19,7 +19,7 @@ class Share:
     the site. `even`: log-likelihood that speaks neither for nor against a track on this map, see evidence.py.
     """
 
-    novelty: float
+    weight: float
     progress: float
     precision: float
     carried: float = 0.0

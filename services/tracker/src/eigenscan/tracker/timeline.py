@@ -44,7 +44,7 @@ class Timeline:
         self._projectors: set[str] = set()
         self._doubted: dict[str, int] = {}
         self._past_in_row: Counter[str] = Counter()
-        self._heard: int | None = None
+        self._received: int | None = None
         self._odometry: int | None = None
         self._alone = False
 
@@ -60,7 +60,7 @@ class Timeline:
         if seen.stamp in recent:
             self._counts["hypotheses_duplicate"] += 1
             return Outcome.DUPLICATE
-        if self._heard is not None and seen.stamp < self._heard - self._late:
+        if self._received is not None and seen.stamp < self._received - self._late:
             return self._receive_past(seen)
         if self._past_in_row[seen.source] and recent and seen.stamp < max(recent):
             return self._receive_past(seen)  # a clock that was set back catches up: a time that was already
@@ -74,7 +74,7 @@ class Timeline:
     @property
     def newest(self) -> int | None:
         """Newest stamp, ns, that is believed."""
-        return self._heard
+        return self._received
 
     @property
     def longest_waiting(self) -> tuple[str, int] | None:
@@ -82,7 +82,7 @@ class Timeline:
         return (self._waiting[0][1], self._waiting[0][0]) if self._waiting else None
 
     def _is_doubtful(self, seen: Observation) -> bool:
-        if self._heard is None or seen.stamp <= max(self._heard, self._odometry or 0) + FUTURE_NS:
+        if self._received is None or seen.stamp <= max(self._received, self._odometry or 0) + FUTURE_NS:
             self._doubted.pop(seen.source, None)
             return False
         before = self._doubted.get(seen.source)
@@ -105,7 +105,7 @@ class Timeline:
     def _push(self, seen: Observation) -> None:
         self._recent.setdefault(seen.source, deque(maxlen=RECENT)).append(seen.stamp)
         self._projectors.add(seen.source.rpartition("/")[2])
-        self._heard = max(self._heard or seen.stamp, seen.stamp)
+        self._received = max(self._received or seen.stamp, seen.stamp)
         heapq.heappush(self._waiting, (seen.stamp, seen.source, self._order, seen))
         self._order += 1
 
@@ -115,12 +115,12 @@ class Timeline:
         `is_known`: whether odometry reaches a stamp, ns. Where several projectors answer it must have come as
         far: their lists of one scan arrive in any order, and are taken in that of their names.
         """
-        if not self._waiting or self._heard is None:
+        if not self._waiting or self._received is None:
             return []
         if self._odometry is None and not self._alone:
             # odometry that is missing for as long as patience lasts is not waited for any more
-            self._alone = self._waiting[0][0] <= self._heard - self._patience
-        waited = self._heard - (0 if self._odometry is None and self._alone else self._patience)
+            self._alone = self._waiting[0][0] <= self._received - self._patience
+        waited = self._received - (0 if self._odometry is None and self._alone else self._patience)
         known = max(self._odometry or waited, waited)
         result = []
         alone = len(self._projectors) < 2

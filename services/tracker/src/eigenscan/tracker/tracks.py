@@ -15,7 +15,7 @@ Index = NDArray[np.intp]
 class Tracks:
     """n Gaussian tracks: poses x (n, 3), covariances C (n, 3, 3), masses as logarithms (n,).
 
-    `hidden` (n,): share of a track's mass in which the projector does not show its pose. `twin` (n,):
+    `hidden` (n,): share of a track's mass in which the projector does not show its pose. `alias` (n,):
     probability that the track, were it wrong, would be shown as a right one is. `evidence`
     (n, sources): the evidence of each source's scans from the present place for a track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
@@ -27,7 +27,7 @@ class Tracks:
     C: Array
     log_weight: Array
     hidden: Array
-    twin: Array
+    alias: Array
     evidence: Array
     unchecked: Array
     nis: Array
@@ -92,7 +92,7 @@ def no_tracks(sources: int) -> Tracks:
 
 
 def begin(
-    x: Array, C: Array, log_weight: Array, twin: Array, evidence: Array, frame: int, stamp: int
+    x: Array, C: Array, log_weight: Array, alias: Array, evidence: Array, frame: int, stamp: int
 ) -> Tracks:
     """New tracks (n,), yet without a number, each from one hypothesis; `evidence` (n, sources)."""
     none = np.zeros(len(x), dtype=np.intp)
@@ -101,7 +101,7 @@ def begin(
         C,
         log_weight,
         np.zeros(len(x)),
-        twin,
+        alias,
         evidence,
         np.zeros((len(x), 2)),
         np.full(len(x), np.nan),

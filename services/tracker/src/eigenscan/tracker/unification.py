@@ -38,7 +38,7 @@ def unify(belief: Belief) -> None:
     leader = _leaders(pairs.track, pairs.hypothesis, tracks.frame)
     heads = np.flatnonzero(leader == np.arange(len(tracks)))
     of_groups = _merged(
-        leader, heads, tracks.x, tracks.C, tracks.log_weight, tracks.hidden, tracks.twin, tracks.evidence,
+        leader, heads, tracks.x, tracks.C, tracks.log_weight, tracks.hidden, tracks.alias, tracks.evidence,
         tracks.id, tracks.parent, tracks.born, tracks.observations,
     )  # fmt: skip
     result = replace(tracks.pick(heads), **dict(zip(_MERGED, of_groups, strict=True)))
@@ -65,20 +65,20 @@ def _leaders(track: Index, near: Index, frame: Index) -> Index:
     return leader
 
 
-_MERGED = ("x", "C", "log_weight", "hidden", "twin", "evidence", "id", "parent", "born", "observations")
+_MERGED = ("x", "C", "log_weight", "hidden", "alias", "evidence", "id", "parent", "born", "observations")
 _ARRAYS = "f8[:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i8[::1], i8[::1], i8[::1], i8[::1]"
 
 
 @njit(f"Tuple(({_ARRAYS}))(i8[::1], i8[:], {_ARRAYS.replace('::1', ':')})", cache=True)  # pragma: no cover
 def _merged(
-    leader: Index, heads: Index, x: Array, C: Array, log_weight: Array, hidden: Array, twin: Array,
+    leader: Index, heads: Index, x: Array, C: Array, log_weight: Array, hidden: Array, alias: Array,
     evidence: Array, id_: Index, parent: Index, born: Index, observations: Index,
 ) -> tuple[Array | Index, ...]:  # fmt: skip
     """One track for each of `heads`, with the moments of those that it leads.
 
     A group goes on under the name of its heaviest member that has one.
     """
-    own = (x[heads], C[heads], log_weight[heads], hidden[heads], twin[heads], evidence[heads])
+    own = (x[heads], C[heads], log_weight[heads], hidden[heads], alias[heads], evidence[heads])
     named = (id_[heads], parent[heads], born[heads], observations[heads])
     for row in range(len(heads)):
         group = np.flatnonzero(leader == heads[row])
@@ -90,7 +90,7 @@ def _merged(
         own[0][row], own[1][row] = moments_of(x[group], C[group], weight)
         own[2][row] = heaviest + np.log(total)
         own[3][row] = (weight * hidden[group]).sum() / total
-        own[4][row] = twin[group].sum()
+        own[4][row] = alias[group].sum()
         # evidence speaks of a track that is shown
         shown = weight * (1.0 - hidden[group])
         if shown.sum() > 0.0:

@@ -47,7 +47,7 @@ class VelocityGate:
         self._outliers = 0
 
     def forget(self) -> None:
-        """Starts anew, as after a jump."""
+        """Starts again, as after a jump."""
         self._velocity = []
         self._outliers = 0
 
