@@ -160,16 +160,16 @@ def main() -> None:
         print(f"{way}, a scan:")
         for service, directions in result[way]["messages"].items():
             for direction, channels in directions.items():
-                told = ", ".join(f"{name} {each:.1f}" for name, each in channels.items())
-                print(f"  {service:12} {direction:9} {sum(channels.values()):5.1f}: {told}")
+                text = ", ".join(f"{name} {each:.1f}" for name, each in channels.items())
+                print(f"  {service:12} {direction:9} {sum(channels.values()):5.1f}: {text}")
         for process, used in result[way]["used"].items():
-            told = ", ".join(
+            text = ", ".join(
                 f"{kind} {of['ms']:.2f} ms, woken {of['wakes']:.1f} times" for kind, of in used.items()
             )
-            print(f"  {process:12} {told}")
+            print(f"  {process:12} {text}")
     for channel, steps in result["pathway"].items():
-        told = ", ".join(f"{name} {us:.1f}" for name, us in steps.items() if name != "bytes")
-        print(f"us for one {channel} of {steps['bytes']:.0f} bytes: {told}")
+        text = ", ".join(f"{name} {us:.1f}" for name, us in steps.items() if name != "bytes")
+        print(f"us for one {channel} of {steps['bytes']:.0f} bytes: {text}")
     if given.json:
         given.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 

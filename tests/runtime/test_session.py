@@ -28,7 +28,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, int]]:
     return sizes
 
 
-def test_urgent_messages_find_room_unless_the_file_says_otherwise(
+def test_urgent_messages_find_room_unless_the_file_shows_otherwise(
     opened: list[dict[str, int]], tmp_path: Path
 ) -> None:
     alone = {"mode": "peer", "scouting": {"multicast": {"enabled": False}}}
@@ -55,13 +55,13 @@ def test_without_a_file_nobody_else_can_join() -> None:
 
 
 def test_those_without_a_file_meet_and_still_do_when_the_first_is_gone() -> None:
-    key, heard = f"test-{uuid4().hex}/word", list[bytes]()
+    key, received = f"test-{uuid4().hex}/word", list[bytes]()
     first, second = open_session(None), open_session(None)
     first.close()
     third = open_session(None)
-    second.declare_subscriber(key, lambda sample: heard.append(sample.payload.to_bytes()))
+    second.declare_subscriber(key, lambda sample: received.append(sample.payload.to_bytes()))
     deadline = time.monotonic() + PATIENCE_S
-    while not heard:
+    while not received:
         assert time.monotonic() < deadline
         third.put(key, b"here")
         time.sleep(0.05)
@@ -75,11 +75,11 @@ def test_one_thread_does_all_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mo
     monkeypatch.setattr(zenoh, "open", lambda _config: os.environ.get(name))
     monkeypatch.setenv(name, "")
     monkeypatch.delenv(name)
-    told: object = open_session(None, mode)
-    assert told == (value if own else None)
+    reported: object = open_session(None, mode)
+    assert reported == (value if own else None)
     monkeypatch.setenv(name, "(rx: (worker_threads: 4))")  # who set it knows better
-    told = open_session(None, mode)
-    assert told == "(rx: (worker_threads: 4))"
+    reported = open_session(None, mode)
+    assert reported == "(rx: (worker_threads: 4))"
 
 
 @pytest.mark.parametrize("own", [None, {"mode": "init"}])
