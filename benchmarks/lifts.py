@@ -135,7 +135,7 @@ class Building:
                 robot.see(self._scan(end, compose(out, [STEP_M * step, 0.0, 0.0])), [STEP_M, 0.0, 0.0])
             ]
         ]
-        ride = _told(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
+        ride = _ride(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
         if not self.same_place:
             return ride
         differs, nearer = self._differ(begin, end, out)
@@ -210,7 +210,7 @@ class _Robot:
         )
 
 
-def _told(number: int, claimed_before: bool, after: list[tuple[int, list[str]]]) -> Ride:
+def _ride(number: int, claimed_before: bool, after: list[tuple[int, list[str]]]) -> Ride:
     verdicts = [(step, one) for step, each in after for one in each]
     wrong = [step for step, one in verdicts if one == "wrong floor"]
     right = [step for step, one in verdicts if one == "right"]
@@ -295,17 +295,17 @@ def main() -> None:
     parser.add_argument("--maps", type=Path, nargs="+", help="map_server yaml files, the floors")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    told: list[dict[str, Any]] = []
+    reported: list[dict[str, Any]] = []
     for kind, building in _chosen(arguments):
         rides: list[Ride] = []
         for number in range(arguments.first, arguments.first + arguments.rides):
             rides.append(building.ride(number))
             if len(rides) % EVERY == 0 and len(rides) < arguments.rides:
                 print(summary(kind, rides), flush=True)
-        told.append(summary(kind, rides) | {"each": [asdict(one) for one in rides]})
-        print({key: value for key, value in told[-1].items() if key != "each"}, flush=True)
+        reported.append(summary(kind, rides) | {"each": [asdict(one) for one in rides]})
+        print({key: value for key, value in reported[-1].items() if key != "each"}, flush=True)
     if arguments.json:
-        arguments.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
+        arguments.json.write_text(json.dumps(reported, indent=1), encoding="utf-8")
 
 
 def _chosen(arguments: argparse.Namespace) -> Iterator[tuple[str, Building]]:
