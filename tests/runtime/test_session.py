@@ -7,7 +7,7 @@ from uuid import uuid4
 import psutil
 import pytest
 import zenoh
-from eigenscan.runtime.session import ONE_THREAD, URGENT_BATCHES, open_session
+from eigenscan.runtime.session import ONE_RECEIVER, URGENT_BATCHES, open_session
 
 from tests.runtime.conftest import PATIENCE_S
 
@@ -70,8 +70,8 @@ def test_those_without_a_file_meet_and_still_do_when_the_first_is_gone() -> None
 
 
 @pytest.mark.parametrize(("mode", "own"), [("peer", True), ("client", True), ("router", False)])
-def test_one_thread_does_all_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mode: str, own: bool) -> None:
-    name, value = ONE_THREAD
+def test_one_thread_receives_but_in_a_router(monkeypatch: pytest.MonkeyPatch, mode: str, own: bool) -> None:
+    name, value = ONE_RECEIVER
     monkeypatch.setattr(zenoh, "open", lambda _config: os.environ.get(name))
     monkeypatch.setenv(name, "")
     monkeypatch.delenv(name)

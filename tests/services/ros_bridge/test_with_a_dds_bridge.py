@@ -124,8 +124,8 @@ def test_the_dds_bridge_receives_the_topics(start: Start, dds: zenoh.Session, na
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         return {key.split("/", 3)[3] for key in keys if f"/{name}§" in key}
 
-    shown = eventually(lambda: found if len(found := tokens()) >= 29 else None, "the tokens")
-    assert len(shown) == 29
+    shown = eventually(lambda: found if len(found := tokens()) >= 30 else None, "the tokens")
+    assert len(shown) == 30
     assert {key.split("/")[0] for key in shown} == {"MP", "MS", "SS"}
     assert any("§floor/" in key for key in shown)
     bridge.process.terminate()

@@ -258,6 +258,7 @@ def test_ros_2_topic_tools_see_it(bridge: Bridge, robot: Robot, network: Network
         "/initialpose",
         "/bond",
         "/amcl_pose",
+        "/amcl/transition_event",
         "/floor",
         "/diagnostics",
         "/particle_cloud",

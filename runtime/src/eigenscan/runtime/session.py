@@ -30,9 +30,10 @@ URGENT_BATCHES = 16
 Zenoh's default, 2, is full as soon as its thread gets no turn for two scans, and then it drops messages.
 A deeper queue delays nothing. A longer wait before a drop would delay senders on a link that hangs.
 """
-ONE_THREAD = "ZENOH_RUNTIME", "(rx: (worker_threads: 1), tx: (handover: rx), net: (handover: rx))"
-"""One thread of Zenoh receives, sends and looks after the links: its own four wake each other for each
-message. A router keeps them, because one that waits for a slow link must not stop the others."""
+ONE_RECEIVER = "ZENOH_RUNTIME", "(rx: (worker_threads: 1))"
+"""Zenoh's own 2 wake each other for each message: a tenth of a quiet robot's CPU time. Other threads send: a
+receiver that waits for room to send must not wait for itself, for Zenoh then closes the link. A router keeps
+both, because one that waits for a slow link must not stop the others."""
 _SHARED_MEMORY = "transport/shared_memory"
 _QUEUE_SIZE = "transport/link/tx/queue/size"
 
@@ -46,7 +47,7 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     Raises ContractError that names the file if it is no Zenoh configuration, or if no session opens.
     """
     if mode != "router":
-        os.environ.setdefault(*ONE_THREAD)
+        os.environ.setdefault(*ONE_RECEIVER)
     zenoh.init_log_from_env_or(LOG_FILTER)
     if path and not path.exists():
         raise ContractError(f"{path}: no such Zenoh configuration: check --zenoh")
