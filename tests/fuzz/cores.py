@@ -40,6 +40,7 @@ from eigenscan.schemas.channels import (
     MODEL_SET,
     POSE,
     SCAN,
+    SEARCH,
     Channel,
     ContractError,
     is_chunk,
@@ -324,7 +325,7 @@ CORES: tuple[Reader, ...] = (
     _row(
         "core.scan_ingest", ScanIngestCore.inputs, _fresh(lambda: ScanIngestCore(ScanIngestSettings())), 2.0
     ),
-    _row("core.projector", (SCAN,), _projector, 0.1),
+    _row("core.projector", (SCAN, SEARCH), _projector, 0.1),
     _row("core.mapbuilder", (LIDAR_KIND,), _fresh(_builder), 0.02, attacks=_kinds),
     _row("core.recorder", _ALL, _recorder, 0.3),
     _row("core.picture", _ALL, _picture, 0.05),

@@ -25,6 +25,7 @@ from eigenscan.schemas.channels import (
     SCAN,
     SCAN_MOTION,
     SCAN_RAW,
+    SEARCH,
     SPACE,
     TRACKS,
     TRANSFORM,
@@ -33,7 +34,14 @@ from eigenscan.schemas.channels import (
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
+from eigenscan.schemas.hypotheses_pb2 import (
+    SEARCH_LOCAL,
+    Hypotheses,
+    Hypothesis,
+    Obstacles,
+    Projection,
+    SearchRequest,
+)
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel, RegionSpace
 from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 from eigenscan.schemas.tracking_pb2 import (
@@ -147,6 +155,10 @@ class Site:
                 track_id=0 if state == STATE_LOST else 1,
             ),
         )
+        local = SearchRequest(
+            timestamp=stamp(at), frame_id="map", search=SEARCH_LOCAL, pose=to_message(believed)
+        )
+        yield self._publish(SEARCH, local)
         if self._count % 10 == 0:
             yield self._publish(RELOCATION, Relocation(timestamp=stamp(at), pose=to_message(true)))
             yield self._publish(

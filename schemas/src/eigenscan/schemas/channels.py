@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 
 from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, SearchRequest
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel, RegionSpace
 from eigenscan.schemas.scan_pb2 import RawScan, Scan, ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
@@ -223,6 +223,13 @@ HYPOTHESES = Channel(
     _LIVE,
     "where one scan may have been taken, from a projector, for the tracker",
 )
+SEARCH = Channel(
+    "search",
+    "{site}/robot/{robot}/search/{lidar}",
+    SearchRequest,
+    _LIVE,
+    "where to search the next scan, from the tracker, for projectors",
+)
 OBSTACLES = Channel(
     "obstacles",
     "{site}/robot/{robot}/obstacles/{lidar}/{projector}",
@@ -322,6 +329,7 @@ CHANNELS: tuple[Channel, ...] = (
     ODOMETRY,
     HEADING,
     HYPOTHESES,
+    SEARCH,
     OBSTACLES,
     POSE,
     TRACKS,

@@ -12,6 +12,15 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
+class Search(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SEARCH_UNSPECIFIED: _ClassVar[Search]
+    SEARCH_WHOLE: _ClassVar[Search]
+    SEARCH_LOCAL: _ClassVar[Search]
+SEARCH_UNSPECIFIED: Search
+SEARCH_WHOLE: Search
+SEARCH_LOCAL: Search
+
 class Hypothesis(_message.Message):
     __slots__ = ("pose", "covariance", "log_likelihood", "region", "error_energy", "explained", "coefficients")
     POSE_FIELD_NUMBER: _ClassVar[int]
@@ -42,8 +51,26 @@ class Projection(_message.Message):
     searched: bool
     def __init__(self, region: _Optional[str] = ..., coefficients: _Optional[_Iterable[float]] = ..., error_energy: _Optional[float] = ..., searched: _Optional[bool] = ...) -> None: ...
 
+class SearchRequest(_message.Message):
+    __slots__ = ("timestamp", "frame_id", "search", "pose", "covariance", "velocity", "least_log_likelihood")
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    FRAME_ID_FIELD_NUMBER: _ClassVar[int]
+    SEARCH_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    LEAST_LOG_LIKELIHOOD_FIELD_NUMBER: _ClassVar[int]
+    timestamp: _timestamp_pb2.Timestamp
+    frame_id: str
+    search: Search
+    pose: _geometry_pb2.Pose2
+    covariance: _geometry_pb2.Covariance3
+    velocity: _geometry_pb2.Pose2
+    least_log_likelihood: float
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., search: _Optional[_Union[Search, str]] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., velocity: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., least_log_likelihood: _Optional[float] = ...) -> None: ...
+
 class Hypotheses(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion")
+    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search")
     class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATUS_UNSPECIFIED: _ClassVar[Hypotheses.Status]
@@ -62,6 +89,7 @@ class Hypotheses(_message.Message):
     USED_BEAMS_FIELD_NUMBER: _ClassVar[int]
     PROJECTIONS_FIELD_NUMBER: _ClassVar[int]
     MOTION_FIELD_NUMBER: _ClassVar[int]
+    SEARCH_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     status: Hypotheses.Status
@@ -72,7 +100,8 @@ class Hypotheses(_message.Message):
     used_beams: int
     projections: _containers.RepeatedCompositeFieldContainer[Projection]
     motion: _scan_pb2.ScanMotion
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ...) -> None: ...
+    search: Search
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("timestamp", "frame_id", "pose", "mask", "error", "error_energy", "confidence", "sensor_x", "sensor_y", "map_x", "map_y", "model_version")

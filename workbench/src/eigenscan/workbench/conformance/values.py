@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, SearchRequest
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from google.protobuf.message import Message
@@ -26,6 +26,10 @@ def faults(message: Message) -> Iterator[str]:
         if set(message.mask) - {0, 1, 255}:
             yield "a byte of mask is none of 0, 1, 255"
         yield from _pose(message.pose, "pose")
+    elif isinstance(message, SearchRequest):
+        yield from _pose(message.pose, "pose")
+        yield from _pose(message.velocity, "velocity", turns=True)
+        yield from _covariance(message.covariance, "covariance")
     elif isinstance(message, PoseEstimate):
         yield from _pose(message.pose, "pose")
         yield from _covariance(message.covariance, "covariance")
@@ -77,10 +81,10 @@ def _tracks(message: Tracks) -> Iterator[str]:
         yield f"the probabilities of all tracks and none_probability sum to {total:g}, not to 1"
 
 
-def _pose(pose: Pose2, name: str) -> Iterator[str]:
+def _pose(pose: Pose2, name: str, *, turns: bool = False) -> Iterator[str]:
     if not (math.isfinite(pose.x) and math.isfinite(pose.y) and math.isfinite(pose.theta)):
         yield f"{name} is not finite"
-    elif not -math.pi - _HEADING_SLACK <= pose.theta <= math.pi + _HEADING_SLACK:
+    elif not turns and not -math.pi - _HEADING_SLACK <= pose.theta <= math.pi + _HEADING_SLACK:
         yield f"{name}.theta is {pose.theta:g}, not in [-pi, pi)"
 
 

@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, SCAN, SPACE
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, SCAN, SEARCH, SPACE
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
@@ -36,7 +36,7 @@ class Remembering:
         self._core = core
         self.inputs, self.outputs = core.inputs, core.outputs
         # with other inputs an answer may depend on more than the scan
-        self._pure = set(core.inputs) <= {MAP, MODEL, MODEL_SET, SPACE, SCAN}
+        self._pure = set(core.inputs) <= {MAP, MODEL, MODEL_SET, SPACE, SEARCH, SCAN}
         self._known: OrderedDict[tuple[str, bytes], _Answer] = OrderedDict()
         self.owed_ns = 0
 
@@ -58,6 +58,8 @@ class Remembering:
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The core's answer; of a scan that was answered before, its hypotheses alone."""
+        if received.channel == SEARCH:
+            self._pure = False
         if received.channel != SCAN or not self._pure:
             return self._core.handle(received)
         scan = received.open(Scan)

@@ -9,14 +9,14 @@ from enum import Enum
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import HEADING, MODEL, ODOMETRY, RELOCATION, SCAN_MOTION
+from eigenscan.schemas.channels import HEADING, MODEL, ODOMETRY, RELOCATION, SCAN_MOTION, SEARCH
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.workbench.replay.casting import Instance
 from eigenscan.workbench.replay.services import Service, published_by, received_by
 from eigenscan.workbench.replay.survey import Survey
 
-DISPENSABLE = (ODOMETRY, HEADING, RELOCATION, SCAN_MOTION)
+DISPENSABLE = (ODOMETRY, HEADING, RELOCATION, SCAN_MOTION, SEARCH)
 """Optional inputs of a service."""
 
 

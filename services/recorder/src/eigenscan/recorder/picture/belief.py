@@ -9,7 +9,7 @@ from eigenscan.recorder.picture.canvas import Canvas, Pace, stamp_of
 from eigenscan.recorder.picture.palette import HYPOTHESIS, OBSTACLE, TRACK, UNLIKELY, blend
 from eigenscan.recorder.picture.shapes import are_places, arrows, is_place, lift
 from eigenscan.schemas.envelope import Envelope
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses, Obstacles, SearchRequest
 from eigenscan.schemas.tracking_pb2 import Tracks
 
 HYPOTHESES_DRAWN = 12
@@ -62,6 +62,18 @@ class BeliefPicture:
             ),
         )
 
+    def draw_search(self, received: Envelope) -> None:
+        """The pose around which the next scan is to be fitted; none where the whole map is searched."""
+        message, where = received.open(SearchRequest), received.address
+        path = f"world/robots/{where['robot']}/search/{where['lidar']}"
+        stamp = stamp_of(message.timestamp)
+        if stamp is None or not self._pace.due(path, stamp):
+            return
+        poses = np.array([[message.pose.x, message.pose.y, message.pose.theta]])
+        poses = poses[are_places(poses) & (message.search == SEARCH_LOCAL)]
+        self._canvas.style(path, _search_style)
+        self._canvas.draw(stamp, path, rr.LineStrips3D(arrows(poses, np.full(len(poses), 0.7), 0.05)))
+
     def draw_tracks(self, received: Envelope) -> None:
         """The trajectory of each track that is in play, the fainter the less probable."""
         message = received.open(Tracks)
@@ -100,6 +112,10 @@ class BeliefPicture:
 
 def _hypotheses_style() -> tuple[rr.LineStrips3D]:
     return (rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(2.0)),)
+
+
+def _search_style() -> tuple[rr.LineStrips3D]:
+    return (rr.LineStrips3D.from_fields(colors=[TRACK], radii=rr.Radius.ui_points(1.0)),)
 
 
 def _tracks_style() -> tuple[rr.LineStrips3D, rr.Points3D]:
