@@ -25,6 +25,16 @@ class Projected:
 
 
 @dataclass(frozen=True)
+class Fitted:
+    """One pose (3,) of the sensor, map frame, that a scan was fitted to; `explained`: share of its beams."""
+
+    pose: Array
+    covariance: Array
+    log_likelihood: float
+    explained: float
+
+
+@dataclass(frozen=True)
 class Candidates:
     """n poses of the sensor, most likely first. `region` (n,): the region that proposed each.
 

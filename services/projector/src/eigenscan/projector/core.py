@@ -12,13 +12,15 @@ from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.normalize import FARTHEST_MOUNT
 from eigenscan.geometry.pose import from_message
+from eigenscan.projector.candidates import Fitted
 from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.focus import WHOLE, Focus, Scope
+from eigenscan.projector.local import LocalSearch
 from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
-from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.publishing import hypotheses_message, obstacles_message, unusable
+from eigenscan.projector.projection import find_candidates, fit_around
+from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.projector.tables import Store
@@ -33,11 +35,13 @@ from eigenscan.schemas.channels import (
     OBSTACLES,
     POSE,
     SCAN,
+    SEARCH,
     SPACE,
     Channel,
 )
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import SearchRequest
 from eigenscan.schemas.localize_pb2 import LocalizeQuery
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
@@ -51,7 +55,7 @@ ASK_AGAIN_NS = 10_000_000_000
 class ProjectorCore:
     """Receives the site's models and its robots' scans; publishes the poses that explain each scan."""
 
-    inputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SCAN)
+    inputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SEARCH, SCAN)
     outputs: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND)
 
     def __init__(
@@ -70,7 +74,9 @@ class ProjectorCore:
         self._spaces: dict[tuple[str, Analysis], RegionSpace] = {}
         self._asked: dict[tuple[str, str], int] = {}
         self._view: SensorView | None = None
-        self._focus = Focus()
+        self._focus, self._local = Focus(), LocalSearch()
+        by_walls = settings.verification == settings.obstacles == "walls"
+        self._fits_locally = by_walls and settings.share[1] == 1
         if settings.focus:
             self.inputs = (*ProjectorCore.inputs, POSE)
         self._assembler = ModelSetAssembler()
@@ -92,6 +98,9 @@ class ProjectorCore:
             return self._scan(received)
         if received.channel == POSE:
             self._focus.receive(received.address["robot"], received.open(PoseEstimate))
+        elif received.channel == SEARCH:
+            lidar = received.address["robot"], received.address["lidar"]
+            self._local.receive(lidar, received.open(SearchRequest))
         elif received.channel == MAP:
             self._take("map", lambda: self._assembler.put_map(received.open(Grid)))
         elif received.channel == MODEL:
@@ -132,7 +141,7 @@ class ProjectorCore:
             return
         self._counts[f"taken_{kind}"] += 1
         if site is not None:
-            before, self._site, self._focus = self._site, site, Focus()
+            before, self._site, self._focus, self._local = self._site, site, Focus(), LocalSearch()
             held = {model.version for model in site.models}
             for key in [key for key in self._spaces if key[0] not in held]:
                 del self._spaces[key]
@@ -214,22 +223,42 @@ class ProjectorCore:
     ) -> list[Envelope]:
         is_new = not site.has_view(seen.sensor)
         view = self._view = site.view(seen.sensor)
+        lidar, at = (address["robot"], address["lidar"]), nanoseconds(scan.timestamp)
+        fitted = self._fitted(lidar, scan, seen, site) if self._fits_locally else None
+        if fitted is not None and not is_new:
+            return [
+                Envelope(HYPOTHESES, address, local_message(scan, site, seen, mount, fitted)),
+                Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, fitted.pose)),
+            ]
         scope = self._scope(address, scan, site)
         candidates = find_candidates(site, view, seen, self._settings, scope=scope)
-        if scope.regions is None and self._settings.focus:
-            at = nanoseconds(scan.timestamp)
-            self._focus.searched_whole(address["robot"], address["lidar"], at, candidates.ordinary)
+        if scope.regions is None:
+            self._focus.searched_whole(*lidar, at, candidates.ordinary)
+            self._local.searched_whole(lidar, at, candidates.ordinary)
         published = [
             Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates, scope)),
         ]
         if len(candidates.poses):
+            best = candidates.poses[0]
             published.append(
-                Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, candidates))
+                Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, best, candidates))
             )
         published.extend(self._ask(address, scan, site, view))
         if is_new:
             self._begin(view)
         return published
+
+    def _fitted(self, lidar: tuple[str, str], scan: Scan, seen: Observation, site: Site) -> Fitted | None:
+        """The scan's pose around the one that the tracker predicts; None: search the whole map."""
+        around = self._local.around(lidar, nanoseconds(scan.timestamp), site.frame_id, scan.mount)
+        if around is None:
+            return None
+        fitted = fit_around(site, seen, around.starts, around.ordinary)
+        if not around.holds(fitted):
+            self._counts["local_fit_lost"] += 1
+            return None
+        self._counts["scan_fitted_locally"] += 1
+        return fitted
 
     def _scope(self, address: dict[str, str], scan: Scan, site: Site) -> Scope:
         """The regions to search: all, unless the tracker is sure and all were searched lately."""

@@ -56,6 +56,14 @@ class Lattice:
         return found
 
     @cached_property
+    def region_of(self) -> NDArray[np.int64]:
+        """A region (P,) of each position; of those that share it, the last."""
+        found = np.zeros(len(self.positions), dtype=np.int64)
+        for number, positions in enumerate(self.regions):
+            found[positions] = number
+        return found
+
+    @cached_property
     def _cells(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """The corner of the model's grid, m, and its positions cell by cell, -1 where there is none."""
         low = self.positions.min(axis=0)

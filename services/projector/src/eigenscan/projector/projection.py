@@ -10,7 +10,7 @@ from eigenscan.eigenspace.analysis import ANALYSIS_TURN
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.symmetric import determinant_each
 from eigenscan.projector.association.manifold import Matches
-from eigenscan.projector.candidates import Candidates, Projected
+from eigenscan.projector.candidates import Candidates, Fitted, Projected
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.covariance import pose_covariances
 from eigenscan.projector.first_look import first_look
@@ -37,6 +37,8 @@ USUAL_AREA = 1000.0
 """m2, up to which the refined candidates are enough: in a larger site more places look like the right one."""
 SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
 """Refined poses this near to each other are one."""
+ONE_M, ONE_RAD = 0.05, float(np.deg2rad(2.0))
+"""The same of slid poses around one place: the polish moves them into one."""
 POLISHED = 48
 """Slid poses that are polished and weighed."""
 UNKNOWN_GROUND = 0.1
@@ -69,9 +71,7 @@ def find_candidates(
         return replace(found, waiting=waiting if waiting.any() else None)
     refined = settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA))
     seeds, home, region = _verified(site, view, seen, matches, round(refined), trace)
-    points = seen.points
-    sliding = points[:: max(1, -(-len(points) // SLIDE_POINTS))]
-    slid = fit(site.coarse_walls, seeds, sliding, SLIDE)
+    slid = fit(site.coarse_walls, seeds, _sliding(seen), SLIDE)
     trace("slid", slid.poses)
     best = _promising(site, view, seen, slid.poses, home)
     trace("kept to polish", slid.poses[best])
@@ -79,6 +79,28 @@ def find_candidates(
     if not waiting.any():
         return found
     return replace(found, waiting=waiting, unlisted_log_likelihood=0.0)  # of what waits nothing is known
+
+
+def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) -> Fitted:
+    """The best supported of the poses to which the scan moves from sensor poses `starts` (n, 3).
+
+    `ordinary`: support of an ordinary place, for here no other place is looked at.
+    """
+    slid = fit(site.coarse_walls, starts, _sliding(seen), SLIDE)
+    kept = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), ONE_M, ONE_RAD, len(starts))
+    weighed = [_weighed(site, reading, seen, slid.poses[kept]) for reading in site.readings]
+    polished, supported, explained = max(weighed, key=lambda each: float(each[1].max()))
+    best = int(supported.argmax())
+    information = polished.information[best : best + 1]
+    covariance = pose_covariances(information, site.inexactness)
+    likelihood = log_likelihood(supported[best : best + 1], ordinary) - _spread(site, information, covariance)
+    return Fitted(polished.poses[best], covariance[0], float(likelihood[0]), float(explained[best]))
+
+
+def _sliding(seen: Observation) -> Array:
+    """The points of a scan that are enough for the coarse refinement."""
+    points = seen.points
+    return points[:: max(1, -(-len(points) // SLIDE_POINTS))]
 
 
 def _masks(coarse: NDArray[np.float32]) -> list[NDArray[np.bool_]]:
@@ -229,11 +251,7 @@ def _weigh(
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
     covariances = pose_covariances(polished.information[kept], site.inexactness)
-    likelihood = log_likelihood(supports, ordinary)
-    if site.inexactness:
-        exact = pose_covariances(polished.information[kept])
-        # that an inexact map spreads a place over more poses makes the place no likelier
-        likelihood -= 0.5 * np.log(determinant_each(covariances) / determinant_each(exact))
+    likelihood = log_likelihood(supports, ordinary) - _spread(site, polished.information[kept], covariances)
     trace("published", poses)
     trace("first", poses[:1])
     return Candidates(
@@ -248,3 +266,12 @@ def _weigh(
         float(likelihood.min(initial=0.0)) if site.parts == 1 and scope.regions is None else 0.0,
         ordinary,
     )
+
+
+def _spread(site: Site, information: Array, covariances: Array) -> Array | float:
+    """Nats (n,) by which an inexact map spreads places over more poses: that makes none of them likelier."""
+    if not site.inexactness:
+        return 0.0
+    exact = determinant_each(pose_covariances(information))
+    spread: Array = 0.5 * np.log(determinant_each(covariances) / exact)
+    return spread

@@ -6,17 +6,25 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from eigenscan.geometry.pose import compose, inverse, to_message
-from eigenscan.projector.candidates import Candidates
+from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_message
+from eigenscan.projector.candidates import Candidates, Fitted
 from eigenscan.projector.columns import Record, doubles, flag, floats, messages, nested, packed, record
 from eigenscan.projector.coordinates import coordinates
 from eigenscan.projector.focus import Scope
+from eigenscan.projector.local import REACH_M
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.obstacles import ObstacleMask, find_obstacles
 from eigenscan.projector.reconstruction import occluded
 from eigenscan.projector.site import Site
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
+from eigenscan.schemas.hypotheses_pb2 import (
+    SEARCH_LOCAL,
+    SEARCH_WHOLE,
+    Hypotheses,
+    Hypothesis,
+    Obstacles,
+    Projection,
+)
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
 
@@ -24,6 +32,8 @@ Array = NDArray[np.float64]
 
 REPORTED = 64
 """Projections of a message at most: it must not grow with the site."""
+AROUND_M2 = float(np.pi * REACH_M**2)
+"""Area of a search around one pose."""
 _UPPER = np.array([0, 1, 2, 4, 5, 8])
 """Of a covariance row by row: what is on or above its diagonal."""
 
@@ -88,6 +98,7 @@ def hypotheses_message(
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         motion=scan.motion if scan.HasField("motion") else None,
+        search=SEARCH_WHOLE,
     )
     projected, alike = found.projected, _blanks(found.projected.coefficients.shape[1])
     message.MergeFromString(
@@ -120,6 +131,30 @@ def hypotheses_message(
     return message
 
 
+def local_message(scan: Scan, site: Site, seen: Observation, mount: Array, found: Fitted) -> Hypotheses:
+    """The one pose that the scan was fitted to; of others nothing is known."""
+    base, covariances = to_base(found.pose[None], found.covariance[None], mount)
+    position = site.lattice.nearest(found.pose[None, :2])[0]
+    message = Hypotheses(
+        timestamp=scan.timestamp,
+        frame_id=site.frame_id,
+        status=Hypotheses.STATUS_OK,
+        searched_area_m2=AROUND_M2,
+        model_version=site.version,
+        used_beams=int(np.count_nonzero(seen.used)),
+        motion=scan.motion if scan.HasField("motion") else None,
+        search=SEARCH_LOCAL,
+    )
+    message.hypotheses.add(
+        pose=to_message(base[0]),
+        covariance=covariance_to_message(covariances[0]),
+        log_likelihood=found.log_likelihood,
+        region=site.regions[site.lattice.region_of[position]],
+        explained=found.explained,
+    )
+    return message
+
+
 def _searched(scope: Scope, found: Candidates) -> NDArray[np.bool_] | None:
     """Regions (R,) that the answer is about; None: all."""
     waiting = found.waiting
@@ -139,10 +174,10 @@ def reported_regions(found: Candidates) -> NDArray[np.int64]:
 
 
 def obstacles_message(
-    scan: Scan, site: Site, seen: Observation, mount: Array, found: Candidates
+    scan: Scan, site: Site, seen: Observation, mount: Array, pose: Array, found: Candidates | None = None
 ) -> Obstacles:
-    """Obstacles at the most likely pose; `mount` (3,): the lidar in the base frame."""
-    pose, mask = found.poses[0], _mask(site, seen, found)
+    """Obstacles at a sensor pose (3,), of the search's results; `mount` (3,): the lidar in the base frame."""
+    mask = _mask(site, seen, pose, found)
     message = Obstacles(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
@@ -160,11 +195,11 @@ def obstacles_message(
     return message
 
 
-def _mask(site: Site, seen: Observation, found: Candidates) -> ObstacleMask:
-    pose, sensor = found.poses[0], seen.sensor
+def _mask(site: Site, seen: Observation, pose: Array, found: Candidates | None) -> ObstacleMask:
+    sensor = seen.sensor
     bearings: Array = sensor.angle_min + np.arange(sensor.beams, dtype=np.float64) * sensor.angle_increment
     view = site.view(sensor)
-    if view.foreseen_by == "reconstruction":
+    if view.foreseen_by == "reconstruction" and found is not None:
         return occluded(view, seen, found, pose, bearings)
     limit = sensor.range_max if sensor.range_max > 0 else 100.0
     predicted = site.caster.cast(pose, bearings, limit)[0]
