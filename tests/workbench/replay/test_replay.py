@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import (
@@ -26,6 +27,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode
 from eigenscan.tracker.settings import TrackerSettings
@@ -75,6 +77,21 @@ def test_a_run_replays_to_the_same_bits(
     assert ended.code == 0, ended.out + ended.err
     assert f"the same: {len(only(run.messages, *published))} messages the same to the last bit" in ended.out
     assert "settings as recorded" in ended.out
+
+
+@pytest.mark.parametrize("service", ["projector", "tracker", "pipeline"])
+def test_local_fits_replay_to_the_same_bits(
+    run: Run, eigenscan: Command, tmp_path: Path, service: str
+) -> None:
+    messages = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(local_fits=True))
+    listed = [one.envelope.open(Hypotheses) for one in only(messages, HYPOTHESES)]
+    assert 0.5 < np.mean([one.search == SEARCH_LOCAL for one in listed]) < 1.0
+    settings = {"tracker": json.dumps({"robot": "*", "local_fits": True})}
+    settings |= dict.fromkeys(("scan-ingest", "projector"), json.dumps({"robot": "*"}))
+    path = run.write(tmp_path / "local.mcap", messages, settings)
+    ended = eigenscan("replay", path, "--service", service, "--compare", "--strict")
+    assert ended.code == 0, ended.out + ended.err
+    assert "messages the same to the last bit" in ended.out
 
 
 def test_another_setting_is_caught_at_the_first_message_that_it_changes(

@@ -27,6 +27,12 @@ class Pairs:
     log_overlap: Array
     """ln of the integral of N(X*, C*) times exp(-d^2/2 under C): 0 where the track is a sure point at Y."""
 
+    def pick(self, index: Index) -> Pairs:
+        """The pairs at `index`."""
+        return Pairs(
+            self.track[index], self.hypothesis[index], self.distance2[index], self.log_overlap[index]
+        )
+
 
 def gate(probability: float) -> float:
     """Squared Mahalanobis distance of three dimensions that this share of right hypotheses is within."""

@@ -69,10 +69,10 @@ def branch(
         id=id_,
         parent=parent,
     )
-    return _fused(weighed, count, seen, pairs, share.precision)
+    return fused(weighed, count, seen, pairs, share.precision)
 
 
-def _fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
+def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
     """Branches after the first `alone`, brought together with their hypotheses."""
     joined = slice(alone, None)
     x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()

@@ -22,6 +22,7 @@ from eigenscan.schemas.channels import (
     POSE,
     RELOCATION,
     SCAN_MOTION,
+    SEARCH,
     TRACKS,
     TRANSFORM,
     Channel,
@@ -30,7 +31,7 @@ from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3
 from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses, SearchRequest
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import ScanMotion
@@ -40,6 +41,7 @@ from eigenscan.tracker.floors import Building
 from eigenscan.tracker.observation import SIGMA_LIMITS, observe
 from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
+from eigenscan.tracker.search import Request
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.velocity_gate import is_possible
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -85,7 +87,7 @@ class TrackerCore:
     """Hypotheses become one honest pose (paper, section 7); one state per robot."""
 
     inputs: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, HEADING, SCAN_MOTION, RELOCATION, MODEL_SET)
-    outputs: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM)
+    outputs: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM, SEARCH)
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
@@ -217,6 +219,9 @@ class TrackerCore:
             message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
             self._buildings.get(address["site"], NO_BUILDING).locate(message)
             yield Envelope(POSE, address, message)
+            if estimate.request is not None:
+                lidar = {**address, "lidar": estimate.request.lidar}
+                yield Envelope(SEARCH, lidar, _search_message(estimate.request, self._settings))
             if robot.tracks.is_due(estimate.stamp):
                 robot.tracks.note(estimate.stamp)
                 yield Envelope(TRACKS, address, _tracks_message(estimate))
@@ -252,6 +257,17 @@ def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:
         message.track_id = int(estimate.tracks.id[best])
     if estimate.map_to_odom is not None:
         message.map_to_odom.CopyFrom(to_message(estimate.map_to_odom))
+    return message
+
+
+def _search_message(request: Request, settings: TrackerSettings) -> SearchRequest:
+    message = SearchRequest(timestamp=stamp(request.stamp), frame_id=request.frame, search=SEARCH_WHOLE)
+    if request.local and request.covariance is not None:
+        message.search = SEARCH_LOCAL
+        message.pose.CopyFrom(to_message(request.pose))
+        message.covariance.CopyFrom(covariance_to_message(request.covariance))
+        message.velocity.CopyFrom(to_message(request.velocity))
+        message.least_log_likelihood = request.least / settings.trust
     return message
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.schemas.envelope import nanoseconds
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
 from eigenscan.tracker.covariance import is_covariance
 from eigenscan.tracker.settings import TrackerSettings
 from numpy.typing import NDArray
@@ -50,6 +50,8 @@ class Observation:
     model_version: str = ""
     listed: int = 0
     """Hypotheses in the message, also those that are no numbers."""
+    local: bool = False
+    """Whether only the place around the tracker's own pose was looked at."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -104,6 +106,7 @@ def observe(
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
         len(message.hypotheses),
+        message.search == SEARCH_LOCAL,
     )
 
 

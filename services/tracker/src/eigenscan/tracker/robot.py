@@ -26,6 +26,7 @@ from eigenscan.tracker.planar import Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.reckoning import leg
 from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
+from eigenscan.tracker.search import Request, Searches, follow
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -65,15 +66,19 @@ class Estimate:
     protection: Protection | None
     extrapolated: bool = False
     """By odometry that was carried on by its last velocity."""
+    request: Request | None = None
+    """For the lidar's next scan."""
 
 
 @dataclass
 class _Source:
-    """How far one source's evidence has come."""
+    """How far one source's evidence has come: to the stamp of its `last` list of the whole map."""
 
     last: int
     shows: tuple[str, str]
     """Lidar and map frame: sources of the same speak of the same, and share its evidence."""
+    fixed: int = 0
+    """Stamp of its last list, also a local one."""
     scans: int = 0
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
@@ -119,6 +124,7 @@ class RobotTracker:
         self._claim = Claim(self._settings)
         self._rivals = Rivals()
         self._hint: Hint | None = None
+        self._searches = Searches()
         self._corrected = 0
 
     def relocate(self, hint: Hint | None) -> None:
@@ -222,6 +228,8 @@ class RobotTracker:
         share, repeated = None, self._agreement.is_repeated(seen.lidar, seen.stamp)
         if repeated:
             self._counts["scan_repeated"] += 1
+        elif seen.usable and seen.local:
+            self._follow(seen)
         elif seen.usable:
             self._heed_hint(seen)
             share = self._share(seen)
@@ -272,14 +280,27 @@ class RobotTracker:
         poses, covariances = predict(seen.poses, seen.covariances, moved, self._settings)
         return replace(seen, stamp=stamp, poses=poses, covariances=limit_sigma(covariances))
 
+    def _source_of(self, seen: Observation) -> _Source:
+        shows = seen.lidar, seen.frame
+        return self._sources.setdefault(seen.source, _Source(seen.stamp, shows, seen.stamp))
+
+    def _follow(self, seen: Observation) -> None:
+        """Brings the tracks to the poses of a list that was made around one of them."""
+        source = self._source_of(seen)
+        progress = self._news(self._motion(source.fixed, seen.stamp))
+        source.fixed = max(source.fixed, seen.stamp)
+        found = seen.likelier_than_unlisted()
+        self.belief.tracks = follow(self.belief.tracks, found, self.belief.gate, min(1.0, progress))
+
     def _share(self, seen: Observation) -> Share:
-        source = self._sources.setdefault(seen.source, _Source(seen.stamp, (seen.lidar, seen.frame)))
+        source = self._source_of(seen)
         source.scans += 1
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
         before, source.poses = source.poses, seen.poses
         if source.scans == 1:
             return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1, even=source.even)
         moved = self._motion(source.last, seen.stamp)
+        last, fixed, source.fixed = source.last, source.fixed, max(source.fixed, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
         count = goes_on(before, seen.poses, moved)
@@ -287,20 +308,25 @@ class RobotTracker:
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
-        # what was driven counts as far as the scans changed by it
-        shown = moved._replace(turn=source.new_turn(moved, self._settings.independence_m))
-        progress = self._progress(shown) * self._agreement.change()
-        progress += STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
+        progress = self._news(moved._replace(turn=source.new_turn(moved, self._settings.independence_m)))
         # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
         # after a kidnap hardly any hypothesis goes on
         rate = self._settings.kidnap_rate * carried_ratio(count, moved) / len(self._sources)
         carried = happened(rate * seconds)
-        precision = min(1.0, progress)
+        # local lists in between have fixed the tracks
+        precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else progress)
         return Share(
             weight / peers, progress / peers, precision / peers, carried, broken, peers > 1, source.even
         )
+
+    def _news(self, moved: Motion) -> float:
+        """How far scans are new evidence after a motion: also where the robot stands, for people pass."""
+        # what was driven counts as far as the scans changed by it
+        progress = self._progress(moved) * self._agreement.change()
+        seconds = max(moved.seconds, 1e-3)
+        return progress + STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
 
     def _progress(self, moved: Motion) -> float:
         """How far the robot has come, 1: a scan is new evidence."""
@@ -345,7 +371,24 @@ class RobotTracker:
             seen.model_version,
             self._protection(verdict),
             odometry is not None and odometry.extrapolated,
+            self._request(seen, verdict) if self._settings.local_fits else None,
         )
+
+    def _request(self, seen: Observation, verdict: Verdict) -> Request:
+        """What the lidar's next scan is to be searched for."""
+        compared, answered = self._agreement.compared, [one.shows[0] for one in self._sources.values()]
+        sure = (
+            self.state == STATE_LOCALIZED
+            and self._settings.method == "mixture"
+            and verdict.confidence >= self._settings.localized_above
+            and self._hint is None
+            and not (compared and compared[-1].is_fault)
+            and len(self.belief.frames) == 2
+            and answered.count(seen.lidar) == 1
+        )
+        moved = self._motion(self._searches.last(seen.lidar, seen.stamp), seen.stamp)
+        progress = self._progress(moved)
+        return self._searches.after(seen, moved, progress, self.belief.tracks, verdict.track, sure=sure)
 
     def _judge(self) -> Verdict:
         """The most believed track, as far as odometry is, and its map frame after every frame's lists."""

@@ -38,6 +38,10 @@ class TrackerSettings(BaseModel):
         0.2, ge=0, description="s, by stamps, that hypotheses wait for odometry of the same time"
     )
     at_once: bool = Field(True, description="publish poses before odometry of their time comes")
+    local_fits: bool = Field(
+        False,
+        description="while localized, most scans are fitted around the pose instead of searched for",
+    )
     late: float = Field(0.5, ge=0, description="s; hypotheses that come later are rejected")
     independence_m: float = Field(
         0.5, gt=0, description="m driven after which a scan counts as independent evidence"
