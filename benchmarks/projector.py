@@ -1,12 +1,16 @@
 """Where the time of a scan goes, stage by stage, beside what this machine could do at best.
 
-    .venv/bin/python benchmarks/projector.py [--area 700] [--spacing 0.5] [--scans 200] [--json OUT]
+    .venv/bin/python benchmarks/projector.py [--area 700] [--spacing 0.5] [--scans 200] [--log intel]
+        [--json OUT]
 
 A floor of `--area` m2, a lidar of 180 degrees in steps of half a degree, 10 % of the beams on people.
 Each scan is timed `--repeat` times and its fastest counts: that is what the work costs, not what else the
 machine does. A stage's floor is the greater of its arithmetic at the rate of a matrix product and its
 memory traffic at the rate of a sum over 64 MB. Also: the first scan of a new lidar, the start from the
 models, and the memory by its owner. Set OMP_NUM_THREADS=1.
+
+The last lines are of local fits, CPU ms a scan: whole searches and local fits of the same scans by turns, and
+with --log the mix that a tracker with `local_fits` asks for over the first `--seconds` of a log.
 """
 
 from __future__ import annotations
@@ -14,13 +18,18 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from eigenscan.geometry.gridmap import to_message
+from eigenscan.geometry.pose import to_message as to_pose
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector import core as core_module
 from eigenscan.projector import projection, publishing
@@ -28,11 +37,19 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.observation import observe
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
-from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
-from eigenscan.schemas.envelope import Envelope
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.runtime.loopback import Loopback
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, SCAN, SEARCH
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses, SearchRequest
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.wire import decode, encode
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.evaluation.log import read_log
+from eigenscan.workbench.evaluation.models import build
+from eigenscan.workbench.evaluation.windows import Window
+from eigenscan.workbench.logs import LogOptions
+from evaluate import CASES, DATASETS
 from floors import floor, poses, scan_at
 
 SITE = {"site": "s", "robot": "r", "lidar": "l"}
@@ -196,7 +213,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     columns["the rest"] = whole - sum(columns.values())
     rates = machine()
     least = floors_of_stages(core, scans[0], rates)
+    local = whole_and_local(core, scans, truths, options.repeat)
     return {
+        "local_fits": local | (mix(options.log, options.seconds) if options.log else {}),
         "free_m2": grid.free_area, "spacing_m": options.spacing, "regions": len(built.regions),
         "stages_ms": {
             name: {"median": float(np.median(spent)), "p99": float(np.percentile(spent, 99)),
@@ -208,6 +227,70 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "top1": float(np.mean([r[:1] == [True] for r in right])),
         "in_list": float(np.mean([any(r) for r in right])),
     }  # fmt: skip
+
+
+def whole_and_local(
+    core: ProjectorCore, scans: list[Scan], truths: np.ndarray, repeat: int
+) -> dict[str, float]:
+    """CPU ms of a scan by a whole search and by a local fit: median over the scans of the fastest."""
+    fastest = np.full((2, len(scans)), np.inf)
+    time_ns = 10**18
+    for _ in range(repeat):
+        for number, (scan, truth) in enumerate(zip(scans, truths, strict=True)):
+            for local in (False, True):
+                time_ns += 100_000_000
+                again = Scan.FromString(scan.SerializeToString())
+                again.timestamp.CopyFrom(stamp(time_ns))
+                began = time.process_time_ns()
+                (first, *_) = [*core.handle(Envelope(SCAN, SITE, again))]
+                took = (time.process_time_ns() - began) / 1e6
+                if local == (first.open(Hypotheses).search == SEARCH_LOCAL):
+                    fastest[int(local), number] = min(took, fastest[int(local), number])
+                request = SearchRequest(
+                    timestamp=again.timestamp, frame_id="map", pose=to_pose(truth), least_log_likelihood=-1e6
+                )
+                request.search = SEARCH_WHOLE if local else SEARCH_LOCAL
+                request.covariance.xx = request.covariance.yy = request.covariance.tt = 0.001
+                list(core.handle(Envelope(SEARCH, SITE, request)))
+    whole, local_ms = (np.median(row[np.isfinite(row)]) for row in fastest)
+    return {"whole": float(whole), "local": float(local_ms), "compared": float(np.isfinite(fastest[1]).sum())}
+
+
+class Timed(ProjectorCore):
+    """Adds up the CPU time of its answers, ns, and counts the lists by their search."""
+
+    spent = 0
+    lists: Counter[int]
+
+    def handle(self, received: Envelope) -> list[Envelope]:
+        began = time.process_time_ns()
+        published = [*super().handle(received)]
+        if received.channel in (SCAN, SEARCH):
+            self.spent += time.process_time_ns() - began
+        self.lists.update(one.open(Hypotheses).search for one in published if one.channel is HYPOTHESES)
+        return published
+
+
+def mix(name: str, seconds: float) -> dict[str, dict[str, float]]:
+    """Of a log, with and without `local_fits`: CPU ms a scan, share of local fits. The first run warms up."""
+    case = next(case for case in CASES if case.folder == name)
+    folder = DATASETS / case.folder
+    log = read_log(folder / case.log, LogOptions(), lambda _: None)
+    built = build(folder / "map.yaml", MapbuilderSettings(), lambda _: None).models
+    found = {}
+    for local in (False, False, True):
+        projector, tracker = Timed(ProjectorSettings()), TrackerCore(TrackerSettings(local_fits=local))
+        projector.lists = Counter()
+        loop = Loopback([ScanIngestCore(ScanIngestSettings()), projector, tracker])
+        for model in built:
+            loop.receive(model)
+        for received in log.between(Window(int(log.scans[0]), int(log.scans[0] + seconds * 1e9))):
+            loop.receive(received)
+        scans = max(projector.lists.total(), 1)
+        found[f"local_fits = {str(local).lower()}"] = {
+            "ms": projector.spent / 1e6 / scans, "local": projector.lists[SEARCH_LOCAL] / scans
+        }  # fmt: skip
+    return found
 
 
 def show(found: dict[str, Any]) -> None:
@@ -223,6 +306,14 @@ def show(found: dict[str, Any]) -> None:
     print(
         f"start from the models {found['start_s']:.2f} s, first scan of a lidar {found['first_scan_s']:.3f} s"
     )
+    local = dict(found["local_fits"])
+    whole, fit = local.pop("whole"), local.pop("local")
+    print(
+        f"CPU ms a scan: whole {whole:.2f}, local {fit:.2f} ({fit / whole:.0%}), "
+        f"of {local.pop('compared'):.0f} scans"
+    )
+    for setting, row in local.items():
+        print(f"{setting}: {row['ms']:.2f} ms a scan, {row['local']:.0%} of the scans fitted locally")
     print("kB/m2: " + ", ".join(f"{name} {kb:.1f}" for name, kb in found["kb_per_m2"].items()))
 
 
@@ -232,6 +323,8 @@ def main() -> None:
     parser.add_argument("--spacing", type=float, default=0.5)
     parser.add_argument("--scans", type=int, default=200)
     parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--log", help="folder of a dataset for the mix, such as intel")
+    parser.add_argument("--seconds", type=float, default=120.0, help="of that log")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     found = measure(options)
