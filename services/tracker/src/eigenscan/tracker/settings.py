@@ -40,7 +40,7 @@ class TrackerSettings(BaseModel):
     at_once: bool = Field(True, description="publish poses before odometry of their time comes")
     local_fits: bool = Field(
         False,
-        description="while localized, most scans are fitted around the pose instead of searched for",
+        description="while localized, fit most scans around the pose",
     )
     late: float = Field(0.5, ge=0, description="s; hypotheses that come later are rejected")
     independence_m: float = Field(
