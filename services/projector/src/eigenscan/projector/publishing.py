@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_message
@@ -72,13 +73,18 @@ def _blanks(components: int) -> _Blanks:
 
 def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
     """The answer to a scan with too few beams."""
+    return _answer(scan, site, seen, status=Hypotheses.STATUS_UNUSABLE_SCAN)
+
+
+def _answer(scan: Scan, site: Site, seen: Observation, **fields: Any) -> Hypotheses:
+    """What each answer to a scan states, and the `fields` of this one."""
     return Hypotheses(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
-        status=Hypotheses.STATUS_UNUSABLE_SCAN,
         model_version=site.version,
         used_beams=int(np.count_nonzero(seen.used)),
         motion=scan.motion if scan.HasField("motion") else None,
+        **fields,
     )
 
 
@@ -89,15 +95,13 @@ def hypotheses_message(
     base, covariances = to_base(found.poses, found.covariances, mount)
     energy = found.projected.error_energy
     reported = reported_regions(found)
-    message = Hypotheses(
-        timestamp=scan.timestamp,
-        frame_id=site.frame_id,
+    message = _answer(
+        scan,
+        site,
+        seen,
         status=Hypotheses.STATUS_OK,
         unlisted_log_likelihood=found.unlisted_log_likelihood,
         searched_area_m2=site.area(_searched(scope, found)),
-        model_version=site.version,
-        used_beams=int(np.count_nonzero(seen.used)),
-        motion=scan.motion if scan.HasField("motion") else None,
         search=SEARCH_WHOLE,
     )
     projected, alike = found.projected, _blanks(found.projected.coefficients.shape[1])
@@ -135,15 +139,8 @@ def local_message(scan: Scan, site: Site, seen: Observation, mount: Array, found
     """The one pose that the scan was fitted to; of others nothing is known."""
     base, covariances = to_base(found.pose[None], found.covariance[None], mount)
     position = site.lattice.nearest(found.pose[None, :2])[0]
-    message = Hypotheses(
-        timestamp=scan.timestamp,
-        frame_id=site.frame_id,
-        status=Hypotheses.STATUS_OK,
-        searched_area_m2=AROUND_M2,
-        model_version=site.version,
-        used_beams=int(np.count_nonzero(seen.used)),
-        motion=scan.motion if scan.HasField("motion") else None,
-        search=SEARCH_LOCAL,
+    message = _answer(
+        scan, site, seen, status=Hypotheses.STATUS_OK, searched_area_m2=AROUND_M2, search=SEARCH_LOCAL
     )
     message.hypotheses.add(
         pose=to_message(base[0]),
