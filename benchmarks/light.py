@@ -31,7 +31,7 @@ import zenoh
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.services import Pipeline
 from eigenscan.cli.launch.supervision import Supervisor
-from eigenscan.geometry.gridmap import write_map
+from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.schemas.channels import ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -161,6 +161,15 @@ def text(rate: float, way: str, row: dict[str, Any]) -> str:
     )
 
 
+def build_office(folder: Path) -> GridMap:
+    """The demo's building; its map and models are written to the folder."""
+    grid = office().render()
+    write_map(grid, folder / "map.yaml")
+    build = [str(part) for part in (PROGRAM, "build", folder / "map.yaml", "-o", folder / "model")]
+    subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+    return grid
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 40.0], help="Hz of the lidar")
@@ -179,10 +188,8 @@ def main() -> None:
         f"{'load':>5}"
     )
     with tempfile.TemporaryDirectory() as name:
-        folder, grid = Path(name), office().render()
-        write_map(grid, folder / "map.yaml")
-        build = [str(part) for part in (PROGRAM, "build", folder / "map.yaml", "-o", folder / "model")]
-        subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+        folder = Path(name)
+        grid = build_office(folder)
         session, config = open_hub(folder)
         for rate in given.rates:
             length = 60.0 + SETTLE_S + given.seconds

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import tempfile
 import time
 from collections.abc import Callable
@@ -23,7 +22,6 @@ from typing import Any
 import psutil
 import zenoh
 from eigenscan.cli.launch.network import open_hub
-from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.health import Monitor
 from eigenscan.runtime.inbox import Inbox
@@ -34,8 +32,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode, encode, encoding
 from eigenscan.workbench.simulation.lidar import Lidar
 from eigenscan.workbench.simulation.stage import Scenario, Stage
-from eigenscan.workbench.simulation.world import office
-from light import PATIENCE_S, PROGRAM, ROBOT, SETTLE_S, SITE, Robot, services
+from light import PATIENCE_S, ROBOT, SETTLE_S, SITE, Robot, build_office, services
 
 TIMES = 5_000
 DIRECTIONS = {"heard": "receives", "said": "publishes"}
@@ -141,10 +138,8 @@ def main() -> None:
     given = parser.parse_args()
     result: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
-        folder, grid = Path(name), office().render()
-        write_map(grid, folder / "map.yaml")
-        build = [str(part) for part in (PROGRAM, "build", folder / "map.yaml", "-o", folder / "model")]
-        subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+        folder = Path(name)
+        grid = build_office(folder)
         session, config = open_hub(folder)
         counts = Counts(session)
         length, lidar = 60.0 + SETTLE_S + given.seconds, Lidar(rate=given.rate)
