@@ -41,7 +41,7 @@ from eigenscan.tracker import agreement, belief, branching, claim, evidence, obs
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.evaluation.log import read_log
-from eigenscan.workbench.evaluation.metrics import LAST_SHARE, errors, right
+from eigenscan.workbench.evaluation.metrics import LAST_SHARE, errors, right, sustained
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Packed, pack, unpack
 from eigenscan.workbench.evaluation.reference import read_trajectory
@@ -164,8 +164,8 @@ def play(story: Story, settings: TrackerSettings) -> dict[str, float]:
         ok, claimed, sure = judged([e.open(PoseEstimate) for e in published if e.channel is POSE], window)
         wrong = claimed & ~ok
         good = claimed & ok
-        tail = len(good) - len(good) * LAST_SHARE
-        success.append(bool(len(good)) and bool(good[int(tail) :].all()))
+        since = sustained(good)
+        success.append(since is not None and since <= (1 - LAST_SHARE) * len(good))
         false_windows.append(bool(wrong.any()))
         claims, false, scans = claims + int(claimed.sum()), false + int(wrong.sum()), scans + len(ok)
         high, highest = high + int((wrong & (sure > 0.9)).sum()), highest + int((wrong & (sure > 0.99)).sum())
