@@ -1,7 +1,7 @@
 """Global localization on every log with a map: one table, one JSON.
 
     .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--simulated] [--kidnap]
-        [--method paper] [--paper] [--json OUT]
+        [--method paper] [--paper] [--set tracker.local_fits=true] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --buildings FOLDER [--only aces] [--kidnap] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --from OUT --picture docs/images/reliability.png
 
@@ -135,6 +135,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--simulated", action="store_true", help="also made-up buildings")
     parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
     parser.add_argument("--method", default="default", help="settings that belong together, such as paper")
+    parser.add_argument("--set", action="append", default=[], help="SERVICE.SETTING=VALUE, any number")
     parser.add_argument("--paper", action="store_true", help="also the paper's own method, beside each log")
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
     parser.add_argument("--limit", type=int, help="at most so many windows and single scans")
@@ -160,6 +161,7 @@ def _by_method(case: Case, folder: Path, options: argparse.Namespace, method: st
             command += [option, folder / beside] if (folder / beside).exists() else []
         command += ["--kidnap"] if options.kidnap else []
         command += ["--limit", str(options.limit)] if options.limit else []
+        command += [word for change in options.set for word in ("--set", change)]
         command += [word for part in options.skip for word in ("--skip", part)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         figures: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))

@@ -1,6 +1,7 @@
 """Never sure of a wrong place: what is claimed while sensors, set-up or odometry lie, and what health states.
 
-    .venv/bin/python benchmarks/integrity.py [--only jarvis] [--fault frozen] [--quick] [--json OUT]
+    .venv/bin/python benchmarks/integrity.py [--only jarvis] [--fault frozen] [--quick]
+        [--set tracker.local_fits=true] [--json OUT]
 
 Each fault (benchmarks/integrity_faults.py) is put into windows of real logs, from their start on unless its
 name shows otherwise. Counted are scans whose pose is claimed with a confidence above 0.9 and above 0.99
@@ -25,17 +26,16 @@ from typing import Any
 import numpy as np
 from eigenscan.geometry.pose import from_message
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.runtime.choices import Choices
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.evaluation.chosen import SERVICES, PipelineSettings, chosen
 from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.metrics import errors, right
 from eigenscan.workbench.evaluation.models import build
@@ -95,7 +95,7 @@ class Cell:
 class Site:
     """A log, its reference, and a projector that knows its map."""
 
-    def __init__(self, case: Case, datasets: Path) -> None:
+    def __init__(self, case: Case, datasets: Path, settings: PipelineSettings) -> None:
         folder = datasets / case.folder
         self.log: Log = read_log(folder / case.log, LogOptions(), lambda _: None)
         self.truth: Trajectory = read_trajectory(folder / case.reference).restamped(self.log.logged)
@@ -103,8 +103,9 @@ class Site:
         self.windows: Sequence[Window] = (
             read_windows(listed, 0.0) if listed.exists() else plan_windows(self.log.scans, self.truth)
         )
-        self.models = build(folder / "map.yaml", MapbuilderSettings(), lambda _: None).models
-        projector = ProjectorCore(ProjectorSettings())
+        self.models = build(folder / "map.yaml", settings.mapbuilder, lambda _: None).models
+        self.settings = settings
+        projector = ProjectorCore(settings.projector)
         for model in self.models:
             if model.channel in projector.inputs:
                 list(projector.handle(model))
@@ -123,7 +124,7 @@ class Site:
         return cell
 
     def _run(self, name: str, stretch: Stretch, cell: Cell) -> None:
-        ingest, tracker = ScanIngestCore(ScanIngestSettings()), TrackerCore(TrackerSettings())
+        ingest, tracker = ScanIngestCore(self.settings.ingest), TrackerCore(self.settings.tracker)
         for model in self.models:
             if model.channel in tracker.inputs:
                 list(tracker.handle(model))
@@ -211,8 +212,10 @@ def main() -> None:
     parser.add_argument("--only", action="append", help="name of one log; may be given again")
     parser.add_argument("--fault", action="append", help="a part of a fault's name; may be given again")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} windows of each log")
+    parser.add_argument("--set", action="append", default=[], help="SERVICE.SETTING=VALUE, any number")
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
+    settings = chosen(Choices.of("default", None, options.set, SERVICES), MapbuilderSettings().spacing)
     print(
         f"{'log':<11}{'fault':<34}{'scans':>7}{'> 0.9':>7}{'> 0.99':>7}{'right':>7}{'level':>7}{'over':>5}"
         f"{'named':>11}{'3 s':>4}{'median':>8}  what health says"
@@ -221,7 +224,7 @@ def main() -> None:
     for case in CASES:
         if options.only and case.name not in options.only:
             continue
-        site = Site(case, options.datasets)
+        site = Site(case, options.datasets, settings)
         for name, fault in FAULTS.items():
             if options.fault and not any(part in name for part in options.fault):
                 continue

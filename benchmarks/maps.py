@@ -1,7 +1,8 @@
 """Maps that are wrong in the ways in which maps are: what is found on them, and what is claimed falsely.
 
     .venv/bin/python benchmarks/maps.py [--datasets FOLDER] [--only intel --only fr079] [--way "walls 10 cm"]
-        [--windows 9] [--scans 100] [--quick] [--simulated] [--seed 1] [--jobs 1] [--json OUT]
+        [--windows 9] [--scans 100] [--quick] [--simulated] [--seed 1] [--jobs 1]
+        [--set tracker.local_fits=true] [--json OUT]
 
 Each log at hand is driven on its map made worse on purpose (worse_maps.py), from mild to hard; the reference
 goes along with what the map did. A window succeeds when every claim from some scan on, over its last third
@@ -24,7 +25,8 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import numpy as np
 from eigenscan.geometry.gridmap import GridMap, read_map, write_map
-from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.runtime.choices import Choices
+from eigenscan.workbench.evaluation.chosen import SERVICES, chosen
 from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.metrics import Judged, errors, judge, right
 from eigenscan.workbench.evaluation.models import build
@@ -90,11 +92,13 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--simulated", action="store_true", help="also made-up buildings")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
+    parser.add_argument("--set", action="append", default=[], help="SERVICE.SETTING=VALUE, any number")
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
     if options.quick:
         options.windows, options.scans = QUICK_WINDOWS, QUICK_SCANS
     asked = options.way or [""]
+    options.settings = chosen(Choices.of("default", None, options.set, SERVICES), SPACING)
     options.ways = [name for name in WAYS if any(part in name for part in asked)]
     return options
 
@@ -130,8 +134,8 @@ def _judge(case: Case, way: str, options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "map.yaml"
         write_map(worse.grid, path)
-        built = build(path, MapbuilderSettings(spacing=SPACING), lambda _: None)
-    with Workers(options.jobs, built.models, case.log.beginning) as workers:
+        built = build(path, options.settings.mapbuilder, lambda _: None)
+    with Workers(options.jobs, built.models, case.log.beginning, options.settings) as workers:
         chosen = thin(windows, options.windows)
         runs = list(workers.runs(case.log.between(window) for window in chosen))
         scans = [s for t in thin(stamps, options.scans) if (s := case.log.nearest_scan(t, 1.0)) is not None]
