@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from random import Random
 
 import pytest
+import zenoh
 from eigenscan.recorder.files import Files
 from eigenscan.recorder.mcap_sink import McapSink
 from eigenscan.schemas.channels import POSE, TRACKS
@@ -15,6 +16,7 @@ from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
 from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S, Disk, KilledError
 from eigenscan.workbench.simtest.faults import KINDS, Fault, draw
+from eigenscan.workbench.simtest.network import Network
 from eigenscan.workbench.simtest.site import Plan
 from eigenscan.workbench.simtest.story import shrunk, story
 from eigenscan.workbench.simtest.trial import run
@@ -89,6 +91,23 @@ HANDLE = TrackerCore.handle
 def test_a_faulty_tracker_is_found(monkeypatch: pytest.MonkeyPatch, handle: object, rule: str) -> None:
     monkeypatch.setattr(TrackerCore, "handle", handle)
     assert run(1, 1, []).broken[0].rule == rule
+
+
+def test_what_may_wait_has_arrived_once_the_service_looks() -> None:
+    """Counted before, odometry that had just come broke the rule that health counts everything."""
+    agenda = Agenda()
+    network = Network(agenda, "0")
+    woken: list[bool] = []
+    network.arrived = lambda _session, is_patient: woken.append(is_patient)
+    robot = network.open("r1", MachineClock(agenda))
+    subscriber = robot.declare_subscriber("site/robot/r1/odom", zenoh.handlers.RingChannel(4))
+    network.open("r1", MachineClock(agenda)).declare_publisher("site/robot/r1/odom").put(b"x")
+    agenda.run(1.0)
+    assert woken == [True]
+    assert robot.arrived == {}
+    assert subscriber.try_recv().payload == b"x"
+    assert robot.arrived == {"odometry": 1}
+    assert subscriber.try_recv() is None
 
 
 def _disk() -> tuple[Agenda, Disk]:

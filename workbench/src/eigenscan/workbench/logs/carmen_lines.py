@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 import numpy as np
+from eigenscan.geometry.normalize import ScanError
 from eigenscan.geometry.pose import between
 from numpy.typing import NDArray
 
@@ -27,12 +28,8 @@ SICK_NO_RETURN = 81.83
 KIND = re.compile(r"[A-Z][A-Z0-9_-]*")
 
 
-class LineError(ValueError):
+class LineError(ScanError):
     """A line that cannot be read; `reason` is a counter's name."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
 
 
 @dataclass(frozen=True)

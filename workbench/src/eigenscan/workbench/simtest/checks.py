@@ -12,7 +12,7 @@ from eigenscan.runtime.recording import RecordingError, read
 from eigenscan.runtime.recording.files import is_only_begun
 from eigenscan.runtime.recording.writing import CHUNK_BYTES
 from eigenscan.runtime.work import SILENT_S
-from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, SCAN_RAW, TRACKS, by_name, find
+from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, SCAN_RAW, TRACKS, by_name
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
@@ -20,7 +20,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import encode
 from eigenscan.tracker.planar import wrap
 from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S
-from eigenscan.workbench.simtest.network import Sample, Session
+from eigenscan.workbench.simtest.network import Sample, Session, channel_of
 from eigenscan.workbench.simtest.process import Process
 from eigenscan.workbench.simtest.site import BUDGET_MB, SITE, Life, Site
 
@@ -66,9 +66,9 @@ class Judge:
         site.on_condition = self.note_condition
         wake = site.network.arrived
 
-        def arrived(session: Session) -> None:
+        def arrived(session: Session, is_patient: bool) -> None:
             self._bound(session)
-            wake(session)
+            wake(session, is_patient)
 
         site.network.arrived = arrived
 
@@ -83,13 +83,10 @@ class Judge:
 
     def see(self, session: Session, sample: Sample) -> None:
         """Something is published."""
-        found = find(sample.key_expr)
-        if found is None:
+        process, found = session.owner, channel_of(sample.key_expr)
+        if process is None or found is None:
             return
         channel, address = found
-        process = self._process(session)
-        if process is None:
-            return
         if channel.qos.latched:
             self._latched[sample.key_expr] = sample.payload
         if channel is TRACKS:
@@ -98,9 +95,6 @@ class Judge:
             self._claim(address["robot"], PoseEstimate.FromString(sample.payload))
         elif channel is HEALTH:
             self._is_true(process, Health.FromString(sample.payload))
-
-    def _process(self, session: Session) -> Process | None:
-        return next((each for each in self.site.processes if each.session is session), None)
 
     def _sums_to_one(self, robot: str, tracks: Tracks) -> None:
         self.counts["tracks"] += 1
@@ -185,7 +179,7 @@ class Judge:
 
     def _bound(self, session: Session) -> None:
         """Something was handed to a session: what waits stays within the queues' depth."""
-        process = self._process(session)
+        process = session.owner
         if process is None or process.node is None:
             return
         wanted = INPUTS.get(process.node.service.name)
@@ -229,7 +223,7 @@ class Judge:
         """Every service has the newest map and models that it receives."""
         observer = self.site.observers[process]
         for key, payload in self._latched.items():
-            found = find(key)
+            found = channel_of(key)
             if found and found[0] in observer.inputs and observer.latched.get(key) != payload:
                 self.fail("latched", f"{process.name}: has not the newest {found[0].name}")
 

@@ -12,12 +12,15 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from hashlib import blake2b
 from random import Random
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 from eigenscan.runtime.intake import Intake
 from eigenscan.schemas.channels import Channel, Role, find
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
+
+if TYPE_CHECKING:
+    from eigenscan.workbench.simtest.process import Process
 
 LEASE_S = 10.0
 """Zenoh's own: a link that passes nothing for so long is given up."""
@@ -102,14 +105,19 @@ class Declared:
         """Of a subscriber to tokens: those that are there."""
         self.waiting: deque[Sample] = deque()
         """Of a subscriber without a callback: what `try_recv` takes."""
-        owner = getattr(callback, "__self__", None)
-        self.fills_inbox = isinstance(owner, Intake)
-        if isinstance(callback, zenoh.handlers.RingChannel):
-            self.callback, self.fills_inbox = self.waiting.append, True
+        self.fills_inbox = isinstance(getattr(callback, "__self__", None), Intake)
+        self.is_patient = isinstance(callback, zenoh.handlers.RingChannel)
+        """Whether what arrives waits until the service looks, and wakes nobody at once."""
+        if self.is_patient:
+            self.callback = self.waiting.append
 
     def try_recv(self) -> Sample | None:
-        """The oldest sample that waits."""
-        return self.waiting.popleft() if self.waiting else None
+        """The oldest sample that waits; only now it is in the inbox."""
+        if not self.waiting:
+            return None
+        sample = self.waiting.popleft()
+        self.session.note_arrived(sample.key_expr)
+        return sample
 
     def undeclare(self) -> None:
         """Ends it."""
@@ -166,8 +174,15 @@ class Session:
         """It stands, but nothing arrives any more."""
         self.arrived: Counter[str] = Counter()
         """What was handed to the inbox, by channel."""
+        self.owner: Process | None = None
+        """The service's process; None: a driver or a stranger."""
         self._stamped = 0
         self.info = self
+
+    def note_arrived(self, key: str) -> None:
+        """Counts what is handed to the inbox."""
+        found = channel_of(key)
+        self.arrived[found[0].name if found else "foreign_key"] += 1
 
     def zid(self) -> str:
         """Its name."""
@@ -241,8 +256,8 @@ class Network:
         self.links: dict[tuple[str, str], Link] = {}
         self.observer: Callable[[Session, Sample], None] = lambda _session, _sample: None
         """Sees everything that is published."""
-        self.arrived: Callable[[Session], None] = lambda _session: None
-        """Called after something was handed to a session."""
+        self.arrived: Callable[[Session, bool], None] = lambda _session, _is_patient: None
+        """Called after something was handed to a session, and whether it may wait."""
         self.trace = blake2b(digest_size=16)
         self.sent = 0
         self._number = 0
@@ -368,10 +383,9 @@ class Network:
         if not session.is_open or session.is_silent:
             return
         if receiver.fills_inbox:
-            found = channel_of(sample.key_expr)
-            session.arrived[found[0].name if found else "foreign_key"] += 1
+            session.note_arrived(sample.key_expr)
         receiver.callback(sample)
-        self.arrived(session)
+        self.arrived(session, receiver.is_patient)
 
     def _send(self, session: Session, to: Session, action: Callable[[], None], *, block: bool) -> None:
         """Over the link between two sessions."""
@@ -461,12 +475,11 @@ class Network:
         def receive(reply: Reply) -> None:
             if session.is_open and not session.is_silent:
                 if reply.ok is not None:
-                    found = channel_of(reply.ok.key_expr)
-                    session.arrived[found[0].name if found else "foreign_key"] += 1
+                    session.note_arrived(reply.ok.key_expr)
                 else:
                     session.arrived["unanswered"] += 1
                 handler(reply)
-                self.arrived(session)
+                self.arrived(session, False)
 
         def question(one: Declared) -> Callable[[], None]:
             def put() -> None:

@@ -74,6 +74,7 @@ class Process:
         life = self._life
         self._stop = _Stop()
         self.session = self._network.open(self.machine, self._clock)
+        self.session.owner = self
         opening: Future[Any] = Future()
         opening.set_result(self.session)
         shared = Shared(opening, None, threading.Condition(), self._clock, self._after(life))
@@ -122,10 +123,10 @@ class Process:
             return
         self.end(how)
 
-    def wake(self) -> None:
-        """Something has come."""
+    def wake(self, is_patient: bool) -> None:
+        """Something has come; the node looks for what is patient only now and then."""
         if self.is_up and self.node is not None:
-            self._schedule(self.node.service.batch_s)
+            self._schedule(self.node.inbox.batch_s if is_patient else self.node.service.batch_s)
 
     def _schedule(self, seconds: float) -> None:
         """The next turn, that much after now, but not before the last message is done with."""

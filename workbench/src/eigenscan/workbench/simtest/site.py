@@ -224,12 +224,9 @@ class Site:
                 lambda settings, _clock: SyntheticProjector(self.robots, settings),
                 partial(self._plain_settings, name),
             )
-        self.network.arrived = self._wake
-
-    @property
-    def processes(self) -> list[Process]:
+        self.network.arrived = _wake
+        self.processes = [process for machine in self.machines.values() for process in machine.processes]
         """Of all machines."""
-        return [process for machine in self.machines.values() for process in machine.processes]
 
     def begin(self) -> None:
         """Switches everything on."""
@@ -309,7 +306,7 @@ class Site:
         if observer is not None and observer.life.ended is None:
             observer.close(how)
 
-    def _wake(self, session: Session) -> None:
-        for process in self.machines[session.machine].processes:
-            if process.session is session:
-                process.wake()
+
+def _wake(session: Session, is_patient: bool) -> None:
+    if session.owner is not None:
+        session.owner.wake(is_patient)
