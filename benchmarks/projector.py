@@ -62,7 +62,8 @@ STAGES = {
     "one a neighbourhood": (projection, "best_of_neighbourhoods"),
     "refine": (projection, "fit"),
     "cast rays": (RayCaster, "cast"),
-    "weigh": (projection, "support"),
+    "look at support": (projection, "support"),
+    "polish and weigh": (projection, "weigh"),
     "hypotheses message": (core_module, "hypotheses_message"),
     "obstacles": (publishing, "find_obstacles"),
 }
@@ -146,12 +147,11 @@ def floors_of_stages(core: ProjectorCore, scan: Scan, rates: dict[str, float]) -
     beams, turned = len(seen.coarse), 3
     rows, components = int(view.bounds[-1]), view.spaces.prior.shape[1]
     slid = settings.refined * 6 * projection.SLIDE_POINTS
-    polished = projection.POLISHED * 6 * len(seen.points)
     work = {  # floating point operations, bytes
         "project": (2 * view.spaces.vectors.size, view.spaces.vectors.nbytes),
         "associate": (3 * rows * components, rows * components),
         "verify": (6 * settings.candidates * turned * beams, settings.candidates * (beams + 2) * 4),
-        "refine": (45 * (slid + polished), 64 * (slid + polished) // 6),
+        "refine": (45 * slid, 64 * slid // 6),
     }
     return {
         stage: max(flops / rates["gflops"], touched / rates["gbytes"]) * 1e-6

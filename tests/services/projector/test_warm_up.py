@@ -4,15 +4,19 @@ import subprocess
 import sys
 
 import numpy as np
+from eigenscan.geometry.pose import to_message
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
+from eigenscan.schemas.channels import SEARCH
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SearchRequest
 
-from tests.services.projector.office import free_poses, ready, receive, scan_at
+from tests.services.projector.office import ADDRESS, free_poses, ready, receive, scan_at
 
 
-def test_both_scans_are_answered() -> None:
+def test_the_three_scans_are_answered() -> None:
     # hypotheses and obstacles of each
-    assert warm_up(ProjectorSettings()) == 4
+    assert warm_up(ProjectorSettings()) == 6
 
 
 def test_a_real_scan_compiles_nothing_more() -> None:
@@ -40,7 +44,18 @@ def _check() -> None:
     before = _compiled()
     core = ready(built)
     for i, truth in enumerate(free_poses(4, 1)):
-        receive(core, scan_at(truth, field_of_view=np.deg2rad(90.0 * (i + 1)), seed=i))
+        lidar, at = f"of {90 * (i + 1)} degrees", 10**15 + i
+        scans = [
+            scan_at(truth, field_of_view=np.deg2rad(90.0 * (i + 1)), seed=i, time=time)
+            for time in (at, at + 100_000_000)
+        ]
+        receive(core, scans[0], lidar=lidar)
+        request = SearchRequest(timestamp=stamp(at), frame_id="map", search=SEARCH_LOCAL)
+        request.pose.CopyFrom(to_message(truth))
+        request.covariance.xx = request.covariance.yy = request.covariance.tt = 0.001
+        request.least_log_likelihood = -1e6
+        list(core.handle(Envelope(SEARCH, {**ADDRESS, "lidar": lidar}, request)))
+        assert receive(core, scans[1], lidar=lidar)[0].search == SEARCH_LOCAL
     more = sorted(name for name, count in _compiled().items() if count > before.get(name, 0))
     assert before
     assert not more, f"compiled at a scan: {', '.join(more)}"

@@ -61,13 +61,13 @@ class RayCaster:
     def to_cells(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map-frame points (..., 2), m, as continuous (column, row) of `leap`."""
         array, grid = np.asarray(points, dtype=np.float64), self.grid
-        cells = _to_cells(grid.map_in_grid, grid.resolution, np.ascontiguousarray(array.reshape(-1, 2)))
+        cells = in_cells(grid.map_in_grid, grid.resolution, np.ascontiguousarray(array.reshape(-1, 2)))
         found: NDArray[np.float64] = cells.reshape(array.shape)
         return found
 
     def in_dark(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Which map-frame points (n, 2) lie off the map or deep in UNKNOWN, where rays show nothing."""
-        dark: NDArray[np.bool_] = _stop_at(self.leap, self.to_cells(points)) == DARK
+        dark: NDArray[np.bool_] = stop_at(self.leap, self.to_cells(points)) == DARK
         return dark
 
     def cast(self, poses: ArrayLike, bearings: ArrayLike, range_max: ArrayLike) -> NDArray[np.float32]:
@@ -83,7 +83,7 @@ class RayCaster:
         resolution = self.grid.resolution
         limits = np.empty(angles.shape)
         limits[:] = np.asarray(range_max, dtype=np.float64) / resolution
-        out: NDArray[np.float32] = _cast(self.leap, starts, angles, limits, resolution)
+        out: NDArray[np.float32] = cast_rays(self.leap, starts, angles, limits, resolution)
         return out
 
     def panoramas(
@@ -119,7 +119,7 @@ class RayCaster:
             for block in blocks:
                 work(block)
         ranges: NDArray[np.float32] = transpose(by_direction)
-        start = _stop_at(self.leap, points)
+        start = stop_at(self.leap, points)
         ranges[start == WALL] = 0.0
         ranges[start == DARK] = _NO_WALL
         return ranges
@@ -153,10 +153,10 @@ def panoramas(
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _to_cells(
+def in_cells(
     map_in_grid: NDArray[np.float64], resolution: float, points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Map-frame points (P, 2) as continuous (column, row) of a grid with one cell around it."""
+    """For compiled code: map-frame points (P, 2) as continuous (column, row) of `leap`."""
     cos, sin = np.cos(map_in_grid[2]), np.sin(map_in_grid[2])
     out = np.empty(points.shape)
     for p in range(len(points)):
@@ -167,13 +167,14 @@ def _to_cells(
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _cast(
+def cast_rays(
     leap: NDArray[np.uint8],
     starts: NDArray[np.float64],
     bearings: NDArray[np.float64],
     limits: NDArray[np.float64],
     resolution: float,
 ) -> NDArray[np.float32]:
+    """For compiled code: `cast` from continuous (column, row) and heading (P, 3), `limits` (B,) in cells."""
     height, width = leap.shape
     cos, sin = np.cos(bearings), np.sin(bearings)
     dx, dy, travelled = np.empty(len(bearings)), np.empty(len(bearings)), np.empty(len(bearings))
@@ -214,8 +215,8 @@ def _cast(
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _stop_at(leap: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Value of `leap` at continuous (column, row) (P, 2); DARK outside."""
+def stop_at(leap: NDArray[np.uint8], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """For compiled code: value of `leap` at continuous (column, row) (P, 2); DARK outside."""
     height, width = leap.shape
     values = np.full(len(points), DARK)
     for p in range(len(points)):

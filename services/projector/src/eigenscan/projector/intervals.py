@@ -47,7 +47,7 @@ def clearance(field: WallField, poses: Array, bearings: Array, entered: Singles,
     From poses (n, 3) along `bearings` (B,) to where they ended, `seen` (B,); about FAR_OFF at most.
     """
     out = np.zeros(entered.shape, dtype=np.float32)
-    _clearance(field.cells, field.cell, field.cells_of(poses), bearings, entered, seen, out)
+    find_clearance(field.cells, field.cell, field.cells_of(poses), bearings, entered, seen, out)
     return out
 
 
@@ -73,9 +73,10 @@ def _leaving(
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _clearance(
+def find_clearance(
     cells: Words, cell: float, poses: Array, bearings: Array, entered: Singles, seen: Singles, out: Singles
 ) -> None:
+    """For compiled code: `clearance` of poses (n, 3) in the field, see WallField.cells_of."""
     height, width = cells.shape
     half = 0.5 * cell
     least = max(half, STEP_M)

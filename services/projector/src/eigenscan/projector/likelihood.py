@@ -44,7 +44,7 @@ def support(
     """
     out = np.empty((2, len(poses)))
     share = by_reach(seen) / max(len(seen), 1)
-    _support(field.cells, field.cell, field.cells_of(poses), bearings, seen, share, through, out)
+    find_support(field.cells, field.cell, field.cells_of(poses), bearings, seen, share, through, out)
     return out[0], out[1]
 
 
@@ -56,6 +56,13 @@ def beyond_walls(clear: NDArray[np.float32]) -> NDArray[np.float32]:
     square = clear * clear
     sure: NDArray[np.float32] = square / (square + np.float32(WALL_SCALE**2))
     return sure
+
+
+@njit(inline="always")  # pragma: no cover - compiled
+def sure_beyond(clear: np.float32) -> np.float32:
+    """For compiled code: `beyond_walls` of one beam."""
+    square = clear * clear
+    return np.float32(square / (square + np.float32(WALL_SCALE**2)))
 
 
 def ordinary_support(supports: Array, parts: int = 1) -> float:
@@ -81,7 +88,7 @@ def log_likelihood(supports: Array, ordinary: float) -> Array:
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
-def _support(
+def find_support(
     cells: NDArray[np.uint32],
     cell: float,
     poses: Array,
@@ -91,6 +98,7 @@ def _support(
     through: NDArray[np.float32],
     out: Array,
 ) -> None:
+    """For compiled code: `support` of poses (n, 3) in the field; each beam's `share` (B,); `out` (2, n)."""
     # single precision and no branches, so that it fits vector units
     one, half, zero, unit = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(cell)
     flat, columns = cells.reshape(-1), np.int32(cells.shape[1])

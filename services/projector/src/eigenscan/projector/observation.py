@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 NEAREST = 0.25
 """Least range, m: a shorter beam met a cover or the robot itself."""
+WEIGHED_BEAMS = 120
+"""Beams that are enough for the likelihood."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +37,25 @@ class Observation:
         """Beams (J,) of the analysis grid that came back."""
         return np.isfinite(self.coarse)
 
-    def weighed(self, most: int) -> NDArray[np.int64]:
-        """Indices (k,) of at most `most` of the used beams, evenly spread."""
+    @cached_property
+    def few(self) -> NDArray[np.int64]:
+        """Indices (k,) of at most WEIGHED_BEAMS of the used beams, evenly spread."""
         used = np.flatnonzero(self.used)
-        return used[:: max(1, -(-len(used) // most))]
+        return np.ascontiguousarray(used[:: max(1, -(-len(used) // WEIGHED_BEAMS))])
+
+    @cached_property
+    def weighed(self) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Bearings (k,) and ranges (k,) of the `few`."""
+        return self.bearings[self.few], self.coarse[self.few]
 
     @cached_property
     def points(self) -> NDArray[np.float64]:
         """End points (n, 2) of the beams that came back, m, sensor frame."""
         r = self.coarse[self.used].astype(np.float64)
         angle = self.bearings[self.used]
-        return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
+        points = np.empty((len(r), 2))
+        points[:, 0], points[:, 1] = r * np.cos(angle), r * np.sin(angle)
+        return points
 
 
 def by_reach(ranges: NDArray[np.float32] | NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,13 +17,13 @@ from eigenscan.projector.first_look import first_look
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
 from eigenscan.projector.from_eigenspace import answer
-from eigenscan.projector.intervals import clearance
-from eigenscan.projector.likelihood import beyond_walls, log_likelihood, ordinary_support, support
+from eigenscan.projector.likelihood import log_likelihood, ordinary_support, support
 from eigenscan.projector.observation import Observation
-from eigenscan.projector.refinement import POLISH, SLIDE, Fit, fit
+from eigenscan.projector.refinement import SLIDE, Fit, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, SensorView, Site
 from eigenscan.projector.verification import overshot, verify
+from eigenscan.projector.weighing import UNKNOWN_GROUND, weigh
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -41,16 +41,14 @@ ONE_M, ONE_RAD = 0.05, float(np.deg2rad(2.0))
 """The same of slid poses around one place: the polish moves them into one."""
 POLISHED = 48
 """Slid poses that are polished and weighed."""
-UNKNOWN_GROUND = 0.1
-"""Support that a pose loses off the known part of the map."""
 FOREGROUND_SHARE = 0.1
 """Share of beams on free-standing things from which the scan is also searched without them."""
 CLIMBING = 300
 """Candidates that also look at the model's finer positions around them."""
 SURELY_LARGER = 2.0
 """Ratio of the mean squares of 45 independent errors each that chance exceeds in one of 100 (F-test)."""
-SLIDE_POINTS, WEIGHED_BEAMS = 32, 120
-"""Beams that are enough for the coarse refinement, and for the likelihood."""
+SLIDE_POINTS = 32
+"""Beams that are enough for the coarse refinement."""
 
 
 def find_candidates(
@@ -203,28 +201,17 @@ def _verified(
 
 def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Index:
     """Which slid poses to polish: the best supported, by ranges that the panoramas foresee."""
-    used, sensor = seen.weighed(WEIGHED_BEAMS), seen.sensor
-    z, bearing = seen.coarse[used], seen.bearings[used]
+    sensor, used, (bearing, z) = seen.sensor, seen.few, seen.weighed
     through = overshot(view.leaves, site.lattice, home, slid, used, z, sensor.angle_min, sensor.range_max)
     supported, _ = support(site.drawn, slid, bearing, z, through)
-    order = np.argsort(-_grounded(site, slid, supported))
+    # nothing speaks against a pose on what the map does not know
+    order = np.argsort(UNKNOWN_GROUND * site.caster.in_dark(slid[:, :2]) - supported)
     return best_of_neighbourhoods(slid, order, SAME_M, SAME_RAD, POLISHED)
-
-
-def _grounded(site: Site, poses: Array, supported: Array) -> Array:
-    """Support (n,) of poses, less on what the map does not know: nothing there speaks against a pose."""
-    return supported - UNKNOWN_GROUND * site.caster.in_dark(poses[:, :2])
 
 
 def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
     """Slid poses polished on a reading's surfaces, with their support and the share of explained beams."""
-    polished = fit(reading.walls, slid, seen.points, POLISH)
-    used = seen.weighed(WEIGHED_BEAMS)
-    z, bearing = seen.coarse[used], seen.bearings[used]
-    entered = reading.caster.cast(polished.poses, bearing, z)
-    clear = clearance(site.drawn, polished.poses, bearing, entered, z)
-    supported, explained = support(reading.walls, polished.poses, bearing, z, beyond_walls(clear))
-    return polished, _grounded(site, polished.poses, supported), explained
+    return weigh(reading.walls, reading.caster, site.drawn, slid, seen.points, seen.weighed)
 
 
 def _weigh(

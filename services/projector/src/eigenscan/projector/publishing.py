@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from eigenscan.geometry.pose import compose, covariance_to_message, inverse, to_message
+from eigenscan.geometry.pose import covariance_to_message, to_message
 from eigenscan.projector.candidates import Candidates, Fitted
 from eigenscan.projector.columns import Record, doubles, flag, floats, messages, nested, packed, record
 from eigenscan.projector.coordinates import coordinates
@@ -27,6 +27,7 @@ from eigenscan.schemas.hypotheses_pb2 import (
     Projection,
 )
 from eigenscan.schemas.scan_pb2 import Scan
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -137,14 +138,14 @@ def hypotheses_message(
 
 def local_message(scan: Scan, site: Site, seen: Observation, mount: Array, found: Fitted) -> Hypotheses:
     """The one pose that the scan was fitted to; of others nothing is known."""
-    base, covariances = to_base(found.pose[None], found.covariance[None], mount)
+    (base,), (covariance,) = to_base(found.pose[None], found.covariance[None], mount)
     position = site.lattice.nearest(found.pose[None, :2])[0]
     message = _answer(
         scan, site, seen, status=Hypotheses.STATUS_OK, searched_area_m2=AROUND_M2, search=SEARCH_LOCAL
     )
     message.hypotheses.add(
-        pose=to_message(base[0]),
-        covariance=covariance_to_message(covariances[0]),
+        pose=to_message(base),
+        covariance=covariance_to_message(covariance),
         log_likelihood=found.log_likelihood,
         region=site.regions[site.lattice.region_of[position]],
         explained=found.explained,
@@ -178,7 +179,7 @@ def obstacles_message(
     message = Obstacles(
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
-        pose=to_message(compose(pose, inverse(mount))),
+        pose=to_message(to_base(pose[None], np.zeros((1, 3, 3)), mount)[0][0]),
         mask=mask.mask.tobytes(),
         error_energy=mask.error_energy,
         confidence=mask.confidence,
@@ -205,11 +206,32 @@ def _mask(site: Site, seen: Observation, pose: Array, found: Candidates | None) 
 
 def to_base(poses: Array, covariances: Array, mount: Array) -> tuple[Array, Array]:
     """Base poses (n, 3) and covariances (n, 3, 3) of sensor poses on a robot with `mount` (3,)."""
-    base = compose(poses, inverse(mount))
-    # the base swings about the sensor: d base / d theta is perpendicular to the arm between them
-    swing = np.zeros((len(poses), 3))
-    swing[:, 0] = -(base[:, 1] - poses[:, 1])
-    swing[:, 1] = base[:, 0] - poses[:, 0]
-    # J C J', where J is the identity and the swing in its last column
-    rows = covariances + swing[:, :, None] * covariances[:, 2:, :]
-    return base, rows + rows[:, :, 2:] * swing[:, None, :]
+    base, turned = np.empty(poses.shape), np.empty(covariances.shape)
+    _to_base(poses, covariances, mount, base, turned)
+    return base, turned
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _to_base(poses: Array, covariances: Array, mount: Array, base: Array, turned: Array) -> None:
+    # the base in the sensor's frame
+    cos, sin, turn = np.cos(mount[2]), np.sin(mount[2]), -mount[2]
+    x, y = -cos * mount[0] - sin * mount[1], sin * mount[0] - cos * mount[1]
+    for i in range(len(poses)):
+        cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        # the base swings about the sensor: d base / d theta is perpendicular to the arm between them
+        ahead, aside = cos * x - sin * y, sin * x + cos * y
+        base[i, 0], base[i, 1] = poses[i, 0] + ahead, poses[i, 1] + aside
+        heading = (poses[i, 2] + turn + np.pi) % (2.0 * np.pi) - np.pi
+        # modulo of a tiny negative number rounds to a full turn
+        base[i, 2] = heading if heading < np.pi else -np.pi
+        swing = (-aside, ahead, 0.0)
+        # J C J', where J is the identity and the swing in its last column
+        c = covariances[i]
+        for row in range(3):
+            for column in range(3):
+                turned[i, row, column] = (
+                    c[row, column]
+                    + swing[row] * c[2, column]
+                    + swing[column] * c[row, 2]
+                    + swing[row] * swing[column] * c[2, 2]
+                )

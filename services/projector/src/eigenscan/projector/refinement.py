@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Words = NDArray[np.uint32]
+Flat = tuple[Words, int, int, float, float, float, float]
+"""A field as compiled code takes it: cells row by row, rows, columns, cell, and its grid's pose."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +57,21 @@ class Fit:
     information: Array
 
 
+def flat(field: WallField) -> Flat:
+    """The field for `fit_poses`."""
+    height, width = field.cells.shape
+    x, y, theta = field.origin.tolist()
+    return field.cells.reshape(-1), height, width, field.cell, x, y, theta
+
+
 def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fit:
     """Fit of points (B, 2), m, sensor frame, to the walls, from sensor poses (n, 3) in the map frame.
 
     Points count `by_reach`.
     """
     found = Fit(np.empty(poses.shape), np.empty(len(poses)), np.empty((len(poses), 3, 3)))
-    _fit(
-        (field.cells.reshape(-1), *field.cells.shape, field.cell, *field.origin.tolist()),
+    fit_poses(
+        flat(field),
         poses,
         np.ascontiguousarray(points),
         schedule.squares,
@@ -74,8 +83,8 @@ def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fi
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
-def _fit(
-    field: tuple[Words, int, int, float, float, float, float],
+def fit_poses(
+    field: Flat,
     start: Array,
     ends: Array,
     scales: Array,
@@ -83,7 +92,8 @@ def _fit(
     cost: Array,
     information: Array,
 ) -> None:
-    flat, height, width, cell, x0, y0, turned = field
+    """For compiled code: `fit` with the field as of `flat`, `scales` as of Schedule.squares."""
+    cells, height, width, cell, x0, y0, turned = field
     x, y, weight = _in_cells(ends, cell)
     count = max(len(ends), 1)
     sums = np.empty(10, dtype=np.float32)
@@ -99,7 +109,7 @@ def _fit(
     for step in range(len(scales) - 1):
         for i in range(len(poses)):
             at = poses[i, 0], poses[i, 1], ahead[i], aside[i]
-            _sum(flat, height, width, cell, at, x, y, weight, scales[step], sums)
+            _sum(cells, height, width, cell, at, x, y, weight, scales[step], sums)
             x_step, y_step, turn = _step(sums, count)
             poses[i, 0] += x_step / cell
             poses[i, 1] += y_step / cell
@@ -110,7 +120,7 @@ def _fit(
             ahead[i], aside[i] = ahead[i] * cos - aside[i] * sin, aside[i] * cos + ahead[i] * sin
     for i in range(len(poses)):
         at = poses[i, 0], poses[i, 1], ahead[i], aside[i]
-        _sum(flat, height, width, cell, at, x, y, weight, scales[-1], sums)
+        _sum(cells, height, width, cell, at, x, y, weight, scales[-1], sums)
         cost[i] = sums[0] / count
         _turn(sums, cos0, sin0, information[i])
         dx, dy = (poses[i, 0] - 1.0) * cell, (poses[i, 1] - 1.0) * cell

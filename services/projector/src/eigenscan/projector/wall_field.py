@@ -56,7 +56,7 @@ class WallField:
 
     def cells_of(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses (n, 3) of the map frame in the field: continuous (column, row), and heading, rad."""
-        return _cells_of(self.map_in_field, self.cell, np.ascontiguousarray(poses))
+        return cells_of(self.map_in_field, self.cell, np.ascontiguousarray(poses))
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
         """Distance (n,) of map-frame points (n, 2) from the nearest wall, m, at most about REACH."""
@@ -66,9 +66,10 @@ class WallField:
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _cells_of(
+def cells_of(
     map_in_field: NDArray[np.float64], cell: float, poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
+    """For compiled code: as of WallField."""
     cos, sin = np.cos(map_in_field[2]), np.sin(map_in_field[2])
     out = np.empty(poses.shape)
     for i in range(len(poses)):

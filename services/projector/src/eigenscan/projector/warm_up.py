@@ -14,26 +14,36 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.first_look import first_look
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
+from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN, SEARCH
 from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SearchRequest
 from eigenscan.schemas.scan_pb2 import Scan
 
 _CAP_M, _BEAMS, _SPACING_M = 15.0, 180, 0.25
+_PLACE = (2.2, 1.7, 0.4)
+"""Pose of the scans, map frame."""
 
 
 def warm_up(settings: ProjectorSettings) -> int:
-    """Gives two scans of a small simulated room to a separate core; returns the number of its messages."""
+    """Gives scans of a small simulated room to a separate core; returns the number of its messages.
+
+    Two are searched in the whole map, the third around a pose.
+    """
     core = ProjectorCore(settings)
     address = {"site": "warm-up", "robot": "warm-up", "lidar": "warm-up", "region": "room"}
     grid = _room()
     model = _model(grid)
     announced = model_set([model], grid.version, "map", grid.free_area)
-    scans = [Envelope(SCAN, address, _scan(grid, time)) for time in (1, 2)]
+    first, second, third = (Envelope(SCAN, address, _scan(grid, time)) for time in (1, 2, 3))
     received = [
         Envelope(MAP, address, to_message(grid, "map")),
         Envelope(MODEL, address, model.to_message()),
         Envelope(MODEL_SET, address, announced),
-        *scans,
+        first,
+        second,
+        Envelope(SEARCH, address, _request(second.stamp)),
+        third,
     ]
     _look_at(model)  # only what is large needs it
     return sum(len(list(core.handle(envelope))) for envelope in received)
@@ -60,10 +70,23 @@ def _model(grid: GridMap) -> RegionModel:
     return RegionModel.of(Analysis(), "room", "map", _SPACING_M, np.zeros(2), index, ranges, np.empty((0, 2)))
 
 
+def _request(time: int) -> SearchRequest:
+    """Around the scan's place, at any likelihood."""
+    x, y, theta = _PLACE
+    return SearchRequest(
+        timestamp=stamp(time),
+        frame_id="map",
+        search=SEARCH_LOCAL,
+        pose=Pose2(x=x, y=y, theta=theta),
+        covariance=Covariance3(xx=0.01, yy=0.01, tt=0.001),
+        least_log_likelihood=-1e6,
+    )
+
+
 def _scan(grid: GridMap, time: int) -> Scan:
     """From a place between the positions, with a beam that came back empty and one that is missing."""
     bearings = np.arange(_BEAMS) * (np.pi / _BEAMS) - np.pi / 2
-    ranges = RayCaster.of(grid).cast(np.array([2.2, 1.7, 0.4]), bearings, _CAP_M)[0]
+    ranges = RayCaster.of(grid).cast(np.array(_PLACE), bearings, _CAP_M)[0]
     ranges[:2] = np.inf, np.nan
     return Scan(
         timestamp=stamp(time * 100_000_000),

@@ -1,0 +1,102 @@
+"""Polishes poses of a scan and weighs them by all its beams, in one compiled call.
+
+The steps are those of `fit`, RayCaster.cast, `clearance` and `support`; the calls between them cost more than
+the work on few poses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from eigenscan.geometry.raycast import RayCaster, cast_rays, in_cells, stop_at
+from eigenscan.geometry.trace import DARK
+from eigenscan.projector.intervals import find_clearance
+from eigenscan.projector.likelihood import find_support, sure_beyond
+from eigenscan.projector.refinement import POLISH, Fit, Flat, fit_poses, flat
+from eigenscan.projector.wall_field import WallField, cells_of
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Walls = tuple[NDArray[np.uint32], float, Array]
+"""Cells of a field, their width, m, and the map frame's pose in it."""
+Rays = tuple[NDArray[np.uint8], Array, float, float]
+"""What rays run through: leaps, the map frame's pose in the grid, m a cell, and the grid's heading, rad."""
+
+UNKNOWN_GROUND = 0.1
+"""Support that a pose loses off the known part of the map: nothing there speaks against it."""
+
+
+def weigh(
+    walls: WallField,
+    caster: RayCaster,
+    drawn: WallField,
+    slid: Array,
+    points: Array,
+    beams: tuple[Array, Singles],
+) -> tuple[Fit, Array, Array]:
+    """Poses `slid` (n, 3) polished on `walls`, with their support (n,) and share of explained beams (n,).
+
+    `caster` shows where beams enter these walls, `drawn` when they are beyond them. `points` (B, 2) of the
+    whole scan are fitted; `beams`, bearings (b,) and finite ranges (b,), are weighed.
+    """
+    count = len(slid)
+    found = Fit(np.empty((count, 3)), np.empty(count), np.empty((count, 3, 3)))
+    out, grid = np.empty((2, count)), caster.grid
+    _weigh(
+        flat(walls),
+        (walls.cells, walls.cell, walls.map_in_field),
+        (drawn.cells, drawn.cell, drawn.map_in_field),
+        (caster.leap, grid.map_in_grid, grid.resolution, float(grid.origin[2])),
+        slid,
+        points,
+        POLISH.squares,
+        beams[0],
+        beams[1],
+        (found.poses, found.cost, found.information),
+        out,
+    )
+    return found, out[0], out[1]
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _weigh(
+    field: Flat,
+    walls: Walls,
+    drawn: Walls,
+    rays: Rays,
+    slid: Array,
+    points: Array,
+    scales: Array,
+    bearings: Array,
+    seen: Singles,
+    fitted: tuple[Array, Array, Array],
+    out: Array,
+) -> None:
+    poses, cost, information = fitted
+    fit_poses(field, slid, points, scales, poses, cost, information)
+    leap, map_in_grid, resolution, turned = rays
+    starts, limits = poses.copy(), np.empty(len(seen))
+    ground = in_cells(map_in_grid, resolution, np.ascontiguousarray(poses[:, :2]))
+    for i in range(len(poses)):
+        starts[i, 0], starts[i, 1], starts[i, 2] = ground[i, 0], ground[i, 1], poses[i, 2] - turned
+    share, total = np.empty(len(seen)), 0.0
+    for j in range(len(seen)):
+        limits[j] = seen[j] / resolution
+        share[j] = np.sqrt(np.float64(seen[j]))
+        total += share[j]
+    for j in range(len(seen)):
+        share[j] /= max(total, 1e-9)
+    entered = cast_rays(leap, starts, bearings, limits, resolution)
+    through = np.zeros(entered.shape, dtype=np.float32)
+    cells, cell, map_in_field = drawn
+    find_clearance(cells, cell, cells_of(map_in_field, cell, poses), bearings, entered, seen, through)
+    for i in range(len(poses)):
+        for j in range(len(seen)):
+            through[i, j] = sure_beyond(through[i, j])
+    cells, cell, map_in_field = walls
+    find_support(cells, cell, cells_of(map_in_field, cell, poses), bearings, seen, share, through, out)
+    stops = stop_at(leap, ground)
+    for i in range(len(poses)):
+        if stops[i] == DARK:
+            out[0, i] -= UNKNOWN_GROUND
