@@ -198,23 +198,23 @@ Patches = Sequence[tuple[Any, str, Any]]
 
 MECHANISMS: Mapping[str, Patches] = {
     "as it is": (),
-    "lead over the next place": ((evidence, "ahead", lambda seen: np.zeros(len(seen.poses))),),
+    "lead over the next place": ((evidence, "MOST_AHEAD", 0.0),),
     "aliases": ((evidence, "ALIASES", 1e-12),),
     "what the map is worth, learned": ((robot, "learned", lambda *_: evidence.EVEN_EXACT),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, __: moved.turn),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),
     "what lists leave out": ((belief, "MISSES", 0.0),),
-    "slipped wheels": ((belief, "slipped", lambda _, seen, *__: np.full(len(seen.poses), -np.inf)),),
-    "heavy tails of odometry": ((branching, "surprise", np.ones_like),),
+    "slipped wheels": ((evidence, "SLIPS", 0.0),),
+    "heavy tails of odometry": ((evidence, "TAIL", 1e300),),
     "poor fits err more": ((observation, "POORER", 0.0),),
-    "evidence by place": ((branching, "independent_share", lambda C, *_: np.ones(len(C))),),
+    "evidence by place": ((branching, "LEAST_NEW", 1.0),),
     "kidnaps by broken lists": ((robot, "goes_on", lambda *_: None),),
     "jumps of odometry": ((belief, "BREAK_SHARE", 0.0),),
     "off the map": ((belief, "OFF_MAP_SHARE", 1e-9),),
     "scan motion corrects odometry": ((belief.Belief, "correct", lambda *_: None),),
     "scan motion against odometry": ((agreement.Agreement, "trust", property(lambda _: 1.0)),),
     "claims are withdrawn before they jump": ((claim.Claim, "_is_apart", lambda *_: False),),
-    "new tracks keep their own mass": ((belief, "at_least", lambda grown, *_: grown),),
+    "new tracks keep their own mass": ((branching, "KEPT", 0.0),),
     "unification": ((robot, "unify", lambda _: None),),
 }
 """What stands in for each mechanism where it is left out."""

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from eigenscan.tracker.confidence import PLACE_M, PLACE_RAD, Protection, protect, share_within
 from eigenscan.tracker.covariance import residual
-from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, ahead
+from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.tracks import Tracks, begin
 from scipy.special import ndtri
 from scipy.stats import ncx2, norm
-
-from tests.services.tracker.test_evidence import listed
 
 
 def crowd(rng: np.random.Generator, count: int) -> Tracks:
@@ -66,14 +64,3 @@ def test_the_compiled_share_within_reach_is_the_readable_one() -> None:
     position = ncx2.cdf(NEAR_M**2 / long_axis, 2, (delta[:, :2] ** 2).sum(axis=1) / long_axis)
     heading = norm.cdf(NEAR_RAD, delta[:, 2], sigma) - norm.cdf(-NEAR_RAD, delta[:, 2], sigma)
     assert share_within(delta, tracks.C) == pytest.approx(position * heading, abs=1e-9)
-
-
-def test_the_compiled_lead_is_the_readable_one() -> None:
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        seen = listed(np.array([1.0, 1.0, 3.0]) + rng.normal(size=(20, 3)) * 0.4, rng.normal(12.0, 3.0, 20))
-        L = seen.log_likelihoods
-        off = np.abs(residual(seen.poses, seen.poses[np.argmax(L)]))
-        there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (off[:, 2] <= NEAR_RAD)
-        lead = np.where(there, L - L[~there].max(initial=seen.unlisted), 0.0).clip(0.0, 5.0)
-        assert ahead(seen) == pytest.approx(lead, rel=1e-12)

@@ -1,4 +1,4 @@
-"""What a scan shows of a track, against formulas written out."""
+"""What a scan shows of a track, against formulas written out; test_weighing.py has the compiled form."""
 
 from __future__ import annotations
 
@@ -12,19 +12,7 @@ from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.association import Pairs, associate
-from eigenscan.tracker.evidence import (
-    Merit,
-    aliases_go_on,
-    aliases_of,
-    explained_by_aliases,
-    hide_and_show,
-    learned,
-    likelihood_at,
-    present_evidence,
-    share_aliases,
-    slipped,
-    surprise,
-)
+from eigenscan.tracker.evidence import learned, likelihood_at
 from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.robot import _Source
@@ -35,6 +23,17 @@ from numpy.typing import ArrayLike
 from scipy.stats import multivariate_normal
 
 from tests.services.tracker.conftest import MakeCore, Speaker, TracksOf
+from tests.services.tracker.readable import (
+    Merit,
+    aliases_go_on,
+    aliases_of,
+    explained_by_aliases,
+    hide_and_show,
+    present_evidence,
+    share_aliases,
+    slipped,
+    surprise,
+)
 
 # written out, not taken from what is tested: a change there must show here
 ENDS = 0.35

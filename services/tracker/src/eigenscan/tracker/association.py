@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import log
+from typing import NamedTuple
 
 import numpy as np
-from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
-from eigenscan.tracker.symmetric import apart
-from numba import njit
+from eigenscan.geometry.symmetric import MATRICES, determinant, inverse, plus, square, triangle
+from eigenscan.tracker.symmetric import ROWS, apart
+from numba import njit, types
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
@@ -16,8 +16,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class Pairs:
+class Pairs(NamedTuple):
     """Pairs (track, hypothesis) within the gate, shape (p,) each, sorted by track, then hypothesis."""
 
     track: Index
@@ -41,14 +40,18 @@ def gate(probability: float) -> float:
 
 def associate(x: Array, C: Array, y: Array, R: Array, gate: float) -> Pairs:
     """Pairs of tracks (n, 3), (n, 3, 3) and hypotheses (k, 3), (k, 3, 3) with distance^2 <= `gate`."""
-    return Pairs(*_within_gate(x, C, y, R, gate))
+    return Pairs(*within_gate(x, C, y, R, gate))
 
 
-_PAIRS = "Tuple((i8[::1], i8[::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:,:], f8[:,:], f8[:,:,:], f8)"
+_INDEX, _NUMBERS = types.int64[::1], types.float64[::1]
+_PAIRS = types.Tuple((_INDEX, _INDEX, _NUMBERS, _NUMBERS))
 
 
-@njit(_PAIRS, cache=True, nogil=True, error_model="numpy")  # pragma: no cover - compiled
-def _within_gate(x: Array, C: Array, y: Array, R: Array, gate: float) -> tuple[Index, Index, Array, Array]:
+@njit(
+    _PAIRS(ROWS, MATRICES, ROWS, MATRICES, types.float64), cache=True, nogil=True, error_model="numpy"
+)  # pragma: no cover - compiled
+def within_gate(x: Array, C: Array, y: Array, R: Array, gate: float) -> tuple[Index, Index, Array, Array]:
+    """The arrays of `associate`'s pairs."""
     room = len(x) * len(y)
     track, hypothesis = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     distance2, log_overlap = np.empty(room), np.empty(room)
@@ -75,6 +78,16 @@ def crowding(y: Array, R: Array) -> Array:
 
     Overlapping hypotheses describe one peak of the likelihood; dividing by this counts the peak once.
     """
-    pairs = associate(y, R, y, R, gate=50.0)
-    # under R + R the squared distance is half of what it is under R
-    return np.bincount(pairs.track, weights=np.exp(-pairs.distance2), minlength=len(y)).clip(min=1.0)
+    result: Array = crowding_each(y, R)
+    return result
+
+
+@njit(_NUMBERS(ROWS, MATRICES), cache=True)  # pragma: no cover - compiled
+def crowding_each(y: Array, R: Array) -> Array:
+    """The same, compiled."""
+    track, _, distance2, _ = within_gate(y, R, y, R, 50.0)
+    count = np.zeros(len(y))
+    for pair in range(len(track)):
+        # under R + R the squared distance is half of what it is under R
+        count[track[pair]] += np.exp(-distance2[pair])
+    return np.maximum(count, 1.0)

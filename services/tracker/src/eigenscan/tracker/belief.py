@@ -11,27 +11,20 @@ this is banked, and the evidence of the next place is added to it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import exp, expm1, log, log1p
+from math import expm1
 
 import numpy as np
-from eigenscan.tracker.association import associate, gate
-from eigenscan.tracker.branching import at_least, births, branch
-from eigenscan.tracker.covariance import log_volume
-from eigenscan.tracker.evidence import (
-    SHOWN_YET_MISSED,
-    SHOWS,
-    Merit,
-    aliases_of,
-    share_aliases,
-    slipped,
-)
+from eigenscan.tracker import branching, evidence, observation
+from eigenscan.tracker.association import gate
+from eigenscan.tracker.evidence import Constants
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.reckoning import Leg, Motions, correct
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
-from eigenscan.tracker.tracks import Tracks, begin, join, no_tracks, replace
+from eigenscan.tracker.tracks import Tracks, arrays_of, no_tracks, replace, tracks_of
+from eigenscan.tracker.weighing import jumped, normalise, observed, returned
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -53,37 +46,24 @@ Rounded from 0 to 1.3 in a hundred of eleven logs: benchmarks/evidence.py.
 
 @dataclass
 class Elsewhere:
-    """Mass that no track holds: uniform over a frame's free area, or off every map (`area` 0)."""
+    """Mass that no track holds, as logarithms (f,), by map frame: uniform over its free `area` (f,), m^2.
 
-    log_weight: float
-    area: float = 0.0
-    searched: dict[int, float] = field(default_factory=dict)
-    """Share of the mass that a list of each source has left out: it is hidden, or not there."""
+    Frame 0 is off every map, its area 0. `searched` (f, sources): share of the mass that a list of each
+    source has left out: it is hidden, or not there.
+    """
 
-    def log_density(self, source: int, share: Share) -> float:
-        """Ln of the mass density that a list may find: what was not searched yet, or comes out of hiding."""
-        findable = 1.0 - self.searched.get(source, 0.0) + self._emerging(source, share)
-        return self.log_weight + float(np.log(findable / (self.area * 2.0 * np.pi)))
+    log_weight: Array
+    area: Array
+    searched: Array
 
-    def search(self, source: int, share: Share) -> None:
-        """A list was of it: what is not in the list is hidden, and what came out of hiding is not there."""
-        if share.in_part:
-            return
-        self.log_weight += log1p(expm1(SHOWN_YET_MISSED) * self._emerging(source, share))
-        left = (1.0 - self.searched.get(source, 0.0)) * (1.0 - (1.0 - MISSES) * share.weight)
-        self.searched[source] = 1.0 - left
+    def parts(self) -> tuple[Array, Array, Array]:
+        """The arrays, which compiled code changes in place."""
+        return self.log_weight, self.area, self.searched
 
-    def take(self, mass: float) -> None:
-        """Adds mass that no list was of yet."""
-        if mass <= 0.0:
-            return
-        stayed = exp(self.log_weight)
-        self.log_weight = log(stayed + mass)
-        stayed /= stayed + mass
-        self.searched = {source: searched * stayed for source, searched in self.searched.items()}
-
-    def _emerging(self, source: int, share: Share) -> float:
-        return self.searched.get(source, 0.0) * -expm1(-SHOWS * share.progress)
+    def append(self, log_weight: float, area: float) -> None:
+        """Adds a frame."""
+        self.log_weight, self.area = np.append(self.log_weight, log_weight), np.append(self.area, area)
+        self.searched = np.vstack([self.searched, np.zeros((1, self.searched.shape[1]))])
 
 
 @dataclass
@@ -92,7 +72,9 @@ class Belief:
 
     settings: TrackerSettings
     tracks: Tracks = field(default_factory=lambda: no_tracks(0))
-    elsewhere: list[Elsewhere] = field(default_factory=lambda: [Elsewhere(0.0)])
+    elsewhere: Elsewhere = field(
+        default_factory=lambda: Elsewhere(np.zeros(1), np.zeros(1), np.zeros((1, 0)))
+    )
     frames: list[str] = field(default_factory=lambda: [""])
     sources: list[str] = field(default_factory=list)
     next_id: int = 1
@@ -104,25 +86,24 @@ class Belief:
     @property
     def none_probability(self) -> float:
         """Mass for "none of the tracks"."""
-        return float(np.exp([part.log_weight for part in self.elsewhere]).sum())
+        return float(np.exp(self.elsewhere.log_weight).sum())
 
     def frame_index(self, frame: str, area: float) -> int:
         """Index of a map frame; a new one takes its share of the mass that no track holds."""
+        rest = self.elsewhere
         if frame in self.frames:
             index = self.frames.index(frame)
             # a list may be of a part of the site
-            self.elsewhere[index].area = max(area, self.elsewhere[index].area)
+            rest.area[index] = max(area, rest.area[index])
             return index
-        known = sum(part.area for part in self.elsewhere)
-        share = area / (known + area)
+        share = area / (float(rest.area.sum()) + area)
         # no list of this frame has come yet: against "off every map" it stands as at the start
-        taken = self.elsewhere[0].log_weight + np.log((1.0 - OFF_MAP_SHARE) / OFF_MAP_SHARE * share)
-        for part in self.elsewhere[1:]:
-            part.log_weight += np.log1p(-share)
-        if len(self.elsewhere) > 1:
+        own = rest.log_weight[0] + np.log((1.0 - OFF_MAP_SHARE) / OFF_MAP_SHARE * share)
+        if len(self.frames) > 1:
+            rest.log_weight[1:] += np.log1p(-share)
             self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
         self.frames.append(frame)
-        self.elsewhere.append(Elsewhere(float(taken), area))
+        rest.append(float(own), area)
         self.normalise()
         return len(self.frames) - 1
 
@@ -132,6 +113,8 @@ class Belief:
             self.sources.append(source)
             widened = np.column_stack([self.tracks.evidence, np.zeros(len(self.tracks))])
             self.tracks = replace(self.tracks, evidence=widened)
+            searched = self.elsewhere.searched
+            self.elsewhere.searched = np.column_stack([searched, np.zeros(len(searched))])
         return self.sources.index(source)
 
     def forget_innovations(self) -> None:
@@ -145,87 +128,29 @@ class Belief:
             unchecked = self.tracks.unchecked + np.array([moved.way, moved.turn])
             self.tracks = replace(self.tracks, x=x, C=C, unchecked=unchecked)
         if moved.breaks > 0:
-            self._release(np.full(len(self.tracks), 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)))
-        self._return(happened(RETURN_RATE * abs(moved.seconds)))
+            share = 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)
+            log_weight = jumped(self.tracks.log_weight, *self.elsewhere.parts(), share, OFF_MAP_SHARE)
+            self.tracks = replace(self.tracks, log_weight=log_weight)
+        returned(*self.elsewhere.parts(), happened(RETURN_RATE * abs(moved.seconds)))
 
     def correct(self, way: Leg, now: int, motions: Motions) -> None:
         """Corrects the tracks by the scan motion since they were last fixed."""
         self.tracks = correct(self.tracks, way, now, motions, self.settings)
-
-    def _release(self, share: Array) -> None:
-        """Moves `share` (n,) of the tracks' mass to "none"."""
-        if not len(self.tracks) or not share.any() or len(self.elsewhere) < 2:
-            return
-        freed = float(share @ np.exp(self.tracks.log_weight))
-        area = sum(part.area for part in self.elsewhere)
-        self.elsewhere[0].take(freed * OFF_MAP_SHARE)
-        for part in self.elsewhere[1:]:
-            part.take(freed * (1.0 - OFF_MAP_SHARE) * part.area / area)
-        self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
-
-    def _break_off(self, source: int) -> None:
-        """The sensor was covered or uncovered, or the robot carried away: the tracks start a new place."""
-        self._release(np.full(len(self.tracks), BREAK_SHARE))
-        for part in self.elsewhere:
-            part.searched.pop(source, None)
-        evidence = self.tracks.evidence.copy()
-        evidence[:, source] = 0.0
-        count = len(self.tracks)
-        self.tracks = replace(
-            self.tracks, evidence=evidence, hidden=np.full(count, 0.5), alias=np.zeros(count)
-        )
-
-    def _return(self, share: float) -> None:
-        """Moves `share` of the mass off the map back onto it."""
-        off, inside = self.elsewhere[0], self.elsewhere[1:]
-        if not inside or share <= 0.0:
-            return
-        back = share * exp(off.log_weight)
-        total = sum(part.area for part in inside)
-        for part in inside:
-            part.take(back * part.area / total)
-        off.log_weight += log1p(-share)
 
     def observe(self, seen: Observation, share: Share) -> None:
         """Weighs every part by what was seen, fuses tracks with hypotheses, and starts new tracks.
 
         Hypotheses that are no likelier than an unlisted pose add nothing and are left out.
         """
-        seen = seen.likelier_than_unlisted()
         frame = self.frame_index(seen.frame, seen.area)
         source = self.source_index(seen.source)
-        self._bank(source, share.progress)
-        self._release(np.full(len(self.tracks), share.carried))
-        if share.broken:
-            self._break_off(source)
-        old, others = self._by_frame(frame)
-        merit = Merit.of(seen, share.even)
-        pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
-        part = self.elsewhere[frame]
-        carried = merit.alone + log_volume(seen.covariances) + part.log_density(source, share)
-        alone = np.logaddexp(carried, slipped(old, seen, merit, pairs))
-        first = merit.at_first(pairs, old.observations)
-        grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
-        evidence = np.zeros((len(alone), len(self.sources)))
-        evidence[:, source] = merit.predicted
-        alias = aliases_of(merit.predicted)
-        grown = at_least(grown, len(old), pairs, alone, evidence, alias)
-        k, log_weight = births(grown, seen, pairs, alone)
-        new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], evidence[k], frame, seen.stamp)
-        self.tracks = share_aliases(join([*others, grown, new]))
-        part.search(source, share)
-        self.normalise()
-
-    def _bank(self, source: int, progress: float) -> None:
-        """As the robot moves on, what was seen at the last place speaks for a track for good."""
-        evidence = self.tracks.evidence.copy()
-        evidence[:, source] *= np.exp(-progress)
-        self.tracks = replace(self.tracks, evidence=evidence)
-
-    def _by_frame(self, frame: int) -> tuple[Tracks, list[Tracks]]:
-        """The tracks of a frame, and those of others, mostly none."""
-        mine = self.tracks.frame == frame
-        return (self.tracks, []) if mine.all() else (self.tracks.pick(mine), [self.tracks.pick(~mine)])
+        made = observed(
+            arrays_of(self.tracks), *self.elsewhere.parts(), seen.poses, seen.covariances,
+            seen.log_likelihoods, seen.unlisted, frame, source, seen.stamp, self.gate, share.weight,
+            share.progress, share.precision, share.carried, share.even, share.broken, share.in_part,
+            _constants(),
+        )  # fmt: skip
+        self.tracks = tracks_of(made)
 
     def name_new(self) -> None:
         """Gives numbers to the tracks that forks and births left without one."""
@@ -238,17 +163,32 @@ class Belief:
 
     def normalise(self) -> None:
         """Makes all masses sum to 1."""
-        rest = np.array([part.log_weight for part in self.elsewhere])
-        total = np.logaddexp.reduce(np.concatenate([self.tracks.log_weight, rest]))
-        if total == -np.inf:
-            # the last track ended: nothing is left but that nothing is known
-            self.elsewhere[-1].log_weight = 0.0
-            return
-        self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight - total)
-        for part in self.elsewhere:
-            part.log_weight -= float(total)
+        log_weight = self.tracks.log_weight.copy()
+        normalise(log_weight, self.elsewhere.log_weight)
+        self.tracks = replace(self.tracks, log_weight=log_weight)
 
 
 def happened(expected: float) -> float:
     """Probability that what is expected so often has happened at least once; never quite sure."""
     return -expm1(-min(expected, MOST_DECAY))
+
+
+def _constants() -> Constants:
+    """As they are now: a benchmark may have changed one."""
+    return Constants(
+        evidence.SLOPE,
+        evidence.MOST_AHEAD,
+        evidence.SHOWN_YET_MISSED,
+        evidence.HIDES,
+        evidence.SHOWS,
+        evidence.ALIASES,
+        evidence.ENDS,
+        evidence.SLIPS,
+        evidence.TAIL,
+        observation.POORER,
+        branching.LEAST_NEW,
+        branching.KEPT,
+        MISSES,
+        OFF_MAP_SHARE,
+        BREAK_SHARE,
+    )

@@ -6,18 +6,23 @@ Paper, section 7: association, fork when two poses fit one track, recursive esti
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.tracker.association import Pairs, crowding
-from eigenscan.tracker.covariance import determinant, fuse
+from eigenscan.geometry.symmetric import MATRICES, determinant, triangle
+from eigenscan.tracker import evidence as model
+from eigenscan.tracker.association import Pairs, crowding_each
 from eigenscan.tracker.evidence import (
-    SHOWN_YET_MISSED,
+    Constants,
+    Listed,
+    Scan,
     aliases_go_on,
     explained_by_aliases,
     hide_and_show,
+    log_sum,
     surprise,
 )
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.share import Share
-from eigenscan.tracker.tracks import Tracks, replace
+from eigenscan.tracker.symmetric import ROWS, WEIGHTS, fuse_each
+from eigenscan.tracker.tracks import GIVEN, MADE, Arrays, Columns, Tracks, arrays_of, begun, taken, tracks_of
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -25,137 +30,181 @@ Index = NDArray[np.intp]
 
 LEAST_BORN = float(np.log(1e-9))
 """Mass of a new track over the heaviest's, below which it is not begun."""
+LEAST_NEW = 1e-3
+"""Share of a hypothesis' information that each scan has for a track at least."""
+KEPT = 1.0
+"""Of the mass that a hypothesis would begin a track with, what the track that takes it gets at least."""
 
 
-def branch(
-    old: Tracks, seen: Observation, pairs: Pairs, worth: Array, first: Array, source: int, share: Share
-) -> Tracks:
-    """Each track once as predicted, then for each hypothesis in its gate, a pair `worth` (p,) nats.
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> Columns:
+    """Each track (n,) once as predicted, then for each pair (p,) of a track and a hypothesis in its gate.
 
-    `first` (p,): what a pair is worth once, on top, for a track without observations. A hidden track has no
-    hypothesis; one that is shown has one of its gate, or hardly ever none.
+    A hidden track has no hypothesis; one that is shown has one of its gate, or hardly ever none. With w the
+    scan's weight, f a branch's fit in nats and L the evidence of the present place, a shown track gains
+    g = w (ln sum e^f - L). Branches share the track by e^(w f): scans from one place repeat each other's
+    preference.
     """
-    count = len(old)
-    origin = np.concatenate([np.arange(count), pairs.track])
-    # a projector of a part of the site is no evidence on tracks elsewhere
-    silent = (old.evidence[:, source] == 0.0) & share.in_part
-    fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
+    count = len(old.x)
+    origin = np.concatenate((np.arange(count), pairs.track))
+    fit, first = _fit(old, seen, pairs, scan, c)
     total, preference = np.full(count, -np.inf), np.full(count, -np.inf)
-    np.logaddexp.at(total, origin, fit)
-    # which of several hypotheses is the track's: scans from one place repeat each other's preference
-    np.logaddexp.at(preference, origin, share.weight * fit)
-    evidence = old.evidence.copy()
-    gained = share.weight * (total - evidence[:, source])
-    evidence[:, source] += gained
-    explained, of_others, alias = explained_by_aliases(aliases_go_on(old.alias, share.progress), gained)
-    hidden = hide_and_show(old.hidden, share.progress)
-    with np.errstate(divide="ignore"):
-        shown = old.log_weight + np.log1p(-hidden) + gained - explained
-        unseen = old.log_weight + np.log(hidden) + of_others - explained
-    part = share.weight * fit - preference[origin]
-    log_weight = shown[origin] + part
-    log_weight[count:] += first
-    log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
-    hidden_share = np.zeros(len(origin))
-    hidden_share[:count] = np.exp(unseen - log_weight[:count])
-    branches = old.pick(origin)
-    id_, parent = _forks(branches, log_weight, origin)
-    weighed = replace(
-        branches,
-        log_weight=log_weight,
-        hidden=hidden_share,
-        alias=alias[origin] * np.exp(part),
-        evidence=evidence[origin],
-        id=id_,
-        parent=parent,
-    )
-    return fused(weighed, count, seen, pairs, share.precision)
+    for row in range(len(origin)):
+        i = origin[row]
+        total[i] = log_sum(total[i], fit[row])
+        preference[i] = log_sum(preference[i], scan.weight * fit[row])
+    gained = scan.weight * (total - old.evidence[:, scan.source])
+    before = aliases_go_on(old.alias, scan.progress, c)
+    explained, of_others, alias = explained_by_aliases(before, gained)
+    out = taken(old, origin)
+    for row in range(len(origin)):
+        i = origin[row]
+        hidden, part = hide_and_show(old.hidden[i], scan.progress, c), scan.weight * fit[row] - preference[i]
+        log_weight = old.log_weight[i] + np.log1p(-hidden) + gained[i] - explained + part + first[row]
+        out.hidden[row] = 0.0
+        if row < count:
+            unseen = old.log_weight[i] + np.log(hidden) + of_others[i] - explained
+            log_weight = log_sum(log_weight, unseen)
+            out.hidden[row] = np.exp(unseen - log_weight)
+        out.log_weight[row], out.alias[row] = log_weight, alias[i] * np.exp(part)
+        out.evidence[row, scan.source] += gained[i]
+    _name_forks(out, origin, count)
+    _fuse(
+        out, count, seen.poses, seen.covariances, pairs.hypothesis, pairs.distance2, scan.precision,
+        scan.stamp, c.tail, c.least_new,
+    )  # fmt: skip
+    return out
+
+
+@njit()  # pragma: no cover - compiled
+def _fit(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> tuple[Array, Array]:
+    """What each branch (n + p,) fits, in nats; and what that is worth more to a track without observations.
+
+    For a vague track, the hypothesis' own likelihood spread over all the track's room is less. A track that a
+    relocation began no scan chose, so the first one counts as it does for a place that begins a track.
+    """
+    count = len(old.x)
+    fit, first = np.empty(count + len(pairs.track)), np.zeros(count + len(pairs.track))
+    for i in range(count):
+        # a projector of a part of the site is no evidence on tracks elsewhere
+        silent = scan.in_part and old.evidence[i, scan.source] == 0.0
+        fit[i] = 0.0 if silent else c.shown_yet_missed
+    for pair in range(len(pairs.track)):
+        k, row = pairs.hypothesis[pair], count + pair
+        alone = seen.alone[k] + pairs.log_overlap[pair]
+        fit[row] = min(seen.predicted[k] - 0.5 * pairs.distance2[pair], alone)
+        if old.observations[pairs.track[pair]] <= 0:
+            first[row] = alone - fit[row]
+    return fit, first
+
+
+@njit()  # pragma: no cover - compiled
+def _name_forks(out: Columns, origin: Index, count: int) -> None:
+    """The likeliest branch stays the track, the others fork from it, yet unnamed (0)."""
+    best = np.arange(count)
+    for row in range(count, len(origin)):
+        i = origin[row]
+        if out.log_weight[row] > out.log_weight[best[i]]:
+            best[i] = row
+    for row in range(len(origin)):
+        if row != best[origin[row]]:
+            out.parent[row], out.id[row] = out.id[row], 0
+
+
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def _fuse(
+    out: Columns, alone: int, poses: Array, covariances: Array, hypothesis: Index, distance2: Array,
+    precision: float, stamp: int, tail: float, least_new: float,
+) -> None:  # fmt: skip
+    """Brings the branches after the first `alone` together with their hypotheses (p,).
+
+    Scans from one place err alike: a track as sure as one scan learns only what motion makes new, the
+    `precision`. One that prediction has made vaguer than a scan takes all of it: 1 - (|R| / |C|)^(1/3).
+    """
+    R, joined = covariances[hypothesis], slice(alone, None)
+    for pair in range(len(hypothesis)):
+        row = alone + pair
+        out.C[row] *= surprise(distance2[pair], tail)
+        known = np.cbrt(determinant(triangle(R[pair])) / determinant(triangle(out.C[row])))
+        R[pair] /= min(max(1.0 - known, precision, least_new), 1.0)
+        out.nis[row] = distance2[pair]
+    out.x[joined], out.C[joined] = fuse_each(out.x[joined], out.C[joined], poses[hypothesis], R)
+    out.unchecked[joined], out.fixed_at[joined] = 0.0, stamp
+    out.observations[joined] += 1
+    out.fixed_x[joined], out.fixed_covariance[joined] = out.x[joined], out.C[joined]
 
 
 def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
     """Branches after the first `alone`, brought together with their hypotheses."""
-    joined = slice(alone, None)
-    x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
-    R = seen.covariances[pairs.hypothesis]
-    C[joined] *= surprise(pairs.distance2)[:, None, None]
-    share = independent_share(C[joined], R, precision)
-    x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R / share[:, None, None])
-    unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
-    unchecked[joined], nis[joined] = 0.0, pairs.distance2
-    observations[joined] += 1
-    fixed_x, fixed_covariance, fixed_at = (
-        branches.fixed_x.copy(),
-        branches.fixed_covariance.copy(),
-        branches.fixed_at.copy(),
-    )
-    fixed_x[joined], fixed_covariance[joined], fixed_at[joined] = x[joined], C[joined], seen.stamp
-    return replace(
-        branches,
-        x=x,
-        C=C,
-        fixed_x=fixed_x,
-        fixed_covariance=fixed_covariance,
-        fixed_at=fixed_at,
-        unchecked=unchecked,
-        nis=nis,
-        observations=observations,
-    )
+    made = _fused(
+        arrays_of(branches), alone, seen.poses, seen.covariances, pairs.hypothesis, pairs.distance2,
+        precision, seen.stamp, model.TAIL, LEAST_NEW,
+    )  # fmt: skip
+    return tracks_of(made)
 
 
-def at_least(
-    grown: Tracks, alone: int, pairs: Pairs, log_mass: Array, evidence: Array, alias: Array
-) -> Tracks:
-    """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
+_NUMBERS = types.Array(types.int64, 1, "A", readonly=True)
+_NUMBER = types.float64
+
+
+@njit(  # pragma: no cover - compiled
+    MADE(GIVEN, types.int64, ROWS, MATRICES, _NUMBERS, WEIGHTS, _NUMBER, types.int64, _NUMBER, _NUMBER),
+    cache=True,
+    error_model="numpy",
+)
+def _fused(
+    arrays: Arrays, alone: int, poses: Array, covariances: Array, hypothesis: Index,
+    distance2: Array, precision: float, stamp: int, tail: float, least_new: float,
+) -> Columns:  # fmt: skip
+    out = taken(Columns(*arrays), np.arange(len(arrays[0])))
+    _fuse(out, alone, poses, covariances, hypothesis, distance2, precision, stamp, tail, least_new)
+    return out
+
+
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def raise_to(
+    grown: Columns, alone: int, seen: Listed, pairs: Pairs, log_mass: Array, scan: Scan, c: Constants
+) -> None:
+    """Gives branches after the first `alone` at least the mass (k,) of their hypothesis alone.
 
     A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it, with the `evidence` (k, sources) and the `alias` (k,) of a track that begins: with a
+    hypothesis takes it, with the evidence and the share of aliases of a track that begins: with a
     poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
     same and had no track.
     """
-    log_weight = grown.log_weight.copy()
-    joined = log_weight[alone:]
     best = np.full(len(log_mass), -np.inf)
-    np.maximum.at(best, pairs.hypothesis, joined)
-    raised = np.flatnonzero((joined == best[pairs.hypothesis]) & (joined < log_mass[pairs.hypothesis]))
-    k = pairs.hypothesis[raised]
-    own = np.exp(joined[raised] - log_mass[k])
-    joined[raised] = log_mass[k]
-    evidences, aliases, rows = grown.evidence.copy(), grown.alias.copy(), raised + alone
-    evidences[rows] = own[:, None] * evidences[rows] + (1.0 - own)[:, None] * evidence[k]
-    aliases[rows] = own * aliases[rows] + (1.0 - own) * alias[k]
-    return replace(grown, log_weight=log_weight, evidence=evidences, alias=aliases)
+    for pair in range(len(pairs.track)):
+        k = pairs.hypothesis[pair]
+        best[k] = max(best[k], grown.log_weight[alone + pair])
+    for pair in range(len(pairs.track)):
+        k, row = pairs.hypothesis[pair], alone + pair
+        least = log_mass[k] + np.log(c.kept)
+        if grown.log_weight[row] != best[k] or grown.log_weight[row] >= least:
+            continue
+        own = np.exp(grown.log_weight[row] - least)
+        grown.log_weight[row] = least
+        grown.evidence[row] *= own
+        grown.evidence[row, scan.source] += (1.0 - own) * seen.predicted[k]
+        grown.alias[row] = own * grown.alias[row] + (1.0 - own) * seen.alias[k]
 
 
-def births(tracks: Tracks, seen: Observation, pairs: Pairs, log_mass: Array) -> tuple[Index, Array]:
-    """Hypotheses (n,) outside of all gates that begin tracks, and these tracks' masses as logarithms (n,).
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def births(grown: Columns, seen: Listed, pairs: Pairs, log_mass: Array, frame: int, scan: Scan) -> Columns:
+    """Tracks that begin at hypotheses outside of all gates.
 
     `log_mass` (k,): what each hypothesis has by itself, of robots that were carried there or slipped.
     """
-    free = np.ones(len(seen.poses), dtype=bool)
+    free = np.ones(len(seen.poses), dtype=np.bool_)
     free[pairs.hypothesis] = False
-    k = np.flatnonzero(free)
-    x, C, log_weight = seen.poses[k], seen.covariances[k], log_mass[k]
     # those that could not live through this scan are not begun
-    heaviest = max(tracks.log_weight.max(initial=-np.inf), log_weight.max(initial=-np.inf))
-    alive = log_weight > heaviest + LEAST_BORN
-    return k[alive], log_weight[alive] - np.log(crowding(x[alive], C[alive]))
-
-
-def _forks(branches: Tracks, log_weight: Array, origin: Index) -> tuple[Index, Index]:
-    """Ids and parents: the likeliest branch stays the track, the others fork from it, yet unnamed (0)."""
-    order = np.lexsort((-log_weight, origin))
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = origin[order][1:] != origin[order][:-1]
-    forked = np.ones(len(order), dtype=bool)
-    forked[order[first]] = False
-    return np.where(forked, 0, branches.id), np.where(forked, branches.id, branches.parent)
-
-
-def independent_share(C: Array, R: Array, progress: float) -> Array:
-    """Share (p,) of a hypothesis' information that a track does not have yet; for (p, 3, 3) each.
-
-    Scans from one place err alike: a track as sure as one scan learns only what motion makes new. One
-    that prediction has made vaguer than a scan takes all of it.
-    """
-    known = np.cbrt(determinant(R) / determinant(C))
-    return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
+    heaviest = -np.inf
+    for log_weight in grown.log_weight:
+        heaviest = max(heaviest, log_weight)
+    for log_weight in log_mass[free]:
+        heaviest = max(heaviest, log_weight)
+    k = np.flatnonzero(free & (log_mass > heaviest + LEAST_BORN))
+    x, C = seen.poses[k], seen.covariances[k]
+    evidence = np.zeros((len(k), grown.evidence.shape[1]))
+    evidence[:, scan.source] = seen.predicted[k]
+    log_weight = log_mass[k] - np.log(crowding_each(x, C))
+    return begun(x, C, log_weight, seen.alias[k], evidence, frame, scan.stamp)

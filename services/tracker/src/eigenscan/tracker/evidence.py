@@ -8,18 +8,16 @@ map shows little of the room, the projector misses it for metres, and then for e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
 from eigenscan.tracker.association import Pairs
-from eigenscan.tracker.covariance import residual
-from eigenscan.tracker.observation import Observation, poorness
-from eigenscan.tracker.symmetric import apart
-from eigenscan.tracker.tracks import Tracks, replace
+from eigenscan.tracker.observation import Observation, poorness_each
+from eigenscan.tracker.symmetric import ROWS, WEIGHTS, apart
+from eigenscan.tracker.tracks import Columns
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import expit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -60,122 +58,12 @@ Hidden ones show less often than on the mean: most of the way that is hidden lie
 """
 
 
-def likelihood_at(pose: Array, seen: Observation) -> float:
-    """Log-likelihood of the likeliest hypothesis at a pose (3,); 0 without one."""
-    off = residual(seen.poses, pose)
-    there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (np.abs(off[:, 2]) <= NEAR_RAD)
-    return float(seen.log_likelihoods[there].max(initial=0.0))
-
-
-def ahead(seen: Observation) -> Array:
-    """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
-    result: Array = _ahead(seen.poses, seen.log_likelihoods, seen.unlisted)
-    return result
-
-
-@njit("f8[::1](f8[:,:], f8[:], f8)", cache=True)  # pragma: no cover - compiled
-def _ahead(poses: Array, log_likelihoods: Array, unlisted: float) -> Array:
-    there = np.zeros(len(poses), dtype=np.bool_)
-    lead, next_place = np.zeros(len(poses)), unlisted
-    if not len(poses):
-        return lead
-    best = poses[np.argmax(log_likelihoods)]
-    for k in range(len(poses)):
-        x, y, turn = apart(poses[k], best)
-        there[k] = np.hypot(x, y) <= NEAR_M and abs(turn) <= NEAR_RAD
-        if not there[k]:
-            next_place = max(next_place, log_likelihoods[k])
-    for k in range(len(poses)):
-        if there[k]:
-            lead[k] = min(max(log_likelihoods[k] - next_place, 0.0), MOST_AHEAD)
-    return lead
-
-
-@dataclass(frozen=True)
-class Merit:
-    """What the hypotheses (k,) of a list are worth, in nats.
-
-    `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
-    `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
-    there.
-    """
-
-    alone: Array
-    predicted: Array
-
-    @classmethod
-    def of(cls, seen: Observation, even: float = EVEN_EXACT) -> Merit:
-        """Both follow from likelihoods, and from how far the best is ahead of other places."""
-        lead = ahead(seen)
-        # that a poor fit may be of more poses makes the place no likelier
-        spread = 1.5 * poorness(seen.log_likelihoods)
-        return cls(seen.log_likelihoods + lead - spread, SLOPE * (seen.log_likelihoods - even) + lead)
-
-    def of_pairs(self, pairs: Pairs) -> Array:
-        """What each pair (p,) of a track and a hypothesis in its gate is worth.
-
-        For a vague track, the hypothesis' own likelihood spread over all the track's room is less.
-        """
-        return np.minimum(self.predicted[pairs.hypothesis] - 0.5 * pairs.distance2, self._alone_of(pairs))
-
-    def at_first(self, pairs: Pairs, observations: Index) -> Array:
-        """What it is worth more (p,) to tracks (n,) without observations: those that a relocation began.
-
-        No scan chose them, so the first one counts as it does for a place that begins a track.
-        """
-        more = (self._alone_of(pairs) - self.of_pairs(pairs)).clip(min=0.0)
-        return np.where(observations[pairs.track] > 0, 0.0, more)
-
-    def _alone_of(self, pairs: Pairs) -> Array:
-        result: Array = self.alone[pairs.hypothesis] + pairs.log_overlap
-        return result
-
-
-def hide_and_show(hidden: Array, progress: float) -> Array:
-    """Hidden shares (n,) after a robot moved on by `progress`, 1: a scan is new evidence."""
-    hides, shows = -np.expm1(-HIDES * progress), -np.expm1(-SHOWS * progress)
-    result: Array = hidden * (1.0 - shows) + (1.0 - hidden) * hides
-    return result
-
-
 ALIASES, ENDS = 0.015, 0.35
 """Of the wrong tracks those that the building shows as it would show right ones; over the way that makes a
 scan new evidence, how many of these it ceases to.
 
 Rounded from what three buildings have in common: benchmarks/evidence.py.
 """
-
-
-def aliases_of(predicted: Array) -> Array:
-    """How many (k,) of the wrong tracks that such hypotheses begin are aliases; `predicted` as in `Merit`."""
-    result: Array = expit(np.log(ALIASES / (1.0 - ALIASES)) + predicted)
-    return result
-
-
-def aliases_go_on(alias: Array, progress: float) -> Array:
-    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
-    stay = np.exp(-ENDS * progress)
-    none = max(1.0 - float(alias.sum()), 0.0)
-    result: Array = alias * stay + none * ALIASES * (1.0 - stay)
-    return result
-
-
-def share_aliases(tracks: Tracks) -> Tracks:
-    """The same tracks, of which at most one is an alias."""
-    return replace(tracks, alias=tracks.alias / max(float(tracks.alias.sum()), 1.0))
-
-
-def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
-    """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
-
-    Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
-    Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
-    """
-    none = max(1.0 - float(alias.sum()), 1e-12)
-    odds = alias * np.exp(gained)
-    total = none + float(odds.sum())
-    others = (total - odds) / (1.0 - alias).clip(min=1e-12)
-    return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
 
 
 SLIPS = 0.02
@@ -188,61 +76,182 @@ LEAST_MASS = float(np.log(1e-4))
 """Of tracks, below which their slipping is not looked at."""
 
 
-def present_evidence(tracks: Tracks) -> Array:
-    """The present place's evidence for each track (n,), >= 0.
+class Constants(NamedTuple):
+    """What compiled code is given of the constants, so that a benchmark can leave a mechanism out."""
 
-    If the robot slipped just now, the track is shown where it was predicted by chance:
-    then this evidence does not count.
+    slope: float
+    most_ahead: float
+    shown_yet_missed: float
+    hides: float
+    shows: float
+    aliases: float
+    ends: float
+    slips: float
+    tail: float
+    poorer: float
+    least_new: float
+    kept: float
+    misses: float
+    off_map_share: float
+    break_share: float
+
+
+class Scan(NamedTuple):
+    """What compiled code is given of a scan's `Share`, by the same names; its `source` and `stamp`."""
+
+    weight: float
+    progress: float
+    precision: float
+    carried: float
+    even: float
+    broken: bool
+    in_part: bool
+    source: int
+    stamp: int
+
+
+class Listed(NamedTuple):
+    """Hypotheses (k,) of a list that are likelier than a pose outside it, and what each is worth in nats.
+
+    `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
+    `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
+    there. `alias`: of the wrong tracks that it begins, how many are aliases.
     """
-    result: Array = tracks.evidence.clip(min=0.0).sum(axis=1)
+
+    poses: Array
+    covariances: Array
+    alone: Array
+    predicted: Array
+    alias: Array
+
+
+def likelihood_at(pose: Array, seen: Observation) -> float:
+    """Log-likelihood of the likeliest hypothesis at a pose (3,); 0 without one."""
+    return float(_likelihood_at(pose, seen.poses, seen.log_likelihoods))
+
+
+@njit()  # pragma: no cover - compiled
+def is_near(y: Array, x: Array) -> bool:
+    """Whether two poses (3,) are of one place."""
+    ahead, left, turn = apart(y, x)
+    return bool(np.hypot(ahead, left) <= NEAR_M and abs(turn) <= NEAR_RAD)
+
+
+@njit((WEIGHTS, ROWS, WEIGHTS), cache=True)  # pragma: no cover - compiled
+def _likelihood_at(pose: Array, poses: Array, log_likelihoods: Array) -> float:
+    most = 0.0
+    for k in range(len(poses)):
+        if log_likelihoods[k] > most and is_near(poses[k], pose):
+            most = log_likelihoods[k]
+    return most
+
+
+@njit()  # pragma: no cover - compiled
+def listed(
+    poses: Array, covariances: Array, log_likelihoods: Array, unlisted: float, even: float, c: Constants
+) -> Listed:
+    """What hypotheses are worth; those that are no likelier than an unlisted pose are left out.
+
+    alone = L + lead - ln(how much larger a poor fit's volume is): that it may be of more poses makes the
+    place no likelier. predicted = SLOPE (L - even) + lead. Aliases follow from their share by Bayes' rule.
+    """
+    kept = np.flatnonzero(log_likelihoods > unlisted + 1e-9)
+    y, R, L = poses[kept], covariances[kept], log_likelihoods[kept]
+    lead = ahead(y, L, unlisted, c.most_ahead)
+    alone = L + lead - 1.5 * poorness_each(L, c.poorer)
+    predicted = c.slope * (L - even) + lead
+    alias = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
+    return Listed(y, R, alone, predicted, alias)
+
+
+@njit()  # pragma: no cover - compiled
+def ahead(poses: Array, log_likelihoods: Array, unlisted: float, most: float) -> Array:
+    """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
+    there = np.zeros(len(poses), dtype=np.bool_)
+    lead, next_place = np.zeros(len(poses)), unlisted
+    if not len(poses):
+        return lead
+    best = poses[np.argmax(log_likelihoods)]
+    for k in range(len(poses)):
+        there[k] = is_near(poses[k], best)
+        if not there[k]:
+            next_place = max(next_place, log_likelihoods[k])
+    for k in range(len(poses)):
+        if there[k]:
+            lead[k] = min(max(log_likelihoods[k] - next_place, 0.0), most)
+    return lead
+
+
+@njit()  # pragma: no cover - compiled
+def hide_and_show(hidden: float, progress: float, c: Constants) -> float:
+    """A track's hidden share after a robot moved on by `progress`, 1: a scan is new evidence."""
+    hides, shows = -np.expm1(-c.hides * progress), -np.expm1(-c.shows * progress)
+    return float(hidden * (1.0 - shows) + (1.0 - hidden) * hides)
+
+
+@njit()  # pragma: no cover - compiled
+def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
+    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    stay = np.exp(-c.ends * progress)
+    none = max(1.0 - alias.sum(), 0.0)
+    result: Array = alias * stay + none * c.aliases * (1.0 - stay)
     return result
 
 
-def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Array:
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
+    """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
+
+    Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
+    Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
+    """
+    none = max(1.0 - alias.sum(), 1e-12)
+    odds = alias * np.exp(gained)
+    total = none + odds.sum()
+    others = (total - odds) / np.maximum(1.0 - alias, 1e-12)
+    return np.log(total), np.log(np.maximum(others, 1e-12)), odds / total
+
+
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def slipped(t: Columns, seen: Listed, pairs: Pairs, c: Constants) -> Array:
     """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
 
     A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby is worth no more
-    than how much oftener a right track gets one than a wrong track does.
+    than how much oftener a right track gets one than a wrong track does. If the robot slipped just now, the
+    track was shown where it was predicted by chance: then its present place's evidence does not count.
     """
-    result: Array = _slipped(
-        tracks.x, tracks.C, tracks.log_weight - present_evidence(tracks), tracks.unchecked, seen.poses,
-        seen.covariances, merit.alone, merit.predicted, pairs.track, pairs.hypothesis,
-    )  # fmt: skip
-    return result
-
-
-@njit(  # pragma: no cover - compiled
-    "f8[::1](f8[:,:], f8[:,:,:], f8[:], f8[:,:], f8[:,:], f8[:,:,:], f8[:], f8[:], i8[:], i8[:])",
-    cache=True,
-    error_model="numpy",
-)
-def _slipped(
-    x: Array, C: Array, log_mass: Array, unchecked: Array, y: Array, R: Array,
-    alone: Array, predicted: Array, track: Index, hypothesis: Index,
-) -> Array:  # fmt: skip
-    out = np.full(len(y), -np.inf)
+    out = np.full(len(seen.poses), -np.inf)
     pair = 0
-    for i in range(len(x)):
-        way, turn = SLIP_M + SLIP_SHARE * unchecked[i, 0], SLIP_RAD + SLIP_SHARE * unchecked[i, 1]
-        spread = plus(triangle(C[i]), (way * way, 0.0, 0.0, way * way, 0.0, turn * turn))
-        for k in range(len(y)):
-            while pair < len(track) and (track[pair] < i or (track[pair] == i and hypothesis[pair] < k)):
+    for i in range(len(t.x)):
+        log_mass = t.log_weight[i] - np.maximum(t.evidence[i], 0.0).sum()
+        way, turn = SLIP_M + SLIP_SHARE * t.unchecked[i, 0], SLIP_RAD + SLIP_SHARE * t.unchecked[i, 1]
+        spread = plus(triangle(t.C[i]), (way * way, 0.0, 0.0, way * way, 0.0, turn * turn))
+        for k in range(len(out)):
+            in_gate = pair < len(pairs.track) and pairs.track[pair] == i and pairs.hypothesis[pair] == k
+            if in_gate:
                 pair += 1
-            in_gate = pair < len(track) and track[pair] == i and hypothesis[pair] == k
-            if in_gate or log_mass[i] <= LEAST_MASS:
+            if in_gate or log_mass <= LEAST_MASS:
                 continue
-            own = triangle(R[k])
+            own = triangle(seen.covariances[k])
             total = plus(spread, own)
             # the hypothesis' volume by the density that the slipped track has there
             overlap = 0.5 * np.log(determinant(own) / determinant(total))
-            overlap -= 0.5 * square(inverse(total), apart(y[k], x[i]))
-            worth = log_mass[i] + min(predicted[k], alone[k] + overlap)
-            most = max(out[k], worth)
-            out[k] = most + np.log1p(np.exp(min(out[k], worth) - most))
-    result: Array = np.log(SLIPS) + out
+            overlap -= 0.5 * square(inverse(total), apart(seen.poses[k], t.x[i]))
+            out[k] = log_sum(out[k], log_mass + min(seen.predicted[k], seen.alone[k] + overlap))
+    result: Array = np.log(c.slips) + out
     return result
 
 
-def surprise(distance2: Array) -> Array:
-    """Factor (p,) >= 1 on predicted covariances by the innovation's squared distance (p,): Student's t."""
-    return np.maximum(1.0, (TAIL + distance2) / (TAIL + 3.0))
+@njit()  # pragma: no cover - compiled
+def log_sum(a: float, b: float) -> float:
+    """Ln of the sum of two masses that are given as logarithms."""
+    most = max(a, b)
+    if most == -np.inf:
+        return most
+    return float(most + np.log1p(np.exp(min(a, b) - most)))
+
+
+@njit()  # pragma: no cover - compiled
+def surprise(distance2: float, tail: float) -> float:
+    """Factor >= 1 on a predicted covariance by the innovation's squared distance: Student's t."""
+    return max(1.0, (tail + distance2) / (tail + 3.0))

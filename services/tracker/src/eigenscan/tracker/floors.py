@@ -107,6 +107,7 @@ class Rivals:
 
 def _frame_masses(belief: Belief) -> Array:
     """Mass of each map frame, tracks and what no track holds, (frames,); off every map is no frame's."""
-    masses = np.array([np.exp(part.log_weight) if n else 0.0 for n, part in enumerate(belief.elsewhere)])
+    masses = np.exp(belief.elsewhere.log_weight)
+    masses[0] = 0.0
     np.add.at(masses, belief.tracks.frame, np.exp(belief.tracks.log_weight))
     return masses

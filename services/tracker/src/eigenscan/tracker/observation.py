@@ -12,6 +12,8 @@ from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
 from eigenscan.tracker.covariance import is_covariance
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import WEIGHTS
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -115,8 +117,14 @@ def poorness(log_likelihoods: Array) -> Array:
 
     A pose that explains little of the scan is more often the nearest fit than the place.
     """
-    result: Array = POORER * (GOOD - log_likelihoods).clip(0.0, GOOD)
+    result: Array = poorness_each(log_likelihoods, POORER)
     return result
+
+
+@njit(types.float64[::1](WEIGHTS, types.float64), cache=True)  # pragma: no cover - compiled
+def poorness_each(log_likelihoods: Array, poorer: float) -> Array:
+    """The same, compiled."""
+    return poorer * np.minimum(np.maximum(GOOD - log_likelihoods, 0.0), GOOD)
 
 
 def _rows(message: Hypotheses) -> Array:

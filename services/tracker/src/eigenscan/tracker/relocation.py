@@ -75,7 +75,6 @@ def heed(belief: Belief, hint: Hint, seen: Observation, moved: Motion) -> None:
     evidence = np.zeros((1, len(belief.sources)))
     track = begin(x, limit_sigma(C), np.log([BELIEVED]), np.zeros(1), evidence, frame, seen.stamp)
     unseen = replace(track, observations=np.zeros(1, dtype=np.intp))
-    for part in belief.elsewhere:
-        part.log_weight += float(np.log1p(-BELIEVED))
+    belief.elsewhere.log_weight += np.log1p(-BELIEVED)
     belief.tracks = join([belief.tracks, unseen])
     belief.normalise()

@@ -84,8 +84,7 @@ class Sequences(Belief):
         self.seconds = 0.0
         if len(self.tracks):
             # the robot is assumed to be inside the grid area
-            for part in self.elsewhere:
-                part.log_weight = -np.inf
+            self.elsewhere.log_weight[:] = -np.inf
         self.normalise()
 
     def _grid_covariance(self) -> Array:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -46,6 +50,114 @@ class Tracks:
     def pick(self, index: Index | NDArray[np.bool_]) -> Tracks:
         """The tracks at `index`."""
         return _of({name: values[index] for name, values in vars(self).items()})
+
+
+class Columns(NamedTuple):
+    """The same arrays by the same names, in compiled code."""
+
+    x: Array
+    C: Array
+    log_weight: Array
+    hidden: Array
+    alias: Array
+    evidence: Array
+    unchecked: Array
+    nis: Array
+    fixed_x: Array
+    fixed_covariance: Array
+    fixed_at: Index
+    frame: Index
+    id: Index
+    parent: Index
+    born: Index
+    observations: Index
+
+
+_DIMENSIONS = dict.fromkeys(Columns._fields, 1) | {
+    "x": 2, "C": 3, "evidence": 2, "unchecked": 2, "fixed_x": 2, "fixed_covariance": 3,
+}  # fmt: skip
+_NUMBERED = ("fixed_at", "frame", "id", "parent", "born", "observations")
+_KINDS = [
+    (types.int64 if name in _NUMBERED else types.float64, dimensions)
+    for name, dimensions in _DIMENSIONS.items()
+]
+GIVEN = types.Tuple([types.Array(kind, dimensions, "A", readonly=True) for kind, dimensions in _KINDS])
+"""What compiled code is given of tracks: `arrays_of` them."""
+MADE = types.NamedTuple([types.Array(kind, dimensions, "C") for kind, dimensions in _KINDS], Columns)
+"""What it makes: `tracks_of` these."""
+Arrays = tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Index, Index, Index,
+               Index, Index, Index]  # fmt: skip
+
+_GET: Callable[[Tracks], Arrays] = attrgetter(*Columns._fields)
+
+
+def arrays_of(tracks: Tracks) -> Arrays:
+    """What compiled code takes: the arrays in the order of `Columns`."""
+    return _GET(tracks)
+
+
+def tracks_of(made: Columns) -> Tracks:
+    """Tracks of what compiled code has made."""
+    return _of(made._asdict())
+
+
+@njit()  # pragma: no cover - compiled
+def taken(t: Columns, index: Index) -> Columns:
+    """Copies of the rows at `index`."""
+    return Columns(
+        t.x[index],
+        t.C[index],
+        t.log_weight[index],
+        t.hidden[index],
+        t.alias[index],
+        t.evidence[index],
+        t.unchecked[index],
+        t.nis[index],
+        t.fixed_x[index],
+        t.fixed_covariance[index],
+        t.fixed_at[index],
+        t.frame[index],
+        t.id[index],
+        t.parent[index],
+        t.born[index],
+        t.observations[index],
+    )
+
+
+@njit()  # pragma: no cover - compiled
+def joined(a: Columns, b: Columns, c: Columns) -> Columns:
+    """Three sets, one after the other."""
+    return Columns(
+        np.concatenate((a.x, b.x, c.x)),
+        np.concatenate((a.C, b.C, c.C)),
+        np.concatenate((a.log_weight, b.log_weight, c.log_weight)),
+        np.concatenate((a.hidden, b.hidden, c.hidden)),
+        np.concatenate((a.alias, b.alias, c.alias)),
+        np.concatenate((a.evidence, b.evidence, c.evidence)),
+        np.concatenate((a.unchecked, b.unchecked, c.unchecked)),
+        np.concatenate((a.nis, b.nis, c.nis)),
+        np.concatenate((a.fixed_x, b.fixed_x, c.fixed_x)),
+        np.concatenate((a.fixed_covariance, b.fixed_covariance, c.fixed_covariance)),
+        np.concatenate((a.fixed_at, b.fixed_at, c.fixed_at)),
+        np.concatenate((a.frame, b.frame, c.frame)),
+        np.concatenate((a.id, b.id, c.id)),
+        np.concatenate((a.parent, b.parent, c.parent)),
+        np.concatenate((a.born, b.born, c.born)),
+        np.concatenate((a.observations, b.observations, c.observations)),
+    )
+
+
+@njit()  # pragma: no cover - compiled
+def begun(
+    x: Array, C: Array, log_weight: Array, alias: Array, evidence: Array, frame: int, stamp: int
+) -> Columns:
+    """New tracks (n,), yet without a number, each from one hypothesis; `evidence` (n, sources)."""
+    n = len(x)
+    none = np.zeros(n, dtype=np.int64)
+    return Columns(
+        x, C, log_weight, np.zeros(n), alias, evidence, np.zeros((n, 2)), np.full(n, np.nan), x.copy(),
+        C.copy(), none + stamp, none + frame, none, none.copy(), none + stamp, none + 1,
+    )  # fmt: skip
 
 
 def replace(tracks: Tracks, **changes: Array | Index) -> Tracks:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.tracker.association import associate
+from eigenscan.tracker.association import within_gate
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.symmetric import moments_of
-from eigenscan.tracker.tracks import replace
-from numba import njit
+from eigenscan.tracker.tracks import GIVEN, MADE, Arrays, Columns, arrays_of, taken, tracks_of
+from eigenscan.tracker.weighing import normalise
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -22,33 +23,27 @@ def prune(belief: Belief) -> None:
 
     The rest is sorted, most probable first.
     """
-    tracks, settings = belief.tracks, belief.settings
-    order = np.argsort(-tracks.log_weight, kind="stable")[: settings.max_tracks]
-    order = order[tracks.log_weight[order] > np.log(settings.prune_below)]
-    belief.tracks = tracks.pick(order)
-    belief.normalise()
+    most, least = belief.settings.max_tracks, belief.settings.prune_below
+    belief.tracks = tracks_of(_pruned(arrays_of(belief.tracks), belief.elsewhere.log_weight, most, least))
+
+
+@njit(  # pragma: no cover - compiled
+    MADE(GIVEN, types.float64[::1], types.int64, types.float64), cache=True
+)
+def _pruned(arrays: Arrays, rest: Array, most: int, least: float) -> Columns:
+    log_weight = arrays[2]
+    order = np.argsort(-log_weight, kind="mergesort")[:most]
+    kept = taken(Columns(*arrays), order[log_weight[order] > np.log(least)])
+    normalise(kept.log_weight, rest)
+    return kept
 
 
 def unify(belief: Belief) -> None:
     """Joins tracks that describe one place into the heaviest of them. Expects them sorted, heaviest first."""
-    tracks = belief.tracks
-    pairs = associate(tracks.x, tracks.C, tracks.x, tracks.C, SAME_DISTANCE2)
-    if len(pairs.track) == len(tracks):
-        return  # each is alone with itself
-    leader = _leaders(pairs.track, pairs.hypothesis, tracks.frame)
-    heads = np.flatnonzero(leader == np.arange(len(tracks)))
-    of_groups = _merged(
-        leader, heads, tracks.x, tracks.C, tracks.log_weight, tracks.hidden, tracks.alias, tracks.evidence,
-        tracks.id, tracks.parent, tracks.born, tracks.observations,
-    )  # fmt: skip
-    result = replace(tracks.pick(heads), **dict(zip(_MERGED, of_groups, strict=True)))
-    joined = np.bincount(leader, minlength=len(tracks))[heads] > 1
-    result.fixed_x[joined], result.fixed_covariance[joined] = result.x[joined], result.C[joined]
-    result.fixed_at[joined] = belief.stamp or 0
-    belief.tracks = result
+    belief.tracks = tracks_of(_unified(arrays_of(belief.tracks), belief.stamp or 0))
 
 
-@njit("i8[::1](i8[:], i8[:], i8[:])", cache=True)  # pragma: no cover - compiled
+@njit()  # pragma: no cover - compiled
 def _leaders(track: Index, near: Index, frame: Index) -> Index:
     """Greedy: the heaviest track leads all near it that are still free, then the next one; (n,) indices.
 
@@ -65,40 +60,44 @@ def _leaders(track: Index, near: Index, frame: Index) -> Index:
     return leader
 
 
-_MERGED = ("x", "C", "log_weight", "hidden", "alias", "evidence", "id", "parent", "born", "observations")
-_ARRAYS = "f8[:,::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i8[::1], i8[::1], i8[::1], i8[::1]"
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
+    """Writes to `row` of `out` one track with the moments of all in `group`.
 
-
-@njit(f"Tuple(({_ARRAYS}))(i8[::1], i8[:], {_ARRAYS.replace('::1', ':')})", cache=True)  # pragma: no cover
-def _merged(
-    leader: Index, heads: Index, x: Array, C: Array, log_weight: Array, hidden: Array, alias: Array,
-    evidence: Array, id_: Index, parent: Index, born: Index, observations: Index,
-) -> tuple[Array | Index, ...]:  # fmt: skip
-    """One track for each of `heads`, with the moments of those that it leads.
-
-    A group goes on under the name of its heaviest member that has one.
+    It goes on under the name of its heaviest member that has one.
     """
-    own = (x[heads], C[heads], log_weight[heads], hidden[heads], alias[heads], evidence[heads])
-    named = (id_[heads], parent[heads], born[heads], observations[heads])
+    heaviest = t.log_weight[group].max()
+    weight = np.exp(t.log_weight[group] - heaviest)
+    total = weight.sum()
+    out.x[row], out.C[row] = moments_of(t.x[group], t.C[group], weight)
+    out.log_weight[row] = heaviest + np.log(total)
+    out.hidden[row] = (weight * t.hidden[group]).sum() / total
+    out.alias[row] = t.alias[group].sum()
+    # evidence speaks of a track that is shown
+    shown = weight * (1.0 - t.hidden[group])
+    if shown.sum() > 0.0:
+        for source in range(t.evidence.shape[1]):
+            out.evidence[row, source] = (shown * t.evidence[group, source]).sum() / shown.sum()
+    for member in group:
+        if t.id[member] > 0:
+            out.id[row], out.parent[row], out.born[row] = t.id[member], t.parent[member], t.born[member]
+            out.observations[row] = t.observations[group].max()
+            break
+
+
+@njit(MADE(GIVEN, types.int64), cache=True, error_model="numpy")  # pragma: no cover - compiled
+def _unified(arrays: Arrays, stamp: int) -> Columns:
+    t = Columns(*arrays)
+    track, near, _, _ = within_gate(t.x, t.C, t.x, t.C, SAME_DISTANCE2)
+    leader = _leaders(track, near, t.frame)
+    heads = np.flatnonzero(leader == np.arange(len(leader)))
+    out = taken(t, heads)
+    if len(heads) == len(leader):
+        return out
     for row in range(len(heads)):
         group = np.flatnonzero(leader == heads[row])
-        if len(group) == 1:
-            continue
-        heaviest = log_weight[group].max()
-        weight = np.exp(log_weight[group] - heaviest)
-        total = weight.sum()
-        own[0][row], own[1][row] = moments_of(x[group], C[group], weight)
-        own[2][row] = heaviest + np.log(total)
-        own[3][row] = (weight * hidden[group]).sum() / total
-        own[4][row] = alias[group].sum()
-        # evidence speaks of a track that is shown
-        shown = weight * (1.0 - hidden[group])
-        if shown.sum() > 0.0:
-            for source in range(evidence.shape[1]):
-                own[5][row, source] = (shown * evidence[group, source]).sum() / shown.sum()
-        for member in group:
-            if id_[member] > 0:
-                named[0][row], named[1][row], named[2][row] = id_[member], parent[member], born[member]
-                named[3][row] = observations[group].max()
-                break
-    return own + named
+        if len(group) > 1:
+            _merge(t, group, out, row)
+            out.fixed_x[row], out.fixed_covariance[row] = out.x[row], out.C[row]
+            out.fixed_at[row] = stamp
+    return out

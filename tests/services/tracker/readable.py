@@ -1,0 +1,389 @@
+"""The tracker's step with a list in numpy, written to be read: the oracle of its compiled form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from eigenscan.tracker import branching
+from eigenscan.tracker.association import Pairs, associate
+from eigenscan.tracker.belief import BREAK_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
+from eigenscan.tracker.covariance import determinant, fuse, log_density, log_volume, residual
+from eigenscan.tracker.evidence import (
+    ALIASES,
+    ENDS,
+    EVEN_EXACT,
+    HIDES,
+    LEAST_MASS,
+    MOST_AHEAD,
+    NEAR_M,
+    NEAR_RAD,
+    SHOWN_YET_MISSED,
+    SHOWS,
+    SLIP_M,
+    SLIP_RAD,
+    SLIP_SHARE,
+    SLIPS,
+    SLOPE,
+    TAIL,
+)
+from eigenscan.tracker.observation import Observation, poorness
+from eigenscan.tracker.share import Share
+from eigenscan.tracker.tracks import Tracks, begin, join, replace
+from numpy.typing import NDArray
+from scipy.special import expit
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+class Readable(Belief):
+    """The belief, whose step with a list is the one below."""
+
+    def observe(self, seen: Observation, share: Share) -> None:
+        frame = self.frame_index(seen.frame, seen.area)
+        source = self.source_index(seen.source)
+        seen = seen.likelier_than_unlisted()
+        rest = self.elsewhere
+        shown = self.tracks.evidence.copy()
+        shown[:, source] *= np.exp(-share.progress)
+        tracks = release(replace(self.tracks, evidence=shown), rest, share.carried)
+        if share.broken:
+            tracks = release(tracks, rest, BREAK_SHARE)
+            rest.searched[:, source] = 0.0
+            shown = tracks.evidence.copy()
+            shown[:, source] = 0.0
+            hidden, alias = np.full(len(tracks), 0.5), np.zeros(len(tracks))
+            tracks = replace(tracks, evidence=shown, hidden=hidden, alias=alias)
+        mine = tracks.frame == frame
+        old, others = tracks.pick(mine), tracks.pick(~mine)
+        merit = Merit.of(seen, share.even)
+        pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
+        emerging = rest.searched[frame, source] * -np.expm1(-SHOWS * share.progress)
+        findable = 1.0 - rest.searched[frame, source] + emerging
+        density = rest.log_weight[frame] + np.log(findable / (rest.area[frame] * 2.0 * np.pi))
+        alone = merit.alone + log_volume(seen.covariances) + density
+        alone = np.logaddexp(alone, slipped(old, seen, merit, pairs))
+        first = merit.at_first(pairs, old.observations)
+        grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
+        begun = np.zeros((len(alone), len(self.sources)))
+        begun[:, source] = merit.predicted
+        alias = aliases_of(merit.predicted)
+        grown = at_least(grown, len(old), pairs, alone, begun, alias)
+        k, log_weight = births(grown, seen, pairs, alone)
+        new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], begun[k], frame, seen.stamp)
+        self.tracks = share_aliases(join([others, grown, new]))
+        if not share.in_part:
+            rest.log_weight[frame] += np.log1p(np.expm1(SHOWN_YET_MISSED) * emerging)
+            left = (1.0 - rest.searched[frame, source]) * (1.0 - (1.0 - MISSES) * share.weight)
+            rest.searched[frame, source] = 1.0 - left
+        normalise(self)
+
+
+def release(tracks: Tracks, rest: Elsewhere, share: float) -> Tracks:
+    """Moves a share of the tracks' mass to "none"."""
+    if not len(tracks) or share == 0.0 or len(rest.area) < 2:
+        return tracks
+    freed = share * np.exp(tracks.log_weight).sum()
+    parts = np.where(rest.area > 0.0, (1.0 - OFF_MAP_SHARE) * rest.area / rest.area.sum(), OFF_MAP_SHARE)
+    stayed = np.exp(rest.log_weight)
+    rest.log_weight[:] = np.log(stayed + freed * parts)
+    # no list was of the mass that came
+    rest.searched *= (stayed / (stayed + freed * parts))[:, None]
+    return replace(tracks, log_weight=tracks.log_weight + np.log1p(-share))
+
+
+def come_back(rest: Elsewhere, share: float) -> None:
+    """Moves a share of the mass off the map back onto it."""
+    back = share * np.exp(rest.log_weight[0]) * rest.area[1:] / rest.area.sum()
+    stayed = np.exp(rest.log_weight[1:])
+    rest.log_weight[1:] = np.log(stayed + back)
+    rest.searched[1:] *= (stayed / (stayed + back))[:, None]
+    rest.log_weight[0] += np.log1p(-share)
+
+
+def normalise(belief: Belief) -> None:
+    """Makes all masses sum to 1; nothing left is that nothing is known."""
+    total = np.logaddexp.reduce(np.concatenate([belief.tracks.log_weight, belief.elsewhere.log_weight]))
+    if total == -np.inf:
+        belief.elsewhere.log_weight[-1] = 0.0
+        return
+    belief.tracks = replace(belief.tracks, log_weight=belief.tracks.log_weight - total)
+    belief.elsewhere.log_weight -= total
+
+
+def prune(belief: Belief) -> None:
+    """Keeps the most probable tracks, heaviest first."""
+    tracks, settings = belief.tracks, belief.settings
+    order = np.argsort(-tracks.log_weight, kind="stable")[: settings.max_tracks]
+    belief.tracks = tracks.pick(order[tracks.log_weight[order] > np.log(settings.prune_below)])
+    normalise(belief)
+
+
+def ahead(seen: Observation) -> Array:
+    """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
+    if not len(seen.poses):
+        return np.zeros(0)
+    off = residual(seen.poses, seen.poses[np.argmax(seen.log_likelihoods)])
+    there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (np.abs(off[:, 2]) <= NEAR_RAD)
+    next_place = seen.log_likelihoods[~there].max(initial=seen.unlisted)
+    lead: Array = np.where(there, (seen.log_likelihoods - next_place).clip(0.0, MOST_AHEAD), 0.0)
+    return lead
+
+
+@dataclass(frozen=True)
+class Merit:
+    """What the hypotheses (k,) of a list are worth, in nats.
+
+    `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
+    `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
+    there.
+    """
+
+    alone: Array
+    predicted: Array
+
+    @classmethod
+    def of(cls, seen: Observation, even: float = EVEN_EXACT) -> Merit:
+        """Both follow from likelihoods, and from how far the best is ahead of other places."""
+        lead = ahead(seen)
+        # that a poor fit may be of more poses makes the place no likelier
+        spread = 1.5 * poorness(seen.log_likelihoods)
+        return cls(seen.log_likelihoods + lead - spread, SLOPE * (seen.log_likelihoods - even) + lead)
+
+    def of_pairs(self, pairs: Pairs) -> Array:
+        """What each pair (p,) of a track and a hypothesis in its gate is worth.
+
+        For a vague track, the hypothesis' own likelihood spread over all the track's room is less.
+        """
+        return np.minimum(self.predicted[pairs.hypothesis] - 0.5 * pairs.distance2, self._alone_of(pairs))
+
+    def at_first(self, pairs: Pairs, observations: Index) -> Array:
+        """What it is worth more (p,) to tracks (n,) without observations: those that a relocation began.
+
+        No scan chose them, so the first one counts as it does for a place that begins a track.
+        """
+        more = (self._alone_of(pairs) - self.of_pairs(pairs)).clip(min=0.0)
+        return np.where(observations[pairs.track] > 0, 0.0, more)
+
+    def _alone_of(self, pairs: Pairs) -> Array:
+        result: Array = self.alone[pairs.hypothesis] + pairs.log_overlap
+        return result
+
+
+def hide_and_show(hidden: Array, progress: float) -> Array:
+    """Hidden shares (n,) after a robot moved on by `progress`, 1: a scan is new evidence."""
+    hides, shows = -np.expm1(-HIDES * progress), -np.expm1(-SHOWS * progress)
+    result: Array = hidden * (1.0 - shows) + (1.0 - hidden) * hides
+    return result
+
+
+def aliases_of(predicted: Array) -> Array:
+    """How many (k,) of the wrong tracks that such hypotheses begin are aliases; `predicted` as in `Merit`."""
+    result: Array = expit(np.log(ALIASES / (1.0 - ALIASES)) + predicted)
+    return result
+
+
+def aliases_go_on(alias: Array, progress: float) -> Array:
+    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    stay = np.exp(-ENDS * progress)
+    none = max(1.0 - float(alias.sum()), 0.0)
+    result: Array = alias * stay + none * ALIASES * (1.0 - stay)
+    return result
+
+
+def share_aliases(tracks: Tracks) -> Tracks:
+    """The same tracks, of which at most one is an alias."""
+    return replace(tracks, alias=tracks.alias / max(float(tracks.alias.sum()), 1.0))
+
+
+def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
+    """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
+
+    Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
+    Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
+    """
+    none = max(1.0 - float(alias.sum()), 1e-12)
+    odds = alias * np.exp(gained)
+    total = none + float(odds.sum())
+    others = (total - odds) / (1.0 - alias).clip(min=1e-12)
+    return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
+
+
+def present_evidence(tracks: Tracks) -> Array:
+    """The present place's evidence for each track (n,), >= 0.
+
+    If the robot slipped just now, the track is shown where it was predicted by chance:
+    then this evidence does not count.
+    """
+    result: Array = tracks.evidence.clip(min=0.0).sum(axis=1)
+    return result
+
+
+def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Array:
+    """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
+
+    A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby is worth no more
+    than how much oftener a right track gets one than a wrong track does.
+    """
+    log_mass = tracks.log_weight - present_evidence(tracks)
+    sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[:, [0, 0, 1]]
+    spread = tracks.C + sigma[:, :, None] ** 2 * np.eye(3)
+    total = spread[:, None] + seen.covariances[None]
+    off = residual(seen.poses[None], tracks.x[:, None])
+    # the hypothesis' volume by the density that the slipped track has there
+    overlap = log_density(off, total) + log_volume(seen.covariances)
+    mass = log_mass[:, None] + np.minimum(merit.predicted, merit.alone + overlap)
+    mass[log_mass <= LEAST_MASS] = -np.inf
+    mass[pairs.track, pairs.hypothesis] = -np.inf
+    result: Array = np.log(SLIPS) + np.logaddexp.reduce(mass, axis=0, initial=-np.inf)
+    return result
+
+
+def surprise(distance2: Array) -> Array:
+    """Factor (p,) >= 1 on predicted covariances by the innovation's squared distance (p,): Student's t."""
+    return np.maximum(1.0, (TAIL + distance2) / (TAIL + 3.0))
+
+
+def branch(
+    old: Tracks, seen: Observation, pairs: Pairs, worth: Array, first: Array, source: int, share: Share
+) -> Tracks:
+    """Each track once as predicted, then for each hypothesis in its gate, a pair `worth` (p,) nats.
+
+    `first` (p,): what a pair is worth once, on top, for a track without observations. A hidden track has no
+    hypothesis; one that is shown has one of its gate, or hardly ever none.
+    """
+    count = len(old)
+    origin = np.concatenate([np.arange(count), pairs.track])
+    # a projector of a part of the site is no evidence on tracks elsewhere
+    silent = (old.evidence[:, source] == 0.0) & share.in_part
+    fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
+    total, preference = np.full(count, -np.inf), np.full(count, -np.inf)
+    np.logaddexp.at(total, origin, fit)
+    # which of several hypotheses is the track's: scans from one place repeat each other's preference
+    np.logaddexp.at(preference, origin, share.weight * fit)
+    evidence = old.evidence.copy()
+    gained = share.weight * (total - evidence[:, source])
+    evidence[:, source] += gained
+    explained, of_others, alias = explained_by_aliases(aliases_go_on(old.alias, share.progress), gained)
+    hidden = hide_and_show(old.hidden, share.progress)
+    with np.errstate(divide="ignore"):
+        shown = old.log_weight + np.log1p(-hidden) + gained - explained
+        unseen = old.log_weight + np.log(hidden) + of_others - explained
+    part = share.weight * fit - preference[origin]
+    log_weight = shown[origin] + part
+    log_weight[count:] += first
+    log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
+    hidden_share = np.zeros(len(origin))
+    hidden_share[:count] = np.exp(unseen - log_weight[:count])
+    branches = old.pick(origin)
+    id_, parent = _forks(branches, log_weight, origin)
+    weighed = replace(
+        branches,
+        log_weight=log_weight,
+        hidden=hidden_share,
+        alias=alias[origin] * np.exp(part),
+        evidence=evidence[origin],
+        id=id_,
+        parent=parent,
+    )
+    return fused(weighed, count, seen, pairs, share.precision)
+
+
+def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
+    """Branches after the first `alone`, brought together with their hypotheses."""
+    joined = slice(alone, None)
+    x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
+    R = seen.covariances[pairs.hypothesis]
+    C[joined] *= surprise(pairs.distance2)[:, None, None]
+    share = independent_share(C[joined], R, precision)
+    x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R / share[:, None, None])
+    unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
+    unchecked[joined], nis[joined] = 0.0, pairs.distance2
+    observations[joined] += 1
+    fixed_x, fixed_covariance, fixed_at = (
+        branches.fixed_x.copy(),
+        branches.fixed_covariance.copy(),
+        branches.fixed_at.copy(),
+    )
+    fixed_x[joined], fixed_covariance[joined], fixed_at[joined] = x[joined], C[joined], seen.stamp
+    return replace(
+        branches,
+        x=x,
+        C=C,
+        fixed_x=fixed_x,
+        fixed_covariance=fixed_covariance,
+        fixed_at=fixed_at,
+        unchecked=unchecked,
+        nis=nis,
+        observations=observations,
+    )
+
+
+def at_least(
+    grown: Tracks, alone: int, pairs: Pairs, log_mass: Array, evidence: Array, alias: Array
+) -> Tracks:
+    """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
+
+    A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
+    hypothesis takes it, with the `evidence` (k, sources) and the `alias` (k,) of a track that begins: with a
+    poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
+    same and had no track.
+    """
+    log_weight = grown.log_weight.copy()
+    joined = log_weight[alone:]
+    best = np.full(len(log_mass), -np.inf)
+    np.maximum.at(best, pairs.hypothesis, joined)
+    raised = np.flatnonzero((joined == best[pairs.hypothesis]) & (joined < log_mass[pairs.hypothesis]))
+    k = pairs.hypothesis[raised]
+    own = np.exp(joined[raised] - log_mass[k])
+    joined[raised] = log_mass[k]
+    evidences, aliases, rows = grown.evidence.copy(), grown.alias.copy(), raised + alone
+    evidences[rows] = own[:, None] * evidences[rows] + (1.0 - own)[:, None] * evidence[k]
+    aliases[rows] = own * aliases[rows] + (1.0 - own) * alias[k]
+    return replace(grown, log_weight=log_weight, evidence=evidences, alias=aliases)
+
+
+def births(tracks: Tracks, seen: Observation, pairs: Pairs, log_mass: Array) -> tuple[Index, Array]:
+    """Hypotheses (n,) outside of all gates that begin tracks, and these tracks' masses as logarithms (n,).
+
+    `log_mass` (k,): what each hypothesis has by itself, of robots that were carried there or slipped.
+    """
+    free = np.ones(len(seen.poses), dtype=bool)
+    free[pairs.hypothesis] = False
+    k = np.flatnonzero(free)
+    x, C, log_weight = seen.poses[k], seen.covariances[k], log_mass[k]
+    # those that could not live through this scan are not begun
+    heaviest = max(tracks.log_weight.max(initial=-np.inf), log_weight.max(initial=-np.inf))
+    alive = log_weight > heaviest + branching.LEAST_BORN
+    return k[alive], log_weight[alive] - np.log(crowding(x[alive], C[alive]))
+
+
+def crowding(y: Array, R: Array) -> Array:
+    """How many hypotheses (k, 3), (k, 3, 3) share each one's place, itself included; shape (k,), >= 1.
+
+    Overlapping hypotheses describe one peak of the likelihood; dividing by this counts the peak once.
+    """
+    pairs = associate(y, R, y, R, gate=50.0)
+    # under R + R the squared distance is half of what it is under R
+    return np.bincount(pairs.track, weights=np.exp(-pairs.distance2), minlength=len(y)).clip(min=1.0)
+
+
+def _forks(branches: Tracks, log_weight: Array, origin: Index) -> tuple[Index, Index]:
+    """Ids and parents: the likeliest branch stays the track, the others fork from it, yet unnamed (0)."""
+    order = np.lexsort((-log_weight, origin))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = origin[order][1:] != origin[order][:-1]
+    forked = np.ones(len(order), dtype=bool)
+    forked[order[first]] = False
+    return np.where(forked, 0, branches.id), np.where(forked, branches.id, branches.parent)
+
+
+def independent_share(C: Array, R: Array, progress: float) -> Array:
+    """Share (p,) of a hypothesis' information that a track does not have yet; for (p, 3, 3) each.
+
+    Scans from one place err alike: a track as sure as one scan learns only what motion makes new. One
+    that prediction has made vaguer than a scan takes all of it.
+    """
+    known = np.cbrt(determinant(R) / determinant(C))
+    return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
