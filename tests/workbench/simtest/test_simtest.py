@@ -8,9 +8,10 @@ from random import Random
 
 import pytest
 import zenoh
+from eigenscan.projector.core import ProjectorCore
 from eigenscan.recorder.files import Files
 from eigenscan.recorder.mcap_sink import McapSink
-from eigenscan.schemas.channels import POSE, TRACKS
+from eigenscan.schemas.channels import HYPOTHESES, POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
@@ -32,6 +33,30 @@ def test_nothing_breaks(seed: int) -> None:
     assert outcome.broken == ()
     assert outcome.counts["claims"] > 0
     assert outcome.counts["recorded"] > 0
+
+
+def test_the_real_projector_localizes_in_the_hall_though_it_and_the_builder_are_killed() -> None:
+    killed = [Fault(12.0, "kill", "r1", 2, 0.0, 0.0), Fault(13.0, "new map", "site", 0, 0.0, 0.0)]
+    outcome, again = (run(1, 1, killed, real=True) for _ in range(2))
+    assert outcome.broken == ()
+    ends = [text for _, text in outcome.notes if text.endswith((": killed", ": stopped"))]
+    assert ends[:2] == ["projector of r1: killed", "mapbuilder of site: stopped"]
+    assert outcome.counts["claims"] > 0.8 * outcome.counts["poses"] > 0
+    assert outcome.trace == again.trace
+
+
+def test_a_real_projector_that_gives_wrong_poses_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    handle = ProjectorCore.handle
+
+    def shifted(core: ProjectorCore, received: Envelope) -> Iterable[Envelope]:
+        for output in handle(core, received):
+            if output.channel is HYPOTHESES:
+                for one in output.message.hypotheses:  # type: ignore[attr-defined]
+                    one.pose.x += 5.0
+            yield output
+
+    monkeypatch.setattr(ProjectorCore, "handle", shifted)
+    assert run(1, 1, [], real=True).broken[0].rule == "claim"
 
 
 def test_a_seed_repeats_itself_exactly() -> None:

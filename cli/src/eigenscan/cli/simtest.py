@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
@@ -17,6 +17,10 @@ def simtest(
     robots: Annotated[
         int | None, typer.Option(min=1, help="robots of each site; default: 1 to 5, by the seed")
     ] = None,
+    projector: Annotated[
+        Literal["lists", "real"],
+        typer.Option(help="lists: with a known truth; real: the services' own, in a simulated hall, slower"),
+    ] = "lists",
     explain: Annotated[
         bool, typer.Option("--explain", help="show a failure with the fewest faults that cause it")
     ] = False,
@@ -34,6 +38,7 @@ def simtest(
     Examples:
       eigenscan simtest --seeds 0..999
       eigenscan simtest --seed 4711 --explain
+      eigenscan simtest --seeds 0..99 --projector real
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.workbench.one_thread import one_thread
 
@@ -51,7 +56,7 @@ def simtest(
     found: list[dict[str, object]] = []
     for number in chosen:
         try:
-            outcome = run(number, robots)
+            outcome = run(number, robots, real=projector == "real")
         except KeyboardInterrupt:
             raise StoppedError(f"{len(found)} of {len(chosen)} seeds, {rules.total()} broke a rule") from None
         site_s, took_s = site_s + outcome.site_s, took_s + outcome.took_s

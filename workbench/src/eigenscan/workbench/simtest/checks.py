@@ -109,7 +109,7 @@ class Judge:
         truth = self.site.robots[robot].truth.get(nanoseconds(pose.timestamp))
         if truth is None:  # a stranger's list
             return
-        if not self.site.robots[robot].drive.is_unique(truth):
+        if not self.site.robots[robot].is_unique(truth):
             self._unique_since.pop(robot, None)
         else:
             self._unique_since.setdefault(robot, now)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from random import Random
 
+import numpy as np
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
@@ -14,6 +15,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.tracker.planar import Pose, between, compose, wrap
+from eigenscan.workbench.simtest import hall
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose as Pose3
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -27,7 +29,8 @@ FITS, FITS_BADLY = (14.0, 22.0), (2.0, 6.0)
 """Log-likelihoods of the right place, and of those that a projector lists with it."""
 APART = 8.0
 """Nats by which the right place fits better than its alias, where they differ."""
-BEAMS, NOISE_M = 120, 0.01
+BEAMS, NOISE_M, RANGE_MAX_M = 120, 0.01, 50.0
+HALL_BEAMS = 360
 MARGIN_M = 1.5
 """From the drive to the room's walls."""
 WORST = 2.5
@@ -35,11 +38,14 @@ WORST = 2.5
 
 
 class Drive:
-    """Where a robot is: on an ellipse, now and then it stands."""
+    """Where a robot is: on an ellipse, now and then it stands. The hall's are half as large."""
 
-    def __init__(self, random: Random) -> None:
+    def __init__(self, random: Random, *, in_hall: bool = False) -> None:
         self._a, self._b = random.uniform(6.0, 10.0), random.uniform(5.0, 8.0)
         self._centre = random.uniform(10.0, 20.0), random.uniform(10.0, 20.0)
+        if in_hall:
+            self._a, self._b = 0.5 * self._a, 0.5 * self._b
+            self._centre = 0.2 * self._centre[0] + 5.0, 0.2 * self._centre[1] + 3.0
         self._phase = random.uniform(0.0, 2.0 * math.pi)
         self._speed = random.uniform(0.2, 1.0)
         self._drives, self._stands = random.uniform(10.0, 30.0), random.uniform(0.0, 10.0)
@@ -76,9 +82,9 @@ class Drive:
 class Robot:
     """The truth of one robot, and what its sensors give."""
 
-    def __init__(self, site: str, name: str, seed: str) -> None:
-        self.site, self.name, self._seed = site, name, seed
-        self.drive = Drive(Random(f"{seed} drive {name}"))
+    def __init__(self, site: str, name: str, seed: str, *, in_hall: bool = False) -> None:
+        self.site, self.name, self._seed, self._in_hall = site, name, seed, in_hall
+        self.drive = Drive(Random(f"{seed} drive {name}"), in_hall=in_hall)
         self.truth: dict[int, Pose] = {}
         """Of each scan, by its stamp."""
         self._noise = Random(f"{seed} odometry {name}")
@@ -93,17 +99,26 @@ class Robot:
         return Envelope(SCAN, self._lidar, Scan(timestamp=stamp(now_ns), frame_id="base", ranges=[1.0] * 8))
 
     def raw_scan(self, seconds: float, now_ns: int) -> Envelope:
-        """A scan of now, as a lidar's driver gives it: of a rectangular room around the whole drive."""
-        self.truth[now_ns] = self.drive.at(seconds)
+        """A scan of now, as a lidar's driver gives it: of the hall, or of a room around the whole drive."""
+        pose = self.truth[now_ns] = self.drive.at(seconds)
+        if self._in_hall:
+            bearings = -math.pi + np.arange(HALL_BEAMS) * 2.0 * math.pi / HALL_BEAMS
+            ranges = hall.ranges(pose, bearings, RANGE_MAX_M, NOISE_M, self._beams)
+        else:
+            ranges = self.drive.ranges(pose, self._beams)
         message = RawScan(
             timestamp=stamp(now_ns),
             mount=Pose2(),
             angle_min=-math.pi,
-            angle_increment=2.0 * math.pi / BEAMS,
-            range_max=50.0,
-            ranges=self.drive.ranges(self.truth[now_ns], self._beams),
+            angle_increment=2.0 * math.pi / len(ranges),
+            range_max=RANGE_MAX_M,
+            ranges=ranges,
         )
         return Envelope(SCAN_RAW, self._lidar, message)
+
+    def is_unique(self, pose: Pose) -> bool:
+        """Whether nothing looks the same as this place."""
+        return self._in_hall or self.drive.is_unique(pose)
 
     def odometry(self, seconds: float, now_ns: int) -> Envelope:
         """Odometry of now; slips a little, as the tracker's settings allow."""
@@ -140,7 +155,7 @@ class Robot:
             ),
         )
         likelihood = random.uniform(*FITS)
-        alias = likelihood - (APART if self.drive.is_unique(true) else 0.0)
+        alias = likelihood - (APART if self.is_unique(true) else 0.0)
         listed = [(pose, likelihood), ((pose[0] + ALIAS_M, pose[1], pose[2]), alias)]
         for _ in range(CLUTTER):
             place = random.uniform(0.0, 90.0), random.uniform(0.0, 30.0), random.uniform(-3.0, 3.0)

@@ -20,6 +20,9 @@ from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
+from eigenscan.projector import node as projector
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.options import ProjectorOptions
 from eigenscan.recorder import node as recorder
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.runtime.node import Service
@@ -32,6 +35,7 @@ from eigenscan.tracker import node as tracker
 from eigenscan.tracker.options import TrackerOptions
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
 from eigenscan.workbench.simtest.disk import Disk
+from eigenscan.workbench.simtest.hall import hall
 from eigenscan.workbench.simtest.network import Network, Session
 from eigenscan.workbench.simtest.process import Process
 from eigenscan.workbench.simtest.robot import Robot, SyntheticProjector
@@ -40,6 +44,8 @@ SITE = "site"
 """Its name, and that of its one machine that is no robot."""
 
 
+REAL_RATE = 4
+"""Factor on the rates with the real projector: one scan must see much of what the one before saw."""
 FILE_MB, BUDGET_MB = 0.03, 0.15
 """Of a robot's recorder."""
 
@@ -68,14 +74,16 @@ class Plan:
     """Whether lidars give raw scans, and scan-ingest runs."""
     recorders: bool = False
     """Whether each robot has one, with a budget."""
+    real: bool = False
+    """Whether the projector is the real one, and the robots drive in a hall."""
 
     @classmethod
-    def of(cls, seed: int, robots: int | None = None) -> Plan:
-        """By the seed alone."""
+    def of(cls, seed: int, robots: int | None = None, *, real: bool = False) -> Plan:
+        """By the seed alone. The real projector needs the scans of scan-ingest."""
         random = Random(f"{seed} plan")
         drawn = random.choice((1, 1, 2, 2, 3, 5))
         scan_hz = random.choice((0.5, 1.0, 2.0))
-        return cls(
+        plan = cls(
             robots or drawn,
             scan_hz,
             scan_hz * random.choice((2, 5)),
@@ -83,6 +91,12 @@ class Plan:
             random.choice((0.2, 60.0)),
             random.random() < 0.3,
             random.random() < 0.3,
+        )
+        if not real:
+            return plan
+        scan_hz, odometry_hz = REAL_RATE * plan.scan_hz, REAL_RATE * plan.odometry_hz
+        return replace(
+            plan, real=True, ingest=True, recorders=False, scan_hz=scan_hz, odometry_hz=odometry_hz
         )
 
 
@@ -204,7 +218,7 @@ class Site:
         self.edition = 0
         """Of the map."""
         names = [f"r{number + 1}" for number in range(plan.robots)]
-        self.robots = {name: Robot(SITE, name, str(seed)) for name in names}
+        self.robots = {name: Robot(SITE, name, str(seed), in_hall=plan.real) for name in names}
         self.machines = {SITE: Machine(self, SITE, None)}
         self.machines |= {name: Machine(self, name, self.robots[name]) for name in names}
         self._add(SITE, recorder.SERVICE, recorder.make_core, self._recorder_settings, keeps=True)
@@ -217,10 +231,15 @@ class Site:
                 own = partial(self._robot_recorder_settings, name)
                 self._add(name, recorder.SERVICE, recorder.make_core, own, keeps=True)
             self._add(name, tracker.SERVICE, tracker.make_core, partial(self._tracker_settings, name))
-            projector = Service("projector", ServiceSettings, lambda _settings: None)  # type: ignore[arg-type,return-value]
+            if plan.real:
+                real = replace(projector.SERVICE, make_port=None)
+                keeping = partial(self._projector_settings, name)
+                self._add(name, real, lambda given, _clock: ProjectorCore(given, given.instance), keeping)
+                continue
+            synthetic = Service("projector", ServiceSettings, lambda _settings: None)  # type: ignore[arg-type,return-value]
             self._add(
                 name,
-                projector,
+                synthetic,
                 lambda settings, _clock: SyntheticProjector(self.robots, settings),
                 partial(self._plain_settings, name),
             )
@@ -258,10 +277,15 @@ class Site:
         return MapbuilderOptions(site=SITE, map=Path("room.yaml"))
 
     def _make_mapbuilder(self, settings: MapbuilderOptions, _clock: MachineClock) -> Core:
-        return MapbuilderCore(settings, room(self.edition % 2), SITE)
+        models = hall(self.edition % 2) if self.plan.real else room(self.edition % 2)
+        return MapbuilderCore(settings, models, SITE)
 
     def _plain_settings(self, name: str, _disk: Disk) -> ServiceSettings:
         return ServiceSettings(site=SITE, robot=name, instance=name)
+
+    def _projector_settings(self, name: str, disk: Disk) -> ServiceSettings:
+        settings = ProjectorOptions(site=SITE, robot=name, instance=name)
+        return settings.model_copy(update={"keep": disk.path("/keep")})
 
     def _ingest_settings(self, name: str, _disk: Disk) -> ServiceSettings:
         return ScanIngestOptions(site=SITE, robot=name, instance=name)

@@ -35,7 +35,7 @@ def _again(outcome: Outcome, robots: int, faults: tuple[Fault, ...]) -> Outcome 
     places = {"site", *(f"r{number + 1}" for number in range(robots))}
     if any(fault.place not in places for fault in faults):
         return None
-    found = run(outcome.seed, robots, faults)
+    found = run(outcome.seed, robots, faults, real=outcome.plan.real)
     return found if found.broken and found.broken[0].rule == outcome.broken[0].rule else None
 
 

@@ -37,10 +37,12 @@ class Outcome:
     """When, and what services did: starts, ends, changes of health."""
 
 
-def run(seed: int, robots: int | None = None, faults: Sequence[Fault] | None = None) -> Outcome:
-    """Runs a seed, with its own faults or those that are given."""
+def run(
+    seed: int, robots: int | None = None, faults: Sequence[Fault] | None = None, *, real: bool = False
+) -> Outcome:
+    """Runs a seed, with its own faults or those that are given; `real`: with the real projector."""
     began = time.process_time()
-    plan = Plan.of(seed, robots)
+    plan = Plan.of(seed, robots, real=real)
     chosen = tuple(draw(seed, plan) if faults is None else faults)
     site = Site(seed, plan)
     judge = Judge(site)
