@@ -4,6 +4,7 @@ from urllib.request import urlopen
 
 import pytest
 from eigenscan.runtime.health import Monitor
+from eigenscan.runtime.metrics import Metrics
 from eigenscan.runtime.settings import SettingsError
 from eigenscan.schemas.envelope import Condition
 from eigenscan.schemas.health_pb2 import Health
@@ -61,7 +62,8 @@ def test_prometheus_reads_the_metrics() -> None:
     stamp = time.time_ns() - 3_000_000_000
     monitor.dealt_with("scan", stamp)
     oldest = (time.time_ns() - stamp) * 1e-9
-    families = {family.name: family for family in text_string_to_metric_families(monitor.metrics().decode())}
+    text = Metrics(monitor).text().decode()
+    families = {family.name: family for family in text_string_to_metric_families(text)}
     assert [
         (sample.name, sample.labels, sample.value) for sample in families["eigenscan_messages"].samples
     ] == [("eigenscan_messages_total", {"what": "heard"}, 3.0)]
