@@ -2,11 +2,12 @@
 
     .venv/bin/python benchmarks/messages.py [--rate 10] [--seconds 15] [--ways separate together] [--json OUT]
 
-The robot and the services are those of light.py. First, for each scan: what a service received and published
-by channel, as its health has it, and the processor time and the wakes of its process. `python` are threads
-of the core and of callbacks, `zenoh` the others. Then the steps of one message in the shell, in this process,
-again and again: `receive` from Zenoh's sample to the core's hand, `decode`, `count` (metrics), `encode`,
-`publish` to nobody. A message that comes alone meets cold caches and takes several times as long. Linux only.
+The robot, the services and the turn that does not count are those of light.py. First, for each scan: what a
+service received and published by channel, as its health has it, and the processor time and the wakes of its
+process. `python` are threads of the core and of callbacks, `zenoh` the others. Then the steps of one message
+in the shell, in this process, again and again: `receive` from Zenoh's sample to the core's hand, `decode`,
+`count` (metrics), `encode`, `publish` to nobody. A message that comes alone meets cold caches and takes
+several times as long. Linux only.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import decode, encode, encoding
 from eigenscan.workbench.simulation.lidar import Lidar
 from eigenscan.workbench.simulation.stage import Scenario, Stage
-from light import PATIENCE_S, ROBOT, SETTLE_S, SITE, Robot, build_office, services
+from light import PATIENCE_S, ROBOT, SETTLE_S, SITE, Robot, build_office, compile_all, services
 
 TIMES = 5_000
 DIRECTIONS = {"heard": "receives", "said": "publishes"}
@@ -145,6 +146,7 @@ def main() -> None:
         length, lidar = 60.0 + SETTLE_S + given.seconds, Lidar(rate=given.rate)
         stage = Stage(grid, Scenario(seconds=length, seed=3, site=SITE, robot=ROBOT, lidar=lidar))
         messages = [one for one in stage.messages() if one.envelope.channel in (SCAN_RAW, ODOMETRY)]
+        compile_all(session, folder, config, stage, messages)
         for way in given.ways:
             with services(folder, config, way, None) as processes, Robot(session, stage, messages) as robot:
                 result[way] = measure(robot, counts, processes, given.seconds)
