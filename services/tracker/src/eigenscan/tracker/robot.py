@@ -26,7 +26,7 @@ from eigenscan.tracker.planar import Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.reckoning import leg
 from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
-from eigenscan.tracker.search import Request, Searches, follow
+from eigenscan.tracker.search import SURE, Request, Searches, follow
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -381,14 +381,22 @@ class RobotTracker:
             self.state == STATE_LOCALIZED
             and self._settings.method == "mixture"
             and verdict.confidence >= self._settings.localized_above
+            and verdict.confidence >= SURE * self._agreement.trust
             and self._hint is None
             and not (compared and compared[-1].is_fault)
             and len(self.belief.frames) == 2
             and answered.count(seen.lidar) == 1
         )
-        moved = self._motion(self._searches.last(seen.lidar, seen.stamp), seen.stamp)
-        progress = self._progress(moved)
-        return self._searches.after(seen, moved, progress, self.belief.tracks, verdict.track, sure=sure)
+        searches, source = self._searches, self._sources.get(seen.source)
+        return searches.after(
+            seen,
+            self._motion(searches.since(seen.lidar, seen.stamp), seen.stamp),
+            self._progress(self._motion(searches.last(seen.lidar, seen.stamp), seen.stamp)),
+            self.belief.tracks,
+            verdict.track,
+            even=EVEN_EXACT if source is None else source.even,
+            sure=sure,
+        )
 
     def _judge(self) -> Verdict:
         """The most believed track, as far as odometry is, and its map frame after every frame's lists."""
