@@ -1,14 +1,15 @@
-"""The tracker's step with a list in numpy, written to be read: the oracle of its compiled form."""
+"""How the tracker reads a list, and its step with it, in numpy: the oracle of the compiled form."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.belief import BREAK_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
-from eigenscan.tracker.covariance import determinant, fuse, log_density, log_volume, residual
+from eigenscan.tracker.covariance import determinant, fuse, is_covariance, log_density, log_volume, residual
 from eigenscan.tracker.evidence import (
     ALIASES,
     ENDS,
@@ -27,7 +28,14 @@ from eigenscan.tracker.evidence import (
     SLOPE,
     TAIL,
 )
-from eigenscan.tracker.observation import Observation, poorness
+from eigenscan.tracker.observation import (
+    FARTHEST,
+    GOOD,
+    LOG_LIKELIHOOD_LIMIT,
+    SIGMA_LIMITS,
+    Observation,
+    poorness,
+)
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
 from numpy.typing import NDArray
@@ -35,6 +43,25 @@ from scipy.special import expit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+
+
+def checked(
+    rows: Array, trust: float, poorer: float, spacing: float, step: float
+) -> tuple[Array, Array, Array, int]:
+    """Poses, covariances and log-likelihoods of the rows (n, 10) that are poses; how many were replaced."""
+    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
+    rows = rows[finite]
+    covariances = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    likelihoods = trust * rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)
+    good = is_covariance(covariances)
+    grid = np.diag(np.array([spacing, spacing, step]) ** 2)
+    covariances = np.where(good[:, None, None], covariances, grid)
+    covariances = covariances * np.exp(poorer * (GOOD - likelihoods).clip(0.0, GOOD))[:, None, None]
+    sigma = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    scale = sigma.clip(SIGMA_LIMITS[:, 0], SIGMA_LIMITS[:, 1]) / sigma
+    limited = covariances * scale[:, :, None] * scale[:, None, :] + np.diag((0.05 * SIGMA_LIMITS[:, 0]) ** 2)
+    poses = np.column_stack([rows[:, :2], wrap(rows[:, 2])])
+    return poses, limited, likelihoods, int((~good).sum())
 
 
 class Readable(Belief):

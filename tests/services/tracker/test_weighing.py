@@ -10,7 +10,7 @@ from eigenscan.schemas.channels import POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.tracking_pb2 import Tracks as TracksMessage
-from eigenscan.tracker import robot, unification
+from eigenscan.tracker import observation, robot, unification
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_POOR
@@ -87,6 +87,38 @@ def assert_same(found: Belief, expected: Belief) -> None:
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT, err_msg=name)
     for one, other in zip(found.elsewhere.parts(), expected.elsewhere.parts(), strict=True):
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(0, 8),
+    odd=st.lists(
+        st.tuples(
+            st.integers(0, 7),
+            st.integers(0, 9),
+            st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-9, 1e3, 1e7, -1e8, np.pi, -np.pi]),
+        ),
+        max_size=6,
+    ),
+    trust=st.floats(0.1, 1.0),
+    poorer=st.sampled_from([0.0, 0.25]),
+)
+def test_what_a_message_lists_is_checked_the_same(
+    seed: int, count: int, odd: list[tuple[int, int, float]], trust: float, poorer: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    C = spread(rng, count)
+    rows = np.column_stack(
+        [rng.normal(size=(count, 3)) * 5.0, rng.normal(9.0, 9.0, count), C[:, 0], C[:, 1, 1:], C[:, 2, 2:]]
+    )
+    for row, column, value in odd:
+        if row < count:
+            rows[row, column] = value
+    found = observation.checked(rows, trust, poorer, 0.25, 0.02)
+    expected = readable.checked(rows, trust, poorer, 0.25, 0.02)
+    for part in range(3):
+        np.testing.assert_allclose(found[part], expected[part], rtol=EXACT, atol=EXACT)
+    assert found[3] == expected[3]
 
 
 @settings(max_examples=300, deadline=None)

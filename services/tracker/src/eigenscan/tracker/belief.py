@@ -154,11 +154,12 @@ class Belief:
 
     def name_new(self) -> None:
         """Gives numbers to the tracks that forks and births left without one."""
-        unnamed = self.tracks.id == 0
-        count = int(unnamed.sum())
+        unnamed = np.flatnonzero(self.tracks.id == 0)
+        if not len(unnamed):
+            return
         id_ = self.tracks.id.copy()
-        id_[unnamed] = np.arange(self.next_id, self.next_id + count)
-        self.next_id += count
+        id_[unnamed] = np.arange(self.next_id, self.next_id + len(unnamed))
+        self.next_id += len(unnamed)
         self.tracks = replace(self.tracks, id=id_)
 
     def normalise(self) -> None:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from math import exp, hypot
 
 import numpy as np
-from eigenscan.geometry.pose import compose
 from eigenscan.tracker.odometry import Motion
-from eigenscan.tracker.symmetric import apart
-from numba import njit
+from eigenscan.tracker.planar import IDENTITY, Pose
+from eigenscan.tracker.symmetric import ROWS, apart, wrapped
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -46,9 +46,9 @@ def goes_on(before: Array, after: Array, moved: Motion) -> int | None:
         return None
     if moved.way > FARTHEST_M or moved.turn > FARTHEST_RAD or abs(moved.unknown) > LONGEST_S:
         return None
-    expected = compose(before[:COMPARED], np.asarray(moved.delta))
+    earlier = before[:COMPARED]
     near, turned = NEAR_M + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
-    share = going_on(expected, after, near, turned) / min(len(expected), len(after))
+    share = going_on(earlier, after, near, turned, moved.delta) / min(len(earlier), len(after))
     return min(round(COMPARED * share), COMPARED)
 
 
@@ -70,20 +70,34 @@ def carried_ratio(count: int | None, moved: Motion) -> float:
     return FAR_SOME if count else FAR_NONE
 
 
-def going_on(expected: Array, found: Array, near: float, turned: float) -> int:
-    """How many of `expected` (n, 3) have one of `found` (k, 3) within `near` m and `turned` rad."""
-    return int(_count_near(expected, found, near, turned))
+def going_on(before: Array, found: Array, near: float, turned: float, delta: Pose = IDENTITY) -> int:
+    """How many of `before` (n, 3), moved by `delta`, have one of `found` (k, 3) near.
+
+    Within `near` m and `turned` rad.
+    """
+    return int(_count_near(before, found, near, turned, *delta))
 
 
-@njit("i8(f8[:,:], f8[:,:], f8, f8)", cache=True, nogil=True)  # pragma: no cover - compiled
-def _count_near(expected: Array, found: Array, near: float, turned: float) -> int:
-    count = 0
-    for i in range(len(expected)):
+_NUMBER = types.float64
+
+
+@njit(  # pragma: no cover - compiled
+    types.int64(ROWS, ROWS, _NUMBER, _NUMBER, _NUMBER, _NUMBER, _NUMBER), cache=True, nogil=True
+)
+def _count_near(
+    before: Array, found: Array, near: float, turned: float, ahead: float, left: float, turn: float
+) -> int:
+    count, expected = 0, np.empty(3)
+    for i in range(len(before)):
+        cos, sin = np.cos(before[i, 2]), np.sin(before[i, 2])
+        expected[0] = before[i, 0] + cos * ahead - sin * left
+        expected[1] = before[i, 1] + sin * ahead + cos * left
+        expected[2] = wrapped(before[i, 2] + turn)
         for k in range(len(found)):
-            if abs(found[k, 0] - expected[i, 0]) > near:
+            if abs(found[k, 0] - expected[0]) > near:
                 continue  # most are far away
-            x, y, turn = apart(found[k], expected[i])
-            if hypot(x, y) <= near and abs(turn) <= turned:
+            x, y, off = apart(found[k], expected)
+            if hypot(x, y) <= near and abs(off) <= turned:
                 count += 1
                 break
     return count

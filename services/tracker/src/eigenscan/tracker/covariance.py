@@ -40,6 +40,9 @@ def log_volume(C: Array) -> Array:
 
 def residual(y: Array, x: Array) -> Array:
     """Pose `y` minus pose `x`, (..., 3), the heading by the shortest turn."""
+    if x.ndim == 1 and y.ndim == 2:
+        each: Array = apart_each(y, x[None])
+        return each
     shape = np.broadcast_shapes(y.shape, x.shape)
     result: Array = apart_each(_rows(y, shape[:-1], 1), _rows(x, shape[:-1], 1)).reshape(shape)
     return result

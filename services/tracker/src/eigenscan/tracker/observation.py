@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import numpy as np
-from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.symmetric import MATRICES, put
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
-from eigenscan.tracker.covariance import is_covariance
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.symmetric import WEIGHTS
+from eigenscan.tracker.symmetric import WEIGHTS, is_covariance_each, wrapped
 from numba import njit, types
 from numpy.typing import NDArray
 
@@ -76,38 +76,29 @@ def observe(
     One whose covariance is missing or not positive definite gets Cp, from the grid's spacing.
     """
     rows = _rows(message)
-    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
-    if not finite.all():
-        counts["hypothesis_not_finite"] += int((~finite).sum())
-        rows = rows[finite]
-    covariances = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
-    likelihoods = settings.trust * rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)
-    good = is_covariance(covariances)
-    if not good.all():
-        counts["covariance_replaced"] += int((~good).sum())
-        sigma = np.array([settings.grid_spacing, settings.grid_spacing, settings.grid_step])
-        covariances = np.where(good[:, None, None], covariances, np.diag(sigma**2))
-    if settings.method != "paper":
-        covariances = covariances * np.exp(poorness(likelihoods))[:, None, None]
-    unlisted = message.unlisted_log_likelihood
-    unlisted = (
-        float(np.clip(unlisted, -LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT))
-        if np.isfinite(unlisted)
-        else 0.0
+    poorer = POORER if settings.method != "paper" else 0.0
+    poses, covariances, likelihoods, replaced = checked(
+        rows, settings.trust, poorer, settings.grid_spacing, settings.grid_step
     )
+    if len(poses) < len(rows):
+        counts["hypothesis_not_finite"] += len(rows) - len(poses)
+    if replaced:
+        counts["covariance_replaced"] += replaced
+    unlisted = message.unlisted_log_likelihood
+    unlisted = min(max(unlisted, -LOG_LIKELIHOOD_LIMIT), LOG_LIKELIHOOD_LIMIT) if isfinite(unlisted) else 0.0
     return Observation(
         nanoseconds(message.timestamp),
         f"{address['lidar']}/{address['projector']}",
         address["lidar"],
         message.frame_id,
-        np.column_stack([rows[:, :2], wrap(rows[:, 2])]),
-        limit_sigma(covariances),
+        poses,
+        covariances,
         likelihoods,
         settings.trust * unlisted,
         message.searched_area_m2 if 1.0 <= message.searched_area_m2 < 1e9 else 1.0,
         message.status != Hypotheses.STATUS_UNUSABLE_SCAN,
         message.model_version,
-        len(message.hypotheses),
+        len(rows),
         message.search == SEARCH_LOCAL,
     )
 
@@ -139,8 +130,53 @@ def _rows(message: Hypotheses) -> Array:
 
 def limit_sigma(covariances: Array) -> Array:
     """Covariances (k, 3, 3) with each axis' sigma within SIGMA_LIMITS, correlations kept."""
-    sigma = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    scale = sigma.clip(SIGMA_LIMITS[:, 0], SIGMA_LIMITS[:, 1]) / sigma
-    scaled: Array = covariances * scale[:, :, None] * scale[:, None, :]
-    # keeps nearly singular ones well away from the edge
-    return scaled + np.eye(3) * (0.05 * SIGMA_LIMITS[:, 0]) ** 2
+    result: Array = _limited(covariances)
+    return result
+
+
+@njit(types.float64[:, :, ::1](MATRICES), cache=True)  # pragma: no cover - compiled
+def _limited(covariances: Array) -> Array:
+    out, scale = np.empty((len(covariances), 3, 3)), np.empty(3)
+    for k in range(len(out)):
+        for axis in range(3):
+            sigma = np.sqrt(covariances[k, axis, axis])
+            scale[axis] = min(max(sigma, SIGMA_LIMITS[axis, 0]), SIGMA_LIMITS[axis, 1]) / sigma
+        for row in range(3):
+            for column in range(3):
+                out[k, row, column] = covariances[k, row, column] * scale[row] * scale[column]
+            # keeps nearly singular ones well away from the edge
+            out[k, row, row] += (0.05 * SIGMA_LIMITS[row, 0]) ** 2
+    return out
+
+
+_NUMBERS, _TABLE, _NUMBER = types.float64[::1], types.float64[:, ::1], types.float64
+_CHECKED = types.Tuple((_TABLE, types.float64[:, :, ::1], _NUMBERS, types.int64))
+
+
+@njit(  # pragma: no cover - compiled
+    _CHECKED(_TABLE, _NUMBER, _NUMBER, _NUMBER, _NUMBER), cache=True
+)
+def checked(
+    rows: Array, trust: float, poorer: float, spacing: float, step: float
+) -> tuple[Array, Array, Array, int]:
+    """Poses (k, 3), covariances (k, 3, 3) and log-likelihoods (k,) of those `rows` (n, 10) that are poses.
+
+    Then of how many the covariance had to be replaced by that of a grid of this spacing, m, and step, rad.
+    """
+    kept = np.zeros(len(rows), dtype=np.bool_)
+    for row in range(len(rows)):
+        x, y, theta, likelihood = rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3]
+        kept[row] = abs(x) < FARTHEST and abs(y) < FARTHEST and np.isfinite(theta) and np.isfinite(likelihood)
+    rows = rows[kept]
+    poses, covariances = rows[:, :3].copy(), np.empty((len(rows), 3, 3))
+    likelihoods = trust * np.minimum(np.maximum(rows[:, 3], -LOG_LIKELIHOOD_LIMIT), LOG_LIKELIHOOD_LIMIT)
+    for k in range(len(rows)):
+        poses[k, 2] = wrapped(poses[k, 2])
+        c = rows[k, 4:]
+        put((c[0], c[1], c[2], c[3], c[4], c[5]), covariances[k])
+    good, factor = is_covariance_each(covariances), np.exp(poorness_each(likelihoods, poorer))
+    for k in range(len(rows)):
+        if not good[k]:
+            put((spacing * spacing, 0.0, 0.0, spacing * spacing, 0.0, step * step), covariances[k])
+        covariances[k] *= factor[k]
+    return poses, _limited(covariances), likelihoods, len(good) - good.sum()

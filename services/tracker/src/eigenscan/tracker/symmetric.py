@@ -59,10 +59,10 @@ def apart(y: Array, x: Array) -> Column:
 
 @njit(types.float64[:, ::1](ROWS, ROWS), cache=True)  # pragma: no cover - compiled
 def apart_each(y: Array, x: Array) -> Array:
-    """Poses (n, 3) minus poses (n, 3)."""
+    """Poses (n, 3) minus poses (n, 3), or minus one (1, 3)."""
     out = np.empty((len(y), 3))
     for i in range(len(y)):
-        out[i, 0], out[i, 1], out[i, 2] = apart(y[i], x[i])
+        out[i, 0], out[i, 1], out[i, 2] = apart(y[i], x[min(i, len(x) - 1)])
     return out
 
 
