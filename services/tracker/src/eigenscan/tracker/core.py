@@ -135,7 +135,10 @@ class TrackerCore:
         return published
 
     def condition(self) -> Condition:
-        """Waiting until hypotheses come; counters of what was received, published and set aside."""
+        """Waiting until hypotheses come; counters of what was received, published and set aside.
+
+        What is wrong degrades; what is made up for is told.
+        """
         if not self._counts["hypotheses_heard"]:
             return Condition(Health.STATUS_WAITING, "no hypotheses", dict(self._counts))
         faults = [
@@ -145,7 +148,10 @@ class TrackerCore:
         ]
         if faults:
             return Condition(Health.STATUS_DEGRADED, "; ".join(faults[:3]), dict(self._counts))
-        return Condition(Health.STATUS_OK, "", dict(self._counts))
+        notes = [
+            f"{name}: {robot.tracker.note}" for (_, name), robot in self._robots.items() if robot.tracker.note
+        ]
+        return Condition(Health.STATUS_OK, "; ".join(notes[:3]), dict(self._counts))
 
     def _robot(self, address: Mapping[str, str]) -> _Tracked:
         return self._robots.use(

@@ -87,6 +87,7 @@ class OdometryTrail:
         self._samples: list[Sample] = []
         self._asked: dict[int, Sample] = {}
         self._past_in_row = 0
+        self._delay = 0
 
     @property
     def newest(self) -> Sample | None:
@@ -153,9 +154,17 @@ class OdometryTrail:
     def reaches(self, stamp: int) -> bool:
         """Whether the pose at `stamp`, ns, is known, whatever odometry is still to come."""
         sample = self.at(stamp)
-        return sample is not None and (sample.extrapolated or stamp <= self._samples[-1].stamp)
+        return sample is not None and (sample.extrapolated or stamp - self._delay <= self._samples[-1].stamp)
+
+    def delay(self, by: int) -> None:
+        """Scans are stamped late, `by` ns: the robot was then where odometry stated as long before."""
+        self._delay = by
 
     def at(self, stamp: int) -> Sample | None:
+        """Odometry when a scan of `stamp` ns was taken; see `as_stamped`."""
+        return self.as_stamped(stamp - self._delay)
+
+    def as_stamped(self, stamp: int) -> Sample | None:
         """Odometry at `stamp` ns; beyond what is known the last pose, its age counted as unknown time.
 
         None where there was no odometry yet.

@@ -13,7 +13,6 @@ from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
-from eigenscan.tracker.cause import likely_cause
 from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
@@ -184,14 +183,12 @@ class RobotTracker:
     @property
     def fault(self) -> str:
         """What is wrong with scans or odometry, or why no pose comes; empty: nothing that shows."""
-        agreement = self._agreement
-        if agreement.two_robots:
-            return "odometry jumps again and again: do two robots use this name?"
-        if agreement.is_faulty:
-            return likely_cause(agreement.compared, self._trail)
-        if agreement.without_sign:
-            return "odometry counts driving backwards as forwards (encoders without a sign); made up for"
-        return self._silence.reason or self._rivals.reason(self.belief.stamp)
+        return self._agreement.fault or self._silence.reason or self._rivals.reason(self.belief.stamp)
+
+    @property
+    def note(self) -> str:
+        """What is wrong and has no effect on poses; empty: nothing."""
+        return self._agreement.note
 
     def map_to_odom(self) -> Pose | None:
         """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""
@@ -376,14 +373,14 @@ class RobotTracker:
 
     def _request(self, seen: Observation, verdict: Verdict) -> Request:
         """What the lidar's next scan is to be searched for."""
-        compared, answered = self._agreement.compared, [one.shows[0] for one in self._sources.values()]
+        answered = [one.shows[0] for one in self._sources.values()]
         sure = (
             self.state == STATE_LOCALIZED
             and self._settings.method == "mixture"
             and verdict.confidence >= self._settings.localized_above
             and verdict.confidence >= SURE * self._agreement.trust
             and self._hint is None
-            and not (compared and compared[-1].is_fault)
+            and not self._agreement.disagreed
             and len(self.belief.frames) == 2
             and answered.count(seen.lidar) == 1
         )

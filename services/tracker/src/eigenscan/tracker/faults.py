@@ -1,0 +1,328 @@
+"""Which fault, if any, explains how the scans of a lidar moved: a hidden Markov model of usual faults.
+
+Each state predicts the motion between two scans from odometry's: as odometry says, not at all from a frozen
+lidar, sideways from one whose mount is turned, as odometry was some seconds ago from one that is late. What
+the scans show then tells the states apart (forward algorithm; Rabiner, "A tutorial on hidden Markov models",
+Proc. IEEE 1989). A motion that two states predict alike decides nothing between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil, degrees, log, pi, radians
+
+import numpy as np
+from eigenscan.tracker.odometry import Motion, OdometryTrail
+from eigenscan.tracker.planar import Pose, wrap
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SIGMA_M, SIGMA_RAD, SIGMA_SHARE = 0.03, 0.025, 0.15
+"""m, rad: what both motions over an interval differ by where nothing is wrong, and the share of the way and
+of the turn on top. These and the chances below were chosen on intel and fr079: benchmarks/mechanisms.py
+--fault."""
+DRIVES, SIDEWAYS, TURNS = 0.2, 0.05, 0.2
+"""m, m, rad: sigma of a motion between two scans that nothing predicts."""
+ODD = 0.02
+"""Share of right motions that the fit finds somewhere else."""
+SLIP, SLIP_SHARE = 0.1, 1.0
+"""m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`."""
+SLIPS, GRIPS = 0.01, 0.4
+"""Chances, an interval, that wheels begin to slip and that they cease to."""
+ALIKE_BEGINS, ALIKE_ENDS = 0.1, 0.03
+"""Chances, an interval, that an unrelated lidar begins to move as odometry by chance, and that it ceases to:
+two robots that stand, or drive straight on."""
+TURNS_ALIKE = 0.2
+"""Of its motions, how many are alike still while odometry turns."""
+NO_FIT, NO_FIT_UNRELATED = 0.05, 0.5
+"""How often two scans with much in common do not fit each other; and those of unrelated lidars."""
+FAULTY = 0.02 / 6
+"""Prior of each kind of fault: of fifty robots one has one."""
+BEGINS, ENDS = 5e-4, 0.002
+"""Chances, an interval, that each kind of sensor fault begins, and that it ends."""
+SET_UP_BEGINS, SET_UP_ENDS = 1e-6, 1e-4
+"""The same for a set-up: nobody turns a mount while the robot drives."""
+BACKS, BACKS_KNOWN, FORWARDS = 1e-5, 0.01, 0.2
+"""Chances, an interval, that a robot begins to drive backwards, its encoders without a sign: before it was
+seen to, and after; and that it ceases to."""
+LATE_S, LATEST_S, LATE_STEP_S, KEPT = 0.5, 8.0, 0.25, 256
+"""s: scans are tried as so much late, in such steps (less is learned: `lateness`); and the samples of
+odometry that are kept for it, at least half of them."""
+TURNED = np.array([radians(angle) for angle in range(30, 345, 15) if abs(angle - 180) > 20])
+"""rad, angles by which a mount may be turned."""
+QUIET_M, QUIET_RAD = 0.005, 0.005
+"""Odometry with less motion in an interval stands."""
+
+UNKNOWN = (
+    "odometry and scans show different motions: do wheels slip, are stamps of two clocks, "
+    "or are the scans of another robot?"
+)
+WITHOUT_SIGN = "odometry counts driving backwards as forwards (encoders without a sign); made up for"
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """States of one kind: their number, prior of all, chances that they begin and end, and their name."""
+
+    count: int
+    prior: float
+    begins: float
+    ends: float
+    name: str
+
+
+LATE_BY = np.arange(LATE_S, LATEST_S + LATE_STEP_S, LATE_STEP_S)
+AGREE, SLIPPING, BACKWARDS = 0, 1, 2
+_KINDS = (
+    _Kind(1, 0.0, SLIPS, GRIPS, UNKNOWN),
+    _Kind(1, 0.0, BACKS, FORWARDS, WITHOUT_SIGN),
+    _Kind(
+        1, FAULTY, BEGINS, ENDS,
+        "scans stay the same while odometry moves: is the lidar frozen or covered?",
+    ),
+    _Kind(2, FAULTY, BEGINS, ENDS, UNKNOWN),
+    _Kind(
+        1, FAULTY, BEGINS, ENDS,
+        "odometry stands still while the scans move: are the encoders read, was it carried?",
+    ),
+    _Kind(
+        1, FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
+        "odometry runs opposite to the scans: is the lidar mounted 180° off, or have the encoders no sign?",
+    ),
+    _Kind(
+        1, FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
+        "scans turn the other way than odometry: is the lidar mounted upside down, and not stated so?",
+    ),
+    _Kind(
+        len(TURNED), FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
+        "scans move {}° off odometry's way: is the lidar's mount turned by as much?",
+    ),
+    _Kind(
+        len(LATE_BY), FAULTY, BEGINS, ENDS,
+        "scans come {} s after odometry of the same stamp: are they delayed?",
+    ),
+)  # fmt: skip
+_FIRST = np.cumsum([1, *(kind.count for kind in _KINDS)])
+FROZEN, UNRELATED, ODOMETRY_STANDS, REVERSED, MIRRORED, MOUNT_TURNED, LATE = _FIRST[2:-1].tolist()
+ALIKE = UNRELATED + 1
+_STATES = int(_FIRST[-1])
+DISJOINED = (
+    "scans do not follow from each other: do two robots or two lidars use this name, "
+    "or is the lidar covered in part?"
+)
+
+
+def _start() -> tuple[Array, Array]:
+    """Prior (n,), and chances (n, n) from a state to another; faults come after agreement and end in it."""
+    prior, change = np.zeros(_STATES), np.eye(_STATES)
+    for first, kind in zip(_FIRST, _KINDS, strict=False):
+        these = slice(first, first + kind.count)
+        prior[these] = kind.prior / kind.count
+        change[AGREE, these] = change[SLIPPING, these] = kind.begins / kind.count
+        change[these, AGREE] = kind.ends
+        change[range(first, first + kind.count), range(first, first + kind.count)] = 1.0 - kind.ends
+    prior[AGREE] = 1.0 - prior.sum()
+    change[AGREE, AGREE] = 2.0 - change[AGREE].sum()
+    # a fault that seems to end is as soon another one, that agrees for a while
+    change[FROZEN:, ALIKE] += change[FROZEN:, AGREE]
+    change[range(FROZEN, _STATES), range(FROZEN, _STATES)] -= change[FROZEN:, AGREE]
+    for one, other, chance in ((UNRELATED, ALIKE, ALIKE_BEGINS), (ALIKE, UNRELATED, ALIKE_ENDS)):
+        change[one, other] += chance
+        change[one, one] -= chance
+    change[SLIPPING, [AGREE, SLIPPING]] = GRIPS, 0.0
+    change[SLIPPING, SLIPPING] = 1.0 - change[SLIPPING].sum()
+    return prior, change
+
+
+class Faults:
+    """How probable each state of one lidar is, and of the odometry that it is held against."""
+
+    def __init__(self) -> None:
+        self.probability, self._change = _start()
+        self.without_sign = False
+        """Whether the robot was seen to drive backwards while odometry counted on."""
+        self._passed, self._kept = np.empty((KEPT, 4)), 0
+        """Of odometry: stamp [s], pose without jumps in the heading; and how many there are."""
+        self._no_fit = 0.0
+        self._ways = [0.0, 0.0]
+        """m driven forwards and backwards."""
+
+    @property
+    def trust(self) -> float:
+        """Probability that odometry and scans show the same motion."""
+        forwards, backwards = self._ways
+        known = self.without_sign and backwards < forwards  # else the mount is rather turned
+        return float(self.probability[AGREE] + known * self.probability[BACKWARDS])
+
+    @property
+    def backwards(self) -> bool:
+        """Whether the robot rather drives backwards while odometry counts on."""
+        return bool(self.probability[BACKWARDS] > 0.5)
+
+    @property
+    def changes(self) -> float:
+        """Probability that scans change as the robot moves."""
+        return float(1.0 - self.probability[FROZEN])
+
+    @property
+    def cause(self) -> str:
+        """The likeliest kind of fault, in words for the person who can mend it."""
+        if self._no_fit > 0.5:
+            return DISJOINED
+        sums = [float(self.probability[a:b].sum()) for a, b in pairwise(_FIRST)]
+        kind = int(np.argmax(sums))
+        at = int(np.argmax(self.probability[_FIRST[kind] : _FIRST[kind + 1]]))
+        if _FIRST[kind] == MOUNT_TURNED:
+            return _KINDS[kind].name.format(round(degrees((TURNED[at] + pi) % (2.0 * pi) - pi)))
+        return _KINDS[kind].name.format(float(LATE_BY[at]) if _FIRST[kind] == LATE else 0.0)
+
+    def take_apart(self) -> None:
+        """Two scans that must have much in common do not fit each other."""
+        likelihood = np.full(_STATES, NO_FIT)
+        likelihood[UNRELATED] = NO_FIT_UNRELATED
+        self._weigh(np.log(likelihood))
+        self._no_fit += 0.2 * (1.0 - self._no_fit)
+
+    def take(
+        self, scans: Pose, spread: tuple[float, float, float], turn_variance: float, driven: Motion,
+        since: int, trail: OdometryTrail,
+    ) -> bool:  # fmt: skip
+        """Takes the motion over an interval from `since`, ns, by scans and odometry; gives if they agree.
+
+        `spread` is the covariance xx, xy, yy [m^2] of the scans' way.
+        """
+        self._no_fit *= 0.8
+        self._pass(since, driven.seconds, trail)
+        begun, passed = since * 1e-9, self._passed[: self._kept]
+        predicted = _predicted(driven.delta, passed, begun, begun + driven.seconds)
+        log_likelihood = _log_likelihood(scans, spread, turn_variance, predicted)
+        self._weigh(log_likelihood)
+        for way, state in enumerate((AGREE, BACKWARDS)):
+            self._ways[way] += driven.way * float(self.probability[state])
+        if self.backwards and not self.without_sign:
+            self.without_sign = True
+            self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
+            self._change[AGREE, BACKWARDS] = BACKS_KNOWN
+        return bool(log_likelihood[AGREE] >= log_likelihood[SLIPPING])
+
+    def _weigh(self, log_likelihood: Array) -> None:
+        changed = self.probability @ self._change
+        weighed = changed * np.exp(log_likelihood - log_likelihood.max())
+        self.probability = weighed / weighed.sum()
+
+    def _pass(self, since: int, seconds: float, trail: OdometryTrail) -> None:
+        """Keeps where odometry was at steps of an interval."""
+        steps = max(ceil(2.0 * seconds / LATE_STEP_S), 1)
+        for step in range(steps + 1):
+            stamp = since + round(1e9 * seconds * step / steps)
+            before = self._passed[self._kept - 1] if self._kept else None
+            if before is not None and stamp * 1e-9 <= before[0]:
+                continue
+            sample = trail.at(stamp)
+            if sample is None:
+                continue
+            x, y, heading = sample.chained
+            if before is not None:
+                heading = before[3] + wrap(heading - before[3])
+            if self._kept == len(self._passed):
+                self._kept //= 2
+                self._passed[: self._kept] = self._passed[self._kept :]
+            self._passed[self._kept] = stamp * 1e-9, x, y, heading
+            self._kept += 1
+
+
+@njit("UniTuple(f8, 3)(f8[:,:], f8)", cache=True)  # pragma: no cover - compiled
+def _at(passed: Array, stamp: float) -> Pose:
+    after = min(max(int(np.searchsorted(passed[:, 0], stamp)), 1), len(passed) - 1)
+    a, b = passed[max(after - 1, 0)], passed[after]
+    share = min(max((stamp - a[0]) / max(b[0] - a[0], 1e-9), 0.0), 1.0)
+    return a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]), a[3] + share * (b[3] - a[3])
+
+
+@njit("f8[:,::1](UniTuple(f8, 3), f8[:,:], f8, f8)", cache=True)  # pragma: no cover - compiled
+def _predicted(moved: Pose, passed: Array, since: float, until: float) -> Array:
+    """Motion of the scans (n, 3) that each state predicts from odometry's; NaN where one predicts none.
+
+    `passed` (m, 4) is where odometry was: s, m, m, rad.
+    """
+    x, y, turn = moved
+    result = np.empty((_STATES, 3))
+    result[:, 0], result[:, 1], result[:, 2] = x, y, turn
+    result[FROZEN] = 0.0
+    for state in (BACKWARDS, REVERSED):
+        result[state, 0], result[state, 1] = -x, -y
+    result[MIRRORED, 1], result[MIRRORED, 2] = -y, -turn
+    for i in range(len(TURNED)):
+        c, s = np.cos(TURNED[i]), np.sin(TURNED[i])
+        result[MOUNT_TURNED + i, 0], result[MOUNT_TURNED + i, 1] = c * x - s * y, s * x + c * y
+    result[UNRELATED] = result[ODOMETRY_STANDS] = np.nan
+    for i in range(len(LATE_BY)):
+        a, b = since - LATE_BY[i], until - LATE_BY[i]
+        if not len(passed) or a < passed[0, 0]:
+            result[LATE + i] = np.nan
+            continue
+        start, end = _at(passed, a), _at(passed, b)
+        c, s = np.cos(start[2]), np.sin(start[2])
+        dx, dy = end[0] - start[0], end[1] - start[1]
+        result[LATE + i, 0], result[LATE + i, 1] = c * dx + s * dy, c * dy - s * dx
+        result[LATE + i, 2] = end[2] - start[2]
+    return result
+
+
+@njit("f8(f8, f8, f8, UniTuple(f8, 3), f8, f8, f8)", cache=True)  # pragma: no cover - compiled
+def _log_gaussian(
+    x: float, y: float, turn: float, spread: tuple[float, float, float], turn_variance: float,
+    sigma: float, turn_sigma: float,
+) -> float:  # fmt: skip
+    """Ln of the density at (x, y, turn), `sigma` m and `turn_sigma` rad beside the fit's own covariance."""
+    xx, xy, yy = spread[0] + sigma**2, spread[1], spread[2] + sigma**2
+    tt, determinant = turn_variance + turn_sigma**2, xx * yy - xy * xy
+    turned = (turn + pi) % (2.0 * pi) - pi
+    distance2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant + turned * turned / tt
+    return float(-0.5 * (distance2 + log(determinant * tt)) - 1.5 * log(2.0 * pi))
+
+
+@njit("f8(UniTuple(f8, 3), UniTuple(f8, 3), f8)", cache=True)  # pragma: no cover - compiled
+def _anyhow(scans: Pose, spread: tuple[float, float, float], turn_variance: float) -> float:
+    """Ln of the density of a motion that nothing predicts: half of the robots drive straight on."""
+    x, y, turn = scans
+    xx, xy, yy = spread
+    wide = (xx + DRIVES**2, xy, yy + SIDEWAYS**2)
+    straight = _log_gaussian(x, y, turn, wide, turn_variance, 0.0, SIGMA_RAD)
+    turning = _log_gaussian(x, y, turn, wide, turn_variance, 0.0, TURNS)
+    return float(np.logaddexp(straight, turning) - log(2.0))
+
+
+@njit("f8[::1](UniTuple(f8, 3), UniTuple(f8, 3), f8, f8[:,::1])", cache=True)  # pragma: no cover - compiled
+def _log_likelihood(
+    scans: Pose, spread: tuple[float, float, float], turn_variance: float, predicted: Array
+) -> Array:
+    """Ln of the density (n,) of the scans' motion in each state, whose `predicted` is (n, 3).
+
+    All with one covariance: a fault that predicts less motion does not predict it more exactly.
+    """
+    x, y, turn = predicted[AGREE]
+    way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
+    anyhow = _anyhow(scans, spread, turn_variance)
+    result = np.empty(len(predicted))
+    for state in range(len(predicted)):
+        if np.isnan(predicted[state, 0]):
+            result[state] = anyhow
+            continue
+        near = _log_gaussian(
+            scans[0] - predicted[state, 0], scans[1] - predicted[state, 1], scans[2] - predicted[state, 2],
+            spread, turn_variance, SIGMA_M + SIGMA_SHARE * way, SIGMA_RAD + SIGMA_SHARE * turned,
+        )  # fmt: skip
+        result[state] = np.logaddexp(near + log(1.0 - ODD), anyhow + log(ODD))
+    result[SLIPPING] = _log_gaussian(
+        scans[0] - x, scans[1] - y, scans[2] - turn,
+        spread, turn_variance, SLIP + SLIP_SHARE * way, SLIP + SLIP_SHARE * turned,
+    )  # fmt: skip
+    if abs(turn) > 2.0 * SIGMA_RAD:
+        result[ALIKE] = np.logaddexp(result[AGREE] + log(TURNS_ALIKE), anyhow + log(1.0 - TURNS_ALIKE))
+    if abs(x) + abs(y) >= QUIET_M or abs(turn) >= QUIET_RAD:
+        result[ODOMETRY_STANDS] += log(ODD)
+    return result

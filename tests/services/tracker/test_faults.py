@@ -1,0 +1,169 @@
+"""The hidden Markov model of faults, against the plain forward algorithm, and the delay of scans' stamps."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+from eigenscan.tracker import faults as model
+from eigenscan.tracker.faults import Faults
+from eigenscan.tracker.lateness import STEP_NS, Lateness
+from eigenscan.tracker.odometry import OdometryTrail
+from eigenscan.tracker.planar import Pose, between, compose, inverse
+from eigenscan.tracker.velocity_gate import VelocityGate
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+STEP_S = 0.2
+NS = 1_000_000_000
+
+
+def swerving(time: float) -> Pose:
+    """A robot that drives at 0.5 m/s and swerves: its pose at a time, s."""
+    pose: Pose = (0.0, 0.0, 0.0)
+    for step in range(round(time / 0.01)):
+        pose = compose(pose, (0.005, 0.0, 0.006 * np.sin(0.01 * step * 2.0)))
+    return pose
+
+
+@pytest.fixture(scope="module")
+def trail() -> OdometryTrail:
+    trail = OdometryTrail(VelocityGate(2.0, 3.0))
+    pose: Pose = (0.0, 0.0, 0.0)
+    for step in range(3000):
+        if step % 2 == 0:
+            trail.take(10 * NS + step * 10_000_000, pose)
+        pose = compose(pose, (0.005, 0.0, 0.006 * np.sin(0.01 * step * 2.0)))
+    return trail
+
+
+def play(faults: Faults, trail: OdometryTrail, steps: range, late_s: float = 0.0, noise: float = 0.0) -> None:
+    """Scans that show the motion of `late_s` ago."""
+    rng = np.random.default_rng(1)
+    for step in steps:
+        since = 10 * NS + round(step * STEP_S * NS)
+        driven = trail.between(since, since + round(STEP_S * NS))
+        ago = round(late_s * NS)
+        seen = trail.between(since - ago, since - ago + round(STEP_S * NS)).delta
+        x, y, turn = np.array(seen) + noise * rng.standard_normal(3) * [0.02, 0.02, 0.015]
+        faults.take((x, y, turn), (1e-6, 0.0, 1e-6), 1e-6, driven, since, trail)
+
+
+def test_chances_of_each_state_sum_to_one() -> None:
+    prior, change = model._start()
+    assert prior.sum() == pytest.approx(1.0)
+    assert change.sum(axis=1) == pytest.approx(np.ones(len(prior)))
+    assert (change >= 0.0).all()
+
+
+@given(
+    st.lists(
+        st.lists(st.floats(-30.0, 0.0), min_size=len(model._start()[0]), max_size=len(model._start()[0])),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(rows: list[list[float]]) -> None:
+    prior, change = model._start()
+    joint = prior
+    faults = Faults()
+    for row in rows:
+        faults._weigh(np.array(row))
+        # unnormalised, and without the shift by the largest
+        joint = np.array([sum(joint[i] * change[i, j] for i in range(len(prior))) for j in range(len(prior))])
+        joint = joint * np.exp(np.array(row))
+    assert faults.probability == pytest.approx(joint / joint.sum(), rel=1e-9, abs=1e-300)
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3))
+def test_densities_are_gaussian(off: list[float]) -> None:
+    x, y, turn = off
+    got = model._log_gaussian(x, y, turn, (0.02, 0.005, 0.03), 0.001, 0.1, 0.2)
+    C = [[0.03, 0.005, 0], [0.005, 0.04, 0], [0, 0, 0.041]]
+    assert got == pytest.approx(multivariate_normal.logpdf(off, np.zeros(3), C), rel=1e-9)
+
+
+@given(st.tuples(st.floats(-0.4, 0.4), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5)), st.floats(0.1, 3.0))
+def test_each_fault_predicts_its_motion(moved: Pose, since: float) -> None:
+    passed = np.column_stack([np.arange(-9.0, 4.0, 0.1), np.zeros((130, 2)), np.zeros(130)])
+    passed[:, 1] = 0.5 * passed[:, 0] ** 2
+    got = model._predicted(moved, passed, since, since + 0.2)
+    x, y, turn = moved
+    assert got[model.AGREE] == pytest.approx(moved)
+    assert got[model.FROZEN] == pytest.approx((0, 0, 0))
+    assert got[model.REVERSED] == pytest.approx((-x, -y, turn))
+    assert got[model.MIRRORED] == pytest.approx((x, -y, -turn))
+    for state, angle in enumerate(model.TURNED, model.MOUNT_TURNED):
+        assert got[state, :2] == pytest.approx(
+            np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ [x, y]
+        )
+    for state, late in enumerate(model.LATE_BY, model.LATE):
+        at = since - late
+        assert got[state] == pytest.approx((0.5 * (at + 0.2) ** 2 - 0.5 * at**2, 0, 0), abs=0.002)
+
+
+def test_what_agrees_is_trusted_and_a_delay_of_seconds_is_named(trail: OdometryTrail) -> None:
+    right, late = Faults(), Faults()
+    play(right, trail, range(60, 120), noise=1.0)
+    play(late, trail, range(60, 120), late_s=2.0, noise=1.0)
+    assert right.trust > 0.99
+    assert late.trust < 0.01
+    assert "2.0 s after" in late.cause
+
+
+def test_wheels_that_slip_for_a_second_cost_trust_for_no_longer_than_a_few(trail: OdometryTrail) -> None:
+    faults = Faults()
+    play(faults, trail, range(60, 80))
+    for step in range(80, 85):
+        since = 10 * NS + round(step * STEP_S * NS)
+        driven = trail.between(since, since + round(STEP_S * NS))
+        x, y, turn = driven.delta
+        faults.take((x, y, turn + 0.4), (1e-6, 0.0, 1e-6), 1e-6, driven, since, trail)
+    assert faults.trust < 0.5
+    play(faults, trail, range(85, 105))
+    assert faults.trust > 0.9
+
+
+def test_a_straight_way_does_not_clear_a_lidar_that_lied_in_a_turn(trail: OdometryTrail) -> None:
+    """Another robot drives straight on as fast: that shows nothing."""
+    faults, straight = Faults(), OdometryTrail(VelocityGate(2.0, 3.0))
+    pose: Pose = (0.0, 0.0, 0.0)
+    for step in range(1000):
+        turn = 0.015 if step < 500 else 0.0
+        straight.take(10 * NS + step * 20_000_000, pose)
+        pose = compose(pose, (0.01, 0.0, turn))
+    for step in range(90):
+        since = 10 * NS + round(step * STEP_S * NS)
+        driven = straight.between(since, since + round(STEP_S * NS))
+        faults.take((driven.delta[0], 0.0, 0.0), (1e-6, 0.0, 1e-6), 1e-6, driven, since, straight)
+    assert faults.trust < 0.6
+
+
+@pytest.mark.parametrize("late_ns", [0, 120_000_000, 200_000_000])
+def test_the_delay_of_stamps_is_learned_to_a_step(trail: OdometryTrail, late_ns: int) -> None:
+    lateness, rng = Lateness(), np.random.default_rng(3)
+    for step in range(20, 130):
+        since = 10 * NS + round(step * STEP_S * NS)
+        until = since + round(STEP_S * NS)
+        a, b = trail.as_stamped(since - late_ns), trail.as_stamped(until - late_ns)
+        assert a is not None
+        assert b is not None
+        moved = between(a.chained, b.chained)
+        x, y, turn = np.array(moved) + rng.standard_normal(3) * [0.01, 0.01, 0.005]
+        lateness.take(since, until, (x, y, turn), trail)
+    assert abs(lateness.delay - late_ns) <= STEP_NS / 2
+
+
+def test_a_delayed_trail_gives_what_odometry_stated_as_long_before(trail: OdometryTrail) -> None:
+    at = 20 * NS
+    before = trail.as_stamped(at - 150_000_000)
+    trail.delay(150_000_000)
+    now = trail.at(at)
+    trail.delay(0)
+    assert before is not None
+    assert now == before
+    off = compose(inverse(before.chained), swerving(9.85))
+    assert np.hypot(off[0], off[1]) < 0.01
+    assert abs((off[2] + pi) % (2.0 * pi) - pi) < 0.01
