@@ -36,6 +36,10 @@ from eigenscan.tracker.observation import (
     Observation,
     poorness,
 )
+from eigenscan.tracker.planar import compose, scaled
+from eigenscan.tracker.prediction import carry, motion_noise
+from eigenscan.tracker.reckoning import Leg, Motions
+from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
 from numpy.typing import NDArray
@@ -414,3 +418,40 @@ def independent_share(C: Array, R: Array, progress: float) -> Array:
     """
     known = np.cbrt(determinant(R) / determinant(C))
     return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
+
+
+def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: TrackerSettings) -> Tracks:
+    """The tracks, predicted to `now`, as if odometry had been what it and the scans give together.
+
+    Those that a hypothesis confirmed later stay as they are.
+    """
+    open_ = tracks.fixed_at < way.stamp
+    if not open_.any():
+        return tracks
+    fixed_x, fixed_covariance, fixed_at = (
+        tracks.fixed_x.copy(),
+        tracks.fixed_covariance.copy(),
+        tracks.fixed_at.copy(),
+    )
+    x, C = tracks.x.copy(), tracks.C.copy()
+    for at in np.unique(fixed_at[open_]).tolist():
+        these = fixed_at == at
+        begun = max(at, way.since)
+        if at < begun:
+            moved = motions(at, begun)
+            fixed_x[these], fixed_covariance[these] = carry(
+                fixed_x[these], fixed_covariance[these], moved.delta, motion_noise(moved, settings)
+            )
+        share = (way.stamp - begun) / (way.stamp - way.since)
+        delta = way.delta
+        if begun > way.since:
+            delta = compose(motions(begun, way.stamp).delta, scaled(way.correction, share))
+        fixed_x[these], fixed_covariance[these] = carry(
+            fixed_x[these], fixed_covariance[these], delta, way.noise * share
+        )
+    fixed_at[open_] = way.stamp
+    rest = motions(way.stamp, now)
+    x[open_], C[open_] = carry(
+        fixed_x[open_], fixed_covariance[open_], rest.delta, motion_noise(rest, settings)
+    )
+    return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at)

@@ -1,4 +1,4 @@
-"""The compiled step with a list is the readable one, for any belief and any list."""
+"""The compiled steps are the readable ones, for any belief, list and motion."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_POOR
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.reckoning import Leg, correct
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Columns, Tracks, begin, replace
@@ -181,6 +182,27 @@ def test_a_jump_frees_mass_that_no_list_was_of(seed: int, tracks: int, frames: i
     np.testing.assert_allclose(found.tracks.log_weight, released.log_weight, rtol=EXACT)
     for one, other in zip(found.elsewhere.parts(), expected.elsewhere.parts(), strict=True):
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT)
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 8), newest=st.integers(1, 9))
+def test_scan_motion_corrects_tracks_the_same(seed: int, count: int, newest: int) -> None:
+    """Some were fixed before the leg began, some on its way, some after it."""
+    rng = np.random.default_rng(seed)
+    before = some_tracks(rng, count, 1, 2)
+    before = replace(before, fixed_at=rng.integers(0, newest, count))
+    noise = np.diag([1.0, 2.0, 0.5]) * 1e-3 + 1e-4
+    way = Leg(3, 6, (0.3, 0.1, -0.2), noise, (0.05, -0.02, 0.1))
+
+    def motions(start: int, end: int) -> Motion:
+        passed = float(end - start)
+        return Motion((0.1 * passed, 0.02, 0.05 * passed), 0.1 * passed, 0.05 * passed, 0.0, 0.1, 0.0, passed)
+
+    found = correct(before, way, 9, motions, TrackerSettings())
+    expected = readable.correct(before, way, 9, motions, TrackerSettings())
+    for name in Columns._fields:
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), rtol=EXACT, atol=EXACT, err_msg=name
+        )
 
 
 def story(speaker: Speaker, seed: int) -> list[Envelope]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.symmetric import MATRICES, plus, put, triangle
+from eigenscan.geometry.symmetric import MATRICES, Column, Triangle, plus, put, triangle
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import Pose
 from eigenscan.tracker.settings import TrackerSettings
@@ -50,19 +50,30 @@ _POSES = types.Tuple((types.float64[:, ::1], types.float64[:, :, ::1]))
 _NUMBER = types.float64
 
 
+@njit()  # pragma: no cover - compiled
+def carried(x: Array, C: Triangle, delta: Column, Q: Triangle) -> tuple[Column, Triangle]:
+    """A pose (3,) after an increment, and F C F' + G Q G'.
+
+    F holds the derivatives by the pose before, G those by the increment.
+    """
+    ahead, left, turn = delta
+    cos, sin = np.cos(x[2]), np.sin(x[2])
+    u, v = -sin * ahead - cos * left, cos * ahead - sin * left
+    # F is the identity but for these two, in the heading's column; G is the rotation
+    a, b, c, d, e, f = C
+    of_x = a + 2 * u * c + u * u * f, b + u * e + v * c + u * v * f, c + u * f
+    of_y = d + 2 * v * e + v * v * f, e + v * f
+    moved = x[0] + v, x[1] - u, wrapped(x[2] + turn)
+    return moved, plus((of_x[0], of_x[1], of_x[2], of_y[0], of_y[1], f), turned(Q, cos, sin))
+
+
 @njit(  # pragma: no cover - compiled
     _POSES(ROWS, MATRICES, _NUMBER, _NUMBER, _NUMBER, types.float64[:, ::1]), cache=True
 )
 def _carried(x: Array, C: Array, ahead: float, left: float, turn: float, Q: Array) -> tuple[Array, Array]:
-    """Poses, and F C F' + G Q G' of each: F its derivatives by the pose before, G by the increment."""
     moved, out = np.empty((len(x), 3)), np.empty((len(x), 3, 3))
     for i in range(len(x)):
-        cos, sin = np.cos(x[i, 2]), np.sin(x[i, 2])
-        u, v = -sin * ahead - cos * left, cos * ahead - sin * left
-        moved[i, 0], moved[i, 1], moved[i, 2] = x[i, 0] + v, x[i, 1] - u, wrapped(x[i, 2] + turn)
-        # F is the identity but for these two, in the heading's column; G is the rotation
-        a, b, c, d, e, f = triangle(C[i])
-        of_x = a + 2 * u * c + u * u * f, b + u * e + v * c + u * v * f, c + u * f
-        of_y = d + 2 * v * e + v * v * f, e + v * f
-        put(plus((*of_x, *of_y, f), turned(triangle(Q), cos, sin)), out[i])
+        pose, covariance = carried(x[i], triangle(C[i]), (ahead, left, turn), triangle(Q))
+        moved[i, 0], moved[i, 1], moved[i, 2] = pose
+        put(covariance, out[i])
     return moved, out

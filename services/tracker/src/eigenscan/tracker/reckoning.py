@@ -10,16 +10,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.symmetric import MATRICES, inverse, plus, put, square, times, triangle
 from eigenscan.tracker.agreement import ScanInterval
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import Pose, between, compose, scaled
-from eigenscan.tracker.prediction import carry, motion_noise
+from eigenscan.tracker.prediction import carried, motion_noise
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import ROWS
 from eigenscan.tracker.tracks import Tracks, replace
+from numba import njit, types
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 SCAN_SIGMA = np.array([0.015, 0.015, 0.008])
 """m, m, rad: error of a motion between two scans beyond that of the fit itself: the time within a
@@ -48,18 +52,43 @@ class Leg:
 def leg(interval: ScanInterval, driven: Motion, settings: TrackerSettings) -> Leg:
     """Odometry (`driven`) and scan motion over one interval: Kalman's update of the one by the other."""
     assert interval.moved is not None
-    xx, xy, yy = interval.spread
-    R = np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, interval.turn_variance]])
-    R += np.diag(SCAN_SIGMA**2)
-    Q = motion_noise(driven, settings)
-    off = np.array(between(driven.delta, interval.moved))
-    if off @ np.linalg.solve(Q + R, off) > SLIPPED:
-        Q += np.outer(off, off)
-    gain = Q @ np.linalg.inv(Q + R)
-    x, y, turn = (gain @ off).tolist()
-    noise = (np.eye(3) - gain) @ Q
-    noise = (noise + noise.T) / 2.0
-    return Leg(interval.since, interval.stamp, compose(driven.delta, (x, y, turn)), noise, (x, y, turn))
+    off = between(driven.delta, interval.moved)
+    correction, noise = _updated(
+        motion_noise(driven, settings), *interval.spread, interval.turn_variance, *off, SLIPPED
+    )
+    return Leg(interval.since, interval.stamp, compose(driven.delta, correction), noise, correction)
+
+
+_NUMBER, _MATRIX = types.float64, types.float64[:, ::1]
+
+
+@njit(  # pragma: no cover - compiled
+    types.Tuple((types.UniTuple(_NUMBER, 3), _MATRIX))(_MATRIX, *[_NUMBER] * 8), cache=True
+)
+def _updated(
+    Q: Array, xx: float, xy: float, yy: float, turn_variance: float, x: float, y: float, turn: float,
+    slipped: float,
+) -> tuple[Pose, Array]:  # fmt: skip
+    """Kalman's update of odometry, noise Q (3, 3), by a scan motion that is off by x, y, turn.
+
+    gain = Q (Q + R)^-1; gives the correction and (I - gain) Q. Where odometry has slipped, how far it is off
+    is its noise, too.
+    """
+    off = (x, y, turn)
+    R = (xx + SCAN_SIGMA[0] ** 2, xy, 0.0, yy + SCAN_SIGMA[1] ** 2, 0.0, turn_variance + SCAN_SIGMA[2] ** 2)
+    own = triangle(Q)
+    if square(inverse(plus(own, R)), off) > slipped:
+        own = plus(own, (x * x, x * y, x * turn, y * y, y * turn, turn * turn))
+    certain, noise = inverse(plus(own, R)), np.empty((3, 3))
+    correction = times(own, times(certain, off))
+    put(own, noise)
+    # (I - gain) Q = Q - Q (Q + R)^-1 Q
+    before = noise.copy()
+    for column in range(3):
+        less = times(own, times(certain, (before[0, column], before[1, column], before[2, column])))
+        for row in range(3):
+            noise[row, column] -= less[row]
+    return correction, (noise + noise.T) / 2.0
 
 
 def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: TrackerSettings) -> Tracks:
@@ -67,33 +96,62 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
 
     Those that a hypothesis confirmed later stay as they are.
     """
-    open_ = tracks.fixed_at < way.stamp
-    if not open_.any():
+    fixed = sorted({at for at in tracks.fixed_at.tolist() if at < way.stamp})
+    if not fixed:
         return tracks
-    fixed_x, fixed_covariance, fixed_at = (
-        tracks.fixed_x.copy(),
-        tracks.fixed_covariance.copy(),
-        tracks.fixed_at.copy(),
-    )
-    x, C = tracks.x.copy(), tracks.C.copy()
-    for at in np.unique(fixed_at[open_]).tolist():
-        these = fixed_at == at
+    legs = np.zeros((len(fixed), _LEG))
+    for row, at in zip(legs, fixed, strict=True):
         begun = max(at, way.since)
         if at < begun:
             moved = motions(at, begun)
-            fixed_x[these], fixed_covariance[these] = carry(
-                fixed_x[these], fixed_covariance[these], moved.delta, motion_noise(moved, settings)
-            )
+            row[0:3], row[3:6] = moved.delta, motion_noise(moved, settings).diagonal()
         share = (way.stamp - begun) / (way.stamp - way.since)
         delta = way.delta
         if begun > way.since:
             delta = compose(motions(begun, way.stamp).delta, scaled(way.correction, share))
-        fixed_x[these], fixed_covariance[these] = carry(
-            fixed_x[these], fixed_covariance[these], delta, way.noise * share
-        )
-    fixed_at[open_] = way.stamp
+        row[6:9], row[9] = delta, share
     rest = motions(way.stamp, now)
-    x[open_], C[open_] = carry(
-        fixed_x[open_], fixed_covariance[open_], rest.delta, motion_noise(rest, settings)
-    )
+    x, C, fixed_x, fixed_covariance, fixed_at = _corrected(
+        tracks.x, tracks.C, tracks.fixed_x, tracks.fixed_covariance, tracks.fixed_at, way.stamp,
+        np.array(fixed), legs, way.noise, *rest.delta, motion_noise(rest, settings),
+    )  # fmt: skip
     return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at)
+
+
+_LEG = 10
+"""Numbers for the tracks that were fixed at one stamp: odometry's motion to where the leg begins for them,
+and the diagonal of its noise; their part of the leg's motion, and its share of the leg."""
+_POSES, _COVARIANCES = types.float64[:, ::1], types.float64[:, :, ::1]
+_STAMPS = types.Array(types.int64, 1, "A", readonly=True)
+
+
+@njit(  # pragma: no cover - compiled
+    types.Tuple((_POSES, _COVARIANCES, _POSES, _COVARIANCES, types.int64[::1]))(
+        ROWS, MATRICES, ROWS, MATRICES, _STAMPS, types.int64, types.int64[::1], _MATRIX, _MATRIX,
+        _NUMBER, _NUMBER, _NUMBER, _MATRIX,
+    ),
+    cache=True,
+)  # fmt: skip
+def _corrected(
+    now_x: Array, now_C: Array, old_x: Array, old_covariance: Array, old_at: Index, stamp: int, fixed: Index,
+    legs: Array, noise: Array, ahead: float, left: float, turn: float, rest: Array,
+) -> tuple[Array, Array, Array, Array, Index]:  # fmt: skip
+    """Tracks that were `fixed` before `stamp`: `legs` lead them there, then odometry and its noise."""
+    x, C, fixed_x, fixed_covariance = now_x.copy(), now_C.copy(), old_x.copy(), old_covariance.copy()
+    fixed_at = old_at.copy()
+    for i in range(len(x)):
+        if fixed_at[i] >= stamp:
+            continue
+        way = legs[np.searchsorted(fixed, fixed_at[i])]
+        Q = (way[3], 0.0, 0.0, way[4], 0.0, way[5])
+        pose, covariance = carried(fixed_x[i], triangle(fixed_covariance[i]), (way[0], way[1], way[2]), Q)
+        fixed_x[i, 0], fixed_x[i, 1], fixed_x[i, 2] = pose
+        part = triangle(noise * way[9])
+        pose, covariance = carried(fixed_x[i], covariance, (way[6], way[7], way[8]), part)
+        fixed_x[i, 0], fixed_x[i, 1], fixed_x[i, 2] = pose
+        put(covariance, fixed_covariance[i])
+        pose, covariance = carried(fixed_x[i], covariance, (ahead, left, turn), triangle(rest))
+        x[i, 0], x[i, 1], x[i, 2] = pose
+        put(covariance, C[i])
+        fixed_at[i] = stamp
+    return x, C, fixed_x, fixed_covariance, fixed_at
