@@ -165,6 +165,18 @@ def _full(site: Site, fault: Fault) -> Undo:
     return undo
 
 
+def _of_first_release(site: Site, fault: Fault) -> Undo:
+    process = _process(site, fault)
+    process.is_of_first_release = True
+    process.stop()
+
+    def upgrade() -> None:
+        process.is_of_first_release = False
+        process.stop()
+
+    return upgrade
+
+
 def _name(site: Site, fault: Fault) -> str:
     return f"the {_process(site, fault).name}"
 
@@ -199,6 +211,9 @@ KINDS: dict[str, Kind] = {
         _kill_in_write,
         lambda site, fault: f"{_name(site, fault)} is killed {int(20 * fault.amount)} disk operations later",
         lasts=False,
+    ),
+    "first release": Kind(
+        _of_first_release, lambda site, fault: f"{_name(site, fault)} is of the first release, then upgraded"
     ),
     "stop": Kind(_stop, lambda site, fault: f"{_name(site, fault)} is stopped and restarted", lasts=False),
     "slow": Kind(

@@ -132,8 +132,11 @@ class Publisher:
 
     def put(self, payload: bytes, timestamp: Timestamp | None = None) -> None:
         """Publishes."""
-        if self._session.is_open:
-            sample = Sample(self._key, Bytes(payload), self._encoding, timestamp)
+        if not self._session.is_open:
+            return
+        translated = self._session.translate(self._key, payload)
+        if translated is not None:
+            sample = Sample(self._key, Bytes(translated), self._encoding, timestamp)
             self._session.network.publish(self._session, sample, block=self._block)
 
     def undeclare(self) -> None:
@@ -156,7 +159,9 @@ class Query:
 
     def reply(self, key: Any, payload: bytes, encoding: Any = "", timestamp: Any = None, **_: Any) -> None:
         """Sends an answer."""
-        self._answer(Reply(Sample(str(key), Bytes(payload), encoding, timestamp)))
+        translated = self.session.translate(str(key), payload)
+        if translated is not None:
+            self._answer(Reply(Sample(str(key), Bytes(translated), encoding, timestamp)))
 
     def reply_err(self, payload: str) -> None:
         """Sends an error."""
@@ -176,6 +181,8 @@ class Session:
         """What was handed to the inbox, by channel."""
         self.owner: Process | None = None
         """The service's process; None: a driver or a stranger."""
+        self.translate: Callable[[str, bytes], bytes | None] = lambda _key, payload: payload
+        """What a service of another release publishes instead; None: nothing."""
         self._stamped = 0
         self.info = self
 

@@ -12,6 +12,7 @@ from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.runtime.work import CONDITION_PERIOD_S, Work
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
 from eigenscan.workbench.simtest.disk import Disk, KilledError
+from eigenscan.workbench.simtest.first_release import FirstRelease
 from eigenscan.workbench.simtest.network import Network, Session
 
 RESTART_S = 1.0
@@ -50,6 +51,8 @@ class Process:
         self.name = f"{service(self.disk).name} of {machine}"
         self.handling_s = HANDLING_S
         self.is_wanted = False
+        self.is_of_first_release = False
+        """Whether it speaks as the first release did, from its next start on."""
         self.node: Node | None = None
         self.session: Session | None = None
         self.starts = 0
@@ -75,6 +78,8 @@ class Process:
         self._stop = _Stop()
         self.session = self._network.open(self.machine, self._clock)
         self.session.owner = self
+        if self.is_of_first_release:
+            self.session.translate = FirstRelease().payload
         opening: Future[Any] = Future()
         opening.set_result(self.session)
         shared = Shared(opening, None, threading.Condition(), self._clock, self._after(life))
