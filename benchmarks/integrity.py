@@ -105,15 +105,15 @@ class Site:
         )
         self.models = build(folder / "map.yaml", settings.mapbuilder, lambda _: None).models
         self.settings = settings
-        projector = ProjectorCore(settings.projector)
+        self.searches = Remembering()
+        self.projector = ProjectorCore(settings.projector, search=self.searches)
         for model in self.models:
-            if model.channel in projector.inputs:
-                list(projector.handle(model))
-        self.projector = Remembering(projector)
+            if model.channel in self.projector.inputs:
+                list(self.projector.handle(model))
 
     def try_fault(self, name: str, fault: Fault, limit: int | None) -> Cell:
         cell = Cell()
-        self.projector.forget()
+        self.searches.forget()
         windows = thin(list(self.windows), limit)
         for number, window in enumerate(windows):
             other = windows[(number + len(windows) // 2) % len(windows)]
@@ -128,6 +128,7 @@ class Site:
         for model in self.models:
             if model.channel in tracker.inputs:
                 list(tracker.handle(model))
+        self.projector.forget_robots()
         loop = Loopback([ingest, self.projector, tracker])
         published, asked, named = list[Envelope](), 0, None
         loop.start()

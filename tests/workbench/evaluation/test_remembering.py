@@ -1,71 +1,117 @@
-import time
-from collections.abc import Iterable
+"""A scan that windows share is searched for once, at the cost of each time."""
 
-from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, Channel
-from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
-from eigenscan.schemas.scan_pb2 import Scan
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from eigenscan.projector.candidates import Candidates
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.focus import WHOLE, Scope
+from eigenscan.projector.observation import Observation, observe
+from eigenscan.projector.projection import find_candidates
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.site import SensorView, Site
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE
 from eigenscan.workbench.evaluation.remembering import Remembering
 
+from tests.services.projector.office import envelopes, free_poses, receive, scan_at, site
+from tests.services.projector.test_local import SURE, ask, request
 
-class Echo:
-    """Publishes how many scans it has received, and takes its time."""
+SPENT_NS = 5_000_000
+START, STEP = 10**15, 100_000_000
 
-    inputs: tuple[Channel, ...] = (SCAN,)
-    outputs: tuple[Channel, ...] = (HYPOTHESES,)
 
-    def __init__(self) -> None:
-        self.received = 0
+class Counting:
+    """Counts what it searches, and takes its time; `waits`: regions are left to later scans."""
 
-    def start(self) -> Iterable[Envelope]:
-        return ()
+    def __init__(self, *, waits: bool = False) -> None:
+        self.searched, self._waits = 0, waits
 
-    def finish(self) -> Iterable[Envelope]:
-        return ()
-
-    def condition(self) -> Condition:
-        return Condition()
-
-    def handle(self, received: Envelope) -> Iterable[Envelope]:
-        self.received += 1
-        end = time.process_time_ns() + 5_000_000
+    def __call__(
+        self, site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, *, scope: Scope
+    ) -> Candidates:
+        self.searched += 1
+        end = time.process_time_ns() + SPENT_NS
         while time.process_time_ns() < end:
             pass
-        scan = received.open(Scan)
-        answer = Hypotheses(timestamp=scan.timestamp, used_beams=round(sum(scan.ranges)))
-        return [Envelope(HYPOTHESES, {**received.address, "projector": "0"}, answer)]
+        found = find_candidates(site, view, seen, settings, scope=scope)
+        return replace(found, waiting=np.arange(len(site.regions)) == 0) if self._waits else found
 
 
-def scan(time_ns: int, ranges: list[float], lidar: str = "a", sequence: int = 0) -> Envelope:
-    message = Scan(timestamp=stamp(time_ns), ranges=ranges, sequence=sequence)
-    return Envelope(SCAN, {"site": "s", "robot": "r", "lidar": lidar}, message)
+def taught(remembering: Remembering) -> ProjectorCore:
+    core = ProjectorCore(ProjectorSettings(), search=remembering)
+    for envelope in envelopes(site(spacing=1.0, components=4)):
+        list(core.handle(envelope))
+    return core
 
 
-def test_the_same_scan_at_another_time_has_the_same_answer_at_that_time_and_the_same_cost() -> None:
-    core = Echo()
-    remembering = Remembering(core)
-    (first,) = remembering.handle(scan(10, [1.0, 2.0]))
+@pytest.fixture(scope="module")
+def truths() -> np.ndarray:
+    return free_poses(2, 3)
+
+
+def test_the_same_scan_at_another_time_is_answered_alike_and_costs_the_same(truths: np.ndarray) -> None:
+    counting = Counting()
+    remembering = Remembering(counting)
+    core = taught(remembering)
+    first, _ = receive(core, scan_at(truths[0], time=10))
     assert remembering.owed_ns == 0
-    (again,) = remembering.handle(scan(999, [1.0, 2.0], sequence=7))
-    assert core.received == 1
-    assert remembering.owed_ns >= 5_000_000
-    assert nanoseconds(again.open(Hypotheses).timestamp) == 999
-    assert again.open(Hypotheses).used_beams == first.open(Hypotheses).used_beams == 3
-    assert again.key == first.key
+    again, obstacles = receive(core, scan_at(truths[0], time=999))
+    assert counting.searched == 1
+    assert remembering.owed_ns >= SPENT_NS
+    assert again.timestamp.nanos == 999
+    assert obstacles is not None
+    again.timestamp.CopyFrom(first.timestamp)
+    assert again == first
 
 
-def test_another_scan_or_another_lidar_is_asked_again() -> None:
-    core = Echo()
-    remembering = Remembering(core)
-    for received in (scan(1, [1.0]), scan(1, [2.0]), scan(1, [1.0], lidar="b")):
-        list(remembering.handle(received))
-    assert core.received == 3
+def test_another_scan_is_searched_for_and_after_forgetting_each(truths: np.ndarray) -> None:
+    counting = Counting()
+    remembering = Remembering(counting)
+    core = taught(remembering)
+    for truth in truths:
+        receive(core, scan_at(truth))
+    assert counting.searched == 2
+    remembering.forget()
+    receive(core, scan_at(truths[0]))
+    assert counting.searched == 3
 
 
-def test_a_core_that_receives_more_than_scans_is_always_asked() -> None:
-    core = Echo()
-    core.inputs = (SCAN, POSE)
-    remembering = Remembering(core)
-    for _ in range(2):
-        list(remembering.handle(scan(1, [1.0])))
-    assert core.received == 2
+def test_what_may_find_more_the_next_time_is_not_kept(truths: np.ndarray) -> None:
+    counting = Counting(waits=True)
+    core = taught(Remembering(counting))
+    for time_ns in (1, 2):
+        receive(core, scan_at(truths[0], time=time_ns))
+    assert counting.searched == 2
+
+
+def test_a_search_of_some_regions_is_neither_kept_nor_taken_for_one_of_all(truths: np.ndarray) -> None:
+    counting = Counting()
+    remembering = Remembering(counting)
+    core = taught(remembering)
+    assert core._site is not None
+    seen = observe(scan_at(truths[0]))
+    view = core._site.view(seen.sensor)
+    some = Scope(np.ones(len(core._site.regions), dtype=bool))
+    for scope in (some, WHOLE, some, WHOLE):
+        remembering(core._site, view, seen, ProjectorSettings(), scope=scope)
+    assert counting.searched == 3
+
+
+def test_local_fits_go_on_where_the_search_before_was_remembered(truths: np.ndarray) -> None:
+    core = taught(Remembering())
+    for begin in (START, START + 10**12):
+        core.forget_robots()
+        searches = [receive(core, scan_at(truths[0], time=begin))[0].search]
+        ask(core, request(truths[0], begin, covariance=SURE))
+        searches.append(receive(core, scan_at(truths[0], time=begin + STEP))[0].search)
+        assert searches == [SEARCH_WHOLE, SEARCH_LOCAL]
+
+
+def test_who_forgets_robots_answers_no_earlier_request(truths: np.ndarray) -> None:
+    core = taught(Remembering())
+    receive(core, scan_at(truths[0], time=START))
+    ask(core, request(truths[0], START))
+    core.forget_robots()
+    assert receive(core, scan_at(truths[0], time=START + STEP))[0].search == SEARCH_WHOLE

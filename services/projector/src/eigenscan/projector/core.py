@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Protocol
 
 import numpy as np
 from eigenscan.eigenspace.analysis import Analysis, RegionSpace
@@ -12,7 +13,7 @@ from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.normalize import FARTHEST_MOUNT
 from eigenscan.geometry.pose import from_message
-from eigenscan.projector.candidates import Fitted
+from eigenscan.projector.candidates import Candidates, Fitted
 from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.focus import WHOLE, Focus, Scope
 from eigenscan.projector.local import LocalSearch
@@ -52,6 +53,16 @@ from google.protobuf.wrappers_pb2 import StringValue
 ASK_AGAIN_NS = 10_000_000_000
 
 
+class Search(Protocol):
+    """Searches for a scan in the regions of a scope, as `find_candidates` does."""
+
+    def __call__(
+        self, site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, *, scope: Scope
+    ) -> Candidates:
+        """The poses that explain the scan."""
+        ...
+
+
 class ProjectorCore:
     """Receives the site's models and its robots' scans; publishes the poses that explain each scan."""
 
@@ -64,17 +75,19 @@ class ProjectorCore:
         instance: str = DEFAULT_ROBOT,
         store: Store | None = None,
         aside: Callable[[Callable[[], None]], None] | None = None,
+        search: Search = find_candidates,
     ) -> None:
         """`instance`: its name in the keys of its hypotheses, among the site's projectors.
 
         `store` keeps tables for the next start. `aside` runs work that no answer depends on, in a thread.
+        `search`: how a scan is searched for; another may keep what it found.
         """
-        self._settings, self._instance = settings, instance
+        self._settings, self._instance, self._search = settings, instance, search
         self._store, self._aside = store, aside
         self._spaces: dict[tuple[str, Analysis], RegionSpace] = {}
         self._asked: dict[tuple[str, str], int] = {}
         self._view: SensorView | None = None
-        self._focus, self._local = Focus(), LocalSearch()
+        self.forget_robots()
         by_walls = settings.verification == settings.obstacles == "walls"
         self._fits_locally = by_walls and settings.share[1] == 1
         if settings.focus:
@@ -91,6 +104,10 @@ class ProjectorCore:
     def finish(self) -> Iterable[Envelope]:
         """Nothing is held back."""
         return []
+
+    def forget_robots(self) -> None:
+        """Forgets what robots asked for and where they were; the map stays."""
+        self._focus, self._local = Focus(), LocalSearch()
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
@@ -141,7 +158,8 @@ class ProjectorCore:
             return
         self._counts[f"taken_{kind}"] += 1
         if site is not None:
-            before, self._site, self._focus, self._local = self._site, site, Focus(), LocalSearch()
+            before, self._site = self._site, site
+            self.forget_robots()
             held = {model.version for model in site.models}
             for key in [key for key in self._spaces if key[0] not in held]:
                 del self._spaces[key]
@@ -231,7 +249,7 @@ class ProjectorCore:
                 Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, fitted.pose)),
             ]
         scope = self._scope(address, scan, site)
-        candidates = find_candidates(site, view, seen, self._settings, scope=scope)
+        candidates = self._search(site, view, seen, self._settings, scope=scope)
         if scope.regions is None:
             self._focus.searched_whole(*lidar, at, candidates.ordinary)
             self._local.searched_whole(lidar, at, candidates.ordinary)
