@@ -29,6 +29,8 @@ on fr079 took longer (benchmarks/evaluate.py --kidnap).
 """
 SURE = 0.99
 """Confidence, as far as odometry is right, from which a robot does without the scans between."""
+UNSUSPECTED = 0.97
+"""Trust in odometry below which it is under suspicion: a little less than before anything was compared."""
 EVERY_NS = 1_000_000_000
 """At least so often the whole map is searched: standing still, too, a robot may be carried off."""
 SHORTEST_NS, LONGEST_NS = 100_000_000, 1_000_000_000
