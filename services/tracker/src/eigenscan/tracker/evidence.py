@@ -30,21 +30,22 @@ Rounded from what three buildings have in common: benchmarks/evidence.py.
 EVEN_EXACT, EVEN_POOR = 13.0, 8.0
 """The L that speaks neither for nor against a track: on an exact map, and on one of thick or smeared walls
 (benchmarks/evidence.py --way)."""
-EVEN_BELOW, EVEN_STEPS = 6.0, 10.0
-"""How far it lies below the mean L of right tracks, and the new scans over which that mean is learned.
+EVEN_BELOW, EVEN_STEPS, EVEN_MOST = 6.0, 10.0, 60.0
+"""How far it lies below the mean L of right tracks, and the new scans over which that mean is learned, first
+and at most, for a map that lacks one place is not poor everywhere.
 
 Chosen on intel, guardian 3, aces and fr079 with benchmarks/mechanisms.py.
 """
 
 
-def learned(even: float, likelihood: float, weight: float) -> float:
+def learned(even: float, likelihood: float, share: float) -> float:
     """`even` after a scan at a claimed pose had a hypothesis of this log-likelihood there; 0: it had none.
 
-    A map counts as exact until the robot's own scans show otherwise: then less is asked of each.
+    A map counts as exact until the robot's own scans show otherwise: then less is asked of each. `share` is
+    what this scan is of all that were learned from.
     """
-    return float(
-        np.clip(even + weight / EVEN_STEPS * (likelihood - EVEN_BELOW - even), EVEN_POOR, EVEN_EXACT)
-    )
+    shown = min(max(likelihood - EVEN_BELOW, EVEN_POOR), EVEN_EXACT)
+    return even + share * (shown - even)
 
 
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))

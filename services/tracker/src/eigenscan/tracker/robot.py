@@ -16,7 +16,7 @@ from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
-from eigenscan.tracker.evidence import EVEN_EXACT, learned, likelihood_at
+from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_MOST, EVEN_STEPS, learned, likelihood_at
 from eigenscan.tracker.floors import Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -83,6 +83,8 @@ class _Source:
     """Its last list, likeliest first."""
     even: float = EVEN_EXACT
     """Log-likelihood that speaks neither for nor against a track, as far as it is learned."""
+    shown: float = EVEN_STEPS
+    """New scans that it was learned from, the exact map before them included."""
     turned: float = 0.0
     """rad turned at the present place: after a whole turn it has shown all that there is to see."""
 
@@ -244,7 +246,8 @@ class RobotTracker:
         if share is not None and estimate.state == STATE_LOCALIZED:
             source = self._sources[seen.source]
             there = likelihood_at(estimate.tracks.x[estimate.verdict.track], seen)
-            source.even = learned(source.even, there, share.weight)
+            source.shown = min(source.shown + share.weight, EVEN_MOST)
+            source.even = learned(source.even, there, share.weight / source.shown)
         self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
         return estimate
 
