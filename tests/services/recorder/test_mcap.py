@@ -12,11 +12,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 import zenoh
 from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import RETRY_S, McapSink
+from eigenscan.recorder.node import batch_s, make_core
+from eigenscan.recorder.options import RecorderOptions
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -151,6 +154,35 @@ def test_a_kill_leaves_all_that_was_on_disk(start_recorder: Callable[..., Any], 
     kept = [record.publish_time for record in read(tmp_path / "k.mcap") if record.envelope.channel == POSE]
     assert len(kept) >= len(on_disk)
     assert kept == list(range(1, len(kept) + 1))
+
+
+@pytest.mark.parametrize("flush_s", [0.1, 0.5, 2.0])
+def test_a_crash_loses_no_more_than_stated_of_what_waits_or_is_written(
+    tmp_path: Path, flush_s: float
+) -> None:
+    options = RecorderOptions(mcap=tmp_path / "a.mcap", flush_s=flush_s)
+    core = make_core(options, mock.Mock(time_ns=lambda: 100 * S, perf_counter=time.perf_counter))
+    row_s, every_s, handled = batch_s(options), 0.01, 0
+    assert 0.0 < row_s < flush_s
+    oldest = []
+    for row in range(1, 100):
+        while (handled + 1) * every_s <= row * row_s:
+            handled += 1
+            arrived = 100 * S + round(handled * every_s * S)
+            pose = PoseEstimate(timestamp=stamp(arrived))
+            list(core.handle(Envelope(POSE, {"site": "s", "robot": "r"}, pose, arrived)))
+        lost = core.condition().counters.get("mcap_written", 0) + 1
+        oldest.append((row + 1) * row_s - lost * every_s)
+    list(core.finish())
+    assert max(oldest) <= flush_s + 1e-9
+
+
+def test_who_watches_sees_messages_sooner(tmp_path: Path) -> None:
+    unseen, *watched = (
+        batch_s(RecorderOptions(mcap=tmp_path, viewer_port=viewer, foxglove_port=foxglove))
+        for viewer, foxglove in ((None, None), (0, None), (None, 8765))
+    )
+    assert all(0.0 < wait < unseen for wait in watched)
 
 
 def test_what_is_not_ours_is_counted_and_harms_nothing(

@@ -79,7 +79,7 @@ class Service(Generic[S]):
     prompt: bool = False
     attend: Callable[[S, zenoh.Session], None] | None = None
     quick: bool = False
-    batch_s: float = 0.0
+    batch_s: Callable[[S], float] = lambda _: 0.0
     patient: tuple[Channel, ...] = ()
     patience_s: Callable[[S], float] = lambda _: 0.0
     lives_on: Channel | None = None
@@ -164,15 +164,15 @@ class Node:
         )
         slack = WHOLE_SITE_SLACK if service.whole_site else 1
         ready = shared.ready if shared and service.quick else None
-        patience_s = service.patience_s(settings)
+        batch_s, patience_s = service.batch_s(settings), service.patience_s(settings)
         self._patient = service.patient if patience_s else ()
         self.inbox = Inbox(
             slack,
             settings.behind_after,
             self._clock.monotonic,
             ready,
-            batch_s=service.batch_s or patience_s,
-            wakes=not service.batch_s,
+            batch_s=batch_s or patience_s,
+            wakes=not batch_s,
             time_of_day=self._clock.time_ns,
         )
         self._bus: Bus | None = None

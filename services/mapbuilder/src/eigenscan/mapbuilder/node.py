@@ -38,7 +38,7 @@ def make_core(options: MapbuilderOptions) -> Core:
 BATCH_S = 0.2
 """Nobody waits for what follows from a scan: a thread that wakes for each costs more than the scan."""
 
-SERVICE = Service("mapbuilder", MapbuilderOptions, make_core, batch_s=BATCH_S)
+SERVICE = Service("mapbuilder", MapbuilderOptions, make_core, batch_s=lambda _: BATCH_S)
 
 
 def main() -> None:

@@ -131,7 +131,8 @@ class Process:
     def wake(self, is_patient: bool) -> None:
         """Something has come; the node looks for what is patient only now and then."""
         if self.is_up and self.node is not None:
-            self._schedule(self.node.inbox.batch_s if is_patient else self.node.service.batch_s)
+            inbox = self.node.inbox
+            self._schedule(inbox.batch_s if is_patient or not inbox.wakes else 0.0)
 
     def _schedule(self, seconds: float) -> None:
         """The next turn, that much after now, but not before the last message is done with."""
