@@ -75,6 +75,12 @@ def as_local(envelope: Envelope) -> Envelope:
     return Envelope(envelope.channel, envelope.address, message)
 
 
+@pytest.fixture(autouse=True)
+def _sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing confirms the odometry here, so no robot is surer than 0.98."""
+    monkeypatch.setattr("eigenscan.tracker.robot.SURE", 0.97)
+
+
 @pytest.fixture
 def robot(make_core: MakeCore, speaker: Speaker) -> Robot:
     return Robot(make_core(local_fits=True), speaker)
@@ -165,6 +171,15 @@ def test_on_an_inexact_map_less_is_a_good_fit(make_core: MakeCore, speaker: Spea
     # on an exact map 11 nats speak against a track, until scans have shown that it is none
     assert first > claimed + 10
     assert np.mean(robot.local[-20:]) > 0.5
+
+
+def test_a_robot_whose_odometry_nothing_confirms_needs_the_whole_map(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    robot.drive(30)
+    assert 0.97 < robot.poses[-1].confidence < 0.99
+    assert not any(robot.local)
 
 
 def test_a_robot_that_is_only_fairly_sure_needs_the_whole_map(robot: Robot) -> None:

@@ -25,7 +25,7 @@ from eigenscan.tracker.planar import Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.reckoning import leg
 from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
-from eigenscan.tracker.search import SURE, UNSUSPECTED, Request, Searches, follow
+from eigenscan.tracker.search import SURE, Request, Searches, follow
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -380,9 +380,7 @@ class RobotTracker:
         sure = (
             self.state == STATE_LOCALIZED
             and self._settings.method == "mixture"
-            and verdict.confidence >= self._settings.localized_above
-            and verdict.confidence >= SURE * self._agreement.trust
-            and self._agreement.trust >= UNSUSPECTED
+            and verdict.confidence >= max(self._settings.localized_above, SURE)
             and self._hint is None
             and not self._agreement.disagreed
             and len(self.belief.frames) == 2

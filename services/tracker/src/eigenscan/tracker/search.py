@@ -28,9 +28,11 @@ With 1 a wrong place on intel came to 0.91 that stays at 0.84 with each scan sea
 on fr079 took longer (benchmarks/evaluate.py --kidnap).
 """
 SURE = 0.99
-"""Confidence, as far as odometry is right, from which a robot does without the scans between."""
-UNSUSPECTED = 0.97
-"""Trust in odometry below which it is under suspicion: a little less than before anything was compared."""
+"""Confidence from which a robot does without the scans between: its odometry, too, has been confirmed.
+
+With 0.99 of the belief alone, a robot in an invented room on intel kept its claim for 96 scans of 1,825 more,
+and fr079 had two false claims more (looked at while choosing).
+"""
 EVERY_NS = 1_000_000_000
 """At least so often the whole map is searched: standing still, too, a robot may be carried off."""
 SHORTEST_NS, LONGEST_NS = 100_000_000, 1_000_000_000
