@@ -37,7 +37,7 @@ from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from eigenscan.tracker import agreement, belief, branching, claim, evidence, observation, robot
+from eigenscan.tracker import agreement, belief, branching, claim, evidence, observation, robot, unification
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.evaluation.log import read_log
@@ -215,7 +215,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "scan motion against odometry": ((agreement.Agreement, "trust", property(lambda _: 1.0)),),
     "claims are withdrawn before they jump": ((claim.Claim, "_is_apart", lambda *_: False),),
     "new tracks keep their own mass": ((branching, "KEPT", 0.0),),
-    "unification": ((robot, "unify", lambda _: None),),
+    "unification": ((unification, "SAME_DISTANCE2", 0.0),),
 }
 """What stands in for each mechanism where it is left out."""
 

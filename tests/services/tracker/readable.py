@@ -9,7 +9,16 @@ from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, associate
 from eigenscan.tracker.belief import BREAK_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
-from eigenscan.tracker.covariance import determinant, fuse, is_covariance, log_density, log_volume, residual
+from eigenscan.tracker.covariance import (
+    determinant,
+    fuse,
+    is_covariance,
+    log_density,
+    log_volume,
+    mahalanobis_squared,
+    moments,
+    residual,
+)
 from eigenscan.tracker.evidence import (
     ALIASES,
     ENDS,
@@ -42,6 +51,7 @@ from eigenscan.tracker.reckoning import Leg, Motions
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
+from eigenscan.tracker.unification import SAME_DISTANCE2
 from numpy.typing import NDArray
 from scipy.special import expit
 
@@ -143,12 +153,57 @@ def normalise(belief: Belief) -> None:
     belief.elsewhere.log_weight -= total
 
 
-def prune(belief: Belief) -> None:
-    """Keeps the most probable tracks, heaviest first."""
-    tracks, settings = belief.tracks, belief.settings
-    order = np.argsort(-tracks.log_weight, kind="stable")[: settings.max_tracks]
-    belief.tracks = tracks.pick(order[tracks.log_weight[order] > np.log(settings.prune_below)])
+def settle(belief: Belief) -> None:
+    """Keeps the most probable tracks, heaviest first; joins those of one place; gives numbers."""
+    tracks, limits = belief.tracks, belief.settings
+    order = np.argsort(-tracks.log_weight, kind="stable")[: limits.max_tracks]
+    belief.tracks = tracks.pick(order[tracks.log_weight[order] > np.log(limits.prune_below)])
     normalise(belief)
+    groups = places(belief.tracks)
+    belief.tracks = join([merged(belief.tracks.pick(group), belief.stamp or 0) for group in groups])
+    unnamed = np.flatnonzero(belief.tracks.id == 0)
+    belief.tracks.id[unnamed] = np.arange(belief.next_id, belief.next_id + len(unnamed))
+    belief.next_id += len(unnamed)
+
+
+def places(tracks: Tracks) -> list[Index]:
+    """Greedy: the heaviest track takes all near it that are still free, then the next one."""
+    off = residual(tracks.x[:, None], tracks.x[None])
+    near = mahalanobis_squared(off, tracks.C[:, None] + tracks.C[None]) <= SAME_DISTANCE2
+    near &= tracks.frame[:, None] == tracks.frame
+    free, groups = np.ones(len(tracks), dtype=bool), list[Index]()
+    for leader in range(len(tracks)):
+        if free[leader]:
+            groups.append(np.flatnonzero(near[leader] & free))
+            free[groups[-1]] = False
+    return groups or [np.zeros(0, dtype=np.intp)]
+
+
+def merged(group: Tracks, stamp: int) -> Tracks:
+    """One track with the moments of all, under the name of the heaviest that has one."""
+    if len(group) < 2:
+        return group
+    weight = np.exp(group.log_weight - group.log_weight[0])
+    shown = weight * (1.0 - group.hidden)
+    x, C = moments(group.x, group.C, weight)
+    evidence = shown @ group.evidence / shown.sum() if shown.sum() > 0.0 else group.evidence[0]
+    named = np.flatnonzero(group.id > 0)[:1]
+    own = replace(group.pick(np.array([0])), observations=group.observations[:1])
+    if len(named):
+        names = {name: getattr(group, name)[named] for name in ("id", "parent", "born")}
+        own = replace(own, observations=group.observations.max(keepdims=True), **names)
+    return replace(
+        own,
+        x=x[None],
+        C=C[None],
+        log_weight=group.log_weight[:1] + np.log(weight.sum()),
+        hidden=np.array([weight @ group.hidden / weight.sum()]),
+        alias=np.array([group.alias.sum()]),
+        evidence=evidence[None],
+        fixed_x=x[None],
+        fixed_covariance=C[None],
+        fixed_at=np.array([stamp]),
+    )
 
 
 def ahead(seen: Observation) -> Array:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from eigenscan.tracker.covariance import mahalanobis_squared, moments, residual
+from eigenscan.tracker.belief import Belief
+from eigenscan.tracker.covariance import moments
+from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
-from eigenscan.tracker.unification import SAME_DISTANCE2, unify
+from eigenscan.tracker.unification import settle
+
+from tests.services.tracker.readable import places
 
 HERE = np.array([[2.0, 3.0, 0.5]])
 SURE = np.diag([0.01, 0.01, 0.001])[None]
@@ -22,9 +24,16 @@ def _track(mass: float, frame: int = 0, off: float = 0.0) -> Tracks:
 
 
 def _unified(*tracks: Tracks) -> Tracks:
-    belief = SimpleNamespace(tracks=join(list(tracks)), stamp=0)
-    unify(belief)  # type: ignore[arg-type]
-    return belief.tracks
+    return _settled(join(list(tracks))).tracks
+
+
+def _settled(tracks: Tracks) -> Belief:
+    """After a scan at 99 ns; what no track holds is all mass that there is beside them."""
+    none = 1.0 - np.exp(tracks.log_weight).sum()
+    belief = Belief(TrackerSettings(), tracks, stamp=99, next_id=100)
+    belief.elsewhere.log_weight[:] = np.log(none)
+    settle(belief)
+    return belief
 
 
 def test_two_tracks_of_one_place_become_one_with_the_mass_of_both() -> None:
@@ -50,7 +59,7 @@ def _crowd(rng: np.random.Generator, count: int) -> Tracks:
     tracks = begin(
         spots[rng.integers(4, size=count)] + rng.normal(size=(count, 3)) * 0.05,
         root @ root.swapaxes(1, 2) + np.eye(3) * 1e-3,
-        np.sort(rng.normal(-5.0, 3.0, count))[::-1].copy(),
+        np.sort(np.log(0.9 * rng.dirichlet(np.full(count, 0.5)) + 1e-6))[::-1].copy(),
         rng.uniform(0.0, 0.1, count),
         rng.normal(size=(count, 2)),
         1,
@@ -67,26 +76,13 @@ def _crowd(rng: np.random.Generator, count: int) -> Tracks:
     )
 
 
-def _groups(tracks: Tracks) -> list[np.ndarray]:
-    """Greedy: the heaviest track takes all near it that are still free, then the next one."""
-    off = residual(tracks.x[:, None], tracks.x[None])
-    near = mahalanobis_squared(off, tracks.C[:, None] + tracks.C[None]) <= SAME_DISTANCE2
-    near &= tracks.frame[:, None] == tracks.frame
-    free, groups = np.ones(len(tracks), dtype=bool), []
-    for leader in range(len(tracks)):
-        if free[leader]:
-            groups.append(np.flatnonzero(near[leader] & free))
-            free[groups[-1]] = False
-    return groups
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
     tracks = _crowd(np.random.default_rng(seed), 30)
-    belief = SimpleNamespace(tracks=tracks, stamp=99)
-    unify(belief)  # type: ignore[arg-type]
-    found, groups = belief.tracks, _groups(tracks)
+    belief, groups = _settled(tracks), places(tracks)
+    found = belief.tracks
     assert 4 <= len(groups) == len(found) < 30
+    next_id = 100
     for row, group in enumerate(groups):
         weight = np.exp(tracks.log_weight[group])
         shown = weight * (1.0 - tracks.hidden[group])
@@ -102,8 +98,11 @@ def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
         if len(group) == 1:
             expected["x"], expected["C"] = tracks.x[group[0]], tracks.C[group[0]]
         named = group[tracks.id[group] > 0]
-        heaviest = named[0] if len(named) and len(group) > 1 else group[0]
+        heaviest = named[0] if len(named) else group[0]
         for name in ("id", "parent", "born"):
             expected[name] = getattr(tracks, name)[heaviest]
+        if not len(named):
+            expected["id"], next_id = next_id, next_id + 1
         for name, value in expected.items():
             assert getattr(found, name)[row] == pytest.approx(value, rel=1e-12, abs=1e-12), name
+    assert belief.next_id == next_id

@@ -152,16 +152,6 @@ class Belief:
         )  # fmt: skip
         self.tracks = tracks_of(made)
 
-    def name_new(self) -> None:
-        """Gives numbers to the tracks that forks and births left without one."""
-        unnamed = np.flatnonzero(self.tracks.id == 0)
-        if not len(unnamed):
-            return
-        id_ = self.tracks.id.copy()
-        id_[unnamed] = np.arange(self.next_id, self.next_id + len(unnamed))
-        self.next_id += len(unnamed)
-        self.tracks = replace(self.tracks, id=id_)
-
     def normalise(self) -> None:
         """Makes all masses sum to 1."""
         log_weight = self.tracks.log_weight.copy()

@@ -32,7 +32,7 @@ from eigenscan.tracker.share import Share
 from eigenscan.tracker.silence import Silence
 from eigenscan.tracker.timeline import Outcome, Timeline
 from eigenscan.tracker.tracks import Tracks
-from eigenscan.tracker.unification import prune, unify
+from eigenscan.tracker.unification import settle
 from eigenscan.tracker.velocity_gate import VelocityGate
 from numpy.typing import NDArray
 
@@ -236,9 +236,7 @@ class RobotTracker:
             if share.broken:
                 self._claim.forget()
             self._rivals.receive(belief, belief.frames.index(seen.frame), seen.stamp)
-            prune(belief)
-            unify(belief)
-            belief.name_new()
+            settle(belief)
         else:
             self._counts["scan_unusable"] += 1
         self._remember()

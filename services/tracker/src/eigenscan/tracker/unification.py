@@ -18,29 +18,17 @@ SAME_DISTANCE2 = 4.0
 """Squared Mahalanobis distance under C1 + C2 within which two tracks are one."""
 
 
-def prune(belief: Belief) -> None:
-    """Ends tracks below the least probability and beyond the greatest number; the rest share all mass.
+def settle(belief: Belief) -> None:
+    """Ends tracks below the least probability and beyond the greatest number, and joins those of one place.
 
-    The rest is sorted, most probable first.
+    The rest shares all mass and is sorted, most probable first. Forks and births get their numbers.
     """
-    most, least = belief.settings.max_tracks, belief.settings.prune_below
-    belief.tracks = tracks_of(_pruned(arrays_of(belief.tracks), belief.elsewhere.log_weight, most, least))
-
-
-@njit(  # pragma: no cover - compiled
-    MADE(GIVEN, types.float64[::1], types.int64, types.float64), cache=True
-)
-def _pruned(arrays: Arrays, rest: Array, most: int, least: float) -> Columns:
-    log_weight = arrays[2]
-    order = np.argsort(-log_weight, kind="mergesort")[:most]
-    kept = taken(Columns(*arrays), order[log_weight[order] > np.log(least)])
-    normalise(kept.log_weight, rest)
-    return kept
-
-
-def unify(belief: Belief) -> None:
-    """Joins tracks that describe one place into the heaviest of them. Expects them sorted, heaviest first."""
-    belief.tracks = tracks_of(_unified(arrays_of(belief.tracks), belief.stamp or 0))
+    made = _settled(
+        arrays_of(belief.tracks), belief.elsewhere.log_weight, belief.settings.max_tracks,
+        belief.settings.prune_below, SAME_DISTANCE2, belief.stamp or 0, belief.next_id,
+    )  # fmt: skip
+    belief.tracks = tracks_of(made)
+    belief.next_id = max(belief.next_id, 1 + int(made.id.max(initial=0)))
 
 
 @njit()  # pragma: no cover - compiled
@@ -85,19 +73,40 @@ def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
             break
 
 
-@njit(MADE(GIVEN, types.int64), cache=True, error_model="numpy")  # pragma: no cover - compiled
-def _unified(arrays: Arrays, stamp: int) -> Columns:
-    t = Columns(*arrays)
-    track, near, _, _ = within_gate(t.x, t.C, t.x, t.C, SAME_DISTANCE2)
-    leader = _leaders(track, near, t.frame)
+@njit()  # pragma: no cover - compiled
+def _pruned(t: Columns, most: int, least: float) -> Columns:
+    order = np.argsort(-t.log_weight, kind="mergesort")[:most]
+    return taken(t, order[t.log_weight[order] > np.log(least)])
+
+
+@njit(error_model="numpy")  # pragma: no cover - compiled
+def _unified(t: Columns, near: float, stamp: int) -> Columns:
+    """Joins tracks that describe one place into the heaviest of them. Expects them sorted, heaviest first."""
+    track, other, _, _ = within_gate(t.x, t.C, t.x, t.C, near)
+    leader = _leaders(track, other, t.frame)
     heads = np.flatnonzero(leader == np.arange(len(leader)))
     out = taken(t, heads)
-    if len(heads) == len(leader):
-        return out
     for row in range(len(heads)):
         group = np.flatnonzero(leader == heads[row])
         if len(group) > 1:
             _merge(t, group, out, row)
             out.fixed_x[row], out.fixed_covariance[row] = out.x[row], out.C[row]
             out.fixed_at[row] = stamp
+    return out
+
+
+@njit(  # pragma: no cover - compiled
+    MADE(GIVEN, types.float64[::1], types.int64, types.float64, types.float64, types.int64, types.int64),
+    cache=True,
+    error_model="numpy",
+)
+def _settled(
+    arrays: Arrays, rest: Array, most: int, least: float, near: float, stamp: int, next_id: int
+) -> Columns:
+    t = _pruned(Columns(*arrays), most, least)
+    normalise(t.log_weight, rest)
+    out = _unified(t, near, stamp)
+    for row in range(len(out.id)):
+        if out.id[row] == 0:
+            out.id[row], next_id = next_id, next_id + 1
     return out
