@@ -7,7 +7,8 @@
 Each log at hand is driven on its map made worse on purpose (worse_maps.py), from mild to hard; the reference
 goes along with what the map did. A window succeeds when every claim from some scan on, over its last third
 at least, is right (0.5 m, 10 degrees). Worst first. `--quick` takes 5 windows and 40 scans of each.
-The datasets are not part of the project; by default they are looked for beside it.
+The datasets are not part of the project; by default they are looked for beside it. `--buildings FOLDER` takes
+logs of your own instead, laid out as for evaluate.py.
 """
 
 import argparse
@@ -40,7 +41,7 @@ from eigenscan.workbench.evaluation.windows import (
 )
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
-from evaluate import CASES, DATASETS
+from evaluate import CASES, DATASETS, buildings
 from evaluate import Case as Listed
 from simulated_worlds import worlds, write
 from worse_maps import WAYS, Worse, stays
@@ -84,6 +85,7 @@ def _options() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS)
+    parser.add_argument("--buildings", type=Path, help="folder of folders with logs of your own")
     parser.add_argument("--only", action="append", help="name of a log; may be given again")
     parser.add_argument("--way", action="append", help="ways whose name holds this; may be given again")
     parser.add_argument("--windows", type=int, default=9, help="of each log, at most")
@@ -104,10 +106,11 @@ def _options() -> argparse.Namespace:
 
 
 def _cases(options: argparse.Namespace) -> Iterator[Case]:
-    for listed in LOGS:
+    root = options.buildings or options.datasets
+    for listed in buildings(root) if options.buildings else LOGS:
         name, folder, log, reference = listed.name, listed.folder, listed.log, listed.reference
         if not options.only or name in options.only:
-            yield _case(name, options.datasets / folder, log, reference)
+            yield _case(name, root / folder, log, reference)
     if options.simulated:
         for world in worlds():
             if world.name in (options.only or [world.name]):

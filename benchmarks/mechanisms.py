@@ -8,7 +8,8 @@ A story is a log on its map, on one that is wrong in some way (worse_maps.py), o
 over it as it is, and without one mechanism after another. A row holds the windows that succeed (right claims
 over the last third), the windows with a false claim, the share of claims that are false, and the scans
 claimed wrongly above 0.9 and 0.99. The datasets are not part of the project; by default they are looked for
-beside it. Keep FOLDER to yourself: its files are pickles, which run code when they are read.
+beside it; `--buildings` takes logs of your own instead, laid out as for evaluate.py. Keep FOLDER to yourself:
+its files are pickles, which run code when they are read.
 """
 
 import argparse
@@ -47,7 +48,7 @@ from eigenscan.workbench.evaluation.pipeline import Packed, pack, unpack
 from eigenscan.workbench.evaluation.reference import read_trajectory
 from eigenscan.workbench.evaluation.windows import plan_windows, read_windows, thin
 from eigenscan.workbench.logs import LogOptions
-from evaluate import CASES, DATASETS
+from evaluate import CASES, DATASETS, buildings
 from evaluate import Case as Listed
 from integrity_faults import FAULTS, Stretch
 from worse_maps import WAYS, Worse, stays
@@ -138,12 +139,12 @@ def record(listed: Listed, way: str, fault: str, datasets: Path, count: int) -> 
 
 def kept(listed: Listed, way: str, fault: str, options: argparse.Namespace) -> Story:
     """A story from the folder, recorded first where it is not there."""
-    name = (
-        f"{listed.name}-{way}-{fault}-{options.windows}".replace(" ", "_").replace("%", "pc").replace(",", "")
-    )
+    name = f"{listed.name}-{way}-{fault}-{options.windows}"
+    for own, other in ((" ", "_"), ("%", "pc"), (",", ""), ("/", "-")):
+        name = name.replace(own, other)
     path = options.keep / f"{name}.pickle.gz"
     if not path.exists():
-        story = record(listed, way, fault, options.datasets, options.windows)
+        story = record(listed, way, fault, options.buildings or options.datasets, options.windows)
         path.parent.mkdir(parents=True, exist_ok=True)
         with gzip.open(path, "wb", compresslevel=1) as out:
             pickle.dump(story, out)
@@ -245,9 +246,8 @@ def main() -> None:
     )
     parser.add_argument("--keep", type=Path, required=True, help="folder of the recorded stories")
     parser.add_argument("--datasets", type=Path, default=DATASETS)
-    parser.add_argument(
-        "--only", action="append", choices=[each.name for each in LOGS], help="may be given again"
-    )
+    parser.add_argument("--buildings", type=Path, help="folder of folders with logs of your own")
+    parser.add_argument("--only", action="append", help="name of a log; may be given again")
     parser.add_argument(
         "--way", action="append", choices=list(WAYS), help="may be given again; default: exact"
     )
@@ -258,8 +258,12 @@ def main() -> None:
     parser.add_argument("--windows", type=int, default=8, help="of each log, at most")
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
+    logs = buildings(options.buildings) if options.buildings else LOGS
+    names = [each.name for each in logs]
+    if unknown := set(options.only or ()) - set(names):
+        parser.error(f"--only {', '.join(sorted(unknown))}: choose from {', '.join(names)}")
     rows = list[dict[str, Any]]()
-    for listed in LOGS:
+    for listed in logs:
         if options.only and listed.name not in options.only:
             continue
         for way in options.way or ["exact"]:
