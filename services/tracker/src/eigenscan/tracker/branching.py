@@ -6,7 +6,7 @@ Paper, section 7: association, fork when two poses fit one track, recursive esti
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.symmetric import MATRICES, determinant, triangle
+from eigenscan.geometry.symmetric import determinant, triangle
 from eigenscan.tracker import evidence as model
 from eigenscan.tracker.association import Pairs, crowding_each
 from eigenscan.tracker.evidence import (
@@ -20,9 +20,9 @@ from eigenscan.tracker.evidence import (
     surprise,
 )
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.symmetric import ROWS, WEIGHTS, fuse_each
-from eigenscan.tracker.tracks import GIVEN, MADE, Arrays, Columns, Tracks, arrays_of, begun, taken, tracks_of
-from numba import njit, types
+from eigenscan.tracker.symmetric import fuse_each
+from eigenscan.tracker.tracks import Arrays, Columns, Tracks, arrays_of, begun, taken, tracks_of
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -121,17 +121,31 @@ def _fuse(
     Scans from one place err alike: a track as sure as one scan learns only what motion makes new, the
     `precision`. One that prediction has made vaguer than a scan takes all of it: 1 - (|R| / |C|)^(1/3).
     """
-    R, joined = covariances[hypothesis], slice(alone, None)
-    for pair in range(len(hypothesis)):
+    # by single numbers: whole rows take ten seconds and thirty MB more to compile
+    count = len(hypothesis)
+    x, C, y, R = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
+    for pair in range(count):
+        row, k = alone + pair, hypothesis[pair]
+        wider = surprise(distance2[pair], tail)
+        for i in range(3):
+            x[pair, i], y[pair, i] = out.x[row, i], poses[k, i]
+            for j in range(3):
+                C[pair, i, j] = out.C[row, i, j] * wider
+        known = np.cbrt(determinant(triangle(covariances[k])) / determinant(triangle(C[pair])))
+        share = min(max(1.0 - known, precision, least_new), 1.0)
+        for i in range(3):
+            for j in range(3):
+                R[pair, i, j] = covariances[k, i, j] / share
+    fused_x, fused_C = fuse_each(x, C, y, R)
+    for pair in range(count):
         row = alone + pair
-        out.C[row] *= surprise(distance2[pair], tail)
-        known = np.cbrt(determinant(triangle(R[pair])) / determinant(triangle(out.C[row])))
-        R[pair] /= min(max(1.0 - known, precision, least_new), 1.0)
-        out.nis[row] = distance2[pair]
-    out.x[joined], out.C[joined] = fuse_each(out.x[joined], out.C[joined], poses[hypothesis], R)
-    out.unchecked[joined], out.fixed_at[joined] = 0.0, stamp
-    out.observations[joined] += 1
-    out.fixed_x[joined], out.fixed_covariance[joined] = out.x[joined], out.C[joined]
+        out.nis[row], out.unchecked[row, 0], out.unchecked[row, 1] = distance2[pair], 0.0, 0.0
+        out.fixed_at[row] = stamp
+        out.observations[row] += 1
+        for i in range(3):
+            out.x[row, i] = out.fixed_x[row, i] = fused_x[pair, i]
+            for j in range(3):
+                out.C[row, i, j] = out.fixed_covariance[row, i, j] = fused_C[pair, i, j]
 
 
 def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
@@ -143,15 +157,7 @@ def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precisi
     return tracks_of(made)
 
 
-_NUMBERS = types.Array(types.int64, 1, "A", readonly=True)
-_NUMBER = types.float64
-
-
-@njit(  # pragma: no cover - compiled
-    MADE(GIVEN, types.int64, ROWS, MATRICES, _NUMBERS, WEIGHTS, _NUMBER, types.int64, _NUMBER, _NUMBER),
-    cache=True,
-    error_model="numpy",
-)
+@njit(cache=True, error_model="numpy")  # pragma: no cover - compiled with the first local list: ten seconds
 def _fused(
     arrays: Arrays, alone: int, poses: Array, covariances: Array, hypothesis: Index,
     distance2: Array, precision: float, stamp: int, tail: float, least_new: float,

@@ -39,6 +39,8 @@ TURNS_ALIKE = 0.2
 """Of its motions, how many are alike still while odometry turns."""
 NO_FIT, NO_FIT_UNRELATED = 0.05, 0.5
 """How often two scans with much in common do not fit each other; and those of unrelated lidars."""
+NEWEST = 0.2
+"""Share of the newest interval in how often scans did not fit each other lately."""
 FAULTY = 0.02 / 6
 """Prior of each kind of fault: of fifty robots one has one."""
 BEGINS, ENDS = 5e-4, 0.002
@@ -147,6 +149,7 @@ class Faults:
         self._passed, self._kept = np.empty((KEPT, 4)), 0
         """Of odometry: stamp [s], pose without jumps in the heading; and how many there are."""
         self._no_fit = 0.0
+        """How often scans did not fit each other lately."""
         self._ways = [0.0, 0.0]
         """m driven forwards and backwards."""
 
@@ -184,7 +187,7 @@ class Faults:
         likelihood = np.full(_STATES, NO_FIT)
         likelihood[UNRELATED] = NO_FIT_UNRELATED
         self._weigh(np.log(likelihood))
-        self._no_fit += 0.2 * (1.0 - self._no_fit)
+        self._no_fit += NEWEST * (1.0 - self._no_fit)
 
     def take(
         self, scans: Pose, spread: tuple[float, float, float], turn_variance: float, driven: Motion,
@@ -194,7 +197,7 @@ class Faults:
 
         `spread` is the covariance xx, xy, yy [m^2] of the scans' way.
         """
-        self._no_fit *= 0.8
+        self._no_fit *= 1.0 - NEWEST
         self._pass(since, driven.seconds, trail)
         begun, passed = since * 1e-9, self._passed[: self._kept]
         predicted = _predicted(driven.delta, passed, begun, begun + driven.seconds)
