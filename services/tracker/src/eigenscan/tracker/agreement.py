@@ -137,7 +137,9 @@ class Agreement:
         return found
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
-        faults = self._faults.setdefault(interval.lidar, Faults())
+        faults = self._faults.get(interval.lidar)
+        if faults is None:
+            faults = self._faults[interval.lidar] = Faults()
         if interval.moved is None:
             faults.take_apart()
             self.disagreed = True

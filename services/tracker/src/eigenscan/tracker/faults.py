@@ -15,6 +15,7 @@ from math import ceil, degrees, log, pi, radians
 import numpy as np
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.planar import Pose, wrap
+from eigenscan.tracker.symmetric import wrapped
 from numba import njit
 from numpy.typing import NDArray
 
@@ -179,7 +180,7 @@ class Faults:
         kind = int(np.argmax(sums))
         at = int(np.argmax(self.probability[_FIRST[kind] : _FIRST[kind + 1]]))
         if _FIRST[kind] == MOUNT_TURNED:
-            return _KINDS[kind].name.format(round(degrees((TURNED[at] + pi) % (2.0 * pi) - pi)))
+            return _KINDS[kind].name.format(round(degrees(wrap(float(TURNED[at])))))
         return _KINDS[kind].name.format(float(LATE_BY[at]) if _FIRST[kind] == LATE else 0.0)
 
     def take_apart(self) -> None:
@@ -283,7 +284,7 @@ def _log_gaussian(
     """Ln of the density at (x, y, turn), `sigma` m and `turn_sigma` rad beside the fit's own covariance."""
     xx, xy, yy = spread[0] + sigma**2, spread[1], spread[2] + sigma**2
     tt, determinant = turn_variance + turn_sigma**2, xx * yy - xy * xy
-    turned = (turn + pi) % (2.0 * pi) - pi
+    turned = wrapped(turn)
     distance2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant + turned * turned / tt
     return float(-0.5 * (distance2 + log(determinant * tt)) - 1.5 * log(2.0 * pi))
 

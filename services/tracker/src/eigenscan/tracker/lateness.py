@@ -6,12 +6,10 @@ turns, a delay of a tenth of a second is several degrees between two lookups of 
 
 from __future__ import annotations
 
-from math import pi
-
 import numpy as np
 from eigenscan.tracker.faults import SIGMA_M, SIGMA_RAD
 from eigenscan.tracker.odometry import OdometryTrail, motion
-from eigenscan.tracker.planar import Pose
+from eigenscan.tracker.planar import Pose, wrap
 from numpy.typing import NDArray
 
 STEP_NS, STEPS = 50_000_000, 7
@@ -30,8 +28,11 @@ class Lateness:
     def __init__(self) -> None:
         self._left: NDArray[np.float64] = np.zeros(STEPS)
         self._taken = 0
-        self.delay = 0
-        """ns"""
+
+    @property
+    def delay(self) -> int:
+        """How late scans are stamped, ns."""
+        return self._taken * STEP_NS
 
     def take(self, since: int, stamp: int, scans: Pose, trail: OdometryTrail) -> None:
         """Takes the scans' motion between two stamps, ns; straight on, any delay would do."""
@@ -43,11 +44,10 @@ class Lateness:
             if start is None or end is None:
                 return
             x, y, turn = motion(start, end).delta
-            turned = (scans[2] - turn + pi) % (2.0 * pi) - pi
+            turned = wrap(scans[2] - turn)
             way2 = (scans[0] - x) ** 2 + (scans[1] - y) ** 2
             left[step] = min(turned**2 / SIGMA_RAD**2 + way2 / SIGMA_M**2, FAR2)
         self._left += left - self._left / INTERVALS
         best = int(np.argmin(self._left))
         if self._left[self._taken] - self._left[best] > BETTER:
             self._taken = best
-            self.delay = best * STEP_NS
