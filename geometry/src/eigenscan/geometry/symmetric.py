@@ -10,6 +10,7 @@ fit if several processes compile at the same time.
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.geometry.pose import Array
 from numba import njit, types
 
@@ -19,13 +20,13 @@ MATRICES = types.Array(types.float64, 3, "A", readonly=True)
 NUMBERS = types.float64[::1]
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def triangle(m: Array) -> Triangle:
     """Upper triangle of (3, 3)."""
     return m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def put(m: Triangle, out: Array) -> None:
     """Writes a matrix to `out` (3, 3)."""
     out[0, 0], out[0, 1], out[0, 2] = m[0], m[1], m[2]
@@ -33,20 +34,20 @@ def put(m: Triangle, out: Array) -> None:
     out[2, 0], out[2, 1], out[2, 2] = m[2], m[4], m[5]
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def plus(m: Triangle, n: Triangle) -> Triangle:
     """Sum."""
     return m[0] + n[0], m[1] + n[1], m[2] + n[2], m[3] + n[3], m[4] + n[4], m[5] + n[5]
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def determinant(m: Triangle) -> float:
     """Determinant, along the first row."""
     a, b, c, d, e, f = m
     return a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def inverse(m: Triangle) -> Triangle:
     """Inverse by the adjugate."""
     a, b, c, d, e, f = m
@@ -61,7 +62,7 @@ def inverse(m: Triangle) -> Triangle:
     )
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def times(m: Triangle, v: Column) -> Column:
     """Matrix times column."""
     return (
@@ -71,7 +72,7 @@ def times(m: Triangle, v: Column) -> Column:
     )
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def square(m: Triangle, v: Column) -> float:
     """Squared length of a column under a matrix: v' m v."""
     x, y, z = times(m, v)

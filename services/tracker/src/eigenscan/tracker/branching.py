@@ -6,6 +6,7 @@ Paper, section 7: association, fork when two poses fit one track, recursive esti
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import determinant, triangle
 from eigenscan.tracker import evidence as model
 from eigenscan.tracker.association import Pairs, crowding_each
@@ -36,7 +37,7 @@ KEPT = 1.0
 """Of the mass that a hypothesis would begin a track with, what the track that takes it gets at least."""
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> Columns:
     """Each track (n,) once as predicted, then for each pair (p,) of a track and a hypothesis in its gate.
 
@@ -76,7 +77,7 @@ def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -
     return out
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def _fit(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> tuple[Array, Array]:
     """What each branch (n + p,) fits, in nats; and what that is worth more to a track without observations.
 
@@ -98,7 +99,7 @@ def _fit(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> 
     return fit, first
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def _name_forks(out: Columns, origin: Index, count: int) -> None:
     """The likeliest branch stays the track, the others fork from it, yet unnamed (0)."""
     best = np.arange(count)
@@ -111,7 +112,7 @@ def _name_forks(out: Columns, origin: Index, count: int) -> None:
             out.parent[row], out.id[row] = out.id[row], 0
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _fuse(
     out: Columns, alone: int, poses: Array, covariances: Array, hypothesis: Index, distance2: Array,
     precision: float, stamp: int, tail: float, least_new: float,
@@ -167,7 +168,7 @@ def _fused(
     return out
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def raise_to(
     grown: Columns, alone: int, seen: Listed, pairs: Pairs, log_mass: Array, scan: Scan, c: Constants
 ) -> None:
@@ -189,19 +190,21 @@ def raise_to(
             continue
         own = np.exp(grown.log_weight[row] - least)
         grown.log_weight[row] = least
-        grown.evidence[row] *= own
+        for source in range(grown.evidence.shape[1]):
+            grown.evidence[row, source] *= own
         grown.evidence[row, scan.source] += (1.0 - own) * seen.predicted[k]
         grown.alias[row] = own * grown.alias[row] + (1.0 - own) * seen.alias[k]
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def births(grown: Columns, seen: Listed, pairs: Pairs, log_mass: Array, frame: int, scan: Scan) -> Columns:
     """Tracks that begin at hypotheses outside of all gates.
 
     `log_mass` (k,): what each hypothesis has by itself, of robots that were carried there or slipped.
     """
     free = np.ones(len(seen.poses), dtype=np.bool_)
-    free[pairs.hypothesis] = False
+    for hypothesis in pairs.hypothesis:
+        free[hypothesis] = False
     # those that could not live through this scan are not begun
     heaviest = -np.inf
     for log_weight in grown.log_weight:
@@ -211,6 +214,7 @@ def births(grown: Columns, seen: Listed, pairs: Pairs, log_mass: Array, frame: i
     k = np.flatnonzero(free & (log_mass > heaviest + LEAST_BORN))
     x, C = seen.poses[k], seen.covariances[k]
     evidence = np.zeros((len(k), grown.evidence.shape[1]))
-    evidence[:, scan.source] = seen.predicted[k]
+    for row in range(len(k)):
+        evidence[row, scan.source] = seen.predicted[k[row]]
     log_weight = log_mass[k] - np.log(crowding_each(x, C))
     return begun(x, C, log_weight, seen.alias[k], evidence, frame, scan.stamp)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import erfc, log
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import residual
@@ -61,7 +62,7 @@ def share_within(delta: Array, C: Array) -> Array:
     return result
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def _wide(C: Array) -> float:
     """Variance of (3, 3) along the position's long axis."""
     half = (C[0, 0] + C[1, 1]) / 2
@@ -104,7 +105,9 @@ def protect(tracks: Tracks, best: int, risk: float) -> Protection | None:
     if left <= 0.0:
         return None
     share = 0.375 * left
-    return Protection(*_level(here, 0.25 * left, -2.0 * log(share), -float(ndtri(share / 2.0))))
+    lightest_first = np.argsort(here[:, 0], kind="stable")
+    level = _level(here, lightest_first, 0.25 * left, -2.0 * log(share), -float(ndtri(share / 2.0)))
+    return Protection(*level)
 
 
 @njit("f8[:,:](f8[:,:], f8[:,:,:], f8[:], i8[:], i8)", cache=True)  # pragma: no cover - compiled
@@ -121,11 +124,11 @@ def _here(x: Array, C: Array, log_weight: Array, frame: Index, best: int) -> Arr
     return out[:count]
 
 
-@njit("UniTuple(f8, 2)(f8[:,:], f8, f8, f8)", cache=True)  # pragma: no cover - compiled
-def _level(here: Array, spare: float, rayleigh: float, normal: float) -> tuple[float, float]:
+@njit("UniTuple(f8, 2)(f8[:,:], i8[:], f8, f8, f8)", cache=True)  # pragma: no cover - compiled
+def _level(here: Array, order: Index, spare: float, rayleigh: float, normal: float) -> tuple[float, float]:
     """Radius and angle that hold all but `spare` of the mass: each track that is left out costs its own."""
     radius, angle, dropped = 0.0, 0.0, 0.0
-    for i in np.argsort(here[:, 0], kind="mergesort"):
+    for i in order:
         dropped += here[i, 0]
         if dropped > spare:
             radius = max(radius, here[i, 1] + np.sqrt(rayleigh * here[i, 3]))

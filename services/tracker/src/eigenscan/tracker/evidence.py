@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
 from eigenscan.tracker.association import Pairs
 from eigenscan.tracker.observation import Observation, poorness_each
@@ -131,7 +132,7 @@ def likelihood_at(pose: Array, seen: Observation) -> float:
     return float(_likelihood_at(pose, seen.poses, seen.log_likelihoods))
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def is_near(y: Array, x: Array) -> bool:
     """Whether two poses (3,) are of one place."""
     ahead, left, turn = apart(y, x)
@@ -147,7 +148,7 @@ def _likelihood_at(pose: Array, poses: Array, log_likelihoods: Array) -> float:
     return most
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def listed(
     poses: Array, covariances: Array, log_likelihoods: Array, unlisted: float, even: float, c: Constants
 ) -> Listed:
@@ -165,7 +166,7 @@ def listed(
     return Listed(y, R, alone, predicted, alias)
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def ahead(poses: Array, log_likelihoods: Array, unlisted: float, most: float) -> Array:
     """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
     there = np.zeros(len(poses), dtype=np.bool_)
@@ -183,14 +184,14 @@ def ahead(poses: Array, log_likelihoods: Array, unlisted: float, most: float) ->
     return lead
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def hide_and_show(hidden: float, progress: float, c: Constants) -> float:
     """A track's hidden share after a robot moved on by `progress`, 1: a scan is new evidence."""
     hides, shows = -np.expm1(-c.hides * progress), -np.expm1(-c.shows * progress)
     return float(hidden * (1.0 - shows) + (1.0 - hidden) * hides)
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
     """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
     stay = np.exp(-c.ends * progress)
@@ -199,7 +200,7 @@ def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
     return result
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
 
@@ -213,7 +214,7 @@ def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Arr
     return np.log(total), np.log(np.maximum(others, 1e-12)), odds / total
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def slipped(t: Columns, seen: Listed, pairs: Pairs, c: Constants) -> Array:
     """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
 
@@ -243,7 +244,7 @@ def slipped(t: Columns, seen: Listed, pairs: Pairs, c: Constants) -> Array:
     return result
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def log_sum(a: float, b: float) -> float:
     """Ln of the sum of two masses that are given as logarithms."""
     most = max(a, b)
@@ -252,7 +253,7 @@ def log_sum(a: float, b: float) -> float:
     return float(most + np.log1p(np.exp(min(a, b) - most)))
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def surprise(distance2: float, tail: float) -> float:
     """Factor >= 1 on a predicted covariance by the innovation's squared distance: Student's t."""
     return max(1.0, (tail + distance2) / (tail + 3.0))

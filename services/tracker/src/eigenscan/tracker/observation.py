@@ -178,5 +178,7 @@ def checked(
     for k in range(len(rows)):
         if not good[k]:
             put((spacing * spacing, 0.0, 0.0, spacing * spacing, 0.0, step * step), covariances[k])
-        covariances[k] *= factor[k]
+        for row in range(3):
+            for column in range(3):
+                covariances[k, row, column] *= factor[k]
     return poses, _limited(covariances), likelihoods, len(good) - good.sum()

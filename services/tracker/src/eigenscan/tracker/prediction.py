@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import MATRICES, Column, Triangle, plus, put, triangle
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import Pose
@@ -50,7 +51,7 @@ _POSES = types.Tuple((types.float64[:, ::1], types.float64[:, :, ::1]))
 _NUMBER = types.float64
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def carried(x: Array, C: Triangle, delta: Column, Q: Triangle) -> tuple[Column, Triangle]:
     """A pose (3,) after an increment, and F C F' + G Q G'.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from math import pi
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import (
     MATRICES,
     NUMBERS,
@@ -29,7 +30,7 @@ ROWS = types.Array(types.float64, 2, "A", readonly=True)
 WEIGHTS = types.Array(types.float64, 1, "A", readonly=True)
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def turned(m: Triangle, cos: float, sin: float) -> Triangle:
     """Covariance of x, y, theta in a frame that is turned back by an angle."""
     a, b, c, d, e, f = m
@@ -43,7 +44,7 @@ def turned(m: Triangle, cos: float, sin: float) -> Triangle:
     )
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def wrapped(angle: float) -> float:
     """Same direction in [-pi, pi)."""
     turn = (angle + pi) % (2.0 * pi) - pi
@@ -51,7 +52,7 @@ def wrapped(angle: float) -> float:
     return turn if turn < pi else -pi
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def apart(y: Array, x: Array) -> Column:
     """Pose `y` (3,) minus pose `x` (3,), the heading by the shortest turn."""
     return y[0] - x[0], y[1] - x[1], wrapped(y[2] - x[2])

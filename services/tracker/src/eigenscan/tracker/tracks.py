@@ -8,7 +8,8 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
+from eigenscan.geometry.inner import inner
+from numba import types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -101,7 +102,7 @@ def tracks_of(made: Columns) -> Tracks:
     return _of(made._asdict())
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def taken(t: Columns, index: Index) -> Columns:
     """Copies of the rows at `index`."""
     return Columns(
@@ -124,7 +125,7 @@ def taken(t: Columns, index: Index) -> Columns:
     )
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def joined(a: Columns, b: Columns, c: Columns) -> Columns:
     """Three sets, one after the other."""
     return Columns(
@@ -147,7 +148,7 @@ def joined(a: Columns, b: Columns, c: Columns) -> Columns:
     )
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def begun(
     x: Array, C: Array, log_weight: Array, alias: Array, evidence: Array, frame: int, stamp: int
 ) -> Columns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.tracker.association import within_gate
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.symmetric import moments_of
@@ -23,15 +24,17 @@ def settle(belief: Belief) -> None:
 
     The rest shares all mass and is sorted, most probable first. Forks and births get their numbers.
     """
+    # sorted by numpy: compiled, a sort takes seconds of the first start
+    order = np.argsort(-belief.tracks.log_weight, kind="stable")[: belief.settings.max_tracks]
     made = _settled(
-        arrays_of(belief.tracks), belief.elsewhere.log_weight, belief.settings.max_tracks,
-        belief.settings.prune_below, SAME_DISTANCE2, belief.stamp or 0, belief.next_id,
+        arrays_of(belief.tracks), belief.elsewhere.log_weight, order, belief.settings.prune_below,
+        SAME_DISTANCE2, belief.stamp or 0, belief.next_id,
     )  # fmt: skip
     belief.tracks = tracks_of(made)
     belief.next_id = max(belief.next_id, 1 + int(made.id.max(initial=0)))
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def _leaders(track: Index, near: Index, frame: Index) -> Index:
     """Greedy: the heaviest track leads all near it that are still free, then the next one; (n,) indices.
 
@@ -48,7 +51,7 @@ def _leaders(track: Index, near: Index, frame: Index) -> Index:
     return leader
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
     """Writes to `row` of `out` one track with the moments of all in `group`.
 
@@ -57,7 +60,11 @@ def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
     heaviest = t.log_weight[group].max()
     weight = np.exp(t.log_weight[group] - heaviest)
     total = weight.sum()
-    out.x[row], out.C[row] = moments_of(t.x[group], t.C[group], weight)
+    x, C = moments_of(t.x[group], t.C[group], weight)
+    for i in range(3):
+        out.x[row, i] = out.fixed_x[row, i] = x[i]
+        for j in range(3):
+            out.C[row, i, j] = out.fixed_covariance[row, i, j] = C[i, j]
     out.log_weight[row] = heaviest + np.log(total)
     out.hidden[row] = (weight * t.hidden[group]).sum() / total
     out.alias[row] = t.alias[group].sum()
@@ -73,13 +80,7 @@ def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
             break
 
 
-@njit()  # pragma: no cover - compiled
-def _pruned(t: Columns, most: int, least: float) -> Columns:
-    order = np.argsort(-t.log_weight, kind="mergesort")[:most]
-    return taken(t, order[t.log_weight[order] > np.log(least)])
-
-
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _unified(t: Columns, near: float, stamp: int) -> Columns:
     """Joins tracks that describe one place into the heaviest of them. Expects them sorted, heaviest first."""
     track, other, _, _ = within_gate(t.x, t.C, t.x, t.C, near)
@@ -90,20 +91,20 @@ def _unified(t: Columns, near: float, stamp: int) -> Columns:
         group = np.flatnonzero(leader == heads[row])
         if len(group) > 1:
             _merge(t, group, out, row)
-            out.fixed_x[row], out.fixed_covariance[row] = out.x[row], out.C[row]
             out.fixed_at[row] = stamp
     return out
 
 
 @njit(  # pragma: no cover - compiled
-    MADE(GIVEN, types.float64[::1], types.int64, types.float64, types.float64, types.int64, types.int64),
+    MADE(GIVEN, types.float64[::1], types.int64[::1], types.float64, types.float64, types.int64, types.int64),
     cache=True,
     error_model="numpy",
 )
 def _settled(
-    arrays: Arrays, rest: Array, most: int, least: float, near: float, stamp: int, next_id: int
+    arrays: Arrays, rest: Array, order: Index, least: float, near: float, stamp: int, next_id: int
 ) -> Columns:
-    t = _pruned(Columns(*arrays), most, least)
+    given = Columns(*arrays)
+    t = taken(given, order[given.log_weight[order] > np.log(least)])
     normalise(t.log_weight, rest)
     out = _unified(t, near, stamp)
     for row in range(len(out.id)):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import MATRICES, determinant, triangle
 from eigenscan.tracker.association import Pairs, within_gate
 from eigenscan.tracker.branching import births, branch, raise_to
@@ -34,17 +35,18 @@ _REST = (_NUMBERS, _NUMBERS, _TABLE)
 _NUMBER, _COUNT = types.float64, types.int64
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _take(rest: Rest, part: int, mass: float) -> None:
     """Adds mass that no list was of yet."""
     if mass <= 0.0:
         return
     stayed = np.exp(rest.log_weight[part])
     rest.log_weight[part] = np.log(stayed + mass)
-    rest.searched[part] *= stayed / (stayed + mass)
+    for source in range(rest.searched.shape[1]):
+        rest.searched[part, source] *= stayed / (stayed + mass)
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _release(log_weight: Array, rest: Rest, share: float, off_map_share: float) -> None:
     """Moves a share of the tracks' mass (n,) to "none", in place."""
     if not len(log_weight) or share == 0.0 or len(rest.area) < 2:
@@ -94,28 +96,30 @@ def normalise(tracks: Array, rest: Array) -> None:
     rest -= total
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _move_on(tracks: Columns, rest: Rest, scan: Scan, c: Constants) -> None:
     """What becomes of the belief since the source's last list, in place.
 
     As the robot moves on, what was seen at the last place speaks for a track for good. If the robot was
     carried away, or the sensor covered or uncovered, the tracks start a new place.
     """
-    tracks.evidence[:, scan.source] *= np.exp(-scan.progress)
+    stay = np.exp(-scan.progress)
+    for row in range(len(tracks.x)):
+        tracks.evidence[row, scan.source] *= stay
     _release(tracks.log_weight, rest, scan.carried, c.off_map_share)
     if scan.broken:
         _release(tracks.log_weight, rest, c.break_share, c.off_map_share)
         rest.searched[:, scan.source] = 0.0
-        tracks.evidence[:, scan.source] = 0.0
-        tracks.hidden[:], tracks.alias[:] = 0.5, 0.0
+        for row in range(len(tracks.x)):
+            tracks.evidence[row, scan.source], tracks.hidden[row], tracks.alias[row] = 0.0, 0.5, 0.0
 
 
-@njit()  # pragma: no cover - compiled
+@inner()  # pragma: no cover - compiled
 def _emerging(rest: Rest, frame: int, scan: Scan, c: Constants) -> float:
     return float(rest.searched[frame, scan.source] * -np.expm1(-c.shows * scan.progress))
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _mass_alone(
     old: Columns, seen: Listed, pairs: Pairs, rest: Rest, frame: int, scan: Scan, c: Constants
 ) -> Array:
@@ -133,7 +137,7 @@ def _mass_alone(
     return alone
 
 
-@njit(error_model="numpy")  # pragma: no cover - compiled
+@inner(error_model="numpy")  # pragma: no cover - compiled
 def _search(rest: Rest, frame: int, scan: Scan, c: Constants) -> None:
     """A list was of a frame: what is not in it is hidden, and what came out of hiding is not there."""
     if scan.in_part:
@@ -174,7 +178,9 @@ def observed(
     born = births(grown, seen, pairs, alone, frame, scan)
     result = joined(others, grown, born)
     # at most one of them is an alias
-    result.alias[:] /= max(result.alias.sum(), 1.0)
+    most = max(result.alias.sum(), 1.0)
+    for row in range(len(result.alias)):
+        result.alias[row] /= most
     _search(rest, frame, scan, c)
     normalise(result.log_weight, rest.log_weight)
     return result
