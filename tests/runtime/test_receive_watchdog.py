@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import threading
@@ -15,6 +16,8 @@ import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
 
+from tests.network import free_port
+
 ADDRESS = ("site", "tracker", "r17")
 PATIENCE = 20
 
@@ -25,6 +28,8 @@ class FakeSession:
 
     delivers: bool = True
     linked: bool = True
+    routed: bool = True
+    """Whether the link is to a router, which answers queries."""
     subscribers: list[tuple[str, Callable[[Any], None]]] = field(default_factory=list)
 
     def declare_subscriber(self, key: str, callback: Callable[[Any], None], **_: object) -> None:
@@ -32,6 +37,12 @@ class FakeSession:
 
     def liveliness(self) -> FakeSession:
         return self
+
+    def get(self, key: str, handler: Callable[[Any], None], timeout: float) -> None:
+        assert timeout < PATIENCE
+        handler(SimpleNamespace(ok=SimpleNamespace(key_expr=key), err=None))  # this process's own token
+        if self.routed and not self.delivers:
+            handler(SimpleNamespace(ok=None, err="Timeout"))
 
     @property
     def info(self) -> SimpleNamespace:
@@ -98,6 +109,68 @@ def test_others_that_ended_are_not_missed(session: FakeSession, receiving: Recei
     for service in ("router", "projector"):
         session.token(service, there=False)
     assert not ticks(receiving, session, 10 * PATIENCE)
+
+
+def test_who_was_alone_when_it_became_deaf_learns_it_by_queries(
+    session: FakeSession, receiving: ReceiveWatchdog
+) -> None:
+    """Seed 5: the only neighbour was killed, and came back to a session that no longer received anything."""
+    for service in ("router", "projector"):
+        session.token(service, there=False)
+    assert not ticks(receiving, session, 10 * PATIENCE)
+    session.delivers = False
+    assert not ticks(receiving, session, PATIENCE // 2)
+    assert ticks(receiving, session, PATIENCE, "projector")
+
+
+def test_one_query_that_times_out_is_not_enough(session: FakeSession, receiving: ReceiveWatchdog) -> None:
+    for service in ("router", "projector"):
+        session.token(service, there=False)
+    for _ in range(10):
+        session.delivers = not session.delivers
+        assert not ticks(receiving, session, PATIENCE // 2)
+
+
+def test_a_peer_that_answers_no_query_of_tokens_is_no_sign(
+    session: FakeSession, receiving: ReceiveWatchdog
+) -> None:
+    session.delivers, session.routed = False, False
+    for service in ("router", "projector"):
+        receiving._see(service, "tracker", there=False)
+    assert not ticks(receiving, session, 10 * PATIENCE)
+
+
+ROUTER = """
+import sys, zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"router"')
+config.insert_json5("listen/endpoints", '["tcp/127.0.0.1:%s"]' % sys.argv[1])
+config.insert_json5("scouting/multicast/enabled", "false")
+session = zenoh.open(config)
+print("up", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_router_answers_a_query_of_tokens_and_one_that_hangs_does_not() -> None:
+    """What the fake stands for."""
+    port = free_port()
+    command = [sys.executable, "-c", ROUTER, str(port)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as router:
+        assert router.stdout is not None
+        router.stdout.readline()
+        config = zenoh.Config()
+        config.insert_json5("mode", '"client"')
+        config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
+        session = zenoh.open(config)
+        try:
+            assert [reply.err for reply in session.liveliness().get("a/*", timeout=60.0)] == []
+            router.send_signal(signal.SIGSTOP)
+            replies = list(session.liveliness().get("a/*", timeout=0.5))
+            assert [reply.ok for reply in replies] == [None]
+        finally:
+            router.kill()
+            session.close()
 
 
 def test_others_that_never_spoke_are_not_waited_for(session: FakeSession) -> None:

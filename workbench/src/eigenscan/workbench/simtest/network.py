@@ -253,6 +253,10 @@ class _Liveliness:
     def declare_subscriber(self, key: str, callback: Any, **_: Any) -> Declared:
         return self._session.network.watch(Declared(self._session, key, callback))
 
+    def get(self, _key: str, handler: Callable[[Reply], None], timeout: float) -> None:
+        """A router answers at once, which a session that receives nothing does not learn."""
+        self._session.network.time_out(self._session, handler, timeout)
+
 
 class Network:
     """All sessions of a site, and the links between its machines."""
@@ -467,6 +471,11 @@ class Network:
                 watcher.callback(sample)
 
         self._agenda.after(LOCAL_S, report)
+
+    def time_out(self, session: Session, handler: Callable[[Reply], None], timeout: float) -> None:
+        """The end of a query whose answer does not come."""
+        if session.is_silent:
+            self._agenda.after(timeout, lambda: handler(Reply(None, "timeout")) if session.is_open else None)
 
     def ask(
         self, session: Session, selector: str, handler: Any, payload: bytes | None, timeout: float
