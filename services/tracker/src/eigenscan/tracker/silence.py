@@ -12,6 +12,8 @@ SILENT_NS = 2_000_000_000
 """A source's hypotheses without a pose for longer, by their stamps or by odometry's, are a fault."""
 SILENT_LISTS = 20
 """The same where stamps do not go on: 2 s of a lidar of 10 Hz."""
+GONE_NS = 10_000_000_000
+"""A source without a list for so long sends none any more: the time after which health misses an input."""
 RESTARTS_WITHIN = 40
 """Lists between two set-backs of the clock, up to which they are two clocks."""
 
@@ -49,6 +51,8 @@ class _Run:
     ending: Ending
     behind_s: float = 0.0
     lists: int = 0
+    added: int = 0
+    """Stamp of odometry or of another source when the last list came."""
 
 
 class Silence:
@@ -95,7 +99,11 @@ class Silence:
     def _add(self, seen: Observation, ending: Ending, behind_s: float = 0.0) -> None:
         run = self._runs.setdefault(seen.source, _Run(seen.stamp, seen.stamp, self._odometry, ending))
         run.first, run.last = min(run.first, seen.stamp), max(run.last, seen.stamp)
-        run.ending, run.behind_s, run.lists = ending, behind_s, run.lists + 1
+        run.ending, run.behind_s, run.lists, run.added = ending, behind_s, run.lists + 1, self._now
+
+    @property
+    def _now(self) -> int:
+        return max(self._odometry or 0, self._timeline.newest or 0)
 
     @property
     def reason(self) -> str:
@@ -106,6 +114,8 @@ class Silence:
                 "each time: the clocks of two lidars, or of two robots under one name, differ"
             )
         for source, run in sorted(self._runs.items()):
+            if self._now - run.added > GONE_NS:
+                continue
             apart = run.last - run.first
             if self._odometry is not None and run.odometry is not None:
                 apart = max(apart, self._odometry - run.odometry)
