@@ -7,21 +7,21 @@ from __future__ import annotations
 
 import gc
 import json
+import mmap
 import os
 import resource
-import select
 import signal
-import subprocess
-import sys
+import struct
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import count
 from pathlib import Path
 from random import Random
+from typing import IO
 
 from tests.fuzz.reader import Opened, Place, Reader, is_reported
 
@@ -29,15 +29,15 @@ MOST_CPU_S = 1.0
 ENOUGH_CPU_S = 5.0
 """After so long an input is ended."""
 MOST_BYTES = 200 * 2**20
-START_S = 120.0
-"""Until a process on a busy machine has begun."""
-STALL_S = 20.0
-"""Without an answer for so long the process is ended, and its input reported."""
+SLACK_BYTES = 2**24
+"""By which the peak may lie above what is used before an input: to reset it takes a millisecond."""
+STALL_S = 120.0
+"""For so long an input may take on a busy machine; then SIGALRM ends the process."""
+PROGRESS = struct.Struct("<qq")
 ROOM_BYTES = 3 * 2**30
 """Of address space, beside what is there: an input must not fill the machine's memory."""
 MOST_TEXT = 100_000
 """Characters of an error's message."""
-_PROJECT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
@@ -84,22 +84,22 @@ def _fixed(opened: Opened) -> list[tuple[int, str, bytes]]:
     return numbered(opened)
 
 
-def run(reader: Reader, opened: Opened, numbers: Sequence[int]) -> Iterator[Finding | int]:
-    """Judges inputs; gives each one's number once it is done, after what was found."""
-    for number in numbers:
-        data = made(reader, opened, number)
-        finding = judged(reader, opened, number, data)
-        if finding is not None:
-            yield finding
-        yield number
-
-
 def judged(
     reader: Reader, opened: Opened, number: int, data: bytes, most_cpu_s: float = MOST_CPU_S
 ) -> Finding | None:
     """What an input did; None where it was taken, or refused in good order."""
-    _forget_peak()
-    before, began = _peak(), time.process_time()
+    found = _once(opened, data, most_cpu_s)
+    if found and found[0] in ("slow", "large"):  # what is loaded or compiled at first use does not count
+        _forget_peak()
+        found = _once(opened, data, most_cpu_s)
+    return Finding(reader.name, number, *found) if found else None
+
+
+def _once(opened: Opened, data: bytes, most_cpu_s: float) -> tuple[str, str] | None:
+    """What it did this time, and details."""
+    before, began = _resident(), time.process_time()
+    if _peak() - before > SLACK_BYTES:
+        _forget_peak()
     reported: tuple[str, str] | None = None
     signal.signal(signal.SIGPROF, _too_long)
     signal.setitimer(signal.ITIMER_PROF, ENOUGH_CPU_S)
@@ -116,10 +116,10 @@ def judged(
         signal.setitimer(signal.ITIMER_PROF, 0.0)
     took, grew = time.process_time() - began, _peak() - before
     if reported is None and grew > MOST_BYTES:
-        reported = "large", f"{grew / 2**20:.0f} MB for {len(data)} bytes"
+        return "large", f"{grew / 2**20:.0f} MB for {len(data)} bytes"
     if reported is None and took > most_cpu_s:
-        reported = "slow", f"{took:.1f} s for {len(data)} bytes"
-    return Finding(reader.name, number, *reported) if reported else None
+        return "slow", f"{took:.1f} s for {len(data)} bytes"
+    return reported
 
 
 def _innermost(error: BaseException) -> str:
@@ -137,94 +137,79 @@ def _forget_peak() -> None:
 
 def _peak() -> int:
     """Most memory that this process had since `_forget_peak`, bytes."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) * 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def work(reader: Reader, first: int) -> None:
-    """In a process of its own: without end, a line of JSON for each finding, and one for each input begun.
+def _resident() -> int:
+    """Memory that this process has, bytes."""
+    return int(Path("/proc/self/statm").read_bytes().split()[1]) * resource.getpagesize()
 
-    Below 0 it begins with the attacks and the seeds.
+
+def work(reader: Reader, first: int, cpu_s: float, progress: mmap.mmap, answers: IO[str]) -> None:
+    """In a process of its own: inputs from `first` on, for so much processor time.
+
+    `progress` holds the number of the input that was begun last, and how many were. Below 0 it begins with
+    the attacks and the seeds.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what readers print
     with Place(reader) as opened:
         for data in opened.seeds.values():  # what is compiled or imported late does not count
             with suppress(Exception):
                 opened.read(data)
         first = max(first, -len(_fixed(opened)) if first < 0 else 0)
         gc.collect()
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + ROOM_BYTES, resource.RLIM_INFINITY))
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        until = time.process_time() + cpu_s
         for number in count(first):
-            print(json.dumps(number), file=answers, flush=True)
-            for answer in run(reader, opened, [number]):
-                if isinstance(answer, Finding):
-                    print(json.dumps(asdict(answer)), file=answers, flush=True)
-
-
-def supervise(reader: Reader, first: int, until: float) -> Iterator[Finding | int]:
-    """Runs inputs from `first` on in processes that may die, until the time (time.monotonic()) is over.
-
-    Gives findings, and each input's number once it is begun.
-    """
-    at = first
-    while time.monotonic() < until:
-        command = [sys.executable, "-W", "ignore", "-m", "tests.fuzz", "--work", reader.name, str(at)]
-        with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=_PROJECT, env=_quiet()
-        ) as child:
-            try:
-                for answer in _answers(reader, child, at, until):
-                    if isinstance(answer, int):
-                        at = answer + 1
-                    yield answer
-            finally:
-                child.kill()
-
-
-def _answers(
-    reader: Reader, child: subprocess.Popen[bytes], at: int, until: float
-) -> Iterator[Finding | int]:
-    """What one process reports, until it dies or the time is over."""
-    assert child.stdout is not None
-    pending, begun, received_at = b"", None, time.monotonic() + START_S
-    while (now := time.monotonic()) < until:
-        if not select.select([child.stdout], [], [], 1.0)[0]:
-            if now - received_at > STALL_S:
-                yield Finding(
-                    reader.name, at if begun is None else begun, "crash", f"no answer for {STALL_S:g} s"
-                )
+            if time.process_time() > until:
                 return
-            continue
-        received_at = now
-        piece = os.read(child.stdout.fileno(), 65536)
-        if not piece:
-            code = child.wait()
-            where = at if begun is None else begun
-            yield Finding(
-                reader.name, where, "crash", f"ends by signal {-code}" if code < 0 else f"exit code {code}"
-            )
-            if begun is None:
-                yield at
-            return
-        *lines, pending = (pending + piece).split(b"\n")
-        for line in lines:
-            if line.startswith(b"{"):
+            PROGRESS.pack_into(progress, 0, number, PROGRESS.unpack_from(progress)[1] + 1)
+            signal.setitimer(signal.ITIMER_REAL, STALL_S)
+            finding = judged(reader, opened, number, made(reader, opened, number))
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            if finding is not None:
+                print(json.dumps(asdict(finding)), file=answers, flush=True)
+
+
+def supervise(reader: Reader, first: int, cpu_s: float) -> Iterator[Finding | tuple[int, int]]:
+    """Runs inputs from `first` on for so much processor time, in processes that may die.
+
+    Gives findings, and at the end the number of the next input, and how many were run.
+    """
+    progress = mmap.mmap(-1, PROGRESS.size)
+    PROGRESS.pack_into(progress, 0, first - 1, 0)
+    while cpu_s > 0.0:
+        before = PROGRESS.unpack_from(progress)[0]
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            _work_and_end(reader, before + 1, cpu_s, progress, writing)
+        os.close(writing)
+        with os.fdopen(reading) as answers:
+            for line in answers:
                 yield Finding(**json.loads(line))
-            else:
-                begun = int(line)
-                yield begun
+        _, status, used = os.wait4(child, 0)
+        cpu_s -= used.ru_utime + used.ru_stime
+        code = os.waitstatus_to_exitcode(status)
+        begun = PROGRESS.unpack_from(progress)[0]
+        if code == 0:
+            break
+        how = f"ends by signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        yield Finding(reader.name, begun, "crash", how)
+        if begun == before:  # it does not even open
+            break
+    yield PROGRESS.unpack_from(progress)[0] + 1, PROGRESS.unpack_from(progress)[1]
 
 
-def _quiet() -> dict[str, str]:
-    return {
-        **os.environ,
-        "PYTHONWARNINGS": "ignore",
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-        "NUMBA_NUM_THREADS": "1",
-    }
+def _work_and_end(reader: Reader, first: int, cpu_s: float, progress: mmap.mmap, writing: int) -> None:
+    code = 1
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        for stream in (1, 2):  # what readers print
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        with os.fdopen(writing, "w") as answers:
+            work(reader, first, cpu_s, progress, answers)
+        code = 0
+    finally:
+        os._exit(code)
