@@ -191,7 +191,8 @@ def test_a_kill_in_a_write_leaves_what_was_written_before() -> None:
 
 def test_a_recorder_that_deletes_its_newest_files_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """By file time, what was written before the clock was set back is the newest."""
-    seed = next(seed for seed in range(100) if Plan.of(seed, 1).recorders)
+    plans = ((seed, Plan.of(seed, 1)) for seed in range(1000))
+    seed = next(seed for seed, plan in plans if plan.recorders and not plan.is_short)
     back = [Fault(30.0, "clock", "r1", 0, 0.0, 0.0)]  # by an hour
     assert run(seed, 1, back).broken == ()
     monkeypatch.setattr(

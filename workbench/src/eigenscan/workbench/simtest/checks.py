@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from eigenscan.runtime.inbox import Inbox
@@ -198,34 +199,52 @@ class Judge:
 
     def finish(self) -> None:
         """At the end, once all had the time to recover."""
+        for rule, detail in self._complaints():
+            self.fail(rule, detail)
+
+    def all_is_well(self, since: float) -> bool:
+        """Whether all works, nothing is about to fail, and each robot claims a pose or cannot know it."""
+        network = self.site.network
+        return (
+            not any(session.is_silent for session in network.sessions)
+            and all(link.stands for link in network.links.values())
+            and all(
+                robot not in self._unique_since or self._claimed.get(robot, 0.0) > since
+                for robot in self.site.robots
+            )
+            and not any(self._complaints())
+        )
+
+    def _complaints(self) -> Iterator[tuple[str, str]]:
+        """What does not work now: the rule and the words."""
         now = self.site.agenda.now
         for process in self.site.processes:
             if not process.is_wanted:
                 continue
             at, health = self._health.get(process, (0.0, None))
             if not process.is_up or health is None or now - at > 3.0:
-                self.fail("recovery", f"{process.name}: is not back {SETTLE_S:.0f} s after the last fault")
+                yield "recovery", f"{process.name}: is not back {SETTLE_S:.0f} s after the last fault"
             elif health.status != Health.STATUS_OK:
                 name = Health.Status.Name(health.status).removeprefix("STATUS_")
-                self.fail("recovery", f"{process.name}: {name}: {health.detail}")
+                yield "recovery", f"{process.name}: {name}: {health.detail}"
             else:
-                self._has_newest(process)
+                yield from self._old_latched(process)
         for robot in self.site.robots:
             if now - self._posed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz + 1.0:
-                self.fail("recovery", f"{robot}: no pose {SETTLE_S:.0f} s after the last fault")
+                yield "recovery", f"{robot}: no pose {SETTLE_S:.0f} s after the last fault"
             elif (
                 now - self._unique_since.get(robot, now) > UNIQUE_S
                 and now - self._claimed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz
             ):
-                self.fail("recovery", f"{robot}: is not localized {SETTLE_S:.0f} s after the last fault")
+                yield "recovery", f"{robot}: is not localized {SETTLE_S:.0f} s after the last fault"
 
-    def _has_newest(self, process: Process) -> None:
+    def _old_latched(self, process: Process) -> Iterator[tuple[str, str]]:
         """Every service has the newest map and models that it receives."""
         observer = self.site.observers[process]
         for key, payload in self._latched.items():
             found = channel_of(key)
             if found and found[0] in observer.inputs and observer.latched.get(key) != payload:
-                self.fail("latched", f"{process.name}: has not the newest {found[0].name}")
+                yield "latched", f"{process.name}: has not the newest {found[0].name}"
 
     def recordings(self) -> None:
         """After all has ended: what was recorded can be read, and is complete but for the stated window."""

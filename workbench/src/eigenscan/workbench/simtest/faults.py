@@ -239,9 +239,6 @@ KINDS: dict[str, Kind] = {
     ),
 }
 
-FIRST_S = 10.0
-"""Before it, nothing goes wrong."""
-
 
 def draw(seed: int, plan: Plan) -> list[Fault]:
     """The faults of a seed, in the order of their times."""
@@ -250,12 +247,12 @@ def draw(seed: int, plan: Plan) -> list[Fault]:
     places = [SITE, *(f"r{number + 1}" for number in range(plan.robots))]
     drawn = [
         Fault(
-            at=round(random.uniform(FIRST_S, FIRST_S + plan.faults_s), 3),
+            at=round(plan.first_s + random.uniform(0.0, plan.faults_s), 3),
             kind=random.choice(kinds),
             place=random.choice(places),
             part=random.randrange(6),
             amount=round(random.random(), 3),
-            lasts=round(random.uniform(0.1, 30.0), 3),
+            lasts=round(random.uniform(0.1, plan.longest_s), 3),
         )
         for _ in range(random.randint(1, 4 + 2 * plan.robots))
     ]

@@ -46,6 +46,8 @@ SITE = "site"
 
 REAL_RATE = 4
 """Factor on the rates with the real projector: one scan must see much of what the one before saw."""
+LONG_EVERY = 20
+"""One seed in so many is a long story; the others are short, so that many fit into an hour of computing."""
 FILE_MB, BUDGET_MB = 0.03, 0.15
 """Of a robot's recorder."""
 
@@ -76,6 +78,12 @@ class Plan:
     """Whether each robot has one, with a budget."""
     real: bool = False
     """Whether the projector is the real one, and the robots drive in a hall."""
+    first_s: float = 10.0
+    """Before it, nothing goes wrong."""
+    longest_s: float = 30.0
+    """Of a fault."""
+    is_short: bool = False
+    """Whether the story ends as soon as all has worked again for a while."""
 
     @classmethod
     def of(cls, seed: int, robots: int | None = None, *, real: bool = False) -> Plan:
@@ -92,6 +100,9 @@ class Plan:
             random.random() < 0.3,
             random.random() < 0.3,
         )
+        if seed % LONG_EVERY:
+            fewer, faults_s = robots or (drawn + 1) // 2, plan.faults_s / 10.0
+            plan = replace(plan, robots=fewer, faults_s=faults_s, first_s=6.0, longest_s=6.0, is_short=True)
         if not real:
             return plan
         scan_hz, odometry_hz = REAL_RATE * plan.scan_hz, REAL_RATE * plan.odometry_hz

@@ -11,12 +11,14 @@ from itertools import count
 
 from eigenscan.runtime.logs import NAME
 from eigenscan.workbench.simtest.checks import SETTLE_S, Broken, Judge
-from eigenscan.workbench.simtest.faults import FIRST_S, Fault, draw
+from eigenscan.workbench.simtest.faults import Fault, draw
 from eigenscan.workbench.simtest.site import Plan, Site
 
 RUNS_KEPT = 10
 """Runs whose remains are collected together: it takes a twentieth of a run, and each leaves a few MB."""
 _runs = count(1)
+WELL_S = 5.0
+"""For which all works before a short story ends: longer than a link takes to come back."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,16 @@ def run(
         site.begin()
         for fault in chosen:
             site.agenda.after(fault.at, lambda fault=fault: fault.begin(site))  # type: ignore[misc]
-        last = max([FIRST_S, *(fault.end for fault in chosen)])
+        last = max([plan.first_s, *(fault.end for fault in chosen)])
         end = last + SETTLE_S / min(1.0, plan.scan_hz)
+        well_since = last
         while site.agenda.now < end and not judge.broken:
             site.agenda.run(min(end, site.agenda.now + 1.0))
+            if plan.is_short and site.agenda.now >= last:
+                if not judge.all_is_well(last):
+                    well_since = site.agenda.now
+                elif site.agenda.now - well_since >= WELL_S:
+                    break
         if not judge.broken:
             judge.finish()
         for process in site.processes:
