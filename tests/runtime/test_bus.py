@@ -266,6 +266,44 @@ def test_a_slow_consumer_loses_its_own_oldest_only(net: Any, buses: Opener) -> N
     assert quick.dropped == {}
 
 
+def test_subscribers_have_no_threads_of_their_own(net: Any, buses: Opener) -> None:
+    def taken_on(bus: Bus) -> set[str]:
+        """Threads that Python starts for the bus's subscribers."""
+        before = {thread.name for thread in threading.enumerate()}
+        bus.listen([SCAN, SCAN_RAW, POSE], {"site": net.site}, Inbox())
+        return {thread.name for thread in threading.enumerate()} - before
+
+    bus = buses()
+    inside = Bus(zenoh.open(zenoh.Config.from_file(str(net.leaf))), publishes_inside=True)
+    with inside:
+        assert not taken_on(bus)
+        assert len(taken_on(inside)) == 3  # else Zenoh's thread would publish, and wait for itself
+
+
+def test_a_thread_of_zenoh_keeps_its_state_of_python_between_two_samples(net: Any, buses: Opener) -> None:
+    first, other = buses(), buses()
+    state, received = threading.local(), []
+
+    class Recording(Inbox):
+        def put(self, *_: Any, **__: Any) -> None:
+            state.count = getattr(state, "count", 0) + 1
+            received.append((threading.get_native_id(), state.count))
+
+    first.listen([SCAN], {"site": net.site}, Recording())
+    scan = Envelope(SCAN, {"site": net.site, "robot": "r", "lidar": "front"}, Scan())
+    assert other.wait_for_listener(scan.key, PATIENCE_S)
+    deadline = time.monotonic() + PATIENCE_S
+    while len(received) < 10 and time.monotonic() < deadline:
+        other.publish(scan)
+        time.sleep(0.01)
+    threads = {thread for thread, _ in received}
+    assert len(received) >= 10
+    # numbered on through all samples of a thread, not begun anew with each
+    assert sum(max(count for thread, count in received if thread == each) for each in threads) == len(
+        received
+    )
+
+
 def test_deleting_a_key_is_no_empty_message(net: Any, buses: Opener) -> None:
     speaker, subscriber = buses(), buses()
     inbox = Inbox()

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import zenoh
+from eigenscan.runtime.callback import at_once
 from eigenscan.runtime.clock import Later, later
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.inbox import Arrival, Inbox
@@ -54,13 +55,20 @@ class Bus:
     """One service's connection; safe to use from several threads. Closing it undeclares all."""
 
     def __init__(
-        self, session: zenoh.Session, exchange: Exchange | None = None, after: Later = later
+        self,
+        session: zenoh.Session,
+        exchange: Exchange | None = None,
+        after: Later = later,
+        *,
+        publishes_inside: bool = False,
     ) -> None:
         """`exchange`: the other services of this process.
 
-        They share the session, so closing leaves it open.
+        They share the session, so closing leaves it open. `publishes_inside`: an inbox's `on_put` publishes,
+        so each subscription has a thread: Zenoh's own, which reads the socket, must not wait for room there.
         """
         self._session, self._exchange, self._after = session, exchange, after
+        self._publishes_inside = publishes_inside
         self._idle: list[Any] = []
         self._publishers: RecentlyUsed[str, Any] = RecentlyUsed(self._idle.append)
         self._latched: dict[str, tuple[Channel, bytes, zenoh.Timestamp]] = {}
@@ -86,7 +94,7 @@ class Bus:
 
         self._declared.append(
             self._session.declare_subscriber(
-                HEALTH.key(address), on_health, allowed_origin=zenoh.Locality.REMOTE
+                HEALTH.key(address), at_once(on_health), allowed_origin=zenoh.Locality.REMOTE
             )
         )
 
@@ -169,9 +177,9 @@ class Bus:
         if self._exchange is not None:
             origin = zenoh.Locality.REMOTE
             self._exchange.listen(selector, intake)
-        subscriber: Any = self._session.declare_subscriber(
-            selector, handler or intake.on_sample, allowed_origin=origin
-        )
+        if handler is None:
+            handler = intake.on_sample if self._publishes_inside else at_once(intake.on_sample)
+        subscriber: Any = self._session.declare_subscriber(selector, handler, allowed_origin=origin)
         self._declared.append(subscriber)
         return subscriber
 

@@ -321,10 +321,12 @@ class Node:
         address = {"site": settings.site}
         if settings.robot != "*":
             address["robot"] = settings.robot
-        if self._shared:
-            bus = self._bus = Bus(session, self._shared.exchange, self._shared.after)
+        shared, inside = self._shared, self.service.prompt
+        if shared:
+            bus = Bus(session, shared.exchange, shared.after, publishes_inside=inside)
         else:
-            bus = self._bus = Bus(session)
+            bus = Bus(session, publishes_inside=inside)
+        self._bus = bus
         apart = (*self._port.channels, TICK)
         inputs = [channel for channel in core.inputs if channel not in apart]
         bus.offer([channel for channel in core.outputs if channel not in apart], address)

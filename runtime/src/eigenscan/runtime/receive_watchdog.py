@@ -11,6 +11,7 @@ import threading
 from typing import Any
 
 import zenoh
+from eigenscan.runtime.callback import at_once
 from eigenscan.runtime.link_watchdog import is_linked
 from eigenscan.schemas.channels import ALIVE_TEMPLATE, HEALTH
 
@@ -56,9 +57,9 @@ class ReceiveWatchdog:
         self._tokens = ALIVE_TEMPLATE.format(**address, service="*", contract="*")
         return [
             session.declare_subscriber(
-                HEALTH.selector(address), on_health, allowed_origin=zenoh.Locality.REMOTE
+                HEALTH.selector(address), at_once(on_health), allowed_origin=zenoh.Locality.REMOTE
             ),
-            session.liveliness().declare_subscriber(self._tokens, on_token, history=True),
+            session.liveliness().declare_subscriber(self._tokens, at_once(on_token), history=True),
         ]
 
     def is_lost(self, session: zenoh.Session) -> bool:

@@ -28,11 +28,11 @@ def make_core(options: TrackerOptions, clock: Clock = time) -> Core:
 
 
 def patience_s(options: TrackerOptions) -> float:
-    """How long odometry may wait for hypotheses, s: half of the time between two transforms.
+    """How long odometry may wait for hypotheses, s: the time between two transforms.
 
     Not at all where a pose waits for odometry.
     """
-    return 0.5 / options.transform_hz if options.at_once else 0.0
+    return 1.0 / options.transform_hz if options.at_once else 0.0
 
 
 SERVICE = Service(

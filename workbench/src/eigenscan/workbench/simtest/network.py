@@ -99,6 +99,8 @@ class Declared:
     """A subscriber, a queryable or a token, until it is undeclared."""
 
     def __init__(self, session: Session, key: str, callback: Any = None, **more: Any) -> None:
+        if isinstance(callback, zenoh.handlers.Callback):  # in whose thread makes no difference here
+            callback = callback.callback
         self.session, self.key, self.callback, self.more = session, key, callback, more
         self.expression = expression(key)
         self.seen: set[str] = set()
