@@ -4,21 +4,25 @@
     .venv/bin/python benchmarks/lifts.py --maps intel/map.yaml fr079/map.yaml [--rides 100]
 
 A robot drives 2.5 m to the cabin, turns around in it while it sees its walls alone, and drives out on another
-floor, through scan-ingest, projector and tracker as they are on a robot. Kinds of stack: `unlike` (two floors
-with nothing in common, the robot gets out anywhere), `refurnished` (one plan twice, each with half of its
-furniture; the lift is at the same place) and `alike` (one and the same floor twice). With `--maps` the floors
-are real maps of one cell size. A ride counts if a pose was claimed on the first floor; on floors that are
-alike none must be. Where the lift is at the same place, the floors differ for a ride if in its first second
-more beams see another range on the two floors than people hide.
+floor, through scan-ingest, projector and tracker as they are on a robot. A ride ends once the robot was right
+for half a second, or 2.5 m out. Where the robot may get out anywhere, ten rides share their way in.
+
+Kinds of stack: `unlike` (two floors with nothing in common), `refurnished` (one plan twice, each with half of
+its furniture; the lift is at the same place) and `alike` (one and the same floor twice). With `--maps` the
+floors are real maps of one cell size. A ride counts if a pose was claimed on the first floor; on floors that
+are alike none must be. Where the lift is at the same place, the floors differ for a ride if in its first
+second more beams see another range on the two floors than people hide.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -58,12 +62,18 @@ BEAMS, FIELD_RAD, REACH_M, NOISE_M, PEOPLE = 541, np.radians(270.0), 25.0, 0.01,
 BEARINGS = np.linspace(-0.5 * FIELD_RAD, 0.5 * FIELD_RAD, BEAMS)
 ROOM_M = 0.5
 """More than the way that must be free ahead."""
+INSIDE = 0.5
+"""Of the beams that end within reach, at least: real maps also have free cells outside of the walls."""
 RIGHT_M = 0.5
 SOON_S = 1.0
 DIFFER_M = 0.3
 """Ranges that differ by more show which floor it is: six cells of a map."""
 SHARES = (0.01, 0.02, PEOPLE, 0.1, 0.2)
 """Of the beams that differ: the summary's rows end at these."""
+HELD = 5
+"""Right poses in a row after which a ride ends."""
+EXITS = 10
+"""Rides that share one way in, where the robot may get out anywhere."""
 EVERY = 500
 """Rides between two lines, so that what was done so far is known."""
 
@@ -106,19 +116,37 @@ class Building:
         for published in (Envelope(MAP, {"site": "s"}, to_message(grid, site.frame_id)), *self.models):
             self.projector.handle(published)
 
-    def ride(self, number: int) -> Ride:
-        """One ride, always the same by its number."""
-        rng = np.random.default_rng(number)
+    def rides(self, numbers: Sequence[int]) -> Iterator[Ride]:
+        """Rides, each always the same by its number."""
+        exits = 1 if self.same_place else EXITS
+        for way, own in groupby(numbers, lambda number: number // exits):
+            rng = np.random.default_rng(way)
+            begin, end = self._names(rng)
+            into = self._exit(begin, rng, end if self.same_place else None)
+            robot, claimed = self._ride_in(begin, into, rng)
+            for number in own:
+                rng = np.random.default_rng([way, number])
+                left = [name for name in self.floors if name != begin]
+                floor = end if self.same_place else left[int(rng.integers(len(left)))]
+                out = into if self.same_place else self._exit(floor, rng)
+                ride = _ride(number, claimed, self._ride_out(robot.again(rng), floor, out))
+                if self.same_place:
+                    differs, nearer = self._differ(begin, end, out)
+                    ride = replace(ride, differs=differs, nearer=nearer)
+                yield ride
+
+    def _names(self, rng: np.random.Generator) -> tuple[str, str]:
         names = list(self.floors)
         begin, end = (names[i] for i in rng.permutation(len(names))[:2])
-        out = self._exit(end, rng, begin if self.same_place else None)
-        into = out if self.same_place else self._exit(begin, rng)
+        return begin, end
+
+    def _ride_in(self, begin: str, into: Array, rng: np.random.Generator) -> tuple[_Robot, bool]:
+        """A robot that drove to the cabin and turned around in it, and whether it claimed a pose before."""
         tracker = TrackerCore(TrackerSettings())
         for published in self.models:
             if published.channel == MODEL_SET:
                 tracker.handle(published)
-        loop = Loopback([ScanIngestCore(ScanIngestSettings()), self.projector, tracker])
-        robot = _Robot(loop, rng)
+        robot = _Robot(ScanIngestCore(ScanIngestSettings()), self.projector, tracker, rng)
         before: list[PoseEstimate] = []
         for ahead in np.arange(WAY_M, STEP_M, -STEP_M):
             at = compose(compose(into, [ahead, 0.0, 0.0]), [0.0, 0.0, np.pi])
@@ -128,18 +156,18 @@ class Building:
                 np.abs(np.cos(BEARINGS + turned)), np.abs(np.sin(BEARINGS + turned))
             )
             robot.see(square, [0.0, 0.0, np.pi / (TURN_SCANS - 1)])
-        after = [
-            (step, [self._judge(end, compose(out, [STEP_M * step, 0.0, 0.0]), one) for one in published])
-            for step in range(round(WAY_M / STEP_M))
-            for published in [
-                robot.see(self._scan(end, compose(out, [STEP_M * step, 0.0, 0.0])), [STEP_M, 0.0, 0.0])
-            ]
-        ]
-        ride = _ride(number, any(one.state == STATE_LOCALIZED for one in before[-5:]), after)
-        if not self.same_place:
-            return ride
-        differs, nearer = self._differ(begin, end, out)
-        return replace(ride, differs=differs, nearer=nearer)
+        return robot, any(one.state == STATE_LOCALIZED for one in before[-5:])
+
+    def _ride_out(self, robot: _Robot, end: str, out: Array) -> list[tuple[int, list[str]]]:
+        """What each pose on the way out is worth, by step."""
+        after: list[tuple[int, list[str]]] = []
+        for step in range(round(WAY_M / STEP_M)):
+            at = compose(out, [STEP_M * step, 0.0, 0.0])
+            seen = robot.see(self._scan(end, at), [STEP_M, 0.0, 0.0])
+            after.append((step, [self._judge(end, at, one) for one in seen]))
+            if len(after) >= HELD and all("right" in worth for _, worth in after[-HELD:]):
+                break
+        return after
 
     def _differ(self, begin: str, end: str, out: Array) -> tuple[float, float]:
         """Shares of the beams that differ, and that end nearer, in the first second out of the lift."""
@@ -157,7 +185,10 @@ class Building:
 
     def _clear(self, name: str, pose: Array) -> bool:
         fan = np.radians([-8.0, 0.0, 8.0])
-        return bool(self.casters[name].cast(pose, fan, REACH_M)[0].min() > WAY_M + ROOM_M)
+        if self.casters[name].cast(pose, fan, REACH_M)[0].min() <= WAY_M + ROOM_M:
+            return False
+        ends = [self._scan(name, compose(pose, [ahead, 0.0, 0.0])) for ahead in (0.0, WAY_M)]
+        return bool(np.min(np.mean(np.array(ends) < REACH_M, axis=1)) >= INSIDE)
 
     def _scan(self, name: str, pose: Array) -> Array:
         return np.asarray(self.casters[name].cast(pose, BEARINGS, REACH_M)[0], dtype=np.float64)
@@ -177,10 +208,19 @@ class Building:
 class _Robot:
     """Gives scans and odometry to the pipeline; odometry drifts by 2 % and 1 degree a metre."""
 
-    def __init__(self, loop: Loopback, rng: np.random.Generator) -> None:
-        self._loop, self._rng = loop, rng
+    def __init__(
+        self, ingest: ScanIngestCore, projector: ProjectorCore, tracker: TrackerCore, rng: np.random.Generator
+    ) -> None:
+        self._projector, self._rng = projector, rng
+        self._loop = Loopback([ingest, projector, tracker])
         self._odometry, self._at = np.zeros(3), 1_000_000_000
-        loop.start()
+        self._loop.start()
+
+    def again(self, rng: np.random.Generator) -> _Robot:
+        """A second robot with the same past. The projector knows maps alone, so both share it."""
+        other = copy.deepcopy(self, {id(self._projector): self._projector})
+        other._rng = rng
+        return other
 
     def see(self, ranges: Array, step: Sequence[float]) -> list[PoseEstimate]:
         """Poses that follow from one scan, taken after the robot moved by `step` (3,)."""
@@ -298,8 +338,8 @@ def main() -> None:
     reported: list[dict[str, Any]] = []
     for kind, building in _chosen(arguments):
         rides: list[Ride] = []
-        for number in range(arguments.first, arguments.first + arguments.rides):
-            rides.append(building.ride(number))
+        for ride in building.rides(range(arguments.first, arguments.first + arguments.rides)):
+            rides.append(ride)
             if len(rides) % EVERY == 0 and len(rides) < arguments.rides:
                 print(summary(kind, rides), flush=True)
         reported.append(summary(kind, rides) | {"each": [asdict(one) for one in rides]})
