@@ -4,7 +4,8 @@
         [--scans 60] [--json OUT]
 
 A log's scans are cut to what other sensors would have seen: one or several sectors, each with a field of view
-and a reach. `two lidars` publishes both sectors under a name each, `fused` as one scan.
+and a reach. `two lidars` publishes both sectors under a name each, `fused` as one scan; `gathered over 3 m`
+is what the bridge makes of them with `gather = 3`.
 A window succeeds as in maps.py. The datasets are not part of the project.
 """
 
@@ -19,7 +20,8 @@ from typing import Any
 
 import numpy as np
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.ros_bridge.gathering import Gathering
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.evaluation.log import Log, Received, read_log
@@ -30,6 +32,7 @@ from eigenscan.workbench.evaluation.windows import plan_scans, plan_windows, thi
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
 from evaluate import CASES, DATASETS
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from maps import LAST_SHARE, SPACING
 
 
@@ -42,6 +45,7 @@ class Eyes:
     field_of_view: float
     reach: float
     fused: bool = False
+    gather: float = 0.0
 
     def see(self, raw: RawScan) -> Iterator[tuple[str, RawScan]]:
         """What they see of a scan, each sector under its own name, or all under one."""
@@ -62,6 +66,9 @@ EYES = (
     Eyes("240°, 5.6 m", (0.0,), 240.0, 5.6),
     Eyes("90°, 8 m", (0.0,), 90.0, 8.0),
     Eyes("60°, 4 m", (0.0,), 60.0, 4.0),
+    Eyes("90°, 8 m, gathered over 3 m", (0.0,), 90.0, 8.0, gather=3.0),
+    Eyes("60°, 4 m, gathered over 3 m", (0.0,), 60.0, 4.0, gather=3.0),
+    Eyes("60°, 4 m, gathered over 6 m", (0.0,), 60.0, 4.0, gather=6.0),
     Eyes("60°, 4 m, ahead and behind: two lidars", (0.0, 180.0), 60.0, 4.0),
     Eyes("60°, 4 m, ahead and behind: fused", (0.0, 180.0), 60.0, 4.0, fused=True),
 )
@@ -70,11 +77,17 @@ EYES = (
 def cut(log: Log, eyes: Eyes) -> Log:
     """The log as the eyes would have recorded it."""
     received = []
+    gathering = Gathering(eyes.gather) if eyes.gather else None
     for envelope in log.whole:
+        if envelope.channel is ODOMETRY and gathering is not None:
+            gathering.receive_odometry(envelope.open(Odometry))
         if envelope.channel is not SCAN_RAW:
             received.append(Received(envelope.stamp, envelope))
             continue
-        for name, raw in eyes.see(envelope.open(RawScan)):
+        for name, own in eyes.see(envelope.open(RawScan)):
+            raw = gathering.gather(own) if gathering is not None else own
+            if raw is None:
+                continue
             address = {**envelope.address, "lidar": name}
             received.append(Received(envelope.stamp, Envelope(SCAN_RAW, address, raw)))
     return Log(received, log.logged)

@@ -8,12 +8,14 @@ from functools import partial
 from typing import Any
 
 from eigenscan.geometry.gridmap import MapError
+from eigenscan.geometry.normalize import ScanError
 from eigenscan.geometry.pose import to_message
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
 from eigenscan.ros_bridge.cloud import CloudError, Slice
 from eigenscan.ros_bridge.diagnostics import diagnostics
 from eigenscan.ros_bridge.endpoints import NODE, Endpoint, endpoints
+from eigenscan.ros_bridge.gathering import LIDAR, Gathering
 from eigenscan.ros_bridge.gyroscope import HeadingSum
 from eigenscan.ros_bridge.inbound import (
     frame_name,
@@ -94,6 +96,7 @@ class RosBridgeCore:
         self._heading = HeadingSum(self._counts)
         self._floor = floor_name(PoseEstimate())
         self._slice = Slice(settings.slice_low, settings.slice_high)
+        self._gathering = Gathering(settings.gather) if settings.gather else None
         self._estimate: PoseEstimate | None = None  # since the tracker's last health
         sources = (*self._ends.scans, *self._ends.clouds)
         self._lacks = "no scan yet on " + ", ".join(source.name for source in sources)
@@ -173,10 +176,27 @@ class RosBridgeCore:
                 self._counts[f"set_aside_{error.reason}"] += 1
                 self._lacks = f"{endpoint.name}: {error}"
                 return
-            self._lacks = ""
-            yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
+            if self._gathering is None:
+                self._lacks = ""
+                yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
+            else:
+                yield from self._gathered(self._gathering, message)
 
         return receive
+
+    def _gathered(self, gathering: Gathering, message: RawScan) -> Iterator[Envelope]:
+        if not gathering.knows(message):
+            self._counts["set_aside_no_odometry"] += 1
+            self._lacks = "no odometry of the scans' time yet, to gather them by"
+            return
+        self._lacks = ""
+        try:
+            gathered = gathering.gather(message)
+        except ScanError as error:
+            self._counts[f"set_aside_{error.reason}"] += 1
+            return
+        if gathered is not None:
+            yield Envelope(SCAN_RAW, {**self._address, "lidar": LIDAR}, gathered)
 
     def _scan(self, body: Any) -> RawScan:
         mount, upside_down = self._mounts.of(frame_name(body.header.frame_id))
@@ -224,6 +244,8 @@ class RosBridgeCore:
 
     def _moved(self, message: Odometry) -> Envelope:
         self._mounts.receive_base(message.body_frame_id)
+        if self._gathering is not None:
+            self._gathering.receive_odometry(message)
         return Envelope(ODOMETRY, self._address, message)
 
     def _receive_initial_pose(self, data: bytes) -> Iterable[Envelope]:

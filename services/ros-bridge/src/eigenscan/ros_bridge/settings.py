@@ -26,6 +26,12 @@ class RosBridgeSettings(BaseModel):
     )
     slice_low: float = Field(0.1, ge=-10.0, le=10.0, description="m above the base, of a slice")
     slice_high: float = Field(0.6, ge=-10.0, le=10.0, description="m above the base, of a slice")
+    gather: float = Field(
+        0.0,
+        ge=0.0,
+        le=50.0,
+        description="m driven over which narrow scans are gathered, by odometry, to one; 0: not",
+    )
     odom: str = Field("odom", description="topic of Odometry, while tf has none; empty: tf only")
     odom_frame: str = Field(
         "odom",
@@ -96,6 +102,12 @@ class RosBridgeSettings(BaseModel):
     def _has_slice(self) -> RosBridgeSettings:
         if self.slice_low >= self.slice_high:
             raise ValueError(f"slice_high = {self.slice_high:g} is not above slice_low = {self.slice_low:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _knows_mounts(self) -> RosBridgeSettings:
+        if self.gather and not self.mounts_from_tf:
+            raise ValueError("gather needs mounts_from_tf")
         return self
 
     @field_validator("scan", "points")
