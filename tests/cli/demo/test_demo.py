@@ -88,6 +88,21 @@ def test_headless_demo_finds_the_robot_twice_and_leaves_nothing_running(tmp_path
     _recording_holds_the_way_of_the_data(tmp_path / "out/demo.mcap")
 
 
+def test_the_real_robot_is_found_lost_and_found_again(tmp_path: Path) -> None:
+    command = [*DEMO, "--real", "--headless", "--out", str(tmp_path / "out")]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "found itself again" in ended.stdout
+    assert re.search(r"^  claims +\d+, 0 wrong$", ended.stdout, re.MULTILINE)
+
+
+def test_the_real_robot_has_its_own_map(tmp_path: Path) -> None:
+    command = [*DEMO, str(tmp_path / "map.yaml"), "--real"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 2
+    assert "--real has its own map" in ended.stderr
+
+
 def _recording_holds_the_way_of_the_data(path: Path) -> None:
     records = [record.envelope for record in read(path)]
     counts = {channel.name: sum(record.channel is channel for record in records) for channel in CHANNELS}

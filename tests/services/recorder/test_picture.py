@@ -212,8 +212,11 @@ def test_the_scan_lies_where_the_pose_of_its_stamp_puts_it(tmp_path: Path, pose_
     assert np.array(points)[:, :2] == pytest.approx(np.array(expected), abs=1e-5)
 
 
-def test_a_lost_robot_is_not_drawn_anywhere(tmp_path: Path) -> None:
-    lost = PoseEstimate(timestamp=stamp(2 * S), state=STATE_LOST, track_id=0)
+@pytest.mark.parametrize("track", [0, 7], ids=["no track", "an improbable track"])
+def test_a_lost_robot_is_not_drawn_anywhere(tmp_path: Path, track: int) -> None:
+    lost = PoseEstimate(
+        timestamp=stamp(2 * S), state=STATE_LOST, track_id=track, pose=to_message([3.0, 2.0, 0.0])
+    )
     draw(
         tmp_path / "a.rrd",
         [Envelope(SCAN, ADDRESS, one_scan()), localized(S, [1.0, 1.0, 0.0]), Envelope(POSE, ADDRESS, lost)],

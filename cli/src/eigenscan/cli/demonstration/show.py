@@ -1,4 +1,4 @@
-"""The demo itself: a simulated robot, all services, and a judgement at the end."""
+"""The demo itself: a robot, all services, and a judgement at the end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from eigenscan.cli.launch.screen import StatusLine, error_text, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import Supervisor
 from eigenscan.fleet.view import FleetView
-from eigenscan.geometry.gridmap import GridMap, write_map
+from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import from_message
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
@@ -28,7 +28,8 @@ from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode
 from eigenscan.workbench.simulation.live import publish
-from eigenscan.workbench.simulation.stage import Scenario, Stage
+from eigenscan.workbench.simulation.recorded import Recorded
+from eigenscan.workbench.simulation.stage import Stage
 from eigenscan.workbench.simulation.verdict import Sighting, Stretch, judge
 
 OPEN_S = 30.0
@@ -44,21 +45,20 @@ LAST_WORDS_S = 5.0
 
 
 class Demonstration:
-    """One run of the demo; all its files go to `folder`. Raises MapError if the robot fits nowhere.
+    """One run of the demo; all its files go to `folder`.
 
     `figures`: results before and after the kidnap, after the end.
     """
 
     def __init__(
         self,
-        grid: GridMap,
-        scenario: Scenario,
+        stage: Stage | Recorded,
         folder: Path,
         speed: float,
         viewer: bool,
         to_stderr: bool = False,
     ) -> None:
-        self._stage = Stage(grid, scenario)
+        self._stage = stage
         self._folder, self._speed, self._viewer = folder, speed, viewer
         self._stop = StopEvent()
         self._line = StatusLine(to_stderr)

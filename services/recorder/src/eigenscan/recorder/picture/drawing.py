@@ -55,7 +55,7 @@ The **bar on top** shows the state:
 - **thin black circle**: the protection level; with at most the configured risk the true position is outside
 - **blue points**: the scan, drawn at that pose; it lies on the walls when the pose is right
 - **red points**: unexpected; the map does not explain them
-- **black arrow**: the true pose, from a simulator
+- **black arrow**: the true pose, where it is known
 - **orange arrows**: the best hypotheses of the last scan; grey: improbable
 - **purple lines**: tracks and their past, from 1 % on; grey: improbable
 - **blue arrow with an ellipse**: the last relocation

@@ -13,7 +13,7 @@ from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state
 from eigenscan.recorder.picture.shapes import Array32, arrows, circle, ellipse, is_place, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
 SCAN_AGE_NS = 500_000_000
@@ -59,7 +59,7 @@ class RobotPicture:
             return
         self._state[robot] = message.state
         pose = from_message(message.pose)
-        if not message.track_id or not is_place(pose):
+        if message.state == STATE_LOST or not message.track_id or not is_place(pose):
             self._forget(robot, stamp)
             return
         self._draw_robot(robot, stamp, pose, message)
