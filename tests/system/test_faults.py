@@ -100,39 +100,6 @@ def test_a_second_mapbuilder_stands_in_for_the_first(models: Path, house: House)
     house.until("projector", lambda health: health.detail == f"model {version[:12]}", "has models")
 
 
-@pytest.mark.dataset
-def test_each_service_may_be_killed_and_started_again(drive: Drive, models: Path, house: House) -> None:
-    start_all(house, models)
-    scans = iter(scans_of(drive, 150))
-    drive_on(house, scans)
-    for victim in ("scan-ingest", "projector", "tracker", "mapbuilder"):
-        house.kill(victim)
-        send(house, SCAN_RAW, next(scans), lidar="front")
-        house.start(victim, *(("--model", models) if victim == "mapbuilder" else ()))
-        house.until("projector", ready, "has models")
-        claims = drive_on(house, scans)
-        assert claims, f"not localized again within ten scans after {victim} was killed"
-        assert not wrong(claims)
-        for service in ORDER:
-            assert house.running[service].poll() is None, f"{service} ended\n{house.log(service)}"
-
-
-@pytest.mark.dataset
-@pytest.mark.parametrize(
-    "order", [ORDER, ORDER[::-1], ("projector", "scan-ingest", "recorder", "mapbuilder", "tracker")]
-)
-def test_the_services_start_in_any_order(
-    drive: Drive, models: Path, house: House, order: tuple[str, ...]
-) -> None:
-    flags = {"mapbuilder": ("--model", models), "recorder": ("--mcap", house.logs / "site.mcap")}
-    for service in order:
-        house.start(service, *flags.get(service, ()))
-    house.until("projector", ready, "has models")
-    claims = drive_on(house, iter(scans_of(drive, 10)))
-    assert claims
-    assert not wrong(claims)
-
-
 def drive_on(house: House, scans: Iterator[RawScan]) -> list[PoseEstimate]:
     """Publishes ten more scans; gives the claims but for the last pose, which may wait for another scan."""
     some = [next(scans) for _ in range(10)]
