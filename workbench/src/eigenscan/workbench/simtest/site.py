@@ -102,7 +102,7 @@ class Plan:
         )
         if seed % LONG_EVERY:
             fewer, faults_s = robots or (drawn + 1) // 2, plan.faults_s / 10.0
-            plan = replace(plan, robots=fewer, faults_s=faults_s, first_s=6.0, longest_s=6.0, is_short=True)
+            plan = replace(plan, robots=fewer, faults_s=faults_s, first_s=4.0, longest_s=5.0, is_short=True)
         if not real:
             return plan
         scan_hz, odometry_hz = REAL_RATE * plan.scan_hz, REAL_RATE * plan.odometry_hz
@@ -141,11 +141,10 @@ class Observer:
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """As the core."""
         if received.channel.qos.latched:
-            self.latched[received.key] = encode(received.message)
+            self.latched[received.key] = received.payload or encode(received.message)
         if self._keeps and received.channel is not TICK:
-            self.life.handled.append(
-                (self._agenda.now, received.channel, received.key, hash(encode(received.message)))
-            )
+            payload = received.payload or encode(received.message)
+            self.life.handled.append((self._agenda.now, received.channel, received.key, hash(payload)))
         return self._core.handle(received)
 
     def finish(self) -> Iterable[Envelope]:

@@ -17,8 +17,8 @@ from eigenscan.workbench.simtest.site import Plan, Site
 RUNS_KEPT = 10
 """Runs whose remains are collected together: it takes a twentieth of a run, and each leaves a few MB."""
 _runs = count(1)
-WELL_S = 5.0
-"""For which all works before a short story ends: longer than a link takes to come back."""
+WELL_S = 3.0
+"""For which all works before a short story ends: by then each service has published its health again."""
 
 
 @dataclass(frozen=True)
