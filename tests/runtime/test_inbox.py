@@ -2,12 +2,15 @@ import itertools
 import threading
 import time
 from collections import defaultdict
+from types import SimpleNamespace
 
 import pytest
+import zenoh
 from eigenscan.runtime.inbox import MOST_UNSORTED, Inbox
 from eigenscan.runtime.intake import Intake
 from eigenscan.schemas.channels import CHANNELS, MODEL, ODOMETRY, POSE, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.workbench.simtest.network import Timestamp
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -269,3 +272,26 @@ def test_samples_of_sources_wake_nobody_and_come_before_a_later_one_that_does() 
     inbox.sources.append(source)
     assert [inbox.take(60.0).payload for _ in range(2)] == [b"odometry", b"scan"]  # type: ignore[union-attr]
     assert inbox.take(0.0) is None
+
+
+def test_an_answer_is_put_after_what_came_before_it() -> None:
+    """Seed 7025: an answer overtook the previous publisher's model, which then counted as the newest."""
+    inbox = Inbox(batch_s=1.0)
+    intake = Intake([MODEL], inbox)
+
+    def sample(publisher: str, payload: bytes) -> SimpleNamespace:
+        stamp = Timestamp(len(payload), publisher)
+        return SimpleNamespace(
+            key_expr="s/model/a",
+            payload=zenoh.ZBytes(payload),
+            encoding="",
+            kind=zenoh.SampleKind.PUT,
+            timestamp=stamp,
+        )
+
+    intake.on_sample(sample("old", b"1"))
+    intake.on_reply(SimpleNamespace(ok=sample("new", b"22"), err=None))
+    payloads = []
+    while arrival := inbox.take(0.0):
+        payloads.append(arrival.payload)
+    assert payloads == [b"1", b"22"]

@@ -47,6 +47,7 @@ class Intake:
     def on_reply(self, reply: Any) -> None:
         """Takes a sample that a publisher held, or counts a missing answer."""
         if reply.ok is not None:
+            self._inbox.sort()
             self._take(reply.ok, live=False)
         else:
             self._inbox.drop("unanswered")
