@@ -416,7 +416,9 @@ class Network:
     def _travel(self, link: Link, session: Session, to: Session, action: Callable[[], None]) -> None:
         seconds = link.delay_s + link.extra_s + link.jitter_s * link.random.random()
         due = self._agenda.now_ns + round(seconds * 1e9)
-        pair = (session.name, to.name)
+        pair = (session.machine, to.machine)  # their routers share one connection
+        if session.machine == to.machine:
+            pair = (session.name, to.name)
         if link.disorder_s:
             due += round(link.random.random() * link.disorder_s * 1e9)
         else:

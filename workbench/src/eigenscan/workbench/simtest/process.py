@@ -159,19 +159,23 @@ class Process:
             self._work.keep_time()
             if self._work.step():
                 self._busy_until = self._agenda.now_ns + round(self.handling_s * 1e9)
+            if self._stop.is_woken:
+                self._stop.is_woken = False
+                self.node.report()
         except KilledError:
             self.end("killed")
             return
-        if self._stop.is_woken:
-            self._stop.is_woken = False
-            self.node.report()
         self._schedule(0.0 if len(self.node.inbox) else CONDITION_PERIOD_S)
 
     def _report_later(self, life: int) -> None:
         def publish() -> None:
             if self._life != life or not self.is_up or self.node is None:
                 return
-            self.node.report()
+            try:
+                self.node.report()
+            except KilledError:
+                self.end("killed")
+                return
             if self.node.is_deaf:
                 self.stop("deaf")
                 return

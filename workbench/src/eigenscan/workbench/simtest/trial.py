@@ -5,9 +5,11 @@ from __future__ import annotations
 import gc
 import logging
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
+from pathlib import Path
 
 from eigenscan.runtime.logs import NAME
 from eigenscan.workbench.simtest.checks import SETTLE_S, Broken, Judge
@@ -72,6 +74,10 @@ def run(
             process.stop()
         if not judge.broken:
             judge.recordings()
+    except Exception as error:
+        own = [frame for frame in traceback.extract_tb(error.__traceback__) if "eigenscan" in frame.filename]
+        where = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else "elsewhere"
+        judge.fail("crash", f"{type(error).__name__} in {where}: {error}")
     finally:
         log.setLevel(level)
         for process in site.processes:
