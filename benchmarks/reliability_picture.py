@@ -46,14 +46,14 @@ def draw_reliability(path: Path, found: dict[str, Any]) -> None:
         )
         label = f"{name}, {_error(bins)}"
         handles.append(Line2D([], [], color=colour, label=label, ls="", marker=mark, markersize=11))
-    for x, y, words in ((0.04, 0.955, "right more often than stated"), (0.96, 0.05, "too sure of itself")):
-        axis.text(x, y, words, fontsize=15, color="#777777", ha="left" if x < y else "right")
-    axis.set_title(f"When it says 90 %, is it right in 90 %?\n{_poses(every)}", fontsize=16)
+    for x, y, words in ((0.15, 0.69, "right more often than stated"), (0.96, 0.05, "too sure of itself")):
+        axis.text(x, y, words, fontsize=13, color="#777777", ha="left" if x < y else "right")
+    axis.set_title(f"Is it right as often as it states?\n{_poses(every)}", fontsize=16)
     axis.set_xlabel("stated confidence", fontsize=15)
     axis.set_ylabel("share right, within 0.5 m and 10°", fontsize=15)
     axis.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
     for side in (axis.xaxis, axis.yaxis):
-        side.set_major_formatter(matplotlib.ticker.PercentFormatter(1.0))
+        side.set_major_formatter(matplotlib.ticker.PercentFormatter(1.0, symbol=" %"))
     axis.tick_params(labelsize=13)
     axis.legend(handles=handles, title="calibration error\n(larger mark: more poses)", fontsize=12,
                 title_fontsize=12, loc="upper left", alignment="left", bbox_to_anchor=(1.01, 1.0),
@@ -65,7 +65,7 @@ def draw_reliability(path: Path, found: dict[str, Any]) -> None:
 def _poses(bins: list[Bin]) -> str:
     total = sum(b.count for b in bins)
     sure = sum(b.count for b in bins if b.confidence >= 0.9)
-    return f"{total:,} poses, {sure / max(total, 1):.0%} of them stated with 90 % or more"
+    return f"{total:,} poses; {100 * sure / max(total, 1):.0f} % state 90 % or more"
 
 
 def _error(bins: list[Bin]) -> str:

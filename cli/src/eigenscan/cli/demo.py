@@ -19,7 +19,7 @@ def demo(
         Path | None, typer.Argument(metavar="MAP", help="map_server yaml; default: the demo's own building")
     ] = None,
     real: Annotated[
-        bool, typer.Option("--real", help="a real robot's log: 27 s in the Intel Research Lab, 2003")
+        bool, typer.Option("--real", help="a real robot's log instead: 35 s in the Intel Research Lab")
     ] = False,
     headless: Annotated[
         bool, typer.Option("--headless", help="no viewer; ends by itself, exit code 1 if not found again")

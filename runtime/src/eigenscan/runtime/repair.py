@@ -9,7 +9,7 @@ from typing import IO, cast
 
 from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
 from eigenscan.runtime.recording.files import refuse_bomb
-from mcap.exceptions import EndOfFile
+from mcap.exceptions import EndOfFile, InvalidMagic
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
@@ -88,7 +88,8 @@ def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
                 record = next(records, None)
             except (EndOfFile, *DAMAGE) as error:
                 if first:
-                    raise RecordingError(f"{path}: is no readable recording: {error}") from error
+                    what = "no MCAP" if isinstance(error, InvalidMagic) else error
+                    raise RecordingError(f"{path}: is no readable recording: {what}") from error
                 found.cut = True
                 return
             if record is None:

@@ -17,7 +17,7 @@ COMMANDS = {
         "eigenscan.cli.fleet.fetch:fetch",
         "fetch a robot's recordings of a period",
     ),
-    "metrics": ("eigenscan.cli.fleet.metrics:metrics", "the same for Prometheus, from one place"),
+    "metrics": ("eigenscan.cli.fleet.metrics:metrics", "serve the state of all robots to Prometheus"),
     "certify": (
         "eigenscan.cli.fleet.certify:certify",
         "make a site's certificates and configuration, or add robots",
