@@ -613,3 +613,17 @@ def test_a_range_beyond_the_ring_is_drawn_near_what_was_seen() -> None:
     alpha = [float(np.sum(offset * vector)) for vector in space.space.vectors]
     assert manifold.kept(alpha, np.array([10.9], dtype=np.float32)) == pytest.approx([10.5], abs=1e-2)
     assert manifold.kept(alpha, np.array([np.nan], dtype=np.float32)) == pytest.approx([0.5], abs=1e-2)
+
+
+def test_the_board_counts_robots_as_people_do() -> None:
+    """Urgency first; then r2 before r10, also where zeros lead or the number is no number at all."""
+    names = ["r10", "r2", "lift", "r002b", "r²"]
+    many = [
+        Line(name, "LOCALIZED", 0, LOCALIZED, "", "")
+        for name in (*names, *(f"z{n}" for n in range(MOST_BARS)))
+    ]
+    urgent = Line("r9", "LOST", 1, LOST, "", "")
+    order = [line.robot for line in shown([*many, urgent])]
+    assert order[0] == "r9"
+    assert order.index("lift") < order.index("r2") < order.index("r10")
+    assert order.index("r002b") < order.index("r10")

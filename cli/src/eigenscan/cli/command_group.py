@@ -29,7 +29,7 @@ _MISTYPED: Any = typer.BadParameter.__mro__[1]
 
 
 def _typed_wrongly(error: Exception) -> str:
-    """A mistake in the command line, in one line; empty for other errors."""
+    """One line on a mistake in the command line; empty for other errors."""
     if not isinstance(error, _MISTYPED) or type(error).__name__ == "NoArgsIsHelpError":
         return ""
     text = plain(" ".join(str(error.format_message()).split()).rstrip("."))
@@ -105,7 +105,7 @@ def _is_argument(parameter: Any) -> bool:
 
 
 def _argument(parameter: Any) -> str:
-    """How a usage line has an argument; empty for an option or a hidden one."""
+    """An argument as the usage line shows it; empty for an option or a hidden argument."""
     if not _is_argument(parameter) or getattr(parameter, "hidden", False):
         return ""
     name = parameter.metavar or parameter.name.upper()

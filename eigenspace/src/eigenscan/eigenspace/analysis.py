@@ -52,7 +52,7 @@ class Analysis:
 class RegionSpace:
     """A region's eigenspace for one kind of lidar.
 
-    `usual_error`, m^2: mean square of the error vector that nearly no scan of the region's own exceeds.
+    `usual_error`, m^2: nearly every scan taken in the region has an error vector of less mean square.
     """
 
     embedding: Embedding

@@ -122,7 +122,7 @@ def one_blas_thread() -> None:
 
 
 def _autocovariance(channels: Channels, mean: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean circular covariance (F, F, N) of two channels, by how many beams the first is ahead."""
+    """Mean circular covariance (F, F, N) of two channels, by the number of beams between them."""
     many, positions, turn = channels.shape
     power = np.zeros((many, many, turn // 2 + 1), dtype=np.complex128)
     for start in range(0, positions, _CACHED):

@@ -125,7 +125,7 @@ def publish(
 
 
 def check_place(folder: Path) -> None:
-    """Raises ModelError where `folder` is something that models must not replace."""
+    """Raises ModelError if `folder` is anything but a model folder or a free place."""
     holds_models = (folder / MANIFEST).is_file()
     if folder.exists() and not holds_models and not (folder.is_dir() and not any(folder.iterdir())):
         raise ModelError(f"{folder}: is there and holds no models: name a new folder")
@@ -171,7 +171,7 @@ def read_models(folder: Path) -> SiteModel:
 
 
 def _state(folder: Path) -> tuple[int, int] | None:
-    """Changes when another folder takes the place; None where nothing is there."""
+    """A value that changes when the folder is replaced; None if there is no folder."""
     try:
         found = folder.stat()
     except OSError:

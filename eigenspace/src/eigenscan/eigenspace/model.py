@@ -80,7 +80,7 @@ class RegionModel:
     def derive(self, analysis: Analysis) -> tuple[RegionSpace, NDArray[np.float32]]:
         """The region's eigenspace for another kind of lidar, and the coefficients (S, H, M) there.
 
-        Of the positions that `searched` names: as of `sampled`.
+        The coefficients are of the positions that `searched` names, as `sampled` gives them.
         """
         return _derived(self.ranges, self.range_unit, self.index, self.spacing, analysis)
 

@@ -51,7 +51,7 @@ def kept_in(folder: Path) -> Path:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Waits until no other writer changes `folder`. Without effect on a file system without locks."""
+    """Waits until no other writer changes `folder`. Has no effect on a file system without locks."""
     parent = os.open(folder.parent, os.O_RDONLY)
     try:
         with suppress(OSError):

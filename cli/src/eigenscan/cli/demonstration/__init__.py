@@ -1,1 +1,1 @@
-"""The demo: a show with a judgement at its end."""
+"""The demo, and the judgement at its end."""

@@ -1,1 +1,1 @@
-"""The services as child processes of this command: started, watched, listened to, ended."""
+"""Starts the services as child processes of this command, watches them, and ends them."""

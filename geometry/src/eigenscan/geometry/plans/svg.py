@@ -20,7 +20,7 @@ HREF = "{http://www.w3.org/1999/xlink}href"
 SMOOTH = 0.05
 """m between the points that a curve becomes."""
 MOST_POINTS = 1000
-"""A curve becomes at most so many."""
+"""A curve becomes at most this many lines."""
 CHORDS = 4
 """Number of chords that approximate a curve's length."""
 MOST_CURVED = 50_000

@@ -36,7 +36,7 @@ def make_core(options: MapbuilderOptions) -> Core:
 
 
 BATCH_S = 0.2
-"""Nobody waits for what follows from a scan: a thread that wakes for each costs more than the scan."""
+"""Scans may wait, since nobody waits for an answer: to wake for each costs more than the scan itself."""
 
 SERVICE = Service("mapbuilder", MapbuilderOptions, make_core, batch_s=lambda _: BATCH_S)
 

@@ -40,7 +40,7 @@ def build_pieces(
     progress: Progress = lambda _step, _share: None,
     engine: Engine | None = None,
 ) -> tuple[Mapping[str, Piece], int]:
-    """All pieces of the site by their regions' names, and the number of those that existed before.
+    """All pieces of the site by their regions' names, and how many of them existed before.
 
     They equal those of build_site, with any engine; the default is this process's threads.
     """

@@ -28,7 +28,7 @@ class SpaceStore(Protocol):
     """Keeps spaces between runs of the process."""
 
     def load_spaces(self) -> dict[Analysis, Made]:
-        """All that is kept with the models in use."""
+        """Loads all spaces that are kept with the models in use."""
         ...
 
     def save_spaces(self, analysis: Analysis, made: Made) -> None:

@@ -95,11 +95,11 @@ class SensorView:
 
     @property
     def usual_error(self) -> NDArray[np.float64]:
-        """As of Tables."""
+        """See `Tables`."""
         return self.tables.usual_error
 
     def admit(self, wanted: Flags, order: NDArray[np.float64]) -> None:
-        """As of Tables."""
+        """See `Tables`."""
         self.tables.admit(wanted, order)
         self._show()
 
@@ -200,7 +200,7 @@ class Site:
         return key in self._views and key not in self._passing
 
     def abandon(self) -> None:
-        """Ends the work aside for its views."""
+        """Stops the background work for its views."""
         for view in self._views.values():
             view.tables.abandoned = True
 
@@ -210,9 +210,9 @@ class Site:
         return [self._sensors[key] for key in self._views if key not in self._passing]
 
     def view(self, sensor: Sensor, *, passing: bool = False) -> SensorView:
-        """The site for `sensor`; made at its first scan. Where its first beam looks makes no difference.
+        """The site for `sensor`; made at its first scan. The heading of its first beam makes no difference.
 
-        `passing`: of a single query. Such views make room first, so that no robot's lidar loses its own.
+        `passing`: for a single query. Such views are dropped first, so that no robot's lidar loses its own.
         """
         coarse = coarse_sensor(sensor)
         key = (coarse.beams, coarse.range_max)
@@ -241,7 +241,7 @@ class Site:
 
 
 def untouched(rows: int, columns: int) -> Steps:
-    """An array that takes memory where it is written, in small pages: few rows of many are."""
+    """An array that takes memory only where it is written, in small pages: few of its rows are."""
     memory = mmap.mmap(-1, max(2 * rows * columns, 1))
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         with suppress(OSError):  # a kernel without large pages

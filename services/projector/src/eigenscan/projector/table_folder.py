@@ -74,7 +74,7 @@ class TableFolder:
             self._counts["tables_kept"] += 1
 
     def set_aside(self, name: str) -> None:
-        """Renames the arrays saved as `name`, unless that was done already."""
+        """Renames the arrays saved as `name`, once."""
         self._counts["tables_damaged"] += 1
         aside = self._folder / f"{name}{ASIDE}"
         shutil.rmtree(aside, ignore_errors=True)

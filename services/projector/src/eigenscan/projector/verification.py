@@ -37,18 +37,18 @@ EMPTY_WEIGHT = 0.5
 
 
 def predicted(panoramas: NDArray[np.float32], beams: int, range_max: float) -> Steps:
-    """Panoramas (P, N) clipped, in STEPS, with their first beams once more behind their last: (P, W)."""
+    """Panoramas (P, N) clipped, in STEPS, with their first beams repeated after their last: (P, W)."""
     around = np.arange(width(beams)) % panoramas.shape[1]
     return _in_steps(np.minimum(panoramas, np.float32(_cap(range_max))))[:, around]
 
 
 def width(beams: int) -> int:
-    """W: beams of a panorama with what comes once more, for a scan of so many and the windows beside."""
+    """W: beams of a panorama and those repeated, for a scan of this many beams and the windows beside it."""
     return ANALYSIS_TURN + _room(beams) + 2
 
 
 def _room(beams: int) -> int:
-    """A whole number of vectors, for the rest of a loop is slow."""
+    """Rounds up to whole vectors, because the rest of a loop is slow."""
     return -(-beams // _LANES) * _LANES
 
 
@@ -108,8 +108,8 @@ def overshot(
 ) -> NDArray[np.float32]:
     """Whether `beams` (B,) of poses (n, 3) near positions `home` (n,) went through a wall: (n, B), 1 or 0.
 
-    By the nearest panorama, half a grid cell off: what costs nothing, for what needs no more. `leaves` as of
-    `predicted`; `seen` (B,) are the beams' ranges.
+    Uses the nearest panorama, up to half a grid cell away: it costs nothing and is exact enough here.
+    `leaves` as of `predicted`; `seen` (B,) are the beams' ranges.
     """
     out = np.empty((len(poses), len(beams)), dtype=np.float32)
     grid = lattice.positions, lattice.neighbours, lattice.spacing

@@ -69,7 +69,7 @@ class WallField:
 def cells_of(
     map_in_field: NDArray[np.float64], cell: float, poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """For compiled code: as of WallField."""
+    """`WallField.cells_of` for compiled code."""
     cos, sin = np.cos(map_in_field[2]), np.sin(map_in_field[2])
     out = np.empty(poses.shape)
     for i in range(len(poses)):

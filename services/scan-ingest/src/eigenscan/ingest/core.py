@@ -81,7 +81,7 @@ class ScanIngestCore:
         self._recent: deque[str] = deque(maxlen=RECENT)
 
     def start(self) -> Iterable[Envelope]:
-        """Nothing is published unasked."""
+        """Publishes nothing."""
         return ()
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
@@ -106,7 +106,7 @@ class ScanIngestCore:
         return (*motion, Envelope(SCAN, received.address, scan))
 
     def finish(self) -> Iterable[Envelope]:
-        """Nothing is held back."""
+        """Publishes nothing: no scan waits here."""
         return ()
 
     def condition(self) -> Condition:

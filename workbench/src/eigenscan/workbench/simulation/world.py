@@ -163,7 +163,7 @@ BOX_AISLE = 0.8
 
 
 def put_boxes(grid: GridMap, count: int, random: np.random.Generator) -> GridMap:
-    """The map with `count` boxes more. Raises MapError where so many do not fit."""
+    """The map with `count` more boxes. Raises MapError if they do not fit."""
     cells = grid.cells.copy()
     for number in range(count):
         half = random.uniform(*BOX_SIDES, size=2) / 2

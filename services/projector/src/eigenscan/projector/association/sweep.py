@@ -61,7 +61,7 @@ class SweepTable(Association):
 
     @classmethod
     def reserved(cls, sizes: list[int], components: int, largest: float) -> SweepTable:
-        """Room for regions with so many poses each, which are filled before they are searched.
+        """Room for regions with these numbers of poses; each is filled before it is searched.
 
         Coefficients of more than `largest`, m, count as that.
         """

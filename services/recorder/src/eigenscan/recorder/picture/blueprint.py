@@ -198,7 +198,9 @@ def _legend() -> rrb.View:
 
 
 def _events() -> rrb.View:
-    return rrb.TextLogView(origin="events", name="Events")
+    # without the entity's path, which each text begins with, the time has room
+    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin="events", name="Events", columns=columns)
 
 
 def _past(window_s: float | None) -> Past:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +37,13 @@ def shown(lines: Sequence[Line]) -> list[Line]:
     if len(lines) <= MOST_BARS:
         return list(lines)
     brief = (Line(line.robot, line.state, line.urgency, line.colour, "", "") for line in lines)
-    return sorted(brief, key=lambda line: (-line.urgency, line.robot))
+    return sorted(brief, key=lambda line: (-line.urgency, _by_number(line.robot)))
+
+
+def _by_number(name: str) -> list[tuple[int, str]]:
+    """Sorts r2 before r10: texts as they are, numbers by their length first."""
+    parts = [part.lstrip("0") if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
+    return [(len(part) if number % 2 else 0, part) for number, part in enumerate(parts)]
 
 
 def draw_board(lines: Sequence[Line]) -> NDArray[np.uint8]:
