@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import zenoh
@@ -19,6 +20,7 @@ def at_once(callback: Callable[[Any], None]) -> Any:
     system calls, and memory that is given back. So the first call of a thread holds its state.
     """
 
+    @wraps(callback)
     def receive(sample: Any) -> None:
         if not hasattr(_HELD, "state"):
             _HELD.state = ctypes.pythonapi.PyGILState_Ensure()

@@ -100,7 +100,7 @@ class Declared:
 
     def __init__(self, session: Session, key: str, callback: Any = None, **more: Any) -> None:
         if isinstance(callback, zenoh.handlers.Callback):  # in whose thread makes no difference here
-            callback = callback.callback
+            callback = callback.callback.__wrapped__  # type: ignore[attr-defined]
         self.session, self.key, self.callback, self.more = session, key, callback, more
         self.expression = expression(key)
         self.seen: set[str] = set()

@@ -46,7 +46,7 @@ SITE = "site"
 
 REAL_RATE = 4
 """Factor on the rates with the real projector: one scan must see much of what the one before saw."""
-LONG_EVERY = 20
+LONG_EVERY = 50
 """One seed in so many is a long story; the others are short, so that many fit into an hour of computing."""
 FILE_MB, BUDGET_MB = 0.03, 0.15
 """Of a robot's recorder."""
