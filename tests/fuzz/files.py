@@ -751,6 +751,7 @@ def _archives(sound: bytes) -> Bytes:
         "shape of 10^40": packed({first: header("(" + "9" * 40 + ",)")}),
         "shape below 0": packed({first: header("(-1, 5)")}),
         "objects": packed({first: header("(1,)", "|O") + b"\x80\x04N."}),
+        "open header": packed({first: b"\x93NUMPY\x01\x00\x10\x00{'descr': (      "}),
         "nested header": packed({first: header("(" * 200 + ")" * 200)}),
         "long header": packed({first: b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31)}),
         "many": packed({f"{k}.npy": b"" for k in range(9000)}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ DAMAGE = (
     RuntimeError,  # of zipfile: encrypted
     NotImplementedError,  # of zipfile: another compression
     SyntaxError,  # of numpy's headers
+    tokenize.TokenError,  # of the same, where a bracket is not closed
     zipfile.LargeZipFile,
 )
 """Errors that a damaged archive may raise, besides OSError."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from eigenscan.eigenspace.archive import DAMAGE
 from numpy.typing import NDArray
 
 Arrays = dict[str, NDArray[Any]]
@@ -49,7 +50,7 @@ class TableFolder:
                     raise ValueError(f"{part}: {array.dtype} {array.shape}")
                 found[part] = array
             place.touch()
-        except (OSError, ValueError, EOFError):
+        except (OSError, *DAMAGE):
             self.set_aside(name)
             return None
         self._counts["tables_taken"] += 1
