@@ -6,6 +6,7 @@ A message that is put together number by number takes several times as long as o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -68,13 +69,13 @@ def messages(
             field = field["value"]
         field[...] = column
     content, size = rows.tobytes(), blank.nbytes
-    heads = {text: _text(number, names[0], text, size) for text in set(names[1])}
     parts: list[bytes] = []
     for i, text in enumerate(names[1]):
-        parts += heads[text], content[i * size : (i + 1) * size]
+        parts += _text(number, names[0], text, size), content[i * size : (i + 1) * size]
     return b"".join(parts)
 
 
+@lru_cache(maxsize=4096)  # a site's regions, which come with each scan
 def _text(number: int, named: int, text: str, size: int) -> bytes:
     """What comes before a message's `size` bytes: its head, and its text field."""
     encoded = text.encode()

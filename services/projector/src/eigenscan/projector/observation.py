@@ -81,7 +81,7 @@ def observe(scan: Scan) -> Observation:
         raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
     if not 0.0 <= scan.range_max < np.inf:
         raise ValueError(f"range_max = {scan.range_max} m")
-    ranges = np.array(scan.ranges, dtype=np.float32)
+    ranges = np.fromiter(scan.ranges, dtype=np.float32, count=beams)
     sensor = Sensor(scan.angle_min, step, beams, scan.range_max)
     nearest, outside, bearings = _analysis_grid(sensor)
     coarse = ranges[nearest]
