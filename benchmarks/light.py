@@ -4,8 +4,8 @@
 
 A simulated robot in the demo's building drives in real time; all services of `eigenscan run` work for it, the
 recorder writes. Ways by turns in one run, so that they meet the same machine: each service a process of its
-own (`separate`), all in one process (`together`), and, with --against, the separate processes of another
-checkout with an environment of its own (`against`). One turn before all others does not count: in it numba
+own (`separate`), all in one process (`together`), and, with --against, the same of another checkout with an
+environment of its own (`-separate`, `-together`). One turn before all others does not count: in it numba
 compiles what it then keeps. A row is the median over the turns: CPU ms a scan of each process, resident MB,
 and ms from a raw scan's publication to its pose's arrival. AMCL's figures are of the filter alone and were
 measured elsewhere (Xeon): compare ratios of this table, not these with those. Wants a quiet machine: where
@@ -54,6 +54,8 @@ COMPILING_TURNS = 4
 """On a busy machine a drive may end before the projector has compiled."""
 PATIENCE_S = 120.0
 RIGHT_M = 0.5
+OTHERS = "-"
+"""Marks the ways of the other checkout."""
 
 
 class Robot:
@@ -116,9 +118,9 @@ def services(
     recordings = folder / f"{way}-{time.monotonic_ns()}"
     pipeline = Pipeline(
         SITE, ROBOT, ["--model", str(folder / "model")], config, recordings, None, viewer=False,
-        together=way == "together",
+        together=way.endswith("together"),
     )  # fmt: skip
-    python = str(against / ".venv/bin/python") if against and way == "against" else sys.executable
+    python = str(against / ".venv/bin/python") if against and way.startswith(OTHERS) else sys.executable
     with Supervisor(folder / "logs") as supervisor, mock.patch.object(sys, "executable", python):
         pipeline.start(supervisor)
         yield {name: psutil.Process(child.process.pid) for name, child in supervisor.children.items()}
@@ -179,8 +181,9 @@ def text(rate: float, way: str, row: dict[str, Any]) -> str:
     parts = ", ".join(f"{name} {ms:.1f}" for name, ms in row["ms_per_scan"].items() if name != "all")
     sizes = ", ".join(f"{mb:.0f}" for name, mb in row["mb"].items() if name != "all")
     return (
-        f"{rate:4.0f} {way:9} {row['ms_per_scan']['all']:10.2f} {row['mb']['all']:6.0f} {row['p50_ms']:7.1f} "
-        f"{row['p99_ms']:7.1f} {row['wrong']:6.1%} {row['load']:5.1f}   {parts}; MB {sizes}"
+        f"{rate:4.0f} {way:10} {row['ms_per_scan']['all']:10.2f} {row['mb']['all']:6.0f} "
+        f"{row['p50_ms']:7.1f} {row['p99_ms']:7.1f} {row['wrong']:6.1%} {row['load']:5.1f}   "
+        f"{parts}; MB {sizes}"
     )
 
 
@@ -201,13 +204,14 @@ def main() -> None:
     parser.add_argument(
         "--ways", nargs="+", choices=["separate", "together"], default=["separate", "together"]
     )
-    parser.add_argument("--against", type=Path, help="another checkout, whose separate processes take turns")
+    parser.add_argument("--against", type=Path, help="another checkout, whose processes take turns")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    ways = [*(["against"] if given.against else []), *given.ways]
+    others = [OTHERS + way for way in given.ways] if given.against else []
+    ways = [*others, *given.ways]
     rows = []
     print(
-        f"{'Hz':>4} {'way':9} {'ms a scan':>10} {'MB':>6} {'p50 ms':>7} {'p99 ms':>7} {'wrong':>6} "
+        f"{'Hz':>4} {'way':10} {'ms a scan':>10} {'MB':>6} {'p50 ms':>7} {'p99 ms':>7} {'wrong':>6} "
         f"{'load':>5}"
     )
     with tempfile.TemporaryDirectory() as name:
@@ -220,8 +224,8 @@ def main() -> None:
             stage = Stage(grid, Scenario(seconds=length, seed=3, site=SITE, robot=ROBOT, lidar=lidar))
             messages = [one for one in stage.messages() if one.envelope.channel in (SCAN_RAW, ODOMETRY)]
             if rate == given.rates[0]:
-                for way in {"separate", *ways} - {"together"}:
-                    compile_all(session, folder, config, stage, messages, way, given.against)
+                for mark in (OTHERS, "") if given.against else ("",):
+                    compile_all(session, folder, config, stage, messages, mark + "separate", given.against)
             turns: dict[str, list[dict[str, Any]]] = {way: [] for way in ways}
             for _ in range(given.turns):
                 for way in ways:
@@ -238,10 +242,10 @@ def main() -> None:
         print(f"{'':4} {name}: {least} to {most} ms a scan, the filter alone, measured elsewhere")
     for rate in given.rates:
         of = {row["way"]: row["ms_per_scan"]["all"] for row in rows if row["hz"] == rate}
-        reported = ", ".join(
-            f"{way} {of[ways[0]] / ms:.2f} times cheaper" for way, ms in of.items() if way != ways[0]
-        )
-        print(f"at {rate:.0f} Hz, than {ways[0]}: {reported}")
+        for way in given.ways:
+            than = OTHERS + way if given.against else ways[0]
+            if way != than:
+                print(f"at {rate:.0f} Hz, {way} is {of[than] / of[way]:.2f} times cheaper than {than}")
     if given.json:
         amcl = {name: {"least_ms": a, "most_ms": b, "measured": "elsewhere"} for name, (a, b) in AMCL.items()}
         given.json.write_text(json.dumps({"light": rows, "amcl": amcl}, indent=1) + "\n", encoding="utf-8")

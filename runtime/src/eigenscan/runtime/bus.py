@@ -158,7 +158,8 @@ class Bus:
                 if channel in patient:
                     inbox.sources.append(self._wait_patiently(selector, intake))
                 else:
-                    self._subscribe(selector, intake)
+                    # copying and digesting 10 MB would keep Zenoh's thread from the scans
+                    self._subscribe(selector, intake, intake.on_sample if channel.qos.latched else None)
                 if channel.qos.latched:
                     self._follow(channel, address.get("site", "*"), selector, intake, stagger(address))
 
