@@ -58,7 +58,8 @@ def simtest(
         try:
             outcome = run(number, robots, real=projector == "real")
         except KeyboardInterrupt:
-            raise StoppedError(f"{len(found)} of {len(chosen)} seeds, {rules.total()} broke a rule") from None
+            done = f"{len(found)} of {len(chosen)} seeds, {rules.total()} broke a rule"
+            raise StoppedError(f"{done}; {_speed(site_s, took_s)}") from None
         site_s, took_s = site_s + outcome.site_s, took_s + outcome.took_s
         figures = {"seed": number, "trace": outcome.trace, "broken": [vars(one) for one in outcome.broken]}
         found.append(figures)
@@ -72,9 +73,13 @@ def simtest(
         elif explain and seed is not None and wants_words(json_file):
             typer.echo("".join(f"  {line}\n" for line in story(outcome)), nl=False)
     write_figures(found, json_file)
-    speed = f"{site_s / 3600:.2f} h of a site, {site_s / took_s:.0f} times faster than the clock"
+    speed = _speed(site_s, took_s)
     if rules:
         kinds = ", ".join(f"{rule} {count}" for rule, count in sorted(rules.items()))
         raise FailedError(f"{rules.total()} of {len(chosen)} seeds broke a rule ({kinds}); {speed}")
     if wants_words(json_file):
         typer.echo(f"{len(chosen)} seeds, nothing broke; {speed}")
+
+
+def _speed(site_s: float, took_s: float) -> str:
+    return f"{site_s / 3600:.2f} h of a site, {site_s / max(took_s, 1e-9):.0f} times faster than the clock"
