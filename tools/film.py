@@ -261,7 +261,7 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--before", type=float, nargs=2, default=(1000001650.55, 1000001660.05))
+    parser.add_argument("--before", type=float, nargs=2, default=(1000001650.55, 1000001668.05))
     parser.add_argument("--after", type=float, nargs=2, default=(1000002435.49, 1000002453.0))
     parser.add_argument("--frames", type=Path, help="folder for every tenth frame as PNG, to look at")
     given = parser.parse_args()

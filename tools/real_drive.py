@@ -2,7 +2,7 @@
 
     .venv/bin/python tools/real_drive.py ../shared/datasets/intel
 
-The folder holds map.yaml, log.clf.gz and its reference log.tum. The stretches begin as in tools/film.py.
+The folder holds map.yaml, log.clf.gz and its reference log.tum. The stretches are those of tools/film.py.
 """
 
 from __future__ import annotations
