@@ -15,8 +15,8 @@ from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.health_pb2 import Health
 
-READY_S = 180.0
-"""Longest wait at the start, s: a large map's models take that long."""
+READY_S = 600.0
+"""Longest wait at the start, s: large maps take minutes, and so does compiling on a busy or small machine."""
 
 FOXGLOVE_PORT = 8765
 """The one that Foxglove offers first."""
