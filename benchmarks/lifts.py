@@ -10,8 +10,9 @@ for half a second, or 2.5 m out. Where the robot may get out anywhere, ten rides
 Kinds of stack: `unlike` (two floors with nothing in common), `refurnished` (one plan twice, each with half of
 its furniture; the lift is at the same place) and `alike` (one and the same floor twice). With `--maps` the
 floors are real maps of one cell size. A ride counts if a pose was claimed on the first floor; on floors that
-are alike none must be. Where the lift is at the same place, the floors differ for a ride if in its first
-second more beams see another range on the two floors than people hide.
+are alike none must be. Floors differ for a ride if in its first second more beams see another range than
+people hide: on the floor that was left, where the lift is at the same place, else at the likeliest other
+places that a scan brings up.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ from eigenscan.mapbuilder.site import Plan, build_site, lay_out
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.loopback import Loopback
-from eigenscan.schemas.channels import MAP, MODEL_SET, ODOMETRY, POSE, SCAN_RAW
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL_SET, ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
@@ -68,13 +70,15 @@ RIGHT_M = 0.5
 SOON_S = 1.0
 DIFFER_M = 0.3
 """Ranges that differ by more show which floor it is: six cells of a map."""
+RIVALS = 5
+"""Other places, the likeliest first, that are compared with the right one."""
 SHARES = (0.01, 0.02, PEOPLE, 0.1, 0.2)
 """Of the beams that differ: the summary's rows end at these."""
 HELD = 5
 """Right poses in a row after which a ride ends."""
 EXITS = 10
 """Rides that share one way in, where the robot may get out anywhere."""
-EVERY = 500
+EVERY = 250
 """Rides between two lines, so that what was done so far is known."""
 
 
@@ -92,7 +96,7 @@ class Ride:
     wrong_place_scans: int
     claimed_scans: int
     differs: float = 1.0
-    """Of the beams of the first second, how many see another range on the floor that was left."""
+    """Of the beams of the first second, how many see another range at the place most alike."""
     nearer: float = 1.0
     """Of these beams, how many end nearer than they would there: at things that its map lacks."""
 
@@ -129,11 +133,12 @@ class Building:
                 left = [name for name in self.floors if name != begin]
                 floor = end if self.same_place else left[int(rng.integers(len(left)))]
                 out = into if self.same_place else self._exit(floor, rng)
-                ride = _ride(number, claimed, self._ride_out(robot.again(rng), floor, out))
-                if self.same_place:
-                    differs, nearer = self._differ(begin, end, out)
-                    ride = replace(ride, differs=differs, nearer=nearer)
-                yield ride
+                again = robot.again(rng)
+                ride = _ride(number, claimed, self._ride_out(again, floor, out))
+                others = [(begin, out)] if self.same_place else self._others(again, floor, out)
+                shares = [self._differ(other, place, floor, out) for other, place in others]
+                differs, nearer = min(shares, default=(1.0, 1.0))
+                yield replace(ride, differs=differs, nearer=nearer)
 
     def _names(self, rng: np.random.Generator) -> tuple[str, str]:
         names = list(self.floors)
@@ -169,11 +174,26 @@ class Building:
                 break
         return after
 
-    def _differ(self, begin: str, end: str, out: Array) -> tuple[float, float]:
-        """Shares of the beams that differ, and that end nearer, in the first second out of the lift."""
-        way = [compose(out, [STEP_M * step, 0.0, 0.0]) for step in range(round(SOON_S * RATE_HZ) + 1)]
-        left, now = (np.array([self._scan(name, pose) for pose in way]) for name in (begin, end))
-        nearer = left.clip(max=REACH_M) - now.clip(max=REACH_M)
+    def _others(self, robot: _Robot, end: str, out: Array) -> list[tuple[str, Array]]:
+        """The likeliest other places of the robot's last list, each with its floor, as seen from the lift."""
+        found = list[tuple[str, Array]]()
+        right = compose(out, [robot.way, 0.0, 0.0])
+        for one in robot.listed:
+            on = floor_of(self.parts.values(), one)
+            own = None if on is None else on.own(one)
+            if on is None or own is None or (on.name == end and np.hypot(*(own - right)[:2]) <= RIGHT_M):
+                continue
+            found.append((on.name, compose(own, [-robot.way, 0.0, 0.0])))
+        return found[:RIVALS]
+
+    def _differ(self, other: str, place: Array, end: str, out: Array) -> tuple[float, float]:
+        """Shares of the beams that differ between two places, and that end nearer, over the first second."""
+        ways = np.linspace(0.0, SOON_S * RATE_HZ * STEP_M, 3)
+        there, here = (
+            np.array([self._scan(name, compose(pose, [way, 0.0, 0.0])) for way in ways])
+            for name, pose in ((other, place), (end, out))
+        )
+        nearer = there.clip(max=REACH_M) - here.clip(max=REACH_M)
         return float(np.mean(np.abs(nearer) > DIFFER_M)), float(np.mean(nearer > DIFFER_M))
 
     def _exit(self, name: str, rng: np.random.Generator, other: str | None = None) -> Array:
@@ -214,12 +234,14 @@ class _Robot:
         self._projector, self._rng = projector, rng
         self._loop = Loopback([ingest, projector, tracker])
         self._odometry, self._at = np.zeros(3), 1_000_000_000
+        self.way, self.listed = 0.0, list[Array]()
+        """Driven since it was copied; the poses of the last list, the likeliest first."""
         self._loop.start()
 
     def again(self, rng: np.random.Generator) -> _Robot:
         """A second robot with the same past. The projector knows maps alone, so both share it."""
         other = copy.deepcopy(self, {id(self._projector): self._projector})
-        other._rng = rng
+        other._rng, other.way, other.listed = rng, -STEP_M, []
         return other
 
     def see(self, ranges: Array, step: Sequence[float]) -> list[PoseEstimate]:
@@ -230,6 +252,10 @@ class _Robot:
         odometry = Odometry(timestamp=stamp(self._at), pose=to_pose3(self._odometry))
         published = self._loop.receive(Envelope(ODOMETRY, ADDRESS, odometry))
         published += self._loop.receive(Envelope(SCAN_RAW, ADDRESS, self._raw(ranges)))
+        self.way += step[0]
+        for one in published:
+            if one.channel == HYPOTHESES:
+                self.listed = [from_message(each.pose) for each in one.open(Hypotheses).hypotheses]
         return [one.open(PoseEstimate) for one in published if one.channel == POSE]
 
     def _raw(self, ranges: Array) -> RawScan:

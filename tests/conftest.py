@@ -48,8 +48,15 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     without_data = pytest.mark.skip(reason="the datasets are not beside the project")
     for item in items:
-        if item.get_closest_marker("docker") or item.get_closest_marker("browser"):
+        if any(map(item.get_closest_marker, ("docker", "browser", "cargo"))):
             item.add_marker(pytest.mark.slow)
         if item.get_closest_marker("dataset") and not DATASETS.is_dir():
             item.add_marker(without_data)
-    items.sort(key=lambda item: not item.nodeid.startswith(FIRST))
+    items.sort(key=_turn)
+
+
+def _turn(item: pytest.Item) -> int:
+    """When a test begins; the last ones wait for a build that goes on beside the others."""
+    if item.nodeid.startswith(FIRST):
+        return 0
+    return 2 if item.get_closest_marker("cargo") else 1

@@ -155,3 +155,19 @@ def test_a_development_container_has_the_oldest_python_and_sets_itself_up() -> N
 def test_a_version_that_is_none_changes_nothing(workspace: Path) -> None:
     assert "such as" in _release(workspace, "set", "next").stderr
     assert _release(workspace, "check").returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layer", ["lean", "numeric", "recorder"])
+def test_all_that_an_image_installs_has_wheels_for_arm64(layer: str, tmp_path: Path) -> None:
+    """Asks the registry, and takes no wheel: Debian 12 has glibc 2.36, Ubuntu 20.04 on has more than 2.28."""
+    requirements = ROOT / "deploy/requirements" / f"{layer}.lock"
+    asked = [
+        ROOT / ".venv/bin/uv", "pip", "install", "--dry-run", "--no-deps", "--require-hashes",
+        "--python-version", "3.11", "--python-platform", "aarch64-manylinux_2_28",
+        "--only-binary", ":all:", "--target", tmp_path, "-r", requirements,
+    ]  # fmt: skip
+    done = subprocess.run([str(each) for each in asked], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (count,) = re.findall(r"Would install (\d+) packages", done.stderr)
+    assert int(count) > 10

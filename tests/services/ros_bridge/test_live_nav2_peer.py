@@ -1,8 +1,7 @@
 """The bridge and a robot's ROS 2 graph on hiroz, an independent implementation of rmw_zenoh's wire in Rust.
 
 Keys, tokens, hashes of types, attachments and CDR are hiroz's own. The peer publishes as drivers and RViz do,
-receives and calls as Nav2's nodes do. Only where it is asked for, for the build takes minutes:
-`pytest -m rust tests/services/ros_bridge/test_live_nav2_peer.py`.
+receives and calls as Nav2's nodes do. `make test-all` begins to build it at its start: that takes minutes.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from tests.environment import ROOT
 from tests.services.ros_bridge.conftest import DOMAINS, PATIENCE_S, Bridge, Network, eventually, pipeline
 
-pytestmark = [pytest.mark.rust, pytest.mark.timeout(3600)]
+pytestmark = [pytest.mark.cargo, pytest.mark.timeout(3600)]
 
 SOURCE = Path(__file__).with_name("nav2_peer")
 TARGET = ROOT / "out/rust"

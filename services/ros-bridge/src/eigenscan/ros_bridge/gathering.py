@@ -21,7 +21,7 @@ LIDAR = "gathered"
 """Its name in keys."""
 BEAMS = 360
 """Of a full turn: 1 deg, half the projector's step."""
-TURNS = 2.0
+TURNS = 0.5
 """Whole turns after which what was seen is forgotten, as after the way."""
 STEP_M, STEP_RAD = 0.05, 0.05
 """Nearer to each other, one of two scans is enough to keep."""
