@@ -218,7 +218,7 @@ class ProjectorCore:
         except ValueError:
             self._counts["scan_malformed"] += 1
             return []
-        if np.count_nonzero(seen.used) < self._settings.least_beams:
+        if seen.returned < self._settings.least_beams:
             self._counts["scan_unusable"] += 1
             return [Envelope(HYPOTHESES, address, unusable(scan, self._site, seen))]
         self._counts["scan_projected"] += 1

@@ -27,6 +27,11 @@ NATS, STRANGE, SIMILAR = 33.0, 0.08, 0.54
 Less than the maximum likelihood of single scans (docs/reports.md), because the errors of consecutive scans
 are correlated.
 """
+FULL_BEAMS = 45
+"""Beams, 2 degrees apart, that came back: a scan of fewer counts in proportion.
+
+What a depth camera sees of a wall fits many places that its list leaves out: benchmarks/narrow_scans.py.
+"""
 
 
 def support(
@@ -77,13 +82,13 @@ def ordinary_support(supports: Array, parts: int = 1) -> float:
     return max(float(supports[min(max(round(ORDINARY_RANK / parts), 1), len(supports) - 1)]), 0.0)
 
 
-def log_likelihood(supports: Array, ordinary: float) -> Array:
+def log_likelihood(supports: Array, ordinary: float, beams: int) -> Array:
     """Values (n,) of ln p(scan | pose) / p(scan | unknown place) for supports (n,) of places, best first.
 
     A plain scan (a wall, a corner) has support in many places, even of another building, so the support of an
-    ordinary place is no evidence.
+    ordinary place is no evidence; nor are the few `beams` of a narrow scan worth as much as a whole one's.
     """
-    odds: Array = NATS * (supports - STRANGE - SIMILAR * ordinary)
+    odds: Array = NATS * min(1.0, beams / FULL_BEAMS) * (supports - STRANGE - SIMILAR * ordinary)
     return odds
 
 

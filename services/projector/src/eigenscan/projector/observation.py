@@ -38,6 +38,11 @@ class Observation:
         return np.isfinite(self.coarse)
 
     @cached_property
+    def returned(self) -> int:
+        """How many beams of the analysis grid came back."""
+        return int(np.count_nonzero(self.used))
+
+    @cached_property
     def few(self) -> NDArray[np.int64]:
         """Indices (k,) of at most WEIGHED_BEAMS of the used beams, evenly spread."""
         used = np.flatnonzero(self.used)

@@ -111,7 +111,7 @@ def answer(query: LocalizeQuery, site: Site, settings: ProjectorSettings) -> Loc
         asked_area_m2=allowed.area(site),
         none_probability=1.0,
     )
-    if np.count_nonzero(seen.used) < settings.least_beams:
+    if seen.returned < settings.least_beams:
         reply.status = Hypotheses.STATUS_UNUSABLE_SCAN
         return reply
     found = _search(site, seen, settings, allowed)

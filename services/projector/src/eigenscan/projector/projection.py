@@ -91,7 +91,8 @@ def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) ->
     best = int(supported.argmax())
     information = polished.information[best : best + 1]
     covariance = pose_covariances(information, site.inexactness)
-    likelihood = log_likelihood(supported[best : best + 1], ordinary) - _spread(site, information, covariance)
+    likelihood = log_likelihood(supported[best : best + 1], ordinary, seen.returned)
+    likelihood -= _spread(site, information, covariance)
     return Fitted(polished.poses[best], covariance[0], float(likelihood[0]), float(explained[best]))
 
 
@@ -233,12 +234,13 @@ def _weigh(
         found.append((polished, supported, explained, kept, ordinary))
     # whether walls are as thick as they are drawn is the same for all beams: the whole scan shows
     polished, supported, explained, kept, ordinary = max(
-        found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4]).sum())
+        found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum())
     )
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
     covariances = pose_covariances(polished.information[kept], site.inexactness)
-    likelihood = log_likelihood(supports, ordinary) - _spread(site, polished.information[kept], covariances)
+    likelihood = log_likelihood(supports, ordinary, seen.returned)
+    likelihood -= _spread(site, polished.information[kept], covariances)
     trace("published", poses)
     trace("first", poses[:1])
     return Candidates(

@@ -83,7 +83,7 @@ def _answer(scan: Scan, site: Site, seen: Observation, **fields: Any) -> Hypothe
         timestamp=scan.timestamp,
         frame_id=site.frame_id,
         model_version=site.version,
-        used_beams=int(np.count_nonzero(seen.used)),
+        used_beams=seen.returned,
         motion=scan.motion if scan.HasField("motion") else None,
         **fields,
     )
