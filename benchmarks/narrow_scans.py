@@ -68,7 +68,6 @@ EYES = (
     Eyes("60°, 4 m", (0.0,), 60.0, 4.0),
     Eyes("90°, 8 m, gathered over 3 m", (0.0,), 90.0, 8.0, gather=3.0),
     Eyes("60°, 4 m, gathered over 3 m", (0.0,), 60.0, 4.0, gather=3.0),
-    Eyes("60°, 4 m, gathered over 6 m", (0.0,), 60.0, 4.0, gather=6.0),
     Eyes("60°, 4 m, ahead and behind: two lidars", (0.0, 180.0), 60.0, 4.0),
     Eyes("60°, 4 m, ahead and behind: fused", (0.0, 180.0), 60.0, 4.0, fused=True),
 )
