@@ -25,7 +25,11 @@ UNDELIVERED = 0.05
 """Share of the poses that may be lost though there is a way: those that two processes time differently,
 of which one has them too soon after another for the air."""
 MISSED = 20
-"""Poses in a row, of 4 s: by the contract a link may lose some, more on a busy machine; it is not silent."""
+"""Poses in a row, of 4 s: by the contract a link may lose some, more on a busy machine; it is not silent.
+
+10 were missing in one run beside two benchmarks, and never again. The cause is not known: the simulated
+network drops only what its faults drop, so it cannot show it.
+"""
 
 
 @pytest.fixture(scope="module")

@@ -110,7 +110,9 @@ def _recording_holds_the_way_of_the_data(path: Path) -> None:
     for quiet in (RELOCATION, LIDAR_KIND, SPACE, HEADING, SEARCH):
         assert counts.pop(quiet.name) == 0
     assert all(counts.values()), counts
-    for live in (SCAN_RAW, SCAN):  # not blocking: Zenoh drops one rather than wait, on a machine that stalls
+    # not blocking: Zenoh drops one rather than wait, on a machine that stalls. One was lost once, and in none
+    # of 16 runs at load 4 to 8 after it
+    for live in (SCAN_RAW, SCAN):
         assert 0.98 * 240 <= counts[live.name] <= 240
     assert counts[MODEL_SET.name] == 1
     poses = [record.open(PoseEstimate) for record in records if record.channel is POSE]
