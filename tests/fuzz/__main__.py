@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 from tests.fuzz.harness import Finding, judged, made, supervise
@@ -57,16 +58,17 @@ def _all(given: argparse.Namespace) -> int:
     counts: Counter[str] = Counter()
     kinds: dict[str, Finding] = {}
     at = dict.fromkeys(names, given.first or -BEFORE)
-    while time.monotonic() < until and counts.total() < given.inputs:
-        for name in names:
-            for answer in supervise(READERS[name], at[name], given.slice):
-                if isinstance(answer, tuple):
-                    at[name] = answer[0]
-                    counts[name] += answer[1]
-                elif answer.kind not in kinds:
-                    kinds[answer.kind] = answer
-                    print(f"{name} --number {answer.number}: {answer.what}: {answer.detail}", flush=True)
-        print(f"{counts.total()} inputs, {len(kinds)} kinds of harm", file=sys.stderr, flush=True)
+    with suppress(KeyboardInterrupt):
+        while time.monotonic() < until and counts.total() < given.inputs:
+            for name in names:
+                for answer in supervise(READERS[name], at[name], given.slice):
+                    if isinstance(answer, tuple):
+                        at[name] = answer[0]
+                        counts[name] += answer[1]
+                    elif answer.kind not in kinds:
+                        kinds[answer.kind] = answer
+                        print(f"{name} --number {answer.number}: {answer.what}: {answer.detail}", flush=True)
+            print(f"{counts.total()} inputs, {len(kinds)} kinds of harm", file=sys.stderr, flush=True)
     print(f"{counts.total()} inputs: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
     print(f"{len(kinds)} kinds of harm")
     return 1 if kinds else 0
