@@ -66,6 +66,7 @@ EYES = (
     Eyes("240°, 5.6 m", (0.0,), 240.0, 5.6),
     Eyes("90°, 8 m", (0.0,), 90.0, 8.0),
     Eyes("60°, 4 m", (0.0,), 60.0, 4.0),
+    Eyes("90°, 8 m, gathered over 1 m", (0.0,), 90.0, 8.0, gather=1.0),
     Eyes("90°, 8 m, gathered over 3 m", (0.0,), 90.0, 8.0, gather=3.0),
     Eyes("60°, 4 m, gathered over 3 m", (0.0,), 60.0, 4.0, gather=3.0),
     Eyes("60°, 4 m, ahead and behind: two lidars", (0.0, 180.0), 60.0, 4.0),
