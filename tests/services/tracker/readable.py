@@ -94,7 +94,8 @@ class Readable(Belief):
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0
-            hidden, alias = np.full(len(tracks), 0.5), np.zeros(len(tracks))
+            hidden, alias = tracks.hidden.copy(), np.zeros(len(tracks))
+            hidden[:, source] = 0.5
             tracks = replace(tracks, evidence=shown, hidden=hidden, alias=alias)
         mine = tracks.frame == frame
         old, others = tracks.pick(mine), tracks.pick(~mine)
@@ -184,9 +185,11 @@ def merged(group: Tracks, stamp: int) -> Tracks:
     if len(group) < 2:
         return group
     weight = np.exp(group.log_weight - group.log_weight[0])
-    shown = weight * (1.0 - group.hidden)
+    shown = weight[:, None] * (1.0 - group.hidden)
     x, C = moments(group.x, group.C, weight)
-    evidence = shown @ group.evidence / shown.sum() if shown.sum() > 0.0 else group.evidence[0]
+    known = shown.sum(axis=0)
+    mean = (shown * group.evidence).sum(axis=0) / np.where(known > 0.0, known, 1.0)
+    evidence = np.where(known > 0.0, mean, group.evidence[0])
     named = np.flatnonzero(group.id > 0)[:1]
     own = replace(group.pick(np.array([0])), observations=group.observations[:1])
     if len(named):
@@ -197,7 +200,7 @@ def merged(group: Tracks, stamp: int) -> Tracks:
         x=x[None],
         C=C[None],
         log_weight=group.log_weight[:1] + np.log(weight.sum()),
-        hidden=np.array([weight @ group.hidden / weight.sum()]),
+        hidden=(weight @ group.hidden / weight.sum())[None],
         alias=np.array([group.alias.sum()]),
         evidence=evidence[None],
         fixed_x=x[None],
@@ -352,7 +355,7 @@ def branch(
     gained = share.weight * (total - evidence[:, source])
     evidence[:, source] += gained
     explained, of_others, alias = explained_by_aliases(aliases_go_on(old.alias, share.progress), gained)
-    hidden = hide_and_show(old.hidden, share.progress)
+    hidden = hide_and_show(old.hidden[:, source], share.progress)
     with np.errstate(divide="ignore"):
         shown = old.log_weight + np.log1p(-hidden) + gained - explained
         unseen = old.log_weight + np.log(hidden) + of_others - explained
@@ -360,9 +363,10 @@ def branch(
     log_weight = shown[origin] + part
     log_weight[count:] += first
     log_weight[:count] = np.logaddexp(log_weight[:count], unseen)
-    hidden_share = np.zeros(len(origin))
-    hidden_share[:count] = np.exp(unseen - log_weight[:count])
     branches = old.pick(origin)
+    hidden_share = branches.hidden.copy()
+    hidden_share[:, source] = 0.0
+    hidden_share[:count, source] = np.exp(unseen - log_weight[:count])
     id_, parent = _forks(branches, log_weight, origin)
     weighed = replace(
         branches,

@@ -67,7 +67,7 @@ def _crowd(rng: np.random.Generator, count: int) -> Tracks:
     )
     return replace(
         tracks,
-        hidden=rng.uniform(size=count),
+        hidden=rng.uniform(size=(count, 2)),
         frame=rng.integers(2, size=count),
         id=rng.integers(0, 2, count) * np.arange(count),
         parent=rng.integers(9, size=count),
@@ -85,12 +85,12 @@ def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
     next_id = 100
     for row, group in enumerate(groups):
         weight = np.exp(tracks.log_weight[group])
-        shown = weight * (1.0 - tracks.hidden[group])
+        shown = weight[:, None] * (1.0 - tracks.hidden[group])
         expected = {
             "log_weight": np.log(weight.sum()),
             "hidden": weight @ tracks.hidden[group] / weight.sum(),
             "alias": tracks.alias[group].sum(),
-            "evidence": shown @ tracks.evidence[group] / shown.sum(),
+            "evidence": (shown * tracks.evidence[group]).sum(axis=0) / shown.sum(axis=0),
             "frame": tracks.frame[group[0]],
             "fixed_at": 99 if len(group) > 1 else tracks.fixed_at[group[0]],
         }

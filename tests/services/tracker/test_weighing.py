@@ -49,7 +49,7 @@ def some_tracks(rng: np.random.Generator, count: int, sources: int, frames: int)
     )  # fmt: skip
     return replace(
         tracks,
-        hidden=rng.uniform(size=count) * rng.integers(2, size=count),
+        hidden=rng.uniform(size=(count, sources)) * rng.integers(2, size=(count, sources)),
         unchecked=rng.uniform(0.0, 1.0, (count, 2)),
         frame=rng.integers(1, frames, size=count),
         id=np.arange(1, count + 1),

@@ -111,8 +111,12 @@ class Belief:
         """Column of a source's evidence."""
         if source not in self.sources:
             self.sources.append(source)
-            widened = np.column_stack([self.tracks.evidence, np.zeros(len(self.tracks))])
-            self.tracks = replace(self.tracks, evidence=widened)
+            none = np.zeros(len(self.tracks))
+            self.tracks = replace(
+                self.tracks,
+                evidence=np.column_stack([self.tracks.evidence, none]),
+                hidden=np.column_stack([self.tracks.hidden, none]),
+            )
             searched = self.elsewhere.searched
             self.elsewhere.searched = np.column_stack([searched, np.zeros(len(searched))])
         return self.sources.index(source)

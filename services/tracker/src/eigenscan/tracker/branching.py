@@ -60,13 +60,14 @@ def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -
     out = taken(old, origin)
     for row in range(len(origin)):
         i = origin[row]
-        hidden, part = hide_and_show(old.hidden[i], scan.progress, c), scan.weight * fit[row] - preference[i]
+        part = scan.weight * fit[row] - preference[i]
+        hidden = hide_and_show(old.hidden[i, scan.source], scan.progress, c)
         log_weight = old.log_weight[i] + np.log1p(-hidden) + gained[i] - explained + part + first[row]
-        out.hidden[row] = 0.0
+        out.hidden[row, scan.source] = 0.0
         if row < count:
             unseen = old.log_weight[i] + np.log(hidden) + of_others[i] - explained
             log_weight = log_sum(log_weight, unseen)
-            out.hidden[row] = np.exp(unseen - log_weight)
+            out.hidden[row, scan.source] = np.exp(unseen - log_weight)
         out.log_weight[row], out.alias[row] = log_weight, alias[i] * np.exp(part)
         out.evidence[row, scan.source] += gained[i]
     _name_forks(out, origin, count)

@@ -20,9 +20,10 @@ Index = NDArray[np.intp]
 class Tracks:
     """n Gaussian tracks: poses x (n, 3), covariances C (n, 3, 3), masses as logarithms (n,).
 
-    `hidden` (n,): share of a track's mass in which the projector does not show its pose. `alias` (n,):
-    probability that the track, were it wrong, would be shown as a right one is. `evidence`
-    (n, sources): the evidence of each source's scans from the present place for a track that is shown.
+    `hidden` (n, sources): share of a track's mass in which the source does not show its pose: of two lidars
+    one may see what the map lacks. `alias` (n,): probability that the track, were it wrong, would be shown as
+    a right one is. `evidence` (n, sources): the evidence of each source's scans from the present place for a
+    track that is shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
     `fixed_x`, `fixed_covariance` at `fixed_at` (n,), ns: the track where a scan last fixed it.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
@@ -75,7 +76,7 @@ class Columns(NamedTuple):
 
 
 _DIMENSIONS = dict.fromkeys(Columns._fields, 1) | {
-    "x": 2, "C": 3, "evidence": 2, "unchecked": 2, "fixed_x": 2, "fixed_covariance": 3,
+    "x": 2, "C": 3, "hidden": 2, "evidence": 2, "unchecked": 2, "fixed_x": 2, "fixed_covariance": 3,
 }  # fmt: skip
 _NUMBERED = ("fixed_at", "frame", "id", "parent", "born", "observations")
 _KINDS = [
@@ -156,7 +157,7 @@ def begun(
     n = len(x)
     none = np.zeros(n, dtype=np.int64)
     return Columns(
-        x, C, log_weight, np.zeros(n), alias, evidence, np.zeros((n, 2)), np.full(n, np.nan), x.copy(),
+        x, C, log_weight, np.zeros(evidence.shape), alias, evidence, np.zeros((n, 2)), np.full(n, np.nan), x.copy(),
         C.copy(), none + stamp, none + frame, none, none.copy(), none + stamp, none + 1,
     )  # fmt: skip
 
@@ -188,7 +189,7 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros((0, 3)),
         np.zeros((0, 3, 3)),
         np.zeros(0),
-        np.zeros(0),
+        np.zeros((0, sources)),
         np.zeros(0),
         np.zeros((0, sources)),
         np.zeros((0, 2)),
@@ -213,7 +214,7 @@ def begin(
         x,
         C,
         log_weight,
-        np.zeros(len(x)),
+        np.zeros(evidence.shape),
         alias,
         evidence,
         np.zeros((len(x), 2)),

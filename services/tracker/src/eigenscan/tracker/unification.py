@@ -66,12 +66,12 @@ def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
         for j in range(3):
             out.C[row, i, j] = out.fixed_covariance[row, i, j] = C[i, j]
     out.log_weight[row] = heaviest + np.log(total)
-    out.hidden[row] = (weight * t.hidden[group]).sum() / total
     out.alias[row] = t.alias[group].sum()
-    # evidence speaks of a track that is shown
-    shown = weight * (1.0 - t.hidden[group])
-    if shown.sum() > 0.0:
-        for source in range(t.evidence.shape[1]):
+    for source in range(t.evidence.shape[1]):
+        # evidence speaks of a track that is shown
+        shown = weight * (1.0 - t.hidden[group, source])
+        out.hidden[row, source] = 1.0 - shown.sum() / total
+        if shown.sum() > 0.0:
             out.evidence[row, source] = (shown * t.evidence[group, source]).sum() / shown.sum()
     for member in group:
         if t.id[member] > 0:

@@ -111,7 +111,8 @@ def _move_on(tracks: Columns, rest: Rest, scan: Scan, c: Constants) -> None:
         _release(tracks.log_weight, rest, c.break_share, c.off_map_share)
         rest.searched[:, scan.source] = 0.0
         for row in range(len(tracks.x)):
-            tracks.evidence[row, scan.source], tracks.hidden[row], tracks.alias[row] = 0.0, 0.5, 0.0
+            tracks.evidence[row, scan.source], tracks.hidden[row, scan.source] = 0.0, 0.5
+            tracks.alias[row] = 0.0
 
 
 @inner()  # pragma: no cover - compiled
