@@ -77,8 +77,8 @@ def as_local(envelope: Envelope) -> Envelope:
 
 @pytest.fixture(autouse=True)
 def _sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing confirms the odometry here, so no robot is surer than 0.98."""
-    monkeypatch.setattr("eigenscan.tracker.robot.SURE", 0.97)
+    """Nothing confirms the odometry here, so no robot is surer than 0.93."""
+    monkeypatch.setattr("eigenscan.tracker.robot.SURE", 0.91)
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def test_a_robot_whose_odometry_nothing_confirms_needs_the_whole_map(
 ) -> None:
     monkeypatch.undo()
     robot.drive(30)
-    assert 0.97 < robot.poses[-1].confidence < 0.99
+    assert 0.91 < robot.poses[-1].confidence < 0.93
     assert not any(robot.local)
 
 
@@ -192,10 +192,10 @@ def test_a_robot_that_is_only_fairly_sure_needs_the_whole_map(robot: Robot) -> N
         robot.receive(robot.speaker.hypotheses(time, [START, elsewhere], [25.0, 23.5]))
         robot.scans += 1
         claimed.append(robot.poses[-1])
-        if claimed[-1].confidence < 0.97:
+        if claimed[-1].confidence < 0.91:
             assert robot.asked[-1].search == SEARCH_WHOLE
     # some of them while it still claims its pose
-    assert any(0.9 < one.confidence < 0.97 and one.state == STATE_LOCALIZED for one in claimed)
+    assert any(0.75 < one.confidence < 0.91 and one.state == STATE_LOCALIZED for one in claimed)
 
 
 def test_local_lists_move_the_pose_and_are_no_evidence(robot: Robot) -> None:

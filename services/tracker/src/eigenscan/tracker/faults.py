@@ -42,9 +42,10 @@ NO_FIT, NO_FIT_UNRELATED = 0.05, 0.5
 """How often two scans with much in common do not fit each other; and those of unrelated lidars."""
 NEWEST = 0.2
 """Share of the newest interval in how often scans did not fit each other lately."""
-FAULTY, WRONGLY_SET_UP = 0.001, 0.011
-"""Prior of each kind of sensor fault, and of each that a new robot's set-up may have: of a hundred one, so
-that no confidence above 0.99 is stated before the robot's own motion excludes it."""
+FAULTY = 0.011
+"""Prior of each kind of fault: a hundredth of the robots has it. So no confidence above 0.99 is stated before
+the robot's own motion has excluded each.
+"""
 BEGINS, ENDS = 5e-4, 0.002
 """Chances, an interval, that each kind of sensor fault begins, and that it ends."""
 SET_UP_BEGINS, SET_UP_ENDS = 1e-6, 1e-4
@@ -93,19 +94,19 @@ _KINDS = (
         "odometry stands still while the scans move: are the encoders read, was it carried?",
     ),
     _Kind(
-        1, WRONGLY_SET_UP, SET_UP_BEGINS, SET_UP_ENDS,
+        1, FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
         "odometry runs opposite to the scans: is the lidar mounted 180° off, or have the encoders no sign?",
     ),
     _Kind(
-        1, WRONGLY_SET_UP, SET_UP_BEGINS, SET_UP_ENDS,
+        1, FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
         "scans turn the other way than odometry: is the lidar mounted upside down, and not stated so?",
     ),
     _Kind(
-        len(TURNED), WRONGLY_SET_UP, SET_UP_BEGINS, SET_UP_ENDS,
+        len(TURNED), FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
         "scans move {}° off odometry's way: is the lidar's mount turned by as much?",
     ),
     _Kind(
-        len(LATE_BY), WRONGLY_SET_UP, BEGINS, ENDS,
+        len(LATE_BY), FAULTY, BEGINS, ENDS,
         "scans come {} s after odometry of the same stamp: are they delayed?",
     ),
 )  # fmt: skip
