@@ -157,8 +157,8 @@ def begun(
     n = len(x)
     none = np.zeros(n, dtype=np.int64)
     return Columns(
-        x, C, log_weight, np.zeros(evidence.shape), alias, evidence, np.zeros((n, 2)), np.full(n, np.nan), x.copy(),
-        C.copy(), none + stamp, none + frame, none, none.copy(), none + stamp, none + 1,
+        x, C, log_weight, np.zeros(evidence.shape), alias, evidence, np.zeros((n, 2)), np.full(n, np.nan),
+        x.copy(), C.copy(), none + stamp, none + frame, none, none.copy(), none + stamp, none + 1,
     )  # fmt: skip
 
 
