@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -166,6 +167,7 @@ def test_a_router_answers_a_query_of_tokens_and_one_that_hangs_does_not() -> Non
         try:
             assert [reply.err for reply in session.liveliness().get("a/*", timeout=60.0)] == []
             router.send_signal(signal.SIGSTOP)
+            os.waitpid(router.pid, os.WUNTRACED)  # until all of its threads have stopped
             replies = list(session.liveliness().get("a/*", timeout=0.5))
             assert [reply.ok for reply in replies] == [None]
         finally:
