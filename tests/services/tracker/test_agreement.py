@@ -13,8 +13,11 @@ from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.odometry import OdometryTrail
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.velocity_gate import VelocityGate
 
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
@@ -231,3 +234,17 @@ def test_a_hallway_that_hides_how_far_the_robot_came_is_no_evidence_against_it(
         truth = compose(truth, np.array([0.05, 0.0, 0.0]))
     assert output[-1].state == STATE_LOCALIZED
     assert core.condition().status == Health.STATUS_OK
+
+
+@pytest.mark.parametrize(("period_s", "agrees"), [(1.0, True), (0.1, False)])
+def test_what_coarse_odometry_cannot_show_is_no_fault(period_s: float, agrees: bool) -> None:
+    """Seed 5550: between odometry of once a second, the robot had stopped unseen."""
+    trail, agreement = OdometryTrail(VelocityGate(2.0, 3.0), extrapolates=False), Agreement()
+    for second in range(20):
+        for part in np.arange(0.0, 1.0, period_s):
+            trail.take(round((second + part) * 1e9), (0.2 * (second + part), 0.0, 0.0))
+    for second in range(18):
+        since, until = round((second + 0.2) * 1e9), round((second + 0.8) * 1e9)
+        agreement.receive(ScanInterval("front", since, until, (0.0, 0.0, 0.0)))
+        agreement.compare(trail, until)
+    assert (agreement.fault == "") is agrees

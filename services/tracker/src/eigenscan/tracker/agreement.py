@@ -20,6 +20,10 @@ FARTHEST_M, FARTHEST_RAD = 0.3, 0.4
 """Between two scans farther apart by odometry than this the motion is often found wrongly: left out."""
 UNKNOWN_S = 0.05
 """Of an interval that odometry does not cover, above which the interval is not compared."""
+COARSE_NS = 700_000_000
+"""Between messages of odometry farther apart than this a robot may stop or start unseen, by a(t/2)^2 = 12 cm
+at 1 m/s^2: far more than right motions differ by. Then nothing is compared.
+"""
 JUMPS, JUMPS_NS = 3, 15_000_000_000
 """So many jumps of odometry in so long are no reset but two robots."""
 REPORTED_NS = 75_000_000
@@ -132,7 +136,8 @@ class Agreement:
                 continue
             if interval.moved is not None and not interval.repeats:
                 found.append((interval, driven))
-            if driven.breaks <= 0 and abs(driven.unknown) <= UNKNOWN_S:
+            coarse = max(trail.spacing(interval.since), trail.spacing(interval.stamp)) > COARSE_NS
+            if driven.breaks <= 0 and abs(driven.unknown) <= UNKNOWN_S and not coarse:
                 self._take(interval, driven, trail)
         return found
 

@@ -184,6 +184,14 @@ class OdometryTrail:
             return Motion(IDENTITY, 0.0, 0.0, 0.0, abs(seconds), 0.0, seconds)
         return motion(a, b)
 
+    def spacing(self, stamp: int) -> int:
+        """Time, ns, between the two messages that the pose at `stamp`, ns, is found by; 0 without two."""
+        if len(self._samples) < 2:
+            return 0
+        after = bisect_left(self._samples, stamp - self._delay, key=_stamp_of)
+        after = min(max(after, 1), len(self._samples) - 1)
+        return self._samples[after].stamp - self._samples[after - 1].stamp
+
     def _found(self, stamp: int) -> Sample:
         index = bisect_left(self._samples, stamp, key=_stamp_of)
         if index < len(self._samples) and self._samples[index].stamp == stamp:
