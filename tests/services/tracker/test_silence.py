@@ -172,6 +172,19 @@ def test_a_source_that_sends_nothing_any_more_is_no_reason(make_core: MakeCore, 
     assert reasons[round(12.0 / RATE_S) :] == [""] * round(3.0 / RATE_S)
 
 
+def test_a_source_from_before_the_clock_was_set_back_is_no_reason(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    """Seed 740: a stranger's lists were of a clock that was set back by 15 minutes."""
+    core = make_core()
+    for time in [*np.arange(900.0, 903.0, RATE_S), *np.arange(0.0, 15.0, RATE_S)]:
+        list(core.handle(speaker.odometry(float(time), HERE)))
+        published_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])])
+        if time >= 900.1:
+            published_poses(core, [speaker.hypotheses(1.0, [HERE], [20.0], projector="stranger")])
+    assert degraded(core) == ""
+
+
 def test_hypotheses_that_show_nothing(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     speaker.clutter, speaker.unlisted = 0, 20.0

@@ -114,7 +114,7 @@ class Silence:
                 "each time: the clocks of two lidars, or of two robots under one name, differ"
             )
         for source, run in sorted(self._runs.items()):
-            if self._now - run.added > GONE_NS:
+            if not 0 <= self._now - run.added <= GONE_NS:  # below 0: the clock was set back since
                 continue
             apart = run.last - run.first
             if self._odometry is not None and run.odometry is not None:
