@@ -30,7 +30,7 @@ from eigenscan.recorder.picture.canvas import Pace
 from eigenscan.recorder.picture.floor import scale_length
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.manifold import Manifold, analysis_of
-from eigenscan.recorder.picture.palette import LOCALIZED, LOST
+from eigenscan.recorder.picture.palette import LOCALIZED, LOST, percent
 from eigenscan.recorder.picture.robot import label_place
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
@@ -627,3 +627,19 @@ def test_the_board_counts_robots_as_people_do() -> None:
     assert order[0] == "r9"
     assert order.index("lift") < order.index("r2") < order.index("r10")
     assert order.index("r002b") < order.index("r10")
+
+
+@pytest.mark.parametrize(
+    ("confidence", "step", "expected"),
+    [
+        (0.999, 1, 99),
+        (0.999, 5, 95),
+        (1.0, 5, 100),
+        (0.29, 1, 29),
+        (0.0, 5, 0),
+        (-1.0, 1, 0),
+        (math.nan, 1, 0),
+    ],
+)
+def test_no_picture_states_more_than_the_tracker(confidence: float, step: int, expected: int) -> None:
+    assert percent(confidence, step) == expected

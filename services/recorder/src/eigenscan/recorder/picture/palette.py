@@ -47,3 +47,8 @@ def blend(low: Colour, high: Colour, share: ArrayLike) -> NDArray[np.uint8]:
     t = np.clip(np.asarray(share, dtype=np.float64), 0.0, 1.0)[:, None]
     colours: NDArray[np.uint8] = np.rint(np.array(low) * (1 - t) + np.array(high) * t).astype(np.uint8)
     return colours
+
+
+def percent(confidence: float, step: int = 1) -> int:
+    """A confidence in percent, rounded down to a step: the picture states no more. NaN: 0."""
+    return step * int(100.0 * min(max(0.0, confidence), 1.0) / step + 1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from eigenscan.geometry.pose import Array, covariance_from_message, from_message, from_pose3
 from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory, stamp_of
-from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, state_name
+from eigenscan.recorder.picture.palette import SCAN, STATE_COLOURS, TRUTH, percent, state_name
 from eigenscan.recorder.picture.shapes import Array32, arrows, circle, ellipse, is_place, lift, scan_points
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import Scan
@@ -85,7 +85,7 @@ class RobotPicture:
     def _draw_robot(self, robot: str, stamp: int, pose: Array, message: PoseEstimate) -> None:
         colour = STATE_COLOURS.get(message.state, TRUTH)
         path = f"world/robots/{robot}/pose"
-        words = [f"{robot}:", state_name(message.state), f"{message.confidence:.0%}", message.floor]
+        words = [f"{robot}:", state_name(message.state), f"{percent(message.confidence)}%", message.floor]
         label = robot if self._brief else " ".join(words).rstrip()
         self._canvas.style(path, _arrow_style)
         strips, disc = _arrow(pose, 0.12)

@@ -7,7 +7,7 @@ import math
 import rerun as rr
 from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
 from eigenscan.recorder.picture.canvas import REPEAT_NS, Canvas, stamp_of
-from eigenscan.recorder.picture.palette import SILENT, STATE_COLOURS, Colour, state_name
+from eigenscan.recorder.picture.palette import SILENT, STATE_COLOURS, Colour, percent, state_name
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import LidarKind
@@ -118,7 +118,7 @@ def _line(robot: str, message: PoseEstimate) -> Line:
     name = state_name(message.state)
     sureness = ""
     if message.track_id and not math.isnan(message.confidence):
-        sureness = f"{5 * round(20 * min(max(message.confidence, 0.0), 1.0))} % sure"
+        sureness = f"over {percent(message.confidence, 5)} % sure"
         if message.floor:
             sureness += f", {message.floor}"
     return _described(robot, name, STATE_COLOURS.get(message.state, SILENT), sureness)
