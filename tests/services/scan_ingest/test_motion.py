@@ -8,7 +8,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.motion import motion_between, points_of
+from eigenscan.ingest.motion import Points, motion_between, points_of
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
@@ -211,3 +211,21 @@ def test_scans_of_two_clocks_are_named() -> None:
         lidar.time += (3 if scan % 2 else -3) * 1_000_000_000
         lidar.publish(seen((0.0, 0.5, 0.3), rng))
     assert "two clocks" in lidar.fault
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_noise_does_not_fix_the_way_along_a_bare_hallway(seed: int) -> None:
+    """Walls' lines that noise turned once showed a robot that drives as standing, exactly."""
+    rng = np.random.default_rng(seed)
+    angles = np.radians(np.linspace(-135.0, 135.0, 541))
+    step = float(angles[1] - angles[0])
+
+    def scan(stamp: int) -> Points:
+        ranges = 1.5 / np.maximum(np.abs(np.sin(angles)), 1e-9) + rng.normal(0.0, 0.03, len(angles))
+        return points_of(
+            np.where(ranges < 20.0, ranges, np.inf), float(angles[0]), step, (0.0, 0.0, 0.0), stamp
+        )
+
+    motion = motion_between(scan(0), scan(1), (0.3, 0.0, 0.0))
+    assert motion.covariance[0, 0] > 0.1
+    assert motion.covariance[1, 1] < 0.01
