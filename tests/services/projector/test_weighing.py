@@ -57,6 +57,41 @@ def test_weighing_is_fitting_casting_clearing_and_supporting(office: Site, field
         assert np.allclose(explained, share, atol=1.0 / len(ranges))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_clearance_is_a_walk_along_each_beam(office: Site, seed: int) -> None:
+    field, rng = office.drawn, np.random.default_rng(seed)
+    poses = np.vstack([free_poses(6, seed), OFF_THE_MAP])
+    bearings = rng.uniform(-np.pi, np.pi, 40)
+    entered = rng.uniform(0.0, 6.0, (7, 40)).astype(np.float32)
+    entered[rng.random((7, 40)) < 0.2] = np.inf
+    seen = rng.uniform(0.0, 12.0, 40).astype(np.float32)
+    found = clearance(field, poses, bearings, entered, seen)
+    height, width = field.cells.shape
+    wanted = np.zeros(entered.shape)
+    for i, (x, y, theta) in enumerate(field.cells_of(poses)):
+        for j, end in enumerate(seen.astype(float)):
+            along, most = float(entered[i, j]), 0.0
+            if along >= end:
+                continue
+            along += 0.5 * field.cell
+            while most < 0.5:
+                along = min(along, end)
+                u = x + np.cos(theta + bearings[j]) * along / field.cell
+                v = y + np.sin(theta + bearings[j]) * along / field.cell
+                if not (0 <= u < width and 0 <= v < height):
+                    most = 0.5
+                    break
+                distance = (int(field.cells[int(v), int(u)]) & 0xFFF) / 4095.0
+                most = max(most, distance)
+                if along >= end:
+                    break
+                along += max(most - distance, 0.5 * field.cell, 0.1)
+            wanted[i, j] = most
+    assert 0.2 < np.mean(wanted > 0.0) < 0.8
+    # a step that falls on a cell's edge may be on its other side
+    assert np.mean(np.abs(found - wanted) < 1e-6) > 0.99
+
+
 POSES = st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-np.pi, np.pi))
 
 

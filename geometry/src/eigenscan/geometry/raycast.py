@@ -15,7 +15,7 @@ import numpy as np
 from eigenscan.geometry.distance_tiles import distance_tiles
 from eigenscan.geometry.gridmap import OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.sweep import sweep, transpose, visits
-from eigenscan.geometry.trace import DARK, LEAPS_PER_CELL, WALL, onward
+from eigenscan.geometry.trace import DARK, LEAPS_PER_CELL, OVER, WALL, facing
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
@@ -176,8 +176,12 @@ def cast_rays(
 ) -> NDArray[np.float32]:
     """For compiled code: `cast` from continuous (column, row) and heading (P, 3), `limits` (B,) in cells."""
     height, width = leap.shape
+    flat, columns = leap.reshape(-1), np.int64(width)
+    right, top = float(width), float(height)
     cos, sin = np.cos(bearings), np.sin(bearings)
     dx, dy, travelled = np.empty(len(bearings)), np.empty(len(bearings)), np.empty(len(bearings))
+    # of `onward` for each ray: where in a cell it meets the next face, and 1 / dx and 1 / dy
+    face_x, face_y, per_x, per_y = np.empty((4, len(bearings)))
     under_way = np.empty(len(bearings), dtype=np.uint32)
     out = np.empty((len(starts), len(bearings)), dtype=np.float32)
     for p in range(len(starts)):
@@ -192,24 +196,26 @@ def cast_rays(
         first = free / LEAPS_PER_CELL if free < DARK else 0.0
         for b in range(len(bearings)):
             dx[b], dy[b] = ahead * cos[b] - aside * sin[b], aside * cos[b] + ahead * sin[b]
+            face_x[b], per_x[b] = facing(dx[b])
+            face_y[b], per_y[b] = facing(dy[b])
             travelled[b], under_way[b] = first, b
-        # all rays a step, and again: the processor works at several at once
+        # all rays a step, and again: the processor works at several at once. Without branches, which would be
+        # guessed wrong at each ray's end
         count = len(bearings)
         while count > 0:
             going = 0
             for k in range(count):
                 b = under_way[k]
-                at_x, at_y = x + dx[b] * travelled[b], y + dy[b] * travelled[b]
-                if not (travelled[b] <= limits[b] and 0.0 <= at_x < width and 0.0 <= at_y < height):
-                    out[p, b] = np.inf
-                    continue
-                free = leap[int(at_y), int(at_x)]
-                if free >= DARK:
-                    out[p, b] = travelled[b] * resolution if free == WALL else np.inf
-                    continue
-                travelled[b] += onward(free, at_x, at_y, dx[b], dy[b])
+                way = travelled[b]
+                at_x, at_y = x + dx[b] * way, y + dy[b] * way
+                here = (way <= limits[b]) & (at_x >= 0.0) & (at_x < right) & (at_y >= 0.0) & (at_y < top)
+                column, row = np.int64(at_x), np.int64(at_y)
+                free = flat[np.uint64(row * columns + column if here else 0)] if here else DARK
+                out[p, b] = way * resolution if free == WALL else np.inf
                 under_way[going] = b
-                going += 1
+                going += int(free < DARK)
+                edge = min((column + face_x[b] - at_x) * per_x[b], (row + face_y[b] - at_y) * per_y[b]) + OVER
+                travelled[b] = way + (free / LEAPS_PER_CELL if free > 0 else edge)
             count = going
     return out
 

@@ -10,7 +10,7 @@ WALL, DARK = np.uint8(255), np.uint8(254)
 """Values of `leap` at which a ray ends: at a wall, and in unknown space."""
 LEAPS_PER_CELL = 4.0
 _PARALLEL = 1e-12
-_OVER = 1e-6
+OVER = 1e-6
 """Cells by which a step goes over a cell's edge."""
 
 
@@ -46,7 +46,16 @@ def onward(free: np.uint8, at_x: float, at_y: float, dx: float, dy: float) -> fl
     """Cells that a ray can go on along (dx, dy) where `leap` is `free`: one leap, or over the cell's edge."""
     if free > 0:
         return free / LEAPS_PER_CELL
-    ahead_x, ahead_y = 1.0 if dx > 0.0 else 0.0, 1.0 if dy > 0.0 else 0.0
-    to_x = (int(at_x) + ahead_x - at_x) * (1.0 / dx) if abs(dx) > _PARALLEL else np.inf
-    to_y = (int(at_y) + ahead_y - at_y) * (1.0 / dy) if abs(dy) > _PARALLEL else np.inf
-    return min(to_x, to_y) + _OVER
+    (face_x, per_x), (face_y, per_y) = facing(dx), facing(dy)
+    return min((int(at_x) + face_x - at_x) * per_x, (int(at_y) + face_y - at_y) * per_y) + OVER
+
+
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def facing(d: float) -> tuple[float, float]:
+    """Where in a cell, 0 or 1, a ray with the component `d` meets the next face, and 1 / d.
+
+    One that runs along the faces meets them at infinity.
+    """
+    if abs(d) <= _PARALLEL:
+        return 1.0, np.inf
+    return 1.0 if d > 0.0 else 0.0, 1.0 / d

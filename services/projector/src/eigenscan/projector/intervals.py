@@ -77,30 +77,36 @@ def find_clearance(
     cells: Words, cell: float, poses: Array, bearings: Array, entered: Singles, seen: Singles, out: Singles
 ) -> None:
     """For compiled code: `clearance` of poses (n, 3) in the field, see WallField.cells_of."""
-    height, width = cells.shape
+    flat, columns = cells.reshape(-1), np.int64(cells.shape[1])
+    right, top = float(cells.shape[1]), float(cells.shape[0])
     half = 0.5 * cell
     least = max(half, STEP_M)
     cos, sin = np.cos(bearings) / cell, np.sin(bearings) / cell
+    dx, dy, along, ends = np.empty((4, len(bearings)))
+    most, under_way = np.empty(len(bearings)), np.empty(len(bearings), dtype=np.uint32)
     for i in range(len(poses)):
         x, y = poses[i, 0], poses[i, 1]
         ahead, aside = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        count = 0
         for j in range(len(bearings)):
-            along, end = entered[i, j], seen[j]
-            if not along < end:
-                continue
-            dx, dy = ahead * cos[j] - aside * sin[j], aside * cos[j] + ahead * sin[j]
-            most = 0.0
-            along += half
-            while True:
-                along = min(along, end)
-                u, v = x + dx * along, y + dy * along
-                if not (0.0 <= u < width and 0.0 <= v < height):
-                    most = FAR_OFF
-                    break
-                distance = distance_at(cells[int(v), int(u)])
-                most = max(most, distance)
-                if most >= FAR_OFF or along >= end:
-                    break
+            dx[j], dy[j] = ahead * cos[j] - aside * sin[j], aside * cos[j] + ahead * sin[j]
+            ends[j], most[j] = seen[j], 0.0
+            along[j] = min(entered[i, j] + half, ends[j])
+            under_way[count] = j
+            count += entered[i, j] < seen[j]
+        # all beams a step, and again, without branches, as rays are cast
+        while count > 0:
+            going = 0
+            for k in range(count):
+                j = under_way[k]
+                u, v = x + dx[j] * along[j], y + dy[j] * along[j]
+                inside = (u >= 0.0) & (u < right) & (v >= 0.0) & (v < top)
+                at = np.uint64(np.int64(v) * columns + np.int64(u) if inside else 0)
+                distance = distance_at(flat[at]) if inside else FAR_OFF
+                most[j] = max(most[j], distance) if inside else FAR_OFF
+                out[i, j] = most[j]
+                under_way[going] = j
+                going += (most[j] < FAR_OFF) & (along[j] < ends[j])
                 # distances change by no more than the way: what is much farther off is not stepped over
-                along += max(most - distance, least)
-            out[i, j] = most
+                along[j] = min(along[j] + max(most[j] - distance, least), ends[j])
+            count = going
