@@ -224,6 +224,8 @@ class Bus:
                     priority=_PRIORITY[channel.qos.priority],
                 )
 
+        # not in the thread that puts samples, which may be Zenoh's own
+        intake.ask_again[channel.name] = lambda: self._after(patience_s, ask)
         tokens = LATCHED_TEMPLATE.format(site=site, channel=channel.name, session="*")
         self._declared.append(self._session.liveliness().declare_subscriber(tokens, on_token, history=True))
 

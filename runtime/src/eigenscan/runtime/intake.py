@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -26,6 +26,8 @@ class Intake:
         self._inbox = inbox
         self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub lacks the comparison
         self._lock = threading.Lock()
+        self.ask_again: dict[str, Callable[[], None]] = {}
+        """By a latched channel's name: queries all who publish it now."""
 
     def digests(self) -> list[bytes]:
         """Digests of the newest samples of latched keys, for a query's list of held samples."""
@@ -85,9 +87,13 @@ class Intake:
             self._inbox.put(channel, key, payload, declared, message, time)
             return
         with self._lock:  # held during the put, so that this sample cannot overtake a newer one
+            before = self._newest.get(key)
             if self._is_news(key, stamp, live):
                 self._inbox.put(channel, key, payload, declared, message, time)
                 self._held[key] = digest(payload)
+        if live and before and stamp and stamp < before and before.get_id() != stamp.get_id():
+            # its clock is behind, or it is gone and its sample came late: only who is there answers
+            self.ask_again.get(channel.name, _nobody)()
 
     def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
         """Whether a sample is newer than the last of its key.
@@ -101,6 +107,10 @@ class Intake:
             return False
         self._newest[key] = stamp
         return True
+
+
+def _nobody() -> None:
+    """Nobody to ask."""
 
 
 def digests_in(payload: Any) -> frozenset[bytes]:

@@ -1,0 +1,46 @@
+"""A latched sample of a publisher that is gone, which arrives after its successor's."""
+
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Inbox
+from eigenscan.schemas.channels import MODEL_SET
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.model_pb2 import ModelSet
+from eigenscan.schemas.wire import decode
+from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
+from eigenscan.workbench.simtest.network import Network
+
+ADDRESS = {"site": "s"}
+
+
+def test_the_present_publisher_has_the_last_word() -> None:
+    """Seed 1568: a mapbuilder was restarted with another map, and its old map took 1.9 s."""
+    agenda = Agenda()
+    network, clock, inbox = Network(agenda, "1"), MachineClock(agenda), Inbox()
+    received: list[str] = []
+
+    def bus() -> Bus:
+        return Bus(network.open("site", clock), after=agenda.after)  # type: ignore[arg-type]
+
+    def publish(version: str) -> Bus:
+        publisher = bus()
+        publisher.offer([MODEL_SET], ADDRESS)
+        publisher.publish(Envelope(MODEL_SET, ADDRESS, ModelSet(version=version)))
+        return publisher
+
+    def run(until: float) -> None:
+        agenda.run(until)
+        while arrival := inbox.take(0.0):
+            message = decode(MODEL_SET, arrival.payload)
+            assert isinstance(message, ModelSet)
+            received.append(message.version)
+
+    bus().listen([MODEL_SET], ADDRESS, inbox)
+    network.link("site", "site").extra_s = 1.9
+    before = publish("old")
+    agenda.run(0.5)
+    before.close()
+    network.link("site", "site").extra_s = 0.0
+    publish("new")
+    for second in range(1, 5):
+        run(second)
+    assert received == ["new", "old", "new"]
