@@ -8,9 +8,11 @@ similar place goes on as well as the right place does.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from math import hypot
 
+import numpy as np
 from eigenscan.tracker.faults import WITHOUT_SIGN, Faults
 from eigenscan.tracker.lateness import Lateness
 from eigenscan.tracker.odometry import Motion, OdometryTrail
@@ -101,6 +103,12 @@ class Agreement:
         self._jumps.append(stamp)
         self._now = stamp
 
+    def restart(self) -> None:
+        """Odometry's clock was set back: what waits is of another time."""
+        self._waiting.clear()
+        for faults in self._faults.values():
+            faults.restart()
+
     @property
     def two_robots(self) -> bool:
         """Whether odometry jumps so often that two robots must use one name."""
@@ -136,9 +144,10 @@ class Agreement:
                 continue
             if interval.moved is not None and not interval.repeats:
                 found.append((interval, driven))
-            coarse = max(trail.spacing(interval.since), trail.spacing(interval.stamp)) > COARSE_NS
+            ends = interval.since, interval.stamp
+            coarse = max(map(trail.spacing, ends)) > COARSE_NS
             if driven.breaks <= 0 and abs(driven.unknown) <= UNKNOWN_S and not coarse:
-                self._take(interval, driven, trail)
+                self._take(_widened(interval, map(trail.leeway, ends)), driven, trail)
         return found
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
@@ -159,6 +168,13 @@ class Agreement:
     def change(self) -> float:
         """How much scans change as odometry predicts, 0..1."""
         return min((each.changes for each in self._faults.values()), default=1.0)
+
+
+def _widened(interval: ScanInterval, leeways: Iterable[tuple[float, float]]) -> ScanInterval:
+    """The interval, its covariance with what odometry at its ends may be off by, m and rad."""
+    way, turn = np.square(list(leeways)).sum(axis=0).tolist()
+    xx, xy, yy = interval.spread
+    return replace(interval, spread=(xx + way, xy, yy + way), turn_variance=interval.turn_variance + turn)
 
 
 def _is_far(driven: Motion, interval: ScanInterval) -> bool:

@@ -185,6 +185,10 @@ class Faults:
             return _KINDS[kind].name.format(round(degrees(wrap(float(TURNED[at])))))
         return _KINDS[kind].name.format(float(LATE_BY[at]) if _FIRST[kind] == LATE else 0.0)
 
+    def restart(self) -> None:
+        """Odometry's stamps begin again."""
+        self._kept = 0
+
     def take_apart(self) -> None:
         """Two scans that must have much in common do not fit each other."""
         likelihood = np.full(_STATES, NO_FIT)

@@ -192,6 +192,22 @@ class OdometryTrail:
         after = min(max(after, 1), len(self._samples) - 1)
         return self._samples[after].stamp - self._samples[after - 1].stamp
 
+    def leeway(self, stamp: int) -> tuple[float, float]:
+        """How far off the pose at `stamp`, ns, may be, m and rad: the velocity changed at any time between.
+
+        0 where messages come often enough to give a velocity, or where there is one of that time.
+        """
+        after = bisect_left(self._samples, stamp - self._delay, key=_stamp_of)
+        if not 0 < after < len(self._samples):
+            return 0.0, 0.0
+        before, a, b = (self._samples[max(index, 0)] for index in (after - 2, after - 1, after))
+        period = b.stamp - a.stamp
+        if period <= LONGEST_NS or b.stamp == stamp - self._delay:
+            return 0.0, 0.0
+        steady = scaled(between(before.chained, a.chained), period / max(a.stamp - before.stamp, 1))
+        x, y, turn = between(steady, between(a.chained, b.chained))
+        return hypot(x, y), abs(turn)
+
     def _found(self, stamp: int) -> Sample:
         index = bisect_left(self._samples, stamp, key=_stamp_of)
         if index < len(self._samples) and self._samples[index].stamp == stamp:
