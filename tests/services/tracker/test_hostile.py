@@ -284,6 +284,21 @@ def test_a_clock_set_back_starts_again(make_core: MakeCore, speaker: Speaker, po
     assert is_right(output[-1])
 
 
+def test_after_odometry_whose_clock_was_set_back_nothing_of_before_is_claimed(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Seed 4724: set back by 6.4 s; after 8 s the stamps were 1.6 s on, and the claim was 5.6 m off."""
+    core = make_core()
+    standing(core, speaker, poses_of, 10.0, 20)
+    for time in np.arange(12.0, 20.0, 0.2).tolist():
+        core.handle(speaker.odometry(time - 6.4, np.array([1.0 + 0.5 * (time - 12.0), 1.0, 0.0])))
+    nothing = speaker.hypotheses(13.3, [], [], status=Hypotheses.STATUS_UNUSABLE_SCAN)
+    pose = poses_of(core.handle(nothing))[0]
+    assert core.condition().counters["odometry_restarted"] == 1
+    assert pose.state != STATE_LOCALIZED
+    assert pose.confidence < 0.1
+
+
 def test_covariances_that_are_none_are_replaced(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:

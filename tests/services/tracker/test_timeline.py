@@ -29,7 +29,14 @@ def test_a_clock_that_was_set_back_catches_up_unseen() -> None:
     """Found by simtest: 2.2 s back, and two scans later a claim 1.5 m off."""
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
     received = [timeline.receive(seen(stamp)) for stamp in (37.0, 38.0, 36.76, 37.76, 38.76)]
-    assert received == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TOO_LATE, Outcome.TAKEN]
+    assert received == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TOO_LATE, Outcome.RESTARTED]
+
+
+def test_a_list_older_than_the_last_of_its_source_is_not_taken() -> None:
+    """Seed 4154: the clock was set back by less than two scans, and a pose of now counted as of before."""
+    timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
+    received = [timeline.receive(seen(stamp)) for stamp in (6.44, 7.44, 6.99, 7.99)]
+    assert received == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TAKEN]
 
 
 def test_a_slow_projector_is_taken_after_one_list_that_came_too_late() -> None:
@@ -40,6 +47,7 @@ def test_a_slow_projector_is_taken_after_one_list_that_came_too_late() -> None:
     assert timeline.receive(seen(10.6, "front/slow")) is Outcome.TAKEN
 
 
-def test_a_list_that_another_overtook_is_taken() -> None:
+def test_a_list_that_one_of_another_source_overtook_is_taken() -> None:
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
-    assert [timeline.receive(seen(stamp)) for stamp in (1.0, 1.4, 1.2)] == [Outcome.TAKEN] * 3
+    received = [timeline.receive(each) for each in (seen(1.0), seen(1.4), seen(1.2, "rear/0"))]
+    assert received == [Outcome.TAKEN] * 3

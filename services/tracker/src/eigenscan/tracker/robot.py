@@ -156,6 +156,9 @@ class RobotTracker:
         self._counts[result] += 1
         if result == "odometry_taken_as_jump":
             self._agreement.note_jump(stamp)
+        if result == "odometry_restarted":  # how far the robot came between two clocks is not known
+            self._reset()
+            self._agreement.restart()
         if self._trail.newest is not None:
             self._timeline.receive_odometry(self._trail.newest.stamp, result == "odometry_restarted")
             self._silence.receive_odometry(self._trail.newest.stamp)

@@ -15,6 +15,8 @@ CONFIRMED_NS = 60_000_000_000
 """Another stamp of the same source confirms it within this: scans may be sparse, a minute apart."""
 RESTART_AFTER = 5
 """So many stamps from the past in a row mean that the clock was set back."""
+CAUGHT_UP_AFTER = 2
+"""The same, where the next one is newer than all of its source: one alone may have been overtaken."""
 RECENT = 64
 """Stamps kept of each source, to know a repetition."""
 
@@ -44,12 +46,17 @@ class Timeline:
         self._projectors: set[str] = set()
         self._doubted: dict[str, int] = {}
         self._past_in_row: Counter[str] = Counter()
+        """Of each source: lists from the past, one after another."""
+        self._back_in_row: Counter[str] = Counter()
+        """The same: older than another of their own source."""
         self._received: int | None = None
         self._odometry: int | None = None
         self._alone = False
 
     def receive_odometry(self, stamp: int, restarted: bool = False) -> None:
-        """Notes how far odometry has come; `restarted`: its clock was set back."""
+        """Notes how far odometry has come; `restarted`: its clock was set back, so what waits never fits."""
+        if restarted:
+            self._waiting.clear()
         if restarted or self._odometry is None:
             self._odometry = stamp
         self._odometry = max(self._odometry, stamp)
@@ -60,11 +67,14 @@ class Timeline:
         if seen.stamp in recent:
             self._counts["hypotheses_duplicate"] += 1
             return Outcome.DUPLICATE
+        if recent and seen.stamp < max(recent):  # a projector answers scans in their order
+            self._back_in_row[seen.source] += 1
+            return self._receive_past(seen)
         if self._received is not None and seen.stamp < self._received - self._late:
             return self._receive_past(seen)
-        if self._past_in_row[seen.source] and recent and seen.stamp < max(recent):
-            return self._receive_past(seen)  # a clock that was set back catches up: a time that was already
-        self._past_in_row[seen.source] = 0
+        back, self._past_in_row[seen.source] = self._back_in_row.pop(seen.source, 0), 0
+        if back >= CAUGHT_UP_AFTER:  # how much time has passed meanwhile is not known
+            return self._restart(seen)
         if self._is_doubtful(seen):
             self._counts["hypotheses_from_future"] += 1
             return Outcome.FUTURE
@@ -94,6 +104,9 @@ class Timeline:
         self._past_in_row[seen.source] += 1
         if self._past_in_row[seen.source] < RESTART_AFTER:
             return Outcome.TOO_LATE
+        return self._restart(seen)
+
+    def _restart(self, seen: Observation) -> Outcome:
         self._counts["clock_set_back"] += 1
         odometry = self._odometry
         self._forget()
