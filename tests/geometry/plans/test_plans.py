@@ -1,15 +1,18 @@
 """Floor plans become the maps that they show."""
 
+import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError, write_map
-from eigenscan.geometry.plans import PlanOptions, read_plan
+from eigenscan.geometry.plans import PlanOptions, raster, read_plan
+from eigenscan.geometry.plans.raster import Walls, rasterize
 from ezdxf import units as dxf_units
 from ezdxf.filemanagement import new
 from ezdxf.layouts.layout import Modelspace
+from scipy.ndimage import distance_transform_edt
 
 from tests.command import eigenscan
 
@@ -173,3 +176,27 @@ def test_uses_that_repeat_each_other_without_end_are_refused(tmp_path: Path, its
     path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{"".join(levels)}{last}</svg>')
     with pytest.raises(MapError, match=r"bomb\.svg"):
         read_plan(path, PlanOptions(metres_per_unit=0.01))
+
+
+def test_an_empty_hall_takes_few_bytes_a_cell() -> None:
+    """Fuzzing: a drawing of 392 bytes and 5 million cells took 206 MB."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5], [0.0, 0.5], [0.0, 0.0]])
+    rasterize(Path("small.svg"), Walls([10.0 * corners]), 0.05)  # what is imported late does not count
+    tracemalloc.start()
+    try:
+        hall = rasterize(Path("hall.svg"), Walls([100.0 * corners]), 0.05)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 25 * hall.cells.size
+    assert hall.cells[hall.cells.shape[0] // 2, hall.cells.shape[1] // 2] == FREE
+    assert hall.cells[0, 0] == UNKNOWN
+
+
+def test_distances_found_in_bands_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = np.random.default_rng(1).random((90, 40)) > 0.995
+    far_m, resolution = 0.6, 0.05
+    monkeypatch.setattr(raster, "BAND_CELLS", 1)
+    expected = distance_transform_edt(~there) * resolution <= far_m
+    assert 0 < expected.sum() < expected.size
+    np.testing.assert_array_equal(raster._near(there, far_m, resolution), expected)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,16 @@ from eigenscan.geometry.gridmap import FARTHEST_M, FREE, OCCUPIED, UNKNOWN, Grid
 from eigenscan.geometry.pose import Array
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
-from scipy.ndimage import distance_transform_edt, label, maximum
+from scipy.ndimage import distance_transform_edt, label
 
 DOORWAY = 1.2
 """m: an opening no wider than this does not let the outside in."""
 ROOM = 0.5
 """Enclosed space that is nowhere this far from its walls, m, is the inside of a wall, a pillar or a table."""
 MOST_DRAWN_CELLS = 100_000_000
-"""500 m by 500 m at 5 cm; finding the inside needs some 40 bytes a cell."""
+"""500 m by 500 m at 5 cm; finding the inside needs some 16 bytes a cell."""
+BAND_CELLS = 2**19
+"""Distances are found in bands of so many cells: one takes 40 bytes of each cell."""
 MARGIN = 2.0
 """m of outside around the drawing: more than half a doorway, so that the outside goes around it."""
 
@@ -45,11 +48,11 @@ def rasterize(path: Path, walls: Walls, resolution: float) -> GridMap:
         wide, deep = high - low
         raise MapError(f"{path}: {wide:.0f} m by {deep:.0f} m: too large: check --metres-per-unit")
     wall = _draw(walls, low, resolution, (width, height))
-    clear = distance_transform_edt(~wall) * resolution
-    inside = ~wall & ~_outside(clear, resolution)
+    inside = ~(wall | _outside(wall, resolution))
     parts, count = label(inside)
     if count:
-        roomy = np.concatenate([[False], maximum(clear, parts, np.arange(1, count + 1)) >= ROOM])
+        roomy = np.zeros(count + 1, dtype=np.bool_)
+        roomy[parts[~_near(wall, np.nextafter(ROOM, 0.0), resolution)]] = True
         wall |= inside & ~roomy[parts]
         inside &= roomy[parts]
     if not inside.any():
@@ -75,8 +78,21 @@ def _draw(walls: Walls, low: Array, resolution: float, size: tuple[int, int]) ->
     return drawn
 
 
-def _outside(clear: Array, resolution: float) -> NDArray[np.bool_]:
-    """Cells reached from the edge without passing a doorway; `clear` (H, W): m to the nearest wall."""
-    parts, _ = label(clear > DOORWAY / 2)
-    outside: NDArray[np.bool_] = distance_transform_edt(parts != parts[0, 0]) * resolution <= DOORWAY / 2
-    return outside
+def _outside(wall: NDArray[np.bool_], resolution: float) -> NDArray[np.bool_]:
+    """Cells reached from the edge without passing a doorway."""
+    parts, _ = label(~_near(wall, DOORWAY / 2, resolution))
+    return _near(parts == parts[0, 0], DOORWAY / 2, resolution)
+
+
+def _near(there: NDArray[np.bool_], far: float, resolution: float) -> NDArray[np.bool_]:
+    """Cells that lie within `far` m of one that is `there`."""
+    found = np.zeros_like(there)
+    margin = ceil(far / resolution) + 1
+    rows = max(BAND_CELLS // there.shape[1], margin)
+    for first in range(0, len(there), rows):
+        above = min(first, margin)
+        band = there[first - above : first + rows + margin]
+        if band.any():
+            near = distance_transform_edt(~band) * resolution <= far
+            found[first : first + rows] = near[above : above + rows]
+    return found
