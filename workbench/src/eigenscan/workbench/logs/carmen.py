@@ -15,10 +15,9 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
-from itertools import islice
+from io import BufferedReader
+from itertools import compress, islice
 from pathlib import Path
-from typing import IO, cast
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
@@ -37,6 +36,8 @@ from numpy.typing import NDArray
 KNOWN_KINDS = frozenset({*LIDAR_OF, "ODOM", "PARAM", "SYNC", "TRUEPOS"})
 LINES_LOOKED_AT = 200
 LONGEST_LINE = 4_000_000
+PIECE = 2**16
+"""Bytes that are read at a time."""
 
 SAMPLES = 2000
 SATURATED_SHARE, SAME_WALL_SHARE, ENOUGH_BESIDE = 0.002, 0.5, 100
@@ -74,6 +75,8 @@ class _Samples:
 class _Survey:
     """Results of the first reading of the log."""
 
+    taken: bytearray = field(default_factory=bytearray)
+    """Of each line of the file: whether it is one with a stamp."""
     kinds: list[str] = field(default_factory=list)
     stamps: list[int] = field(default_factory=list)
     mounts: dict[str, list[NDArray[np.float64]]] = field(default_factory=dict)
@@ -154,7 +157,8 @@ class CarmenLog:
     ) -> Iterator[Envelope]:
         mounts = {kind: survey.mount(kind) for kind in taken}
         limits: dict[tuple[str, float], float] = {}
-        for number, line in enumerate(self._lines()):
+        texts = compress(self._texts(Counter(), False), survey.taken)
+        for number, line in enumerate(filter(None, map(read_line, texts))):
             self.progress = 0.5 + 0.5 * number / len(times)
             time = int(times[number])
             if line.odometry is not None:
@@ -212,25 +216,18 @@ class CarmenLog:
 
     def _survey(self) -> _Survey:
         survey = _Survey()
-        for line in self._lines(survey.parameters, self.counters):
-            survey.note(line)
-        return survey
-
-    def _lines(
-        self, parameters: dict[str, float] | None = None, counters: Counter[str] | None = None
-    ) -> Iterator[Line]:
-        """Lines with a stamp; counts unreadable ones."""
-        counted = Counter[str]() if counters is None else counters
-        for text in self._texts(counted, counters is not None):
+        for text in self._texts(self.counters, True):
+            line = None
             try:
                 line = read_line(text)
             except LineError as error:
-                counted[error.reason] += 1
-                continue
+                self.counters[error.reason] += 1
+            survey.taken.append(line is not None)
             if line is not None:
-                yield line
-            elif parameters is not None and text.startswith("PARAM "):
-                _note_parameter(text, parameters)
+                survey.note(line)
+            elif text.startswith("PARAM "):
+                _note_parameter(text, survey.parameters)
+        return survey
 
     def _texts(self, counters: Counter[str], first: bool) -> Iterator[str]:
         try:
@@ -274,13 +271,22 @@ def _texts(path: Path) -> Iterator[tuple[int, str]]:
     with path.open("rb") as raw:
         magic = raw.read(2)
         raw.seek(0)
-        file: IO[bytes] = raw
+        file: BufferedReader | gzip.GzipFile | bz2.BZ2File = raw
         if magic == b"\x1f\x8b":
-            file = cast(IO[bytes], gzip.GzipFile(fileobj=raw))
+            file = gzip.GzipFile(fileobj=raw)
         elif magic == b"BZ":
             file = bz2.BZ2File(raw)
-        for line in iter(partial(file.readline, LONGEST_LINE), b""):
-            yield raw.tell(), line.decode("latin-1")
+        rest = ""
+        while piece := file.read1(PIECE):  # what comes before damage is read; their readline is slow
+            *lines, rest = (rest + piece.decode("latin-1")).split("\n")
+            place = raw.tell()
+            for line in lines:
+                yield place, line
+            if len(rest) > LONGEST_LINE:
+                yield place, rest
+                rest = ""
+        if rest:
+            yield raw.tell(), rest
 
 
 def _note_parameter(text: str, parameters: dict[str, float]) -> None:

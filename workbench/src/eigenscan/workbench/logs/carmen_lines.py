@@ -90,7 +90,7 @@ def read_line(text: str) -> Line | None:
 
 
 def _floats(words: list[str]) -> NDArray[np.float64]:
-    return np.array([float(word) for word in words])
+    return np.array(list(map(float, words)))
 
 
 def _stamp(word: str) -> int:
