@@ -239,7 +239,7 @@ def _lists(model: SiteModel, scans: list[Observation], changes: dict[str, Any]) 
         projected = project(view, seen, seen.used)
         squares = projected.error_energy**2 * len(seen.coarse)
         squares[~projected.searched] = np.inf
-        found = view.association.nearest(projected.coefficients, squares, 100_000)
+        found = view.association.nearest(projected.coefficients, squares, 100_000).best(100_000)
         position, window = view.places(found.rows)
         poses = lattice_poses(site.lattice.positions, position, window, ANALYSIS_TURN, seen.sensor.angle_min)
         poses = poses + found.offsets

@@ -66,7 +66,7 @@ def test_connectivity_keeps_the_nearest_of_each_surface_and_no_other(
     rng = np.random.default_rng(seed)
     sheets = [random_sheets(rng) for _ in range(regions)]
     alphas, residuals = random_query(rng, sheets)
-    near = SweepTable.of(sheets).nearest(alphas, residuals, count)
+    near = SweepTable.of(sheets).nearest(alphas, residuals, count).best(count)
     surfaces = Surfaces.of(sheets)
     found = surfaces.nearest(alphas, residuals, count)
     order = {row: i for i, row in enumerate(near.rows.tolist())}

@@ -27,7 +27,7 @@ def _listed(kind: Kind, scans: list[Observation]) -> list[Array]:
     for seen in scans:
         projected = project(view, seen, seen.used)
         squares = projected.error_energy**2 * len(seen.coarse)
-        found = view.association.nearest(projected.coefficients, squares, ALL)
+        found = view.association.nearest(projected.coefficients, squares, ALL).best(ALL)
         position, window = view.places(found.rows)
         grid = lattice_poses(built.lattice.positions, position, window, ANALYSIS_TURN, seen.sensor.angle_min)
         lists.append(grid + found.offsets)

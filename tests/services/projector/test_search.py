@@ -49,6 +49,7 @@ def test_the_sweep_finds_the_nearest_of_all_regions(seed: int, regions: int, cou
     residuals = rng.uniform(0, 4000, regions)
     sheets = [Sheets(t[:, None], np.zeros((len(t), 2)), np.zeros((len(t), 2), int)) for t in tables]
     found = SweepTable.of(sheets).nearest(alphas, residuals, count)
+    found = found.best(count)
     rows, square = found.rows, found.squares
     direct = np.concatenate(
         [((t - a) ** 2).sum(axis=1) + e for t, a, e in zip(tables, alphas, residuals, strict=True)]

@@ -7,6 +7,7 @@ with its cap, the number of beams at that step, and the number of components.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from eigenscan.eigenspace.components import Eigenspace, analyse, coefficients, error_squares
@@ -65,6 +66,7 @@ class RegionSpace:
         return Analysis(self.embedding, self.space.beams, len(self.space.eigenvalues))
 
 
+@lru_cache(maxsize=64)  # of few lidars, several times a scan
 def coarse_sensor(sensor: Sensor) -> Sensor:
     """The sensor at the analysis step, over the same field of view."""
     step = 2.0 * np.pi / ANALYSIS_TURN

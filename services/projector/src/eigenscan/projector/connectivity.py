@@ -17,23 +17,19 @@ def best_of_neighbourhoods(
     """At most `count` indices of poses (n, 3) out of `order`, best first, none near a better one in both."""
     kept = np.empty(count, dtype=np.int64)
     # those kept, by the square of the plane that they lie in: a near one lies in one of nine
-    bucket = np.full(_BUCKETS, -1, dtype=np.int64)
-    following = np.empty(count, dtype=np.int64)
+    bucket = np.full(_BUCKETS, -1, dtype=np.int32)
+    following = np.empty(count, dtype=np.int32)
     found = 0
     for i in order:
         if found == count:
             break
-        x, y, theta = poses[i]
-        column, row = int(np.floor(x / apart_m)), int(np.floor(y / apart_m))
+        column, row = int(np.floor(poses[i, 0] / apart_m)), int(np.floor(poses[i, 1] / apart_m))
         free = True
         for square in range(9):
             k = bucket[_hashed(column + square % 3 - 1, row + square // 3 - 1)]
             while k >= 0 and free:
-                other = poses[kept[k]]
-                turn = abs(theta - other[2]) % (2.0 * np.pi)
-                near = (x - other[0]) ** 2 + (y - other[1]) ** 2 <= apart_m * apart_m
-                free = not (near and min(turn, 2.0 * np.pi - turn) <= apart_rad)
-                k = following[k]
+                free = not _are_near(poses, i, kept[np.uint64(k)], apart_m, apart_rad)
+                k = following[np.uint64(k)]
             if not free:
                 break
         if free:
@@ -44,8 +40,17 @@ def best_of_neighbourhoods(
 
 
 @njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
-def _hashed(column: int, row: int) -> int:
-    return (column * 73856093 ^ row * 19349663) & (_BUCKETS - 1)
+def _are_near(poses: NDArray[np.float64], i: int, k: int, apart_m: float, apart_rad: float) -> bool:
+    if (poses[i, 0] - poses[k, 0]) ** 2 + (poses[i, 1] - poses[k, 1]) ** 2 > apart_m * apart_m:
+        return False
+    turn = abs(poses[i, 2] - poses[k, 2]) % (2.0 * np.pi)
+    return bool(min(turn, 2.0 * np.pi - turn) <= apart_rad)
+
+
+@njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
+def _hashed(column: int, row: int) -> np.uint64:
+    # unsigned: an index that cannot be negative is not looked at twice
+    return np.uint64((column * 73856093 ^ row * 19349663) & (_BUCKETS - 1))
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled

@@ -113,6 +113,7 @@ def find_support(
     py[:] = seen * np.sin(bearings) / cell
     weight = share.astype(np.float32)
     at, words = np.empty(len(seen), dtype=np.uint32), np.empty(len(seen), dtype=np.uint32)
+    column_of, row_of = np.empty(len(seen), dtype=np.float32), np.empty(len(seen), dtype=np.float32)
     for i in range(len(poses)):
         cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
         x, y = np.float32(poses[i, 0]), np.float32(poses[i, 1])
@@ -121,12 +122,12 @@ def find_support(
         for j in range(len(px)):
             u = min(max(x + cos * px[j] - sin * py[j], zero), right)
             v = min(max(y + sin * px[j] + cos * py[j], zero), top)
+            column_of[j], row_of[j] = u, v
             at[j] = np.uint32(np.int32(np.int32(v) * columns) + np.int32(u))
         for j in range(len(px)):
-            words[j] = flat[at[j]]
+            words[j] = flat[np.uint64(at[j])]
         for j in range(len(px)):
-            u = min(max(x + cos * px[j] - sin * py[j], zero), right)
-            v = min(max(y + sin * px[j] + cos * py[j], zero), top)
+            u, v = column_of[j], row_of[j]
             column, row = np.int32(u), np.int32(v)
             centre, gx, gy = unpack(words[j])
             d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit

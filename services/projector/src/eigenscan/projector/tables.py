@@ -84,7 +84,7 @@ class Tables:
         self.subspaces, self.usual_error = Subspaces.reserved(*shape), np.ones(len(models))
         self.ready, self._made, self._known = (np.zeros(len(models), dtype=bool) for _ in range(3))
         self._store, self._sums = store, None if store is None else np.zeros(len(models), dtype=np.uint32)
-        self._unchecked = np.zeros(len(models), dtype=bool)
+        self._unchecked, self._all_known = np.zeros(len(models), dtype=bool), False
         self._learn()
         self.ratios: Ratios | None = None
         if settings.association == "sweep" and settings.interpolation != "ratios":
@@ -103,9 +103,10 @@ class Tables:
     @property
     def is_known(self) -> bool:
         """Whether the eigenspaces of all regions are published or received."""
-        if not self._known.all():
+        if not self._all_known:
             self._learn()
-        return bool(self._known.all())
+            self._all_known = bool(self._known.all())
+        return self._all_known
 
     @property
     def patience(self) -> int:

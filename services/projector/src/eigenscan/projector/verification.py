@@ -131,19 +131,21 @@ def _overshot(
     out: NDArray[np.float32],
 ) -> None:
     positions, neighbours, spacing = grid
-    one, zero, farthest = np.float32(1.0), np.float32(0.0), np.int16(np.rint(cap * STEPS))
+    farthest = np.int16(np.rint(cap * STEPS))
+    # unsigned: an index that cannot be negative is not looked at twice
+    ahead = beams.astype(np.uint32)
     for i in range(len(poses)):
         near = home[i]
         column = int(min(max(np.rint((poses[i, 0] - positions[near, 0]) / spacing), -1.0), 1.0))
         row = int(min(max(np.rint((poses[i, 1] - positions[near, 1]) / spacing), -1.0), 1.0))
         there = neighbours[near, 3 * (column + 1) + row + 1]
-        panorama = leaves[near if there < 0 else there]
-        first = int(np.rint((poses[i, 2] + angle_min) * (ANALYSIS_TURN / TURN))) % ANALYSIS_TURN
-        for j in range(len(beams)):
-            leave = panorama[first + beams[j]]
+        window = int(np.rint((poses[i, 2] + angle_min) * (ANALYSIS_TURN / TURN))) % ANALYSIS_TURN
+        panorama = leaves[near if there < 0 else there, window:]
+        for j in range(len(ahead)):
+            leave = panorama[np.uint64(ahead[j])]
             # at the cap nothing is known of where it leaves
             beyond = leave * np.float32(1.0 / STEPS) + np.float32(OVERSHOT_M)
-            out[i, j] = one if leave < farthest and seen[j] > beyond else zero
+            out[i, j] = np.float32((leave < farthest) & (seen[j] > beyond))
 
 
 @njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled

@@ -50,7 +50,7 @@ class Sheets:
 
 @dataclass(frozen=True)
 class Matches:
-    """k poses near a scan in eigenspace, nearest first.
+    """k poses near a scan in eigenspace, in no order.
 
     `rows` (k,): the pose, counted through regions, positions and headings. `squares` (k,): ||S - S'||^2
     within the subspaces. `offsets` (k, 3): the scan's place between the grid's poses, from the row's own, m,
@@ -127,7 +127,7 @@ class Association(Protocol):
         ...
 
     def nearest(self, alphas: Array, residuals: Array, count: int) -> Matches:
-        """At most about `count` matches of all regions, nearest first; the same for the same arguments.
+        """At most about `count` matches of all regions, in no order; the same for the same arguments.
 
         `alphas` (R, M): the scan in each region's space, as the sheets' coefficients; `residuals` (R,):
         ||E||^2 there, m^2: what a space does not hold counts in full, so that ||alpha - alpha'||^2 + ||E||^2

@@ -50,7 +50,7 @@ class Surfaces(Association):
 
         A sheet that bends away and comes back, at another place of the region, passes the scan twice.
         """
-        near = self.poses.nearest(alphas, residuals, count)
+        near = self.poses.nearest(alphas, residuals, count).best(count)
         return near.take(_nearest_of_surfaces(near.rows, self.neighbours, self.headings, self.scratch))
 
 

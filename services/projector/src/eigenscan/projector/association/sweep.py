@@ -104,8 +104,10 @@ class SweepTable(Association):
         rows, squares = _nearest(
             self.blocks, self.centres, self.rows, self.bounds, searched, query, beside, opened, count
         )
-        order = np.argsort(squares)[:count]
-        return Matches.on_grid(rows[order], (squares[order] * self.unit**2).astype(np.float32))
+        if count < len(rows):
+            few = np.argpartition(squares, count - 1)[:count]
+            rows, squares = rows[few], squares[few]
+        return Matches.on_grid(rows, (squares * self.unit**2).astype(np.float32))
 
 
 # loops here and below: to assign a slice costs seconds of compilation, for the words of its error
