@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Generic, TypeVar
 
@@ -391,6 +392,7 @@ class Node:
         bus.close()
 
 
+@cache
 def _package_version(service: str) -> str:
     for distribution in (f"eigenscan-{service}", "eigenscan-runtime"):
         try:

@@ -16,8 +16,8 @@ from eigenscan.workbench.simtest.checks import SETTLE_S, Broken, Judge
 from eigenscan.workbench.simtest.faults import Fault, draw
 from eigenscan.workbench.simtest.site import Plan, Site
 
-RUNS_KEPT = 10
-"""Runs whose remains are collected together: it takes a twentieth of a run, and each leaves a few MB."""
+RUNS_KEPT = 100
+"""Runs whose remains are collected together: each leaves a MB, and it takes as long as three runs."""
 _runs = count(1)
 WELL_S = 3.0
 """For which all works before a short story ends: by then each service has published its health again."""
