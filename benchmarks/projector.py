@@ -62,7 +62,7 @@ STAGES = {
     "one a neighbourhood": (projection, "best_of_neighbourhoods"),
     "refine": (projection, "fit"),
     "cast rays": (RayCaster, "cast"),
-    "look at support": (projection, "support"),
+    "look at support": (projection, "doubts"),
     "polish and weigh": (projection, "weigh"),
     "hypotheses message": (core_module, "hypotheses_message"),
     "obstacles": (publishing, "find_obstacles"),

@@ -138,7 +138,7 @@ def test_the_mean_step_is_that_of_all_pairs_of_neighbours() -> None:
 
 def test_matches_of_two_lists_are_one_a_pose() -> None:
     one = Matches(np.array([5, 7, 6, 4]), np.array([1, 2, 3, 6], np.float32), np.eye(4)[:, :3])
-    other = Matches.on_grid(np.array([8, 7]), np.array([4, 5], np.float32))
+    other = Matches(np.array([8, 7]), np.array([4, 5], np.float32))
     both = one.joined(other).by_row()
     assert both.rows.tolist() == [4, 5, 6, 7, 8]
     assert both.squares.tolist() == [6, 1, 3, 2, 4]

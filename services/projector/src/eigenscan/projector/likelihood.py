@@ -48,9 +48,13 @@ def support(
     count `by_reach`.
     """
     out = np.empty((2, len(poses)))
-    share = by_reach(seen) / max(len(seen), 1)
-    find_support(field.cells, field.cell, field.cells_of(poses), bearings, seen, share, through, out)
+    find_support(field.cells, field.cell, field.cells_of(poses), bearings, seen, share_of(seen), through, out)
     return out[0], out[1]
+
+
+def share_of(seen: NDArray[np.float32]) -> Array:
+    """What each of the beams (B,) counts `by_reach` of all."""
+    return by_reach(seen) / max(len(seen), 1)
 
 
 def beyond_walls(clear: NDArray[np.float32]) -> NDArray[np.float32]:

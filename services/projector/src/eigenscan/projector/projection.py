@@ -17,13 +17,13 @@ from eigenscan.projector.first_look import first_look
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
 from eigenscan.projector.from_eigenspace import answer
-from eigenscan.projector.likelihood import log_likelihood, ordinary_support, support
+from eigenscan.projector.likelihood import log_likelihood, ordinary_support
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.refinement import SLIDE, Fit, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, SensorView, Site
-from eigenscan.projector.verification import overshot, verify
-from eigenscan.projector.weighing import UNKNOWN_GROUND, weigh
+from eigenscan.projector.verification import verify
+from eigenscan.projector.weighing import doubts, weigh
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -178,12 +178,13 @@ def _verified(
     site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, trace: TraceCallback
 ) -> tuple[Array, Index, Index]:
     """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
-    between = bool(matches.offsets.any())
-    if between:
+    offset = None
+    if matches.between is None:
+        rows, home, window = view.distinct_places(np.sort(matches.rows))
+    else:
         matches = matches.by_row()
-    rows, offset = (matches.rows if between else matches.distinct_rows), matches.offsets
-    home, window = view.places(rows)
-    if between:
+        rows, offset = matches.rows, matches.offsets
+        home, window = view.places(rows)
         window += np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
         window %= ANALYSIS_TURN
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
@@ -191,7 +192,7 @@ def _verified(
         view.windows, view.leaves, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
     )
     poses = lattice_poses(positions, position, window, ANALYSIS_TURN, angle_min)
-    if between:
+    if offset is not None:
         poses[:, :2] += offset[:, :2] * (position == home)[:, None]
     trace("associated", poses)
     best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
@@ -202,11 +203,7 @@ def _verified(
 
 def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Index:
     """Which slid poses to polish: the best supported, by ranges that the panoramas foresee."""
-    sensor, used, (bearing, z) = seen.sensor, seen.few, seen.weighed
-    through = overshot(view.leaves, site.lattice, home, slid, used, z, sensor.angle_min, sensor.range_max)
-    supported, _ = support(site.drawn, slid, bearing, z, through)
-    # nothing speaks against a pose on what the map does not know
-    order = np.argsort(UNKNOWN_GROUND * site.caster.in_dark(slid[:, :2]) - supported)
+    order = np.argsort(doubts(site, view, seen, slid, home))
     return best_of_neighbourhoods(slid, order, SAME_M, SAME_RAD, POLISHED)
 
 

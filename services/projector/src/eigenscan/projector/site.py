@@ -25,6 +25,7 @@ from eigenscan.projector.subspaces import Subspaces
 from eigenscan.projector.tables import HEADINGS, Flags, Given, Store, Tables
 from eigenscan.projector.verification import RANGE_CAP, Steps, predicted, width
 from eigenscan.projector.wall_field import WallField
+from numba import njit
 from numpy.typing import NDArray
 
 KEPT_SENSORS = 8
@@ -72,6 +73,15 @@ class SensorView:
     def places(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Lattice positions (n,), and windows (n,) of their panoramas, of rows (n,) of `association`."""
         return self._searched[rows // HEADINGS], rows % HEADINGS * HEADING_STRIDE
+
+    def distinct_places(
+        self, rows: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Of sorted rows (n,) each once (k,), and their `places`."""
+        found: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] = _distinct_places(
+            rows, self._searched
+        )
+        return found
 
     @property
     def embedding(self) -> Embedding:
@@ -121,6 +131,23 @@ class SensorView:
             near = near[near >= 0]
         for out, panoramas in ((self.windows, self._enters), (self.leaves, self._leaves)):
             out[near] = predicted(panoramas[near], self.tables.analysis.beams, self._range_max)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _distinct_places(
+    rows: NDArray[np.int64], searched: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    distinct, home, window = np.empty_like(rows), np.empty_like(rows), np.empty_like(rows)
+    count = 0
+    for i in range(len(rows)):
+        if i > 0 and rows[i] == rows[i - 1]:
+            continue
+        # unsigned: an index that cannot be negative is not looked at twice
+        place = np.uint64(rows[i]) // np.uint64(HEADINGS)
+        distinct[count], home[count] = rows[i], searched[place]
+        window[count] = rows[i] % HEADINGS * HEADING_STRIDE
+        count += 1
+    return distinct[:count], home[:count], window[:count]
 
 
 @dataclass(frozen=True)

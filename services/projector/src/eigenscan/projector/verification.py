@@ -30,6 +30,7 @@ STEPS = 2000
 """Of a metre: ranges are whole numbers of 16 bits, so that vectors hold twice as many and caches too."""
 _SHARES = 2048
 """Steps of a beam's weight. A cost is at most STEPS * LONG * _SHARES * ANALYSIS_TURN, and fits 32 bits."""
+_MOST = np.iinfo(np.int16).max
 _LANES = 32
 """Such numbers in the widest vector registers."""
 EMPTY_WEIGHT = 0.5
@@ -39,7 +40,7 @@ EMPTY_WEIGHT = 0.5
 def predicted(panoramas: NDArray[np.float32], beams: int, range_max: float) -> Steps:
     """Panoramas (P, N) clipped, in STEPS, with their first beams repeated after their last: (P, W)."""
     around = np.arange(width(beams)) % panoramas.shape[1]
-    return _in_steps(np.minimum(panoramas, np.float32(_cap(range_max))))[:, around]
+    return _in_steps(np.minimum(panoramas, cap(range_max)))[:, around]
 
 
 def width(beams: int) -> int:
@@ -57,8 +58,9 @@ def _in_steps(ranges: NDArray[np.float32]) -> Steps:
     return steps
 
 
-def _cap(range_max: float) -> float:
-    return min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP
+def cap(range_max: float) -> np.float32:
+    """Range, m, from which on all are alike, for a sensor's longest."""
+    return np.float32(min(RANGE_CAP, range_max) if range_max > 0 else RANGE_CAP)
 
 
 def verify(
@@ -77,23 +79,39 @@ def verify(
     `windows` and `leaves` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in
     position.
     """
-    empty_counts = 0.0 < range_max <= RANGE_CAP
-    finite, empty = np.isfinite(coarse), np.isinf(coarse)
-    reach = np.minimum(coarse, np.float32(_cap(range_max)))
-    counted = np.zeros(len(coarse))
-    counted[finite] = by_reach(reach[finite])
-    counted[empty] = EMPTY_WEIGHT if empty_counts else 0.0
+    most = cap(range_max)
+    counted = by_reach(np.minimum(coarse[np.isfinite(coarse)], most))
     scan, weight = np.zeros((2, _room(len(coarse))), dtype=np.int16)
-    scan[: len(coarse)] = _in_steps(np.where(finite | empty, reach, np.float32(0.0)))
-    weight[: len(coarse)] = np.minimum(np.rint(counted * _SHARES), np.iinfo(np.int16).max)
-    best_position, best_heading = position.copy(), heading.copy()
-    cost = np.empty(len(position), dtype=np.int32)
-    _turn(windows, leaves, best_position, best_heading, scan, weight, cost)
+    unit = STEPS * max(_weigh(coarse, most, counted, 0.0 < range_max <= RANGE_CAP, scan, weight), 1)
+    best_heading, cost = np.empty_like(heading), np.empty(len(position), dtype=np.int32)
+    _turn(windows, leaves, position, heading, scan, weight, best_heading, cost)
     if lattice.finer:
-        better = np.argsort(cost)[:climbing]
-        _climb(windows, leaves, lattice.neighbours, better, best_position, best_heading, scan, weight, cost)
-    unit = STEPS * max(int(weight.sum(dtype=np.int64)), 1)
-    return best_position, best_heading, (cost / unit).astype(np.float32)
+        position, better = position.copy(), np.argsort(cost)[:climbing]
+        _climb(windows, leaves, lattice.neighbours, better, position, best_heading, scan, weight, cost)
+    return position, best_heading, (cost / unit).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _weigh(
+    coarse: NDArray[np.float32],
+    cap: np.float32,
+    counted: NDArray[np.float64],
+    empty_counts: bool,
+    scan: Steps,
+    weight: Steps,
+) -> int:
+    """Fills a scan (J,) in STEPS and its weights, `counted` (n,) of beams that came back; gives their sum."""
+    returned, total = 0, 0
+    for j in range(len(coarse)):
+        if np.isnan(coarse[j]):
+            continue
+        scan[j] = np.int16(np.rint(min(coarse[j], cap) * np.float32(STEPS)))
+        count = EMPTY_WEIGHT if empty_counts else 0.0
+        if np.isfinite(coarse[j]):
+            count, returned = counted[returned], returned + 1
+        weight[j] = np.int16(min(np.rint(count * _SHARES), np.float64(_MOST)))
+        total += weight[j]
+    return total
 
 
 def overshot(
@@ -112,16 +130,33 @@ def overshot(
     `leaves` as of `predicted`; `seen` (B,) are the beams' ranges.
     """
     out = np.empty((len(poses), len(beams)), dtype=np.float32)
-    grid = lattice.positions, lattice.neighbours, lattice.spacing
-    beams = np.ascontiguousarray(beams)
-    _overshot(leaves, grid, home, poses, angle_min, beams, seen, np.float32(_cap(range_max)), out)
+    find_overshot(
+        leaves,
+        grid_of(lattice),
+        home,
+        poses,
+        angle_min,
+        np.ascontiguousarray(beams),
+        seen,
+        cap(range_max),
+        out,
+    )
     return out
 
 
+Grid = tuple[NDArray[np.float64], NDArray[np.int32], float]
+"""A lattice as compiled code takes it: positions, neighbours and spacing."""
+
+
+def grid_of(lattice: Lattice) -> Grid:
+    """The lattice for `find_overshot`."""
+    return lattice.positions, lattice.neighbours, lattice.spacing
+
+
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
-def _overshot(
+def find_overshot(
     leaves: Steps,
-    grid: tuple[NDArray[np.float64], NDArray[np.int32], float],
+    grid: Grid,
     home: NDArray[np.int64],
     poses: NDArray[np.float64],
     angle_min: float,
@@ -130,6 +165,7 @@ def _overshot(
     cap: np.float32,
     out: NDArray[np.float32],
 ) -> None:
+    """For compiled code: `overshot`, with the `cap` of the ranges."""
     positions, neighbours, spacing = grid
     farthest = np.int16(np.rint(cap * STEPS))
     # unsigned: an index that cannot be negative is not looked at twice
@@ -184,13 +220,14 @@ def _turn(
     heading: NDArray[np.int64],
     scan: Steps,
     weight: Steps,
+    turned: NDArray[np.int64],
     cost: NDArray[np.int32],
 ) -> None:
     for i in range(len(position)):
         p, first = position[i], (heading[i] - 1) % ANALYSIS_TURN
         last = first + len(scan) + 2
         cost[i], step = _best_of_three(windows[p, first:last], leaves[p, first:last], scan, weight)
-        heading[i] = (first + 1 + step) % ANALYSIS_TURN
+        turned[i] = (first + 1 + step) % ANALYSIS_TURN
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled

@@ -1,4 +1,4 @@
-"""Polishes poses of a scan and weighs them by all its beams, in one compiled call.
+"""Polishes poses of a scan and weighs them by all its beams, each in one compiled call.
 
 The steps are those of `fit`, RayCaster.cast, `clearance` and `support`; the calls between them cost more than
 the work on few poses.
@@ -10,13 +10,17 @@ import numpy as np
 from eigenscan.geometry.raycast import RayCaster, cast_rays, in_cells, stop_at
 from eigenscan.geometry.trace import DARK
 from eigenscan.projector.intervals import find_clearance
-from eigenscan.projector.likelihood import find_support, sure_beyond
+from eigenscan.projector.likelihood import find_support, share_of, sure_beyond
+from eigenscan.projector.observation import Observation
 from eigenscan.projector.refinement import POLISH, Fit, Flat, fit_poses, flat
+from eigenscan.projector.site import SensorView, Site
+from eigenscan.projector.verification import Grid, Steps, cap, find_overshot, grid_of
 from eigenscan.projector.wall_field import WallField, cells_of
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Singles = NDArray[np.float32]
 Walls = tuple[NDArray[np.uint32], float, Array]
 """Cells of a field, their width, m, and the map frame's pose in it."""
@@ -57,6 +61,59 @@ def weigh(
         out,
     )
     return found, out[0], out[1]
+
+
+def doubts(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Array:
+    """What speaks against poses `slid` (n, 3) near positions `home` (n,), by ranges that panoramas foresee.
+
+    The steps are those of `overshot`, `support` and RayCaster.in_dark.
+    """
+    sensor, grid, (bearings, ranges) = seen.sensor, site.caster.grid, seen.weighed
+    out = np.empty(len(slid))
+    _doubt(
+        view.leaves,
+        grid_of(site.lattice),
+        home,
+        slid,
+        sensor.angle_min,
+        seen.few,
+        cap(sensor.range_max),
+        (site.drawn.cells, site.drawn.cell, site.drawn.map_in_field),
+        (site.caster.leap, grid.map_in_grid, grid.resolution, float(grid.origin[2])),
+        bearings,
+        ranges,
+        share_of(ranges),
+        out,
+    )
+    return out
+
+
+@njit(cache=True, nogil=True)  # pragma: no cover - compiled
+def _doubt(
+    leaves: Steps,
+    lattice: Grid,
+    home: Index,
+    slid: Array,
+    angle_min: float,
+    beams: Index,
+    most: np.float32,
+    drawn: Walls,
+    rays: Rays,
+    bearings: Array,
+    seen: Singles,
+    share: Array,
+    out: Array,
+) -> None:
+    through = np.empty((len(slid), len(beams)), dtype=np.float32)
+    find_overshot(leaves, lattice, home, slid, angle_min, beams, seen, most, through)
+    cells, cell, map_in_field = drawn
+    found = np.empty((2, len(slid)))
+    find_support(cells, cell, cells_of(map_in_field, cell, slid), bearings, seen, share, through, found)
+    leap, map_in_grid, resolution, _ = rays
+    stops = stop_at(leap, in_cells(map_in_grid, resolution, np.ascontiguousarray(slid[:, :2])))
+    for i in range(len(slid)):
+        # nothing speaks against a pose on what the map does not know
+        out[i] = (UNKNOWN_GROUND if stops[i] == DARK else 0.0) - found[0, i]
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled

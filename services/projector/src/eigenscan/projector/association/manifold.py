@@ -53,22 +53,23 @@ class Matches:
     """k poses near a scan in eigenspace, in no order.
 
     `rows` (k,): the pose, counted through regions, positions and headings. `squares` (k,): ||S - S'||^2
-    within the subspaces. `offsets` (k, 3): the scan's place between the grid's poses, from the row's own, m,
-    m, rad in the map frame; 0 without interpolation.
+    within the subspaces. `between` (k, 3): the scan's place between the grid's poses, from the row's own, m,
+    m, rad in the map frame; None without interpolation.
     """
 
     rows: Index
     squares: NDArray[np.float32]
-    offsets: Array
+    between: Array | None = None
 
-    @classmethod
-    def on_grid(cls, rows: Index, squares: NDArray[np.float32]) -> Matches:
-        """Matches that are not interpolated."""
-        return cls(rows, squares, np.zeros((len(rows), 3)))
+    @property
+    def offsets(self) -> Array:
+        """`between` (k, 3), 0 without interpolation."""
+        return np.zeros((len(self.rows), 3)) if self.between is None else self.between
 
     def take(self, which: Index) -> Matches:
         """The matches `which` (j,), in that order."""
-        return Matches(self.rows[which], self.squares[which], self.offsets[which])
+        between = None if self.between is None else self.between[which]
+        return Matches(self.rows[which], self.squares[which], between)
 
     def best(self, count: int) -> Matches:
         """At most `count`, nearest first."""
@@ -79,19 +80,12 @@ class Matches:
 
     def joined(self, other: Matches) -> Matches:
         """These and the others, in one list."""
+        on_grid = self.between is None and other.between is None
         return Matches(
             np.concatenate([self.rows, other.rows]),
             np.concatenate([self.squares, other.squares]),
-            np.concatenate([self.offsets, other.offsets]),
+            None if on_grid else np.concatenate([self.offsets, other.offsets]),
         )
-
-    @property
-    def distinct_rows(self) -> Index:
-        """Each pose once, in order."""
-        rows = np.sort(self.rows)
-        first = np.ones(len(rows), dtype=bool)
-        np.not_equal(rows[1:], rows[:-1], out=first[1:])
-        return rows[first]
 
     def by_row(self) -> Matches:
         """Each pose once, by its first match, in the order of the rows."""

@@ -31,7 +31,7 @@ class Points:
         region = np.searchsorted(self.bounds, rows, side="right") - 1
         squares = _squares(self.coefficients, rows, region, alphas.astype(np.float32))
         squares += residuals[region].astype(np.float32)
-        return Matches.on_grid(rows, squares).best(count)
+        return Matches(rows, squares).best(count)
 
 
 def padded(coefficients: NDArray[np.float32]) -> NDArray[np.float32]:

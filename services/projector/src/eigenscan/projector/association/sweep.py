@@ -99,7 +99,7 @@ class SweepTable(Association):
         beside = (residuals / self.unit**2).astype(np.float32)
         filled, blocks = -(-count // BLOCK), int(np.diff(self.bounds)[searched].sum())
         if not blocks:
-            return Matches.on_grid(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.float32))
+            return Matches(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.float32))
         opened = max(round(self.opened * np.sqrt(blocks * filled)), filled + ALWAYS)
         rows, squares = _nearest(
             self.blocks, self.centres, self.rows, self.bounds, searched, query, beside, opened, count
@@ -107,7 +107,7 @@ class SweepTable(Association):
         if count < len(rows):
             few = np.argpartition(squares, count - 1)[:count]
             rows, squares = rows[few], squares[few]
-        return Matches.on_grid(rows, (squares * self.unit**2).astype(np.float32))
+        return Matches(rows, (squares * self.unit**2).astype(np.float32))
 
 
 # loops here and below: to assign a slice costs seconds of compilation, for the words of its error

@@ -58,4 +58,4 @@ class Trees(Association):
                 kept = np.argpartition(squares, count - 1)[:count]
                 rows, squares = rows[kept], squares[kept]
                 reach = float(squares.max())
-        return Matches.on_grid(rows, squares.astype(np.float32)).best(count)
+        return Matches(rows, squares.astype(np.float32)).best(count)
