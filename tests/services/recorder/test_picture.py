@@ -30,7 +30,7 @@ from eigenscan.recorder.picture.canvas import Pace
 from eigenscan.recorder.picture.floor import scale_length
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.recorder.picture.manifold import Manifold, analysis_of
-from eigenscan.recorder.picture.palette import LOCALIZED, LOST, percent
+from eigenscan.recorder.picture.palette import AMBIGUOUS, LOCALIZED, LOST, percent
 from eigenscan.recorder.picture.robot import label_place
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
@@ -39,7 +39,15 @@ from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, PoseEstimate, Track, Tracks
+from eigenscan.schemas.tracking_pb2 import (
+    STATE_AMBIGUOUS,
+    STATE_LOCALIZED,
+    STATE_LOST,
+    PoseEstimate,
+    State,
+    Track,
+    Tracks,
+)
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
 from hypothesis import given
@@ -333,6 +341,24 @@ def test_the_protection_level_is_a_circle_of_its_radius(tmp_path: Path) -> None:
     ]
     assert moment == S
     assert np.hypot(*(np.array(strips[0])[:, :2] - [3.0, 4.0]).T) == pytest.approx(0.7, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("state", "colour"),
+    [(STATE_LOCALIZED, LOCALIZED), (STATE_AMBIGUOUS, AMBIGUOUS)],
+    ids=["sure", "not sure"],
+)
+def test_map_and_board_show_one_state(tmp_path: Path, state: State, colour: tuple[int, int, int]) -> None:
+    pose = localized(S, [1.0, 2.0, 0.0])
+    pose.open(PoseEstimate).state = state
+    draw(tmp_path / "a.rrd", [pose])
+    for part in ("pose", "pose/label", "pose/within_95_percent"):
+        kind = "LineStrips3D" if part != "pose/label" else "Points3D"
+        ((_, packed),) = rows(tmp_path / "a.rrd", f"/world/robots/r1/{part}", f"{kind}:colors")
+        assert tuple(packed[0].to_bytes(4, "big")[:3]) == colour
+    _, board = rows(tmp_path / "a.rrd", "/status", "Image:buffer")[-1]
+    shown = {tuple(pixel) for pixel in np.array(board[0]).reshape(-1, 3).tolist()}
+    assert shown & {LOCALIZED, AMBIGUOUS, LOST} == {colour}
 
 
 def test_the_board_shows_every_robot(tmp_path: Path) -> None:
