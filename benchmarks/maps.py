@@ -110,17 +110,18 @@ def _cases(options: argparse.Namespace) -> Iterator[Case]:
     for listed in buildings(root) if options.buildings else LOGS:
         name, folder, log, reference = listed.name, listed.folder, listed.log, listed.reference
         if not options.only or name in options.only:
-            yield _case(name, root / folder, log, reference)
+            yield read_case(name, root / folder, log, reference)
     if options.simulated:
         for world in worlds():
             if world.name in (options.only or [world.name]):
                 with tempfile.TemporaryDirectory() as scratch:
                     place = Path(scratch) / "world"
                     write(world, place)
-                    yield _case(world.name, place, "log.mcap", "log.tum")
+                    yield read_case(world.name, place, "log.mcap", "log.tum")
 
 
-def _case(name: str, folder: Path, log_name: str, reference_name: str) -> Case:
+def read_case(name: str, folder: Path, log_name: str, reference_name: str) -> Case:
+    """Reads a log, its reference and its map."""
     log = read_log(folder / log_name, LogOptions(), lambda _: None)
     reference = read_trajectory(folder / reference_name).restamped(log.logged)
     return Case(name, read_map(folder / "map.yaml"), log, reference, folder)

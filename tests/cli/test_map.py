@@ -1,6 +1,7 @@
 """`eigenscan map`: on a part of a real log, and on logs that no map can be made of."""
 
 import gzip
+import json
 import subprocess
 from collections.abc import Iterable
 from pathlib import Path
@@ -115,3 +116,37 @@ def test_a_log_that_is_not_there_and_a_name_that_is_no_yaml(tmp_path: Path) -> N
     done = run(log, "-o", tmp_path / "map.pgm")
     assert done.returncode == 2
     assert "name a .yaml file" in done.stderr
+
+
+@pytest.mark.dataset
+def test_a_drive_improves_a_given_map_and_keeps_its_frame(tmp_path: Path) -> None:
+    with gzip.open(DATASETS / "fr079/log.clf.gz", "rt") as file:
+        lines = [line.rstrip() for line in file][:700]
+    given, out, figures = DATASETS / "fr079/map.yaml", tmp_path / "better.yaml", tmp_path / "figures.json"
+    log = write(tmp_path / "part.clf", lines)
+    done = run(log, "--on", given, "-o", out, "--json", figures)
+    assert done.returncode == 0, done.stderr
+    assert "on the given map" in done.stdout
+    shown = json.loads(figures.read_text())
+    assert shown["scans_located"] > 0.8 * shown["scans_heard"]
+    found, truth = read_trajectory(out.with_suffix(".tum")), read_trajectory(DATASETS / "fr079/log.tum")
+    reference, known = truth.at(found.stamps)
+    step = between(reference[known], found.poses[known])
+    assert np.hypot(step[:, 0], step[:, 1]).max() < 0.3
+    # what the drive did not see is as it was
+    before, after = read_map(given), read_map(out)
+    assert after.free_area > 0.95 * before.free_area
+
+
+def test_a_given_map_that_cannot_be_improved_is_refused(tmp_path: Path) -> None:
+    log = write(tmp_path / "one.clf", [robotlaser(np.linspace(2.0, 3.0, 180), k) for k in range(1, 9)])
+    done = run(log, "--on", tmp_path / "map.yaml", "-o", tmp_path / "map.yaml")
+    assert done.returncode == 2
+    assert "name another file" in done.stderr
+    done = run(log, "--on", tmp_path / "map.yaml", "-o", tmp_path / "out.yaml", "--composite", "4")
+    assert done.returncode == 2
+    assert "--composite" in done.stderr
+    done = run(log, "--on", tmp_path / "none.yaml", "-o", tmp_path / "out.yaml")
+    assert done.returncode == 2
+    assert "none.yaml" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -199,3 +199,15 @@ def test_alignment_takes_from_the_prior_what_the_walls_do_not_show() -> None:
     np.testing.assert_allclose(found.pose, [0.4, 0.0, 0.0], atol=0.03)
     assert found.covariance[0, 0] > 25 * found.covariance[1, 1]
     assert difference(found.pose[2], 0.0) < 1e-3
+
+
+def test_a_robot_that_drove_where_the_log_has_no_scans_begins_a_new_part(
+    grid: GridMap, way: np.ndarray
+) -> None:
+    # hallways look alike: a scan after the gap would fit the walls of the one before it
+    sweeps = scans(grid, way, drift=(0.0, 0.0))
+    gap = [replace(s, stamp=s.stamp + 60_000_000_000) for s in sweeps[90:120]]
+    assert {frame.part for frame in chained([*sweeps[:40], *gap]).keyframes} == {0, 1}
+    # one that stood meanwhile goes on
+    stood = [replace(s, stamp=s.stamp + 60_000_000_000) for s in sweeps[40:70]]
+    assert {frame.part for frame in chained([*sweeps[:40], *stood]).keyframes} == {0}

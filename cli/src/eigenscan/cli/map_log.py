@@ -12,8 +12,11 @@ from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
 if TYPE_CHECKING:
+    from eigenscan.mapbuilder.mapping.given_map import Located
     from eigenscan.mapbuilder.mapping.survey import Mapped
+    from eigenscan.workbench.logs import LogOptions
     from eigenscan.workbench.logs.scans import Scans
+    from eigenscan.workbench.progress import Bars
 
 
 def map_log(
@@ -23,6 +26,14 @@ def map_log(
     ],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MAP.yaml to write; without it LOG's name, here")
+    ] = None,
+    on: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP.yaml",
+            help="make this map better (yaml or model folder): the result keeps its frame, and its walls "
+            "where LOG saw nothing",
+        ),
     ] = None,
     resolution: Annotated[float, typer.Option(min=0.01, max=0.5, help="m per cell")] = 0.05,
     no_odometry: Annotated[bool, typer.Option("--no-odometry", help="from the scans alone")] = False,
@@ -53,6 +64,7 @@ def map_log(
     Examples:
       eigenscan map drive.bag -o office.yaml
       eigenscan build office.yaml -o model
+      eigenscan map drive.mcap --on thick.yaml -o better.yaml
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.geometry.gridmap import write_map
     from eigenscan.mapbuilder.mapping.composite import composite
@@ -66,6 +78,10 @@ def map_log(
     target = out or Path((log.name.split(".")[0] or "map") + ".yaml")
     if target.suffix not in (".yaml", ".yml"):
         raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
+    if on is not None and of is not None:
+        raise UsageError("--composite takes scans without order; --on needs a drive: give one of them")
+    if on is not None and on.resolve() == target.resolve():
+        raise UsageError(f"-o {target}: is the given map: name another file")
     if of is None:
         check_installed()
     prepare(json_file)
@@ -73,9 +89,11 @@ def map_log(
     began = time.perf_counter()
     with Bars() as bars:
         scans = read_scans(log, options, bars.start_share("reading"), with_odometry=not no_odometry)
+        located = None
         try:
             if of is None:
-                mapped = survey(scans.sweeps, Survey(resolution=resolution), bars.start_steps())
+                located = _located(on, log, options, scans, bars, with_odometry=not no_odometry)
+                mapped = survey(scans.sweeps, Survey(resolution=resolution), bars.start_steps(), located)
             else:
                 scans = scans.spread(of)
                 mapped = composite(scans.sweeps, resolution, bars.start_steps())
@@ -83,14 +101,32 @@ def map_log(
             raise UsageError(f"{log}: {error}{scans.set_aside}") from error
     write_map(mapped.grid, target)
     target.with_suffix(".tum").write_text(scans.trajectory(mapped.numbers, mapped.poses), encoding="utf-8")
-    target.with_suffix(".png").write_bytes(draw_way(mapped))
-    _summarize(scans, mapped, target, time.perf_counter() - began, json_file)
+    target.with_suffix(".png").write_bytes(draw_way(mapped, located.grid if located else None))
+    sure = len(located.numbers) if located else None
+    _summarize(scans, mapped, sure, target, time.perf_counter() - began, json_file)
 
 
-def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float, json_file: Path | None) -> None:
+def _located(
+    on: Path | None, log: Path, options: LogOptions, scans: Scans, bars: Bars, with_odometry: bool
+) -> Located | None:
+    """Poses of the scans on the given map, if there is one."""
+    if on is None:
+        return None
+    from eigenscan.workbench.evaluation.locating import locate
+    from eigenscan.workbench.evaluation.log import read_log
+
+    played = read_log(log, options, bars.start_share("reading again"))
+    return locate(on, played, scans.sweeps, bars.start_share, with_odometry)
+
+
+def _summarize(
+    scans: Scans, mapped: Mapped, sure: int | None, target: Path, seconds: float, json_file: Path | None
+) -> None:
     odometry = sum(sweep.odometry is not None for sweep in scans.sweeps)
+    on_map = {} if sure is None else {"located": f"{sure} of {len(scans.sweeps)} on the given map"}
     rows = {
         "scans": f"{len(mapped.numbers)} of {scans.received} in the map, {odometry} with odometry",
+        **on_map,
         "way": f"{mapped.way:.0f} m in {scans.seconds:.0f} s",
         "keyframes": f"{mapped.keyframes}, {mapped.closures} edges close loops, {mapped.rejected} rejected",
         "free area": f"{mapped.grid.free_area:.0f} m²",
@@ -104,6 +140,7 @@ def _summarize(scans: Scans, mapped: Mapped, target: Path, seconds: float, json_
         "scans_heard": scans.received,
         "scans_in_map": len(mapped.numbers),
         "scans_with_odometry": odometry,
+        "scans_located": sure,
         "way_m": mapped.way,
         "log_s": scans.seconds,
         "keyframes": mapped.keyframes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,6 +78,11 @@ class Log:
         """Messages stamped within a window, in the log's order."""
         inside = (self._stamps >= window.start) & (self._stamps <= window.end)
         return [self._received[index].envelope for index in np.flatnonzero(inside)]
+
+    def outside(self, windows: Sequence[Window]) -> Log:
+        """The log without these windows."""
+        kept = [one for one in self._received if not any(window.holds(one.stamp) for window in windows)]
+        return Log(kept, self.logged, is_cut=self.is_cut, without_mount=self.without_mount)
 
     def scan_stamps(self, window: Window) -> NDArray[np.int64]:
         """Stamps of the scans within a window, ns, increasing."""

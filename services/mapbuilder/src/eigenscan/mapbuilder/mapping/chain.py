@@ -52,6 +52,8 @@ class Step:
     """Share below which it is not aligned at all."""
     blind: int = 10
     """Scans in a row that may go unaligned on odometry alone; after that, the robot may have been carried."""
+    gap_s: float = 10.0
+    """s without a scan after which a robot that has moved, by its odometry or unknown, begins a new part."""
     beside_s: float = 0.2
     """s within which a scan of another lidar leans on the one before it."""
     fastest: float = 5.0
@@ -107,7 +109,7 @@ class Chainer:
         if np.count_nonzero(cloud.lengths) < self._step.least_points:
             self.chain.left_out += 1
             return
-        if self._last is None or self._local is None:
+        if self._last is None or self._local is None or self._after_gap(sweep, *self._last):
             self._begin(number, sweep, cloud)
             return
         expected, prior, leads = self._expect(sweep, *self._last)
@@ -127,6 +129,16 @@ class Chainer:
             self._last = (sweep, expected)
         else:
             self._begin(number, sweep, cloud)
+
+    def _after_gap(self, sweep: Sweep, last: Sweep, pose: Array) -> bool:
+        """Whether the robot moved where the log has no scans: odometry over so long is no step of a chain."""
+        if sweep.stamp - last.stamp <= self._step.gap_s * NS:
+            return False
+        expected, _, leads = self._expect(sweep, last, pose)
+        moved = between(pose, expected)
+        return (
+            not leads or float(np.hypot(*moved[:2])) > self._step.distance or abs(moved[2]) > self._step.turn
+        )
 
     def _beside(self, sweep: Sweep) -> bool:
         """Whether another lidar of the robot was aligned just before."""

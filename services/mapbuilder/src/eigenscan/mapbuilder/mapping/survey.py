@@ -16,6 +16,7 @@ from eigenscan.geometry.pose import Array, between, compose, transform
 from eigenscan.mapbuilder.mapping.bridges import bridge
 from eigenscan.mapbuilder.mapping.chain import Chain, Chainer, Keyframe, Step, Sweep
 from eigenscan.mapbuilder.mapping.closures import Closer, Closing
+from eigenscan.mapbuilder.mapping.given_map import Located, corners, filled, frame_on, located_edges
 from eigenscan.mapbuilder.mapping.pose_graph import Edge, check_installed, optimise
 from eigenscan.mapbuilder.mapping.submap import Submap
 from eigenscan.mapbuilder.mapping.visits import visit_edges
@@ -76,23 +77,34 @@ class Mapped:
 
 
 def survey(
-    sweeps: Sequence[Sweep], plan: Survey | None = None, progress: Progress = lambda _step, _share: None
+    sweeps: Sequence[Sweep],
+    plan: Survey | None = None,
+    progress: Progress = lambda _step, _share: None,
+    located: Located | None = None,
 ) -> Mapped:
-    """Map of scans in order of their stamps. Raises MappingError, and MappingExtraError without gtsam."""
+    """Map of scans in order of their stamps.
+
+    With `located` scans, it is the given map made better: in its frame, and with its cells where no scan
+    saw any. Raises MappingError, and MappingExtraError without gtsam.
+    """
     plan = plan or Survey()
     check_installed()
     chain = _chained(sweeps, plan, progress)
     closer = _closed(chain.keyframes, sweeps, plan, progress)
-    kept = _largest(chain.keyframes, closer)
     poses = _placed(chain.keyframes, closer)
-    poses[kept], edges, rejected = _sharpened(chain.keyframes, poses, kept, closer, plan, progress)
+    if located is None:
+        kept = _largest(chain.keyframes, closer)
+    else:
+        kept = _put_on_map(chain.keyframes, poses, closer, located)
+    poses[kept], edges, rejected = _sharpened(chain.keyframes, poses, kept, closer, plan, progress, located)
     inside = np.zeros(len(poses), dtype=np.bool_)
     inside[kept] = True
     joined = [place for place in chain.places if inside[place[1]]]
     numbers = np.array([number for number, _, _ in joined], dtype=np.int64)
     found = compose(poses[[frame for _, frame, _ in joined]], np.array([seen for _, _, seen in joined]))
-    found = between(found[0], found)
-    grid = _carved(sweeps, numbers, found, plan.resolution, progress)
+    if located is None:
+        found = between(found[0], found)
+    grid = _carved(sweeps, numbers, found, plan.resolution, progress, located)
     return Mapped(
         grid,
         numbers,
@@ -137,12 +149,36 @@ def _closed(
     return closer
 
 
-def _largest(keyframes: Sequence[Keyframe], closer: Closer) -> NDArray[np.int64]:
-    """Keyframes of the part that most of them are in."""
+def _parts(keyframes: Sequence[Keyframe], closer: Closer) -> NDArray[np.int64]:
+    """Number (K,) of the part that each keyframe is in."""
     part = np.zeros(len(keyframes), dtype=np.int64)
     for submap, number in zip(closer.submaps, closer.part, strict=True):
         part[submap.first : submap.last + 1] = number
+    return part
+
+
+def _largest(keyframes: Sequence[Keyframe], closer: Closer) -> NDArray[np.int64]:
+    """Keyframes of the part that most of them are in."""
+    part = _parts(keyframes, closer)
     return np.nonzero(part == np.bincount(part).argmax())[0]
+
+
+def _put_on_map(
+    keyframes: Sequence[Keyframe], poses: Array, closer: Closer, located: Located
+) -> NDArray[np.int64]:
+    """Keyframes of the parts that were located; moves their `poses` (K, 3) into the map frame."""
+    part = _parts(keyframes, closer)
+    edges = located_edges(keyframes, located, len(keyframes))
+    kept = np.zeros(len(keyframes), dtype=np.bool_)
+    for number in np.unique(part):
+        inside = part == number
+        frame = frame_on([edge for edge in edges if inside[edge.second]], poses)
+        if frame is not None:
+            poses[inside] = compose(frame, poses[inside])
+            kept |= inside
+    if not kept.any():
+        raise MappingError("no stretch of the drive was located on the given map: check that it fits the log")
+    return np.nonzero(kept)[0]
 
 
 def _placed(keyframes: Sequence[Keyframe], closer: Closer) -> Array:
@@ -161,6 +197,7 @@ def _sharpened(
     closer: Closer,
     plan: Survey,
     progress: Progress,
+    located: Located | None,
 ) -> tuple[Array, int, int]:
     """Poses of the kept keyframes by the whole graph, how many edges close loops, how many it rejected."""
     frames, found = [keyframes[k] for k in kept], poses[kept]
@@ -177,6 +214,7 @@ def _sharpened(
         for edge in closer.edges
         if not edge.trusted and anchors[edge.first] in place and anchors[edge.second] in place
     ]
+    on_map = located_edges(frames, located, len(frames)) if located else []
     fit = np.ones(0, dtype=np.bool_)
     for number in range(plan.rounds):
 
@@ -184,7 +222,10 @@ def _sharpened(
             progress("comparing visits", (done + share) / plan.rounds)
 
         visits = visit_edges(frames, found, compared)
-        found, fit = optimise(found, [*edges, *visits])
+        nodes = np.vstack([found, np.zeros((1, 3))])  # the last one is the given map itself
+        nodes, fit = optimise(nodes, [*edges, *visits, *on_map])
+        found = between(nodes[-1], nodes[:-1])
+    fit = fit[: len(fit) - len(on_map)]
     return found, int(np.count_nonzero(fit[steps:])), int(np.count_nonzero(~fit))
 
 
@@ -198,7 +239,12 @@ def _stretches(chain: Chain, inside: NDArray[np.bool_]) -> tuple[tuple[int, int]
 
 
 def _carved(
-    sweeps: Sequence[Sweep], numbers: NDArray[np.int64], poses: Array, resolution: float, progress: Progress
+    sweeps: Sequence[Sweep],
+    numbers: NDArray[np.int64],
+    poses: Array,
+    resolution: float,
+    progress: Progress,
+    located: Located | None,
 ) -> GridMap:
     rays: list[tuple[Array, Array]] = []
     carved: dict[bytes, Array] = {}  # last carved pose of each lidar
@@ -211,8 +257,10 @@ def _carved(
         carved[sweep.mount.tobytes()] = pose
         sensor = compose(pose, sweep.mount)
         rays.append((sensor[:2], transform(sensor, sweep.outline.points)))
-    carving = Carving.around(np.vstack([np.vstack([view, ends]) for view, ends in rays]), resolution)
+    seen = np.vstack([np.vstack([view, ends]) for view, ends in rays])
+    inside = seen if located is None else np.vstack([seen, corners(located.grid)])
+    carving = Carving.around(inside, resolution)
     for count, (view, ends) in enumerate(rays, 1):
         carving.add(view, ends)
         progress("carving the map", count / len(rays))
-    return carving.to_map()
+    return carving.to_map() if located is None else filled(carving.to_map(), located.grid)

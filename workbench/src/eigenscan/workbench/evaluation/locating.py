@@ -1,0 +1,54 @@
+"""Locates a log's scans on a map, by the pipeline's own claims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from eigenscan.mapbuilder.mapping.chain import Sweep
+from eigenscan.mapbuilder.mapping.given_map import Located
+from eigenscan.runtime.choices import Choices
+from eigenscan.schemas.channels import ODOMETRY
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.workbench.evaluation.chosen import SERVICES, chosen
+from eigenscan.workbench.evaluation.log import Log
+from eigenscan.workbench.evaluation.models import build
+from eigenscan.workbench.evaluation.pipeline import Pipeline
+
+SURE = 0.9
+"""Confidence of a claim that counts, as for a trusted observer of the mapbuilder."""
+
+
+def locate(
+    map_file: Path,
+    log: Log,
+    sweeps: list[Sweep],
+    moved: Callable[[str], Callable[[float], None]],
+    with_odometry: bool = True,
+) -> Located:
+    """Where the tracker is sure of the sweeps' poses on a map_server yaml, or on a model folder's map.
+
+    `moved` starts a progress bar by its title. Raises MapError or ModelError.
+    """
+    settings = chosen(Choices.of("default", None, (), SERVICES))
+    built = build(map_file, settings.mapbuilder, moved("model"))
+    stream = Pipeline(built.models, settings).run(_played(log, moved("locating"), with_odometry)).stream
+    sure = np.flatnonzero(stream.localized & (stream.confidence >= SURE))
+    rows = {int(stream.stamps[row]): int(row) for row in sure}
+    numbers = [number for number, sweep in enumerate(sweeps) if sweep.stamp in rows]
+    chosen_rows = [rows[sweeps[number].stamp] for number in numbers]
+    return Located(
+        built.site.grid,
+        np.asarray(numbers, dtype=np.int64),
+        stream.poses[chosen_rows],
+        stream.covariances[chosen_rows],
+    )
+
+
+def _played(log: Log, moved: Callable[[float], None], with_odometry: bool) -> Iterator[Envelope]:
+    received = log.whole
+    for count, envelope in enumerate(received, 1):
+        if with_odometry or envelope.channel is not ODOMETRY:
+            yield envelope
+        moved(count / len(received))
