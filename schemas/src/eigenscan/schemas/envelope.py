@@ -92,4 +92,5 @@ LATEST_NS = 2**62
 
 def nanoseconds(timestamp: Timestamp) -> int:
     """Nanoseconds since the epoch, limited to LATEST_NS."""
-    return min(max(timestamp.seconds * 1_000_000_000 + timestamp.nanos, -LATEST_NS), LATEST_NS)
+    at = timestamp.seconds * 1_000_000_000 + timestamp.nanos
+    return at if -LATEST_NS <= at <= LATEST_NS else LATEST_NS if at > 0 else -LATEST_NS

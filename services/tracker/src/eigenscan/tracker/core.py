@@ -108,7 +108,7 @@ class TrackerCore:
         address = {"site": received.address["site"], "robot": received.address["robot"]}
         robot = self._robot(address)
         if received.channel is ODOMETRY:
-            return list(self._receive_odometry(robot, address, received.open(Odometry)))
+            return self._receive_odometry(robot, address, received.open(Odometry))
         if received.channel is HEADING:
             heading = received.open(Heading)
             since, until = nanoseconds(heading.since), nanoseconds(heading.timestamp)
@@ -187,35 +187,25 @@ class TrackerCore:
 
     def _receive_odometry(
         self, robot: _Tracked, address: Mapping[str, str], message: Odometry
-    ) -> Iterator[Envelope]:
+    ) -> list[Envelope]:
         robot.odom_frame = message.frame_id or DEFAULT_ODOM_FRAME
         robot.body_frame = message.body_frame_id or DEFAULT_BODY_FRAME
-        position = message.pose.position
-        yield from self._publish(
-            address,
-            robot,
-            robot.tracker.receive_odometry(
-                nanoseconds(message.timestamp), (position.x, position.y, yaw(message.pose.orientation))
-            ),
-        )
-        at = nanoseconds(message.timestamp)
-        if not robot.transforms.is_due(at):
-            return
-        transform = robot.tracker.map_to_odom()
+        at, position = nanoseconds(message.timestamp), message.pose.position
+        pose = position.x, position.y, yaw(message.pose.orientation)
+        published = list(self._publish(address, robot, robot.tracker.receive_odometry(at, pose)))
+        transform = robot.tracker.map_to_odom() if robot.transforms.is_due(at) else None
         if transform is not None:
             robot.transforms.note(at)
             x, y, theta = transform
-            yield Envelope(
-                TRANSFORM,
-                address,
-                FrameTransform(
-                    timestamp=message.timestamp,
-                    parent_frame_id=robot.map_frame,
-                    child_frame_id=robot.odom_frame,
-                    translation=Vector3(x=x, y=y),
-                    rotation=quaternion(theta),
-                ),
+            moved = FrameTransform(
+                timestamp=message.timestamp,
+                parent_frame_id=robot.map_frame,
+                child_frame_id=robot.odom_frame,
+                translation=Vector3(x=x, y=y),
+                rotation=quaternion(theta),
             )
+            published.append(Envelope(TRANSFORM, address, moved))
+        return published
 
     def _publish(
         self, address: Mapping[str, str], robot: _Tracked, estimates: Iterable[Estimate]

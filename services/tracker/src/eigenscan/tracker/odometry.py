@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from math import hypot, isfinite
+from math import hypot
 from typing import NamedTuple
 
 from eigenscan.tracker.planar import IDENTITY, Pose, between, compose, scaled
@@ -100,13 +100,14 @@ class OdometryTrail:
         `taken_as_slip` and `taken_as_jump` are kept too: the first with doubt, the second as a new
         start of the odom frame, its increment unknown. `restarted`: the clock was set back.
         """
-        if not all(isfinite(value) and abs(value) < FARTHEST for value in pose):
+        x, y, heading = pose
+        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(heading) < FARTHEST):  # also not a number
             return "odometry_not_finite"
         self._asked.clear()
-        last = self.newest
-        if last is None:
+        if not self._samples:
             self._samples.append(Sample(stamp, pose, pose))
             return "odometry_taken"
+        last = self._samples[-1]
         if stamp <= last.stamp:
             return self._from_the_past(stamp, pose, last)
         self._past_in_row = 0

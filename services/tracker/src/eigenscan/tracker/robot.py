@@ -159,9 +159,10 @@ class RobotTracker:
         if result == "odometry_restarted":  # how far the robot came between two clocks is not known
             self._reset()
             self._agreement.restart()
-        if self._trail.newest is not None:
-            self._timeline.receive_odometry(self._trail.newest.stamp, result == "odometry_restarted")
-            self._silence.receive_odometry(self._trail.newest.stamp)
+        newest = self._trail.newest
+        if newest is not None:
+            self._timeline.receive_odometry(newest.stamp, result == "odometry_restarted")
+            self._silence.receive_odometry(newest.stamp)
 
     def receive(self, seen: Observation) -> Iterator[Estimate]:
         """Takes an observation; gives the estimates that are ready."""

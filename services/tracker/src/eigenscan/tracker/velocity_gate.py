@@ -60,19 +60,15 @@ class VelocityGate:
         if not self._velocity:
             self._velocity, self._variance = [part / seconds for part in step], [noise] * 3
             return Reading.TAKEN
+        distance2, velocity, left = 0.0, [], []
         for axis, acceleration in enumerate(ACCELERATION):
-            self._variance[axis] += (acceleration * seconds) ** 2
-        off = [part / seconds - before for part, before in zip(step, self._velocity, strict=True)]
-        return self._validate(off, noise)
-
-    def _validate(self, off: list[float], noise: float) -> Reading:
-        total = [variance + noise for variance in self._variance]
-        if sum(o * o / t for o, t in zip(off, total, strict=True)) <= GATE:
-            self._outliers = 0
-            for axis, all_of_it in enumerate(total):
-                gain = self._variance[axis] / all_of_it
-                self._velocity[axis] += gain * off[axis]
-                self._variance[axis] = gain * noise
+            variance = self._variance[axis] = self._variance[axis] + (acceleration * seconds) ** 2
+            off, gain = step[axis] / seconds - self._velocity[axis], variance / (variance + noise)
+            distance2 += off * off / (variance + noise)
+            velocity.append(self._velocity[axis] + gain * off)
+            left.append(gain * noise)
+        if distance2 <= GATE:
+            self._outliers, self._velocity, self._variance = 0, velocity, left
             return Reading.TAKEN
         self._outliers += 1
         if self._outliers >= OUTLIERS_IN_ROW:
