@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from eigenscan.tracker.confidence import PLACE_M, PLACE_RAD, Protection, protect, share_within
+from eigenscan.tracker.confidence import PLACE_M, PLACE_RAD, Protection, judge, protect, share_within
 from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.tracks import Tracks, begin
@@ -64,3 +64,18 @@ def test_the_compiled_share_within_reach_is_the_readable_one() -> None:
     position = ncx2.cdf(NEAR_M**2 / long_axis, 2, (delta[:, :2] ** 2).sum(axis=1) / long_axis)
     heading = norm.cdf(NEAR_RAD, delta[:, 2], sigma) - norm.cdf(-NEAR_RAD, delta[:, 2], sigma)
     assert share_within(delta, tracks.C) == pytest.approx(position * heading, abs=1e-9)
+
+
+def test_the_most_believed_track_has_the_most_mass_of_its_frame_around_it() -> None:
+    chosen = set()
+    for seed in range(40):
+        tracks = crowd(np.random.default_rng(seed), 12)
+        weight, masses = np.exp(tracks.log_weight), np.zeros(12)
+        for i in range(12):
+            same = tracks.frame == tracks.frame[i]
+            masses[i] = (weight * same * share_within(residual(tracks.x, tracks.x[i]), tracks.C)).sum()
+        verdict = judge(tracks)
+        assert verdict.track == np.argmax(np.where(weight >= 0.25 * weight.max(), masses, -1.0))
+        assert verdict.confidence == pytest.approx(min(masses[verdict.track], 1.0), rel=1e-12)
+        chosen.add(verdict.track)
+    assert len(chosen) == 3

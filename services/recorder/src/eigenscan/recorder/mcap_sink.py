@@ -11,6 +11,7 @@ from eigenscan.recorder.about import About
 from eigenscan.recorder.files import Files, Limits
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.wire import encode
 from google.protobuf.timestamp_pb2 import Timestamp
 
 RETRY_S = 10.0
@@ -51,7 +52,8 @@ class McapSink:
         self._flush_ns = int(flush_s * 1e9)
         self._latched: dict[str, Envelope] = {}
         self._about = About()
-        self._counts: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter(mcap_slow=0)
+        self._slowest_s = 0.0
         self._problem = ""
         self._retry_at = 0
         self._pending = 0
@@ -78,22 +80,23 @@ class McapSink:
 
     def write(self, received: Envelope) -> None:
         """Adds a message: log time is that of its arrival, publish time the message's own stamp."""
-        now, before = received.arrived or self._clock(), self._stopwatch()
+        now, before, key = received.arrived or self._clock(), self._stopwatch(), received.key
         if now < self._now:
             self._follow_back(now)
         self._now = now
         try:
             self._pending += 1
-            writer = self._rotated(now, received.key) if self._writer else self._reopen(now)
+            writer = self._rotated(now, key) if self._writer else self._reopen(now)
             if writer is None:
                 self._settle("mcap_lost")
             else:
-                writer.write(received, now, _published(received) or now)
+                payload = received.payload or encode(received.message)
+                writer.write_bytes(received.channel, key, payload, now, _published(received) or now)
                 self._flush(writer, now)
         except Exception as error:  # for any error, the next messages must not be lost too
             self._fail(error, now)
         if received.channel.qos.latched:
-            self._latched[received.key] = received
+            self._latched[key] = received
         self._about.receive(received)
         self._note_pace(self._stopwatch() - before)
 
@@ -136,8 +139,10 @@ class McapSink:
         self._pending = but
 
     def _note_pace(self, took_s: float) -> None:
-        self._counts["mcap_slow"] += took_s > SLOW_S
-        self._counts["mcap_slowest_ms"] = max(self._counts["mcap_slowest_ms"], int(took_s * 1e3))
+        if took_s > self._slowest_s:
+            self._slowest_s, self._counts["mcap_slowest_ms"] = took_s, int(took_s * 1e3)
+        if took_s > SLOW_S:
+            self._counts["mcap_slow"] += 1
 
     def _fail(self, error: Exception, now: int) -> None:
         where, reason = self.path or self._files.target, getattr(error, "strerror", None)

@@ -224,7 +224,7 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         apart = (around.take(centre, axis=0) - ends[..., None]).view(np.float64)
         apart *= apart
         distance2 = apart[..., ::2] + apart[..., 1::2]
-        nearest = np.argmin(distance2, axis=-1)
+        nearest = distance2.argmin(axis=-1)
         reach = WIDE if number < WIDE_ROUNDS else NEAR
         used = visible & (distance2.take(nearest + first) <= reach**2)
         line = np.minimum(np.maximum(centre + nearest - REACH, 0), last)
@@ -242,9 +242,9 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         moved += step
         if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
             break
-    found = np.count_nonzero(used, axis=1)
-    on_line = np.count_nonzero(used & (np.abs(off) <= ON_LINE), axis=1)
-    explained = on_line / np.maximum(np.count_nonzero(visible, axis=1), LEAST_POINTS)
+    found = used.sum(axis=1)
+    on_line = (used & (np.abs(off) <= ON_LINE)).sum(axis=1)
+    explained = on_line / np.maximum(visible.sum(axis=1), LEAST_POINTS)
     return [
         Motion((x, y, turn), information[k] / NOISE**2, float(explained[k]), int(found[k]))
         if found[k] >= LEAST_POINTS

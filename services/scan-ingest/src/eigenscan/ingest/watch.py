@@ -56,6 +56,8 @@ class Watch:
     def two_lidars(self) -> bool:
         """Whether scans of two layouts alternate."""
         seen = list(self._layouts)
+        if not seen or seen.count(seen[-1]) == len(seen):
+            return False
         back = sum(a == c != b for a, b, c in zip(seen, seen[1:], seen[2:], strict=False))
         return back >= ALTERNATIONS
 

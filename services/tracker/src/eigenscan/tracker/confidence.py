@@ -7,9 +7,9 @@ from math import erfc, log
 
 import numpy as np
 from eigenscan.geometry.inner import inner
+from eigenscan.geometry.symmetric import Column
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State
 from eigenscan.tracker.belief import Belief
-from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.symmetric import apart
@@ -36,19 +36,13 @@ def judge(tracks: Tracks) -> Verdict:
     """The track with the most probability within 0.5 m and 10 degrees of it."""
     if not len(tracks):
         return Verdict(-1, 0.0)
-    weight = np.exp(tracks.log_weight)
-    # a track with less than half of the heaviest cannot win unless neighbours lend it their mass
-    likely = np.flatnonzero(weight >= 0.25 * weight.max())
-    masses = np.array([mass_near(tracks, weight, int(index)) for index in likely])
-    best = int(np.argmax(masses))
-    return Verdict(int(likely[best]), float(min(masses[best], 1.0)))
-
-
-def mass_near(tracks: Tracks, weight: Array, index: int) -> float:
-    """Probability mass of all tracks within 0.5 m and 10 degrees of track `index`."""
-    delta = residual(tracks.x, tracks.x[index])
-    same = tracks.frame == tracks.frame[index]
-    return float((weight * same * share_within(delta, tracks.C)).sum())
+    likely, (near, reach, heading, mass) = _around(
+        tracks.x, tracks.C, tracks.frame, np.exp(tracks.log_weight)
+    )
+    within = mass * _shares(near, reach, heading)
+    masses = within.reshape(len(likely), -1).sum(axis=1)
+    best = int(masses.argmax())
+    return Verdict(int(likely[best]), min(float(masses[best]), 1.0))
 
 
 def share_within(delta: Array, C: Array) -> Array:
@@ -56,7 +50,10 @@ def share_within(delta: Array, C: Array) -> Array:
 
     Position by a circular Gaussian as wide as the ellipse's long axis, so rather too little than too much.
     """
-    near, reach, heading = _reach(delta, C)
+    return _shares(*_reach(delta, C))
+
+
+def _shares(near: Array, reach: Array, heading: Array) -> Array:
     position = chndtr(near, 2.0, reach)
     result: Array = np.fmin(np.fmax(position, 0.0), 1.0) * heading  # also where it is no number
     return result
@@ -69,17 +66,46 @@ def _wide(C: Array) -> float:
     return float(half + np.hypot((C[0, 0] - C[1, 1]) / 2, C[0, 1]))
 
 
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _reach_of(delta: Column, C: Array) -> Column:
+    wide, sigma = _wide(C), np.sqrt(2.0 * C[2, 2])
+    # beyond this non-centrality nothing is within reach, and chndtr would only lose time
+    reach = min((delta[0] ** 2 + delta[1] ** 2) / wide, 1e4)
+    heading = 0.5 * (erfc((delta[2] - NEAR_RAD) / sigma) - erfc((delta[2] + NEAR_RAD) / sigma))
+    return NEAR_M**2 / wide, reach, heading
+
+
 @njit("UniTuple(f8[::1], 3)(f8[:,:], f8[:,:,:])", cache=True, error_model="numpy")  # pragma: no cover
 def _reach(delta: Array, C: Array) -> tuple[Array, Array, Array]:
     """What the noncentral chi-squared needs for each position, and the share of each heading."""
     near, reach, heading = np.empty(len(C)), np.empty(len(C)), np.empty(len(C))
     for i in range(len(C)):
-        wide, sigma = _wide(C[i]), np.sqrt(2.0 * C[i, 2, 2])
-        near[i] = NEAR_M**2 / wide
-        # beyond this non-centrality nothing is within reach, and chndtr would only lose time
-        reach[i] = min((delta[i, 0] ** 2 + delta[i, 1] ** 2) / wide, 1e4)
-        heading[i] = 0.5 * (erfc((delta[i, 2] - NEAR_RAD) / sigma) - erfc((delta[i, 2] + NEAR_RAD) / sigma))
+        near[i], reach[i], heading[i] = _reach_of((delta[i, 0], delta[i, 1], delta[i, 2]), C[i])
     return near, reach, heading
+
+
+@njit(  # pragma: no cover - compiled
+    "Tuple((i8[::1], f8[:,::1]))(f8[:,:], f8[:,:,:], i8[:], f8[::1])", cache=True, error_model="numpy"
+)
+def _around(x: Array, C: Array, frame: Index, weight: Array) -> tuple[Index, Array]:
+    """Tracks (k,) that may be the best; around each, of all n, (4, k * n): what `_reach` gives, and the mass.
+
+    A track with less than half of the heaviest cannot win unless neighbours lend it their mass.
+    """
+    heaviest, count, at = 0.0, 0, 0
+    for own in weight:
+        heaviest = max(heaviest, own)
+    likely = np.empty(len(x), dtype=np.int64)
+    for best in range(len(x)):
+        if weight[best] >= 0.25 * heaviest:
+            likely[count], count = best, count + 1
+    out = np.empty((4, count * len(x)))
+    for best in likely[:count]:
+        for i in range(len(x)):
+            out[0, at], out[1, at], out[2, at] = _reach_of(apart(x[i], x[best]), C[i])
+            out[3, at] = weight[i] if frame[i] == frame[best] else 0.0
+            at += 1
+    return likely[:count], out
 
 
 PLACE_M, PLACE_RAD = 1.0, 0.35
