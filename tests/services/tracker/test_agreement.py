@@ -18,6 +18,8 @@ from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.odometry import OdometryTrail
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.velocity_gate import VelocityGate
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
@@ -260,3 +262,28 @@ def test_a_stop_between_two_messages_of_odometry_is_no_frozen_lidar(period_s: fl
     agreement.receive(ScanInterval("front", 8_050_000_000, 9_050_000_000, (0.0, 0.0, 0.0)))
     agreement.compare(trail, 9_050_000_000)
     assert (agreement.fault == "") is agrees
+
+
+@given(
+    share=st.floats(0.0, 1.0),
+    stopped=st.floats(0.0, 1.0),
+    speed=st.floats(0.1, 1.0),
+    turn=st.floats(-0.5, 0.5),
+)
+def test_a_stop_between_two_messages_hides_no_more_motion_than_the_leeway(
+    share: float, stopped: float, speed: float, turn: float
+) -> None:
+    # one message in half a second; in the last half second the robot stood after a share of it
+    trail = OdometryTrail(VelocityGate(2.0, 3.0), extrapolates=False)
+    period = 500_000_000
+    for number, driven in enumerate((0.0, 1.0, 1.0 + stopped)):
+        trail.take(number * period, (0.5 * speed * driven, 0.0, 0.5 * turn * driven))
+    at = period + round(share * period)
+    sample = trail.at(at)
+    assert sample is not None
+    truly = 1.0 + min(share, stopped)
+    way, angle = trail.leeway(at)
+    assert abs(sample.chained[0] - 0.5 * speed * truly) <= way + 1e-6
+    assert abs(sample.chained[2] - 0.5 * turn * truly) <= angle + 1e-6
+    # never more than that bound: a robot that went on as before has none
+    assert way <= 0.5 * speed * min(1.0 - stopped, share * (1.0 - share)) + 1e-6

@@ -202,20 +202,28 @@ class OdometryTrail:
         return self._samples[after].stamp - self._samples[after - 1].stamp
 
     def leeway(self, stamp: int) -> tuple[float, float]:
-        """How far off the pose at `stamp`, ns, may be, m and rad: the velocity changed at any time between.
+        """How far off the pose at `stamp`, ns, is at most, m and rad, if the robot stopped between messages.
 
-        0 where messages come often enough to give a velocity, or where there is one of that time.
+        0 where messages come often enough to give a velocity, and at a message itself. Of a robot that drove
+        on as before for a share of the period and then stood, the pose between is off by no more than it
+        drove less, nor than s (1 - s) of what it drove before.
         """
         after = bisect_left(self._stamps, stamp - self._delay)
         if not 0 < after < len(self._samples):
             return 0.0, 0.0
         before, a, b = (self._samples[max(index, 0)] for index in (after - 2, after - 1, after))
         period = b.stamp - a.stamp
-        if period <= LONGEST_NS or b.stamp == stamp - self._delay:
+        if period <= LONGEST_NS:
             return 0.0, 0.0
+        share = (stamp - self._delay - a.stamp) / period
         steady = scaled(between(before.chained, a.chained), period / max(a.stamp - before.stamp, 1))
-        x, y, turn = between(steady, between(a.chained, b.chained))
-        return hypot(x, y), abs(turn)
+        driven = between(a.chained, b.chained)
+        less = between(steady, driven)
+        most = share * (1.0 - share)
+        return (
+            min(hypot(less[0], less[1]), most * hypot(steady[0], steady[1])),
+            min(abs(less[2]), most * abs(steady[2])),
+        )
 
     def _found(self, stamp: int) -> Sample:
         index = bisect_left(self._stamps, stamp)
