@@ -3,10 +3,11 @@
     .venv/bin/python benchmarks/second_day.py [--datasets FOLDER] [--only intel --only fr079]
         [--way "walls 30 cm" --way "warped 40 cm"] [--windows 8] [--seed 1] [--json OUT]
 
-All of a log but its windows is the first drive. It is located on the log's own map made worse on purpose
-(worse_maps.py), and improves it. Then robots start cold in the windows, which no map has seen. On the better
-map a pose is right where it lies as the true reference does beside the nearest pose of the first drive: a
-mended map is straight again, so the reference that the worse map displaced no longer counts.
+All of a log but its windows is the first drive; of a log without windows.csv its first half. It is located on
+the log's own map made worse on purpose (worse_maps.py), and improves it. Then robots start cold in the
+windows, which no map has seen. On the better map a pose is right where it lies as the true reference does
+beside the nearest pose of the first drive: a mended map is straight again, so the reference that the worse
+map displaced no longer counts.
 """
 
 import argparse
@@ -83,11 +84,10 @@ def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespac
     seed = zlib.crc32(f"{case.name} {way} {options.seed}".encode())
     worse = WAYS[way](Worse(case.map, stays), case.reference.poses, seed)
     displaced = Trajectory(case.reference.stamps, worse.move(case.reference.poses))
-    listed = case.folder / "windows.csv"
-    planned = read_windows(listed) if listed.exists() else plan_windows(case.log.scans, case.reference)
-    windows = thin(planned, options.windows)
-    first_drive = case.log.outside(windows)
-    driven = [sweep for sweep in sweeps if not any(window.holds(sweep.stamp) for window in windows)]
+    windows = thin(_windows(case), options.windows)
+    first_drive = case.log.outside([*windows, *_late(case)])
+    taught = set(first_drive.scans.tolist())
+    driven = [sweep for sweep in sweeps if sweep.stamp in taught]
     with tempfile.TemporaryDirectory() as folder:
         given = Path(folder) / "given.yaml"
         write_map(worse.grid, given)
@@ -104,6 +104,23 @@ def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespac
         "second_day": _starts(mapped.grid, better, case.log, windows),
         "seconds": time.perf_counter() - before,
     }
+
+
+def _late(case: Case) -> list[Window]:
+    """The second half of a log without windows of its own: those that are planned cover all of it."""
+    if (case.folder / "windows.csv").exists():
+        return []
+    stamps = np.sort(case.log.scans)
+    return [Window(int(stamps[len(stamps) // 2]), int(stamps[-1]))]
+
+
+def _windows(case: Case) -> list[Window]:
+    listed = case.folder / "windows.csv"
+    if listed.exists():
+        return read_windows(listed)
+    (late,) = _late(case)
+    planned = plan_windows(case.log.scans, case.reference)
+    return [window for window in planned if window.start >= late.start]
 
 
 def _beside(true: Trajectory, displaced: Trajectory, mapped: Mapped, driven: list[Sweep]) -> Trajectory:
