@@ -25,7 +25,7 @@ import numpy as np
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.geometry.pose import between, compose
 from eigenscan.mapbuilder.mapping.chain import Sweep
-from eigenscan.mapbuilder.mapping.survey import Mapped, survey
+from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, survey
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.locating import locate
 from eigenscan.workbench.evaluation.log import Log
@@ -92,16 +92,23 @@ def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespac
         given = Path(folder) / "given.yaml"
         write_map(worse.grid, given)
         located = locate(given, first_drive, driven, lambda _: lambda _: None)
-    mapped = survey(driven, located=located)
-    better = _beside(case.reference, displaced, mapped, driven)
+    first_day = _starts(worse.grid, displaced, case.log, windows)
+    try:
+        mapped = survey(driven, located=located)
+    except MappingError:  # too little of the drive was located: the given map stays in use
+        second_day, in_map = first_day, 0.0
+    else:
+        better = _beside(case.reference, displaced, mapped, driven)
+        second_day = _starts(mapped.grid, better, case.log, windows)
+        in_map = len(mapped.numbers) / len(driven)
     return {
         "log": case.name,
         "map": way,
         "windows": len(windows),
         "located": len(located.numbers) / len(driven),
-        "in_map": len(mapped.numbers) / len(driven),
-        "first_day": _starts(worse.grid, displaced, case.log, windows),
-        "second_day": _starts(mapped.grid, better, case.log, windows),
+        "in_map": in_map,
+        "first_day": first_day,
+        "second_day": second_day,
         "seconds": time.perf_counter() - before,
     }
 
@@ -162,7 +169,8 @@ def _line(row: dict[str, Any]) -> str:
         f"{100 * row[day]['error_m']:.1f} cm"
         for day in ("first_day", "second_day")
     )
-    return f"{row['log']:8} {row['map']:24}{cells}   located {100 * row['located']:.0f} %"
+    known = f"located {100 * row['located']:.0f} %, in the map {100 * row['in_map']:.0f} %"
+    return f"{row['log']:8} {row['map']:24}{cells}   {known}"
 
 
 if __name__ == "__main__":
