@@ -68,7 +68,8 @@ def published(fleet: Fleet, recorder: Path) -> int:
     address, number = {"site": SITE, "robot": R17}, 0
 
     def written() -> int:
-        files = list(recorder.glob("*.mcap")) if recorder.exists() else []
+        # a file that just began is empty
+        files = [path for path in recorder.glob("*.mcap") if path.stat().st_size] if recorder.exists() else []
         return sum(record.envelope.channel is POSE for path in files for record in read(path))
 
     with fleet.on_robot(R17) as robot:
