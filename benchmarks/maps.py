@@ -127,11 +127,16 @@ def read_case(name: str, folder: Path, log_name: str, reference_name: str) -> Ca
     return Case(name, read_map(folder / "map.yaml"), log, reference, folder)
 
 
+def worsened(case: Case, way: str, seed: int) -> tuple[Worse, Trajectory]:
+    """The log's map made worse in this way, and the reference that goes along with it."""
+    own = zlib.crc32(f"{case.name} {way} {seed}".encode())
+    worse = WAYS[way](Worse(case.map, stays), case.reference.poses, own)
+    return worse, Trajectory(case.reference.stamps, worse.move(case.reference.poses))
+
+
 def _judge(case: Case, way: str, options: argparse.Namespace) -> dict[str, Any]:
-    seed = zlib.crc32(f"{case.name} {way} {options.seed}".encode())
-    worse = WAYS[way](Worse(case.map, stays), case.reference.poses, seed)
     # the parts that are tried are those of the true way: the same on every map
-    reference = Trajectory(case.reference.stamps, worse.move(case.reference.poses))
+    worse, reference = worsened(case, way, options.seed)
     listed, times = case.folder / "windows.csv", case.folder / "single_scans.csv"
     windows = read_windows(listed) if listed.exists() else plan_windows(case.log.scans, case.reference)
     stamps = read_times(times) if times.exists() else plan_scans(case.log.scans, case.reference)

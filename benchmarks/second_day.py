@@ -15,7 +15,6 @@ import json
 import os
 import tempfile
 import time
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +36,9 @@ from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
 from eigenscan.workbench.logs.scans import read_scans
 from evaluate import DATASETS
-from maps import LOGS, Case, read_case
+from maps import LOGS, Case, read_case, worsened
 from scipy.spatial import cKDTree
-from worse_maps import WAYS, Worse, stays
+from worse_maps import WAYS
 
 USUAL_WAYS = ("exact", "walls 30 cm fatter", "warped 40 cm", "thick, coarse, warped")
 BESIDE_M = 3.0
@@ -81,9 +80,7 @@ def _options() -> argparse.Namespace:
 
 def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespace) -> dict[str, Any]:
     before = time.perf_counter()
-    seed = zlib.crc32(f"{case.name} {way} {options.seed}".encode())
-    worse = WAYS[way](Worse(case.map, stays), case.reference.poses, seed)
-    displaced = Trajectory(case.reference.stamps, worse.move(case.reference.poses))
+    worse, displaced = worsened(case, way, options.seed)
     windows = thin(_windows(case), options.windows)
     first_drive = case.log.outside([*windows, *_late(case)])
     taught = set(first_drive.scans.tolist())

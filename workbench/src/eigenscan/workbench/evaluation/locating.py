@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from eigenscan.mapbuilder.mapping.chain import Sweep
 from eigenscan.mapbuilder.mapping.given_map import Located
-from eigenscan.runtime.choices import Choices
 from eigenscan.schemas.channels import ODOMETRY
 from eigenscan.schemas.envelope import Envelope
-from eigenscan.workbench.evaluation.chosen import SERVICES, chosen
+from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.log import Log
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Pipeline
@@ -31,18 +30,18 @@ def locate(
 
     `moved` starts a progress bar by its title. Raises MapError or ModelError.
     """
-    settings = chosen(Choices.of("default", None, (), SERVICES))
+    settings = PipelineSettings()
     built = build(map_file, settings.mapbuilder, moved("model"))
     stream = Pipeline(built.models, settings).run(_played(log, moved("locating"), with_odometry)).stream
     sure = np.flatnonzero(stream.localized & (stream.confidence >= SURE))
     rows = {int(stream.stamps[row]): int(row) for row in sure}
     numbers = [number for number, sweep in enumerate(sweeps) if sweep.stamp in rows]
-    chosen_rows = [rows[sweeps[number].stamp] for number in numbers]
+    found = [rows[sweeps[number].stamp] for number in numbers]
     return Located(
         built.site.grid,
         np.asarray(numbers, dtype=np.int64),
-        stream.poses[chosen_rows],
-        stream.covariances[chosen_rows],
+        stream.poses[found],
+        stream.covariances[found],
     )
 
 
