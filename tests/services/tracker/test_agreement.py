@@ -21,7 +21,7 @@ from eigenscan.tracker.velocity_gate import VelocityGate
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker, TracksOf
 
 Step = tuple[float, float, float]
 STEP: Step = (0.05, 0.0, 0.03)
@@ -111,6 +111,51 @@ def test_late_scans_are_named_with_their_delay(
     detail = core.condition().detail
     assert "delayed" in detail
     assert "1.0 s" in detail
+
+
+@pytest.mark.parametrize(("parts", "least", "most"), [(False, 0.9, 1.0), (True, 0.3, 0.6)])
+def test_a_list_without_anything_of_the_last_one_takes_a_claim_away_only_where_the_scans_part(
+    make_core: MakeCore, poses_of: PosesOf, parts: bool, least: float, most: float
+) -> None:
+    """A door that opens may change a whole list; only a robot that is carried off shows other scans."""
+    core, rng, odd = make_core(), np.random.default_rng(0), 30
+    truth, reported = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    for scan in range(odd + 1):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(Speaker().odometry(time, reported)))
+        if scan:
+            apart = parts and scan == odd
+            list(core.handle(motion(time, time - 0.1, None if apart else STEP)))
+        if scan < odd:
+            seen = Speaker().hypotheses(time, [truth], [17.0])
+        else:
+            seen = Speaker(clutter=0).hypotheses(time, rng.uniform(-40.0, -10.0, (10, 3)), np.full(10, 5.0))
+        output = poses_of(core.handle(seen))
+        truth, reported = compose(truth, np.array(STEP)), compose(reported, np.array(STEP))
+    assert core.condition().counters.get("continuity_broken", 0) == parts
+    assert least <= output[-1].confidence <= most
+
+
+def test_a_robot_in_a_room_that_the_map_lacks_is_still_where_odometry_and_scans_put_it(
+    make_core: MakeCore, tracks_of: TracksOf
+) -> None:
+    """Its lists name other places each time; its scans follow from each other as it turns."""
+    core, rng, masses = make_core(), np.random.default_rng(0), list[float]()
+    for scan in range(90):
+        time, pose = 10.0 + 0.1 * scan, np.array([0.0, 0.0, 0.02 * scan])
+        list(core.handle(Speaker().odometry(time, pose)))
+        if scan:
+            list(core.handle(motion(time, time - 0.1, (0.0, 0.0, 0.02))))
+        if scan < 30:
+            seen = Speaker().hypotheses(time, [pose], [17.0])
+        else:
+            places = rng.uniform((20.0, 20.0, -3.0), (60.0, 60.0, 3.0), (20, 3))
+            seen = Speaker(clutter=0).hypotheses(time, places, np.linspace(10.0, 3.0, 20))
+        (tracks,) = tracks_of(core.handle(seen))
+        masses.append(sum(t.probability for t in tracks.tracks if np.hypot(t.pose.x, t.pose.y) < 0.5))
+    assert masses[29] > 0.99
+    assert masses[35] > 0.8
+    assert masses[-1] > 0.5
 
 
 def test_encoders_without_a_sign_are_made_up_for_and_reported(

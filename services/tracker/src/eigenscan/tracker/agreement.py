@@ -62,6 +62,8 @@ class Agreement:
         self._jumps: deque[int] = deque(maxlen=JUMPS)
         self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
         self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
+        self._compared: dict[str, tuple[int, int]] = {}
+        """By lidar, stamps of the newest scan that was compared and of the newest that did not agree."""
         self._now = 0
         self.disagreed = False
         """Whether odometry and scans differed when they were last compared."""
@@ -98,6 +100,16 @@ class Agreement:
         """Whether a scan repeats the one before: it shows nothing new."""
         return (lidar, stamp) in self._repeated
 
+    def follows(self, lidar: str, stamp: int, since: int) -> bool | None:
+        """Whether a lidar's scan of `stamp` lies where odometry puts it from that of `since`, ns.
+
+        None where it is not compared yet; False for a lidar without scan motion.
+        """
+        newest, differed = self._compared.get(lidar, (stamp, stamp))
+        if differed > since:
+            return False
+        return True if newest >= stamp else None
+
     def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""
         self._jumps.append(stamp)
@@ -106,6 +118,7 @@ class Agreement:
     def restart(self) -> None:
         """Odometry's clock was set back: what waits is of another time."""
         self._waiting.clear()
+        self._compared.clear()
         for faults in self._faults.values():
             faults.restart()
 
@@ -141,6 +154,7 @@ class Agreement:
                 continue
             driven = trail.between(interval.since, interval.stamp)
             if _is_far(driven, interval):
+                self._note(interval, agrees=False)
                 continue
             if interval.moved is not None and not interval.repeats:
                 found.append((interval, driven))
@@ -148,7 +162,12 @@ class Agreement:
             coarse = max(map(trail.spacing, ends)) > COARSE_NS
             if driven.breaks <= 0 and abs(driven.unknown) <= UNKNOWN_S and not coarse:
                 self._take(_widened(interval, map(trail.leeway, ends)), driven, trail)
+                self._note(interval, agrees=not self.disagreed)
         return found
+
+    def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
+        _, differed = self._compared.get(interval.lidar, (0, 0))
+        self._compared[interval.lidar] = interval.stamp, differed if agrees else interval.stamp
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._faults.get(interval.lidar)

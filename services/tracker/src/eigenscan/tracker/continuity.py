@@ -2,6 +2,7 @@
 
 Wrong hypotheses, too, go on from scan to scan as odometry moves: the building still looks the same. Where
 none of a list goes on in the next one, the sensor was covered or uncovered, or the robot was carried away.
+But not if the scans themselves show the motion that odometry shows: then the map lacks what they see.
 """
 
 from __future__ import annotations
