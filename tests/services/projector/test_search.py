@@ -9,7 +9,7 @@ from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
-from eigenscan.geometry.pose import compose, inverse
+from eigenscan.geometry.pose import compose, inverse, transform
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.association.manifold import Sheets
@@ -310,6 +310,26 @@ def candidates_verified(built: SiteModel) -> int:
 
     find_candidates(core._site, core._site.view(seen.sensor), seen, ProjectorSettings(), note)
     return counts["verified"]
+
+
+def test_what_fits_best_by_ranges_or_by_end_points_is_refined() -> None:
+    core = ready()
+    built = core._site
+    assert built is not None
+    field = DistanceField.of(office())
+    for i, truth in enumerate(free_poses(5, 21)):
+        seen = observe(scan_at(truth, seed=i))
+        stages: dict[str, Array] = {}
+        find_candidates(
+            built, built.view(seen.sensor).complete(), seen, ProjectorSettings(), stages.__setitem__
+        )
+        off = [np.minimum(field.at(transform(pose, seen.points))[0], 1.0) for pose in stages["associated"]]
+        reach = np.sqrt(np.hypot(*seen.points.T))
+        cost = np.array([(d**2 / (0.25 + d**2) * reach).sum() / reach.sum() for d in off])
+        kept = [tuple(pose) for pose in stages["verified"]]
+        for pose in stages["associated"][np.argsort(cost)[:20]]:
+            near = [np.hypot(*(pose[:2] - other[:2])) <= 0.4 for other in kept]
+            assert any(near)
 
 
 def test_a_large_site_keeps_more_candidates_for_more_places_look_alike() -> None:

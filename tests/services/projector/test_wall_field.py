@@ -7,7 +7,7 @@ from eigenscan.geometry.circle import difference
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.pose import compose, inverse, transform
 from eigenscan.projector.observation import observe
-from eigenscan.projector.refinement import Schedule, fit
+from eigenscan.projector.refinement import Schedule, cost_at, fit
 from eigenscan.projector.wall_field import WallField, unpack
 
 from tests.services.projector.office import free_poses, office, scan_at
@@ -51,6 +51,7 @@ def test_a_fit_that_does_not_move_is_the_sum_over_its_points() -> None:
         pose = truth + np.array([0.05, -0.04, 0.03])
         found = fit(WallField.of(field), pose[None], points, Schedule(scale, scale, 1))
         assert np.allclose(found.poses[0], pose)
+        assert np.allclose(cost_at(WallField.of(field), pose[None], points, scale), found.cost, atol=1e-5)
 
         world = transform(pose, points)
         cell = np.floor(grid.to_grid(world)).astype(int)

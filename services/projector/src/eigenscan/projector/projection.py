@@ -19,7 +19,7 @@ from eigenscan.projector.foreground import foreground
 from eigenscan.projector.from_eigenspace import answer
 from eigenscan.projector.likelihood import log_likelihood, ordinary_support
 from eigenscan.projector.observation import Observation
-from eigenscan.projector.refinement import SLIDE, Fit, fit
+from eigenscan.projector.refinement import SLIDE, Fit, cost_at, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, SensorView, Site
 from eigenscan.projector.verification import verify
@@ -195,7 +195,10 @@ def _verified(
     if offset is not None:
         poses[:, :2] += offset[:, :2] * (position == home)[:, None]
     trace("associated", poses)
-    best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count)
+    # half by ranges, half by end points: along a wall a range changes much, its end's distance little
+    best = best_of_neighbourhoods(poses, np.argsort(cost), PATCH_M, PATCH_RAD, count // 2)
+    by_ends = np.argsort(cost_at(site.coarse_walls, poses, _sliding(seen), SLIDE.first))
+    best = best_of_neighbourhoods(poses, np.append(best, by_ends), PATCH_M, PATCH_RAD, count)
     trace("verified", poses[best])
     region = np.searchsorted(view.bounds, rows[best], side="right") - 1
     return poses[best], position[best], region
