@@ -30,6 +30,8 @@ JUMPS, JUMPS_NS = 3, 15_000_000_000
 """So many jumps of odometry in so long are no reset but two robots."""
 REPORTED_NS = 75_000_000
 """From such a delay of the scans' stamps on it is reported."""
+EACH = 1.5
+"""Of the time between two scans: compared as often, each was; of jitter half of a scan's time."""
 UNSEEN = Faults()
 """Of a lidar that has shown no motion yet."""
 
@@ -62,8 +64,8 @@ class Agreement:
         self._jumps: deque[int] = deque(maxlen=JUMPS)
         self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
         self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
-        self._compared: dict[str, tuple[int, int]] = {}
-        """By lidar, stamps of the newest scan that was compared and of the newest that did not agree."""
+        self._compared: dict[str, tuple[int, float]] = {}
+        """By lidar, stamp of its newest scan that did not agree, and longest time between two compared, s."""
         self._now = 0
         self.disagreed = False
         """Whether odometry and scans differed when they were last compared."""
@@ -100,15 +102,13 @@ class Agreement:
         """Whether a scan repeats the one before: it shows nothing new."""
         return (lidar, stamp) in self._repeated
 
-    def follows(self, lidar: str, stamp: int, since: int) -> bool | None:
-        """Whether a lidar's scan of `stamp` lies where odometry puts it from that of `since`, ns.
+    def follows(self, lidar: str, stamp: int, since: int) -> bool:
+        """Whether a lidar's scan of `stamp` was found where odometry puts it from that of `since`, ns.
 
-        None where it is not compared yet; False for a lidar without scan motion.
+        What does not fit is published with its scan. Of a fast lidar not each scan is compared: false.
         """
-        newest, differed = self._compared.get(lidar, (stamp, stamp))
-        if differed > since:
-            return False
-        return True if newest >= stamp else None
+        differed, step = self._compared.get(lidar, (stamp, 0.0))
+        return differed <= since and step * 1e9 <= EACH * (stamp - since)
 
     def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""
@@ -166,8 +166,8 @@ class Agreement:
         return found
 
     def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
-        _, differed = self._compared.get(interval.lidar, (0, 0))
-        self._compared[interval.lidar] = interval.stamp, differed if agrees else interval.stamp
+        differed, _ = self._compared.get(interval.lidar, (0, 0.0))
+        self._compared[interval.lidar] = differed if agrees else interval.stamp, interval.longest_step
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._faults.get(interval.lidar)

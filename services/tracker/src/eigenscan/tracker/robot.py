@@ -81,8 +81,6 @@ class _Source:
     scans: int = 0
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
-    strange: tuple[int, int] | None = None
-    """Stamps of a list with nothing of the one before, and of that one, until their scans are compared."""
     even: float = EVEN_EXACT
     """Log-likelihood that speaks neither for nor against a track, as far as it is learned."""
     shown: float = EVEN_STEPS
@@ -308,9 +306,10 @@ class RobotTracker:
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
         count = goes_on(before, seen.poses, moved)
-        if count == 0 and are_neighbours(moved):
-            source.strange = seen.stamp, last
-        broken = self._is_broken(source)
+        # where scans follow from each other, the map lacks what they show
+        broken = (
+            count == 0 and are_neighbours(moved) and not self._agreement.follows(seen.lidar, seen.stamp, last)
+        )
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
@@ -326,13 +325,6 @@ class RobotTracker:
         return Share(
             weight / peers, progress / peers, precision / peers, carried, broken, peers > 1, source.even
         )
-
-    def _is_broken(self, source: _Source) -> bool:
-        """Whether a list is strange and its scan does not follow: else the map lacks what the scan shows."""
-        follows = self._agreement.follows(source.shows[0], *source.strange) if source.strange else None
-        if follows is not None:
-            source.strange = None
-        return follows is False
 
     def _news(self, moved: Motion) -> float:
         """How far scans are new evidence after a motion: also where the robot stands, for people pass."""
