@@ -85,30 +85,28 @@ def fit(field: WallField, poses: Array, points: Array, schedule: Schedule) -> Fi
 def cost_at(field: WallField, poses: Array, points: Array, scale: float) -> Singles:
     """Cost (n,) of sensor poses (n, 3) as they are: that of `fit` with one evaluation at this scale, m."""
     cost = np.empty(len(poses), dtype=np.float32)
-    _cost_at(flat(field), poses, np.ascontiguousarray(points), scale, cost)
+    _cost_at(field.cells, field.cell, field.cells_of(poses), np.ascontiguousarray(points), scale, cost)
     return cost
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # pragma: no cover - compiled
-def _cost_at(field: Flat, poses: Array, ends: Array, scale: float, cost: Singles) -> None:
-    cells, height, width, cell, x0, y0, turned = field
+def _cost_at(cells: Words, cell: float, poses: Array, ends: Array, scale: float, cost: Singles) -> None:
+    """`cost_at` with poses as of `WallField.cells_of`."""
+    (height, width), every = cells.shape, cells.reshape(-1)
     px, py, weight = _in_cells(ends, cell)
     half, zero, unit, s2 = np.float32(0.5), np.float32(0.0), np.float32(cell), np.float32(scale * scale)
     columns, right, top = np.int32(width), np.float32(width) - half, np.float32(height) - half
-    cos0, sin0 = np.cos(turned), np.sin(turned)
     at, words, u, v = np.empty(len(px), np.uint32), np.empty(len(px), np.uint32), px.copy(), py.copy()
     for i in range(len(poses)):
-        dx, dy, heading = poses[i, 0] - x0, poses[i, 1] - y0, poses[i, 2] - turned
-        x = np.float32((cos0 * dx + sin0 * dy) / cell + 1.0)
-        y = np.float32((cos0 * dy - sin0 * dx) / cell + 1.0)
-        cos, sin, total = np.float32(np.cos(heading)), np.float32(np.sin(heading)), zero
+        x, y, total = np.float32(poses[i, 0]), np.float32(poses[i, 1]), zero
+        cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
         # the words in a loop of their own: not every processor's vector units look up
         for j in range(len(px)):
             u[j] = min(max(x + cos * px[j] - sin * py[j], zero), right)
             v[j] = min(max(y + sin * px[j] + cos * py[j], zero), top)
             at[j] = np.uint32(np.int32(np.int32(v[j]) * columns) + np.int32(u[j]))
         for j in range(len(px)):
-            words[j] = cells[np.uint64(at[j])]
+            words[j] = every[np.uint64(at[j])]
         for j in range(len(px)):
             column, row = np.int32(u[j]), np.int32(v[j])
             centre, gx, gy = unpack(words[j])
