@@ -1,4 +1,4 @@
-"""Motion between two scans: what a match costs, and what starting it again changes.
+"""Motion between two scans: what a match costs, what starting it again changes, and which are alike.
 
     .venv/bin/python benchmarks/scan_motion.py DATASETS [--only intel] [--matches 1200]
 
@@ -6,10 +6,14 @@ Scan-ingest matches scans of each log. Each match is made as it is, with its CPU
 new starts along its worst determined direction. `support`: share of the points that fixes this direction;
 from HELD_SUPPORT on scan-ingest does not start again. A row counts how far apart the last two end. The times
 want a quiet machine, the counts do not.
+
+Neighbours that are not alike are compared at once. Scans of two places that are alike and do not fit would be
+found one scan late.
 """
 
 import argparse
 import time
+from contextlib import AbstractContextManager, suppress
 from itertools import pairwise
 from pathlib import Path
 from unittest import mock
@@ -32,6 +36,8 @@ LOGS = {
 }
 SUPPORTS = (-np.inf, 0.1, 0.15, 0.2, HELD_SUPPORT, 0.3, 0.35, 0.51)
 APART_M = 0.02, 0.05
+APART_SCANS = 100
+"""Between two of one lidar, from which they are taken to be of two places."""
 
 
 class EnoughError(Exception):
@@ -48,15 +54,53 @@ def matches(log: Path, most: int) -> list[tuple[Points, Points, Pose]]:
             raise EnoughError
         return motion_between(before, after, guess)
 
-    core = ScanIngestCore(ScanIngestSettings())
-    with mock.patch.object(watch, "motion_between", noted):
-        try:
-            for envelope in open_log(log, LogOptions()).envelopes():
-                if envelope.channel is SCAN_RAW:
-                    list(core.handle(envelope))
-        except EnoughError:
-            pass
+    _play(log, mock.patch.object(watch, "motion_between", noted))
     return found
+
+
+def similar_places(log: Path, most: int) -> tuple[int, int, int, int]:
+    """Pairs of neighbours, those of them not alike; pairs of other places, those alike that do not fit.
+
+    Of each lidar's first scans, the other places at random.
+    """
+    seen: dict[watch.Watch, list[Points]] = {}
+    turning, receive = list[tuple[Points, Points, float]](), watch.Watch.receive
+
+    def noted(
+        lidar: watch.Watch, stamp: int, ranges: watch.Ranges, angle_min: float, step: float, mount: Pose
+    ) -> object:
+        own = seen.setdefault(lidar, [])
+        points = motion.points_of(ranges.astype(float), angle_min, step, mount, stamp)
+        if own:
+            turning.append((own[-1], points, lidar._velocity[2] * (stamp - own[-1].stamp) * 1e-9))
+        own.append(points)
+        if len(turning) >= most:
+            raise EnoughError
+        return receive(lidar, stamp, ranges, angle_min, step, mount)
+
+    _play(log, mock.patch.object(watch.Watch, "receive", noted))
+    differ = sum(_alike(before, after, turn) < watch.ALIKE for before, after, turn in turning)
+    rng, elsewhere, late = np.random.default_rng(0), 0, 0
+    for own in seen.values():
+        for first, second in rng.integers(len(own), size=(1500, 2)).tolist():
+            if abs(first - second) >= APART_SCANS:
+                elsewhere += 1
+                if _alike(own[first], own[second], 0.0) >= watch.ALIKE:
+                    late += not motion_between(own[first], own[second], (0.0, 0.0, 0.0)).fits
+    return len(turning), differ, elsewhere, late
+
+
+def _alike(before: Points, after: Points, turn: float) -> float:
+    first, second = (each.ranges.astype(np.float32) for each in (before, after))
+    return watch.alike(first, second, round(turn / before.step))
+
+
+def _play(log: Path, patched: AbstractContextManager[object]) -> None:
+    core = ScanIngestCore(ScanIngestSettings())
+    with patched, suppress(EnoughError):
+        for envelope in open_log(log, LogOptions()).envelopes():
+            if envelope.channel is SCAN_RAW:
+                list(core.handle(envelope))
 
 
 def compared(match: tuple[Points, Points, Pose]) -> tuple[float, float, float] | None:
@@ -81,8 +125,9 @@ def main() -> None:
     parser.add_argument("datasets", type=Path)
     parser.add_argument("--only", action="append", choices=list(LOGS))
     parser.add_argument("--matches", type=int, default=1200, help="of each log, at most")
+    parser.add_argument("--pairs", type=int, default=3000, help="neighbours of each log, at most")
     given = parser.parse_args()
-    rows = []
+    rows, pairs = [], np.zeros(4, dtype=int)
     for name in given.only or LOGS:
         of_log = [
             row for match in matches(given.datasets / LOGS[name], given.matches) if (row := compared(match))
@@ -92,6 +137,8 @@ def main() -> None:
             flush=True,
         )
         rows += of_log
+        pairs += np.array(similar_places(given.datasets / LOGS[name], given.pairs))
+    print("neighbours {}, not alike {}; of other places {}, alike and not fitting {}".format(*pairs))
     support, apart = np.array(rows)[:, 1:].T
     for low, high in [*pairwise(SUPPORTS), (-np.inf, HELD_SUPPORT), (HELD_SUPPORT, np.inf)]:
         ends = apart[(support >= low) & (support < high)]

@@ -10,6 +10,7 @@ import pytest
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.motion import Points, motion_between, points_of
 from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.ingest.watch import alike
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -166,6 +167,29 @@ def test_of_a_fast_lidar_not_every_scan_is_laid_on_an_earlier_one() -> None:
             output = lidar.publish(seen(pose, rng), after=period)
             published[name] += sum(envelope.channel is SCAN_MOTION for envelope in output)
     assert published["fast"] <= 1.2 * published["slow"]
+
+
+@pytest.mark.parametrize("scans", range(20, 26))
+def test_a_fast_lidar_that_is_carried_off_is_reported_with_its_first_scan(scans: int) -> None:
+    lidar, rng, output = Lidar(), np.random.default_rng(5), list[Envelope]()
+    for scan in range(scans + 1):
+        pose = (-1.0, 0.5, 0.3) if scan < scans else (3.5, 1.5, -2.0)
+        output = lidar.publish(seen(pose, rng), after=25_000_000)
+    message = output[0].open(ScanMotion)
+    assert message.timestamp == stamp(lidar.time)
+    assert message.watched
+    assert not message.HasField("motion")
+
+
+@given(st.integers(-30, 30), st.integers(20, 400))
+def test_a_turn_alone_leaves_the_ranges_alike(turned: int, count: int) -> None:
+    ring = np.random.default_rng(count).uniform(1.0, 9.0, count + 60).astype(np.float32)
+    before, after = ring[30 : 30 + count], ring[30 + turned : 30 + turned + count]
+    if abs(turned) < count:
+        assert alike(before, after, turned) == 1.0
+    assert alike(before, before + np.float32(0.3), 0) == 0.0
+    assert alike(before, before[:-1], 0) == 0.0
+    assert alike(np.full(count, np.inf, np.float32), np.full(count, np.nan, np.float32), 0) == 0.0
 
 
 def test_identical_scans_are_counted_and_named() -> None:

@@ -57,7 +57,7 @@ class Scan(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., sequence: _Optional[int] = ..., motion: _Optional[_Union[ScanMotion, _Mapping]] = ...) -> None: ...
 
 class ScanMotion(_message.Message):
-    __slots__ = ("timestamp", "since", "motion", "covariance", "explained", "repeats", "longest_step")
+    __slots__ = ("timestamp", "since", "motion", "covariance", "explained", "repeats", "longest_step", "watched")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     SINCE_FIELD_NUMBER: _ClassVar[int]
     MOTION_FIELD_NUMBER: _ClassVar[int]
@@ -65,6 +65,7 @@ class ScanMotion(_message.Message):
     EXPLAINED_FIELD_NUMBER: _ClassVar[int]
     REPEATS_FIELD_NUMBER: _ClassVar[int]
     LONGEST_STEP_FIELD_NUMBER: _ClassVar[int]
+    WATCHED_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     since: _timestamp_pb2.Timestamp
     motion: _geometry_pb2.Pose2
@@ -72,4 +73,5 @@ class ScanMotion(_message.Message):
     explained: float
     repeats: int
     longest_step: float
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., since: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., motion: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., explained: _Optional[float] = ..., repeats: _Optional[int] = ..., longest_step: _Optional[float] = ...) -> None: ...
+    watched: bool
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., since: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., motion: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., explained: _Optional[float] = ..., repeats: _Optional[int] = ..., longest_step: _Optional[float] = ..., watched: _Optional[bool] = ...) -> None: ...

@@ -141,7 +141,9 @@ class ScanIngestCore:
         if motion is None:
             return
         since, moved = motion
-        message = ScanMotion(timestamp=scan.timestamp, since=stamp(since), repeats=lidar.watch.repeats)
+        message = ScanMotion(
+            timestamp=scan.timestamp, since=stamp(since), repeats=lidar.watch.repeats, watched=True
+        )
         if moved is not None:
             message.explained, message.longest_step = moved.explained, lidar.watch.longest_step
         else:

@@ -30,8 +30,6 @@ JUMPS, JUMPS_NS = 3, 15_000_000_000
 """So many jumps of odometry in so long are no reset but two robots."""
 REPORTED_NS = 75_000_000
 """From such a delay of the scans' stamps on it is reported."""
-EACH = 1.5
-"""Of the time between two scans: compared as often, each was; of jitter half of a scan's time."""
 UNSEEN = Faults()
 """Of a lidar that has shown no motion yet."""
 
@@ -52,6 +50,8 @@ class ScanInterval:
     repeats: int = 0
     longest_step: float = 0.0
     """s, longest between two scans on the way."""
+    watched: bool = False
+    """Whether a scan on the way that differs would have been published at once."""
 
 
 class Agreement:
@@ -64,8 +64,8 @@ class Agreement:
         self._jumps: deque[int] = deque(maxlen=JUMPS)
         self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
         self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
-        self._compared: dict[str, tuple[int, float]] = {}
-        """By lidar, stamp of its newest scan that did not agree, and longest time between two compared, s."""
+        self._differed: dict[str, int] = {}
+        """By lidar whose scans are watched, stamp of the newest that did not agree, ns."""
         self._now = 0
         self.disagreed = False
         """Whether odometry and scans differed when they were last compared."""
@@ -105,10 +105,9 @@ class Agreement:
     def follows(self, lidar: str, stamp: int, since: int) -> bool:
         """Whether a lidar's scan of `stamp` was found where odometry puts it from that of `since`, ns.
 
-        What does not fit is published with its scan. Of a fast lidar not each scan is compared: false.
+        Of a lidar that is watched, what does not fit is published with its scan; of another nothing is known.
         """
-        differed, step = self._compared.get(lidar, (stamp, 0.0))
-        return differed <= since and step * 1e9 <= EACH * (stamp - since)
+        return self._differed.get(lidar, stamp) <= since
 
     def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""
@@ -118,7 +117,7 @@ class Agreement:
     def restart(self) -> None:
         """Odometry's clock was set back: what waits is of another time."""
         self._waiting.clear()
-        self._compared.clear()
+        self._differed.clear()
         for faults in self._faults.values():
             faults.restart()
 
@@ -166,8 +165,9 @@ class Agreement:
         return found
 
     def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
-        differed, _ = self._compared.get(interval.lidar, (0, 0.0))
-        self._compared[interval.lidar] = differed if agrees else interval.stamp, interval.longest_step
+        if interval.watched:
+            before = self._differed.get(interval.lidar, 0)
+            self._differed[interval.lidar] = before if agrees else interval.stamp
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._faults.get(interval.lidar)

@@ -180,9 +180,9 @@ class TrackerCore:
             if not (possible and _is_spread(c)):
                 self._counts["scan_motion_not_possible"] += 1
                 return
-        spread = c.xx, c.xy, c.yy
+        spread, longest = (c.xx, c.xy, c.yy), message.longest_step
         robot.tracker.receive_motion(
-            ScanInterval(lidar, since, until, moved, spread, c.tt, message.repeats, message.longest_step)
+            ScanInterval(lidar, since, until, moved, spread, c.tt, message.repeats, longest, message.watched)
         )
 
     def _receive_odometry(
