@@ -83,6 +83,21 @@ def test_the_next_file_begins_when_one_is_full_and_explains_itself(tmp_path: Pat
     assert sorted(number for file in files for number in numbers(file)) == list(range(1, COUNT + 1))
 
 
+def test_a_head_that_fills_a_file_does_not_begin_one_for_each_message(tmp_path: Path) -> None:
+    """The map and the models of a large site may take more than an eighth of the budget."""
+    clock = Clock()
+    sink = McapSink(tmp_path, "s", clock, 0.5, {}, Limits(file_bytes=50_000))
+    sink.write(Envelope(MAP, ADDRESS, Grid(frame_id="map", data=os.urandom(200_000))))
+    for number in range(COUNT):
+        clock.now += S // 10
+        pose = PoseEstimate(timestamp=stamp(number + 1), frame_id=os.urandom(400).hex())
+        sink.write(Envelope(POSE, ADDRESS, pose))
+    sink.close()
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert 2 <= len(files) <= 4
+    assert numbers_of(files) == list(range(1, COUNT + 1))
+
+
 def test_each_file_shows_who_ran_with_which_settings_on_which_models(tmp_path: Path) -> None:
     clock = Clock()
     sink = McapSink(tmp_path, "s", clock, 0.5, {}, Limits(file_ns=5 * S))

@@ -84,13 +84,23 @@ def test_stamps_too_far_apart_to_confirm_each_other(make_core: MakeCore, speaker
 
 
 def test_one_lidar_of_two_whose_clock_is_behind(make_core: MakeCore, speaker: Speaker) -> None:
-    """Tracking starts again and again, as either lidar's clock counts."""
+    """The other one's poses are published as if it were alone."""
     core = make_core()
     for time in np.arange(20.0, 25.0, RATE_S):
         list(core.handle(speaker.odometry(float(time), HERE)))
-        published_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])])
+        assert published_poses(core, [speaker.hypotheses(float(time), [HERE], [20.0])]) == 1
         published_poses(core, [speaker.hypotheses(float(time) - 10.0, [HERE], [20.0], lidar="rear")])
-    assert "jump back by 10.0 s repeatedly" in degraded(core)
+    assert "rear/0 arrive, no pose: their stamps are 10.0 s behind the newest" in degraded(core)
+
+
+def test_two_drivers_of_one_name_whose_clocks_differ(make_core: MakeCore, speaker: Speaker) -> None:
+    """Tracking starts again and again, as either clock counts."""
+    core = make_core()
+    for time in np.arange(20.0, 25.0, RATE_S):
+        list(core.handle(speaker.odometry(float(time), HERE)))
+        for each in (time, time - 10.0, time - 9.95):
+            published_poses(core, [speaker.hypotheses(float(each), [HERE], [20.0])])
+    assert "stamps of scans jump back repeatedly" in degraded(core)
     published_poses(core, lists(speaker, 6.0, start=25.0))
     assert degraded(core) == ""
 

@@ -47,6 +47,24 @@ def test_a_slow_projector_is_taken_after_one_list_that_came_too_late() -> None:
     assert timeline.receive(seen(10.6, "front/slow")) is Outcome.TAKEN
 
 
+def test_a_projector_that_is_always_too_late_restarts_nothing() -> None:
+    """Where the other one's lists come in time, no clock was set back."""
+    timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
+    timeline.receive(seen(9.0, "front/slow"))
+    for tick in range(10, 30):
+        assert timeline.receive(seen(float(tick))) is Outcome.TAKEN
+        assert timeline.receive(seen(tick - 0.9, "front/slow")) is Outcome.TOO_LATE
+
+
+def test_a_clock_that_was_set_back_restarts_although_two_projectors_answer() -> None:
+    timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
+    sources = ("front/0", "front/1")
+    assert all(timeline.receive(seen(100.0 + tick, s)) is Outcome.TAKEN for tick in range(3) for s in sources)
+    received = [timeline.receive(seen(20.0 + tick, s)) for tick in range(6) for s in sources]
+    assert received.count(Outcome.RESTARTED) == 1
+    assert received[-1] is Outcome.TAKEN
+
+
 def test_a_list_that_one_of_another_source_overtook_is_taken() -> None:
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())
     received = [timeline.receive(each) for each in (seen(1.0), seen(1.4), seen(1.2, "rear/0"))]

@@ -112,6 +112,19 @@ def test_damage_to_the_head_of_a_chunk_gives_what_comes_before(tmp_path: Path) -
         assert log.counters["damaged_file"] == 1
 
 
+def test_a_chunk_that_states_no_size_loses_no_message(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    whole = path.read_bytes()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunks = sorted(index.chunk_start_offset for index in summary.chunk_indexes)
+    damaged = whole[: chunks[20] + 1] + bytes(8) + whole[chunks[20] + 9 :]
+    for data, messages in ((damaged, 199), (damaged[: chunks[100]], 100)):
+        path.write_bytes(data)
+        assert sum(e.channel is SCAN_RAW for e in open_log(path).envelopes()) == messages
+
+
 def test_damage_to_the_index_loses_no_message(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
     whole = path.read_bytes()

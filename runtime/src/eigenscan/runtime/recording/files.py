@@ -86,7 +86,7 @@ def refuse_bombs(file: IO[bytes]) -> None:
         begin = file.tell()
         if kind == _CHUNK:
             start = file.read(min(size, 128))
-            if len(start) < min(size, _CHUNK_HEAD.size):  # the file is cut here
+            if len(start) < _CHUNK_HEAD.size:  # cut here, or damaged: the reader reports it
                 break
             _, _, stated, _, length = _CHUNK_HEAD.unpack_from(start)
             compression = start[_CHUNK_HEAD.size :][:length]

@@ -21,9 +21,13 @@ class Limits:
     file_ns: int | None = None
     total_bytes: int | None = None
 
-    def is_full(self, size: int, age_ns: int) -> bool:
-        """Whether the next file is to begin."""
-        too_large = self.file_bytes is not None and size >= self.file_bytes
+    def is_full(self, size: int, head: int, age_ns: int) -> bool:
+        """Whether the next file is to begin, at `size` bytes.
+
+        The `head`, bytes, repeats the latched messages. Where it takes most of `file_bytes` by itself, a
+        file grows to twice the head: otherwise each message would begin a file.
+        """
+        too_large = self.file_bytes is not None and size >= max(self.file_bytes, 2 * head)
         return too_large or (self.file_ns is not None and age_ns >= self.file_ns)
 
 

@@ -157,7 +157,8 @@ class McapSink:
     def _rotated(self, now: int, key: str) -> RecordingWriter | None:
         """The file in use, or the next one if it is at its limits or has no number for `key`."""
         if self._writer and (
-            self._limits.is_full(self._writer.size, now - self._opened_at) or not self._writer.has_room(key)
+            self._limits.is_full(self._writer.size, self._head, now - self._opened_at)
+            or not self._writer.has_room(key)
         ):
             self._writer.close(self._about.metadata)
             self._settle("mcap_written", but=1)
@@ -187,6 +188,7 @@ class McapSink:
             path.unlink(missing_ok=True)
             raise
         self._writer, self._opened_at, self._problem = writer, now, ""
+        self._head = writer.size
         self._counts["mcap_files"] += 1
         return writer
 

@@ -63,7 +63,7 @@ class Silence:
         self._runs: dict[str, _Run] = {}
         self._odometry: int | None = None
         self._since_restart = RESTARTS_WITHIN
-        self._two_clocks_s = 0.0
+        self._two_clocks = False
         self._newest: int | None = None
 
     def receive_odometry(self, stamp: int) -> None:
@@ -76,10 +76,10 @@ class Silence:
         self._newest = self._timeline.newest
         self._since_restart += 1
         if outcome is Outcome.RESTARTED:
-            self._two_clocks_s = behind_s if self._since_restart <= RESTARTS_WITHIN else 0.0
+            self._two_clocks = self._since_restart <= RESTARTS_WITHIN
             self._since_restart = 0
         elif self._since_restart > RESTARTS_WITHIN:
-            self._two_clocks_s = 0.0
+            self._two_clocks = False
         if outcome in _REFUSED:
             self._add(seen, _REFUSED[outcome], behind_s)
 
@@ -108,10 +108,10 @@ class Silence:
     @property
     def reason(self) -> str:
         """Why poses are missing; empty: they are not."""
-        if self._two_clocks_s:
+        if self._two_clocks:
             return (
-                f"stamps of scans jump back by {self._two_clocks_s:.1f} s repeatedly, and tracking restarts "
-                "each time: the clocks of two lidars, or of two robots under one name, differ"
+                "stamps of scans jump back repeatedly, and tracking restarts "
+                "each time: two robots, or two drivers, use one name, and their clocks differ"
             )
         for source, run in sorted(self._runs.items()):
             if not 0 <= self._now - run.added <= GONE_NS:  # below 0: the clock was set back since

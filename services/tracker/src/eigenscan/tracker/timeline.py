@@ -14,7 +14,7 @@ FUTURE_NS = 1_000_000_000
 CONFIRMED_NS = 60_000_000_000
 """Another stamp of the same source confirms it within this: scans may be sparse, a minute apart."""
 RESTART_AFTER = 5
-"""So many stamps from the past in a row mean that the clock was set back."""
+"""So many stamps from the past in a row, none newer in between, mean that the clock was set back."""
 CAUGHT_UP_AFTER = 2
 """The same, where the next one is newer than all of its source: one alone may have been overtaken."""
 RECENT = 64
@@ -46,7 +46,7 @@ class Timeline:
         self._projectors: set[str] = set()
         self._doubted: dict[str, int] = {}
         self._past_in_row: Counter[str] = Counter()
-        """Of each source: lists from the past, one after another."""
+        """Of each source: lists from the past since one of any source was in time."""
         self._back_in_row: Counter[str] = Counter()
         """The same: older than another of their own source."""
         self._received: int | None = None
@@ -72,7 +72,8 @@ class Timeline:
             return self._receive_past(seen)
         if self._received is not None and seen.stamp < self._received - self._late:
             return self._receive_past(seen)
-        back, self._past_in_row[seen.source] = self._back_in_row.pop(seen.source, 0), 0
+        back = self._back_in_row.pop(seen.source, 0)
+        self._past_in_row.clear()  # a source that is slow is no clock that was set back
         if back >= CAUGHT_UP_AFTER:  # how much time has passed meanwhile is not known
             return self._restart(seen)
         if self._is_doubtful(seen):
