@@ -286,14 +286,15 @@ def share_aliases(tracks: Tracks) -> Tracks:
     return replace(tracks, alias=tracks.alias / max(float(tracks.alias.sum()), 1.0))
 
 
-def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
+def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
 
     Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
+    One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
     none = max(1.0 - float(alias.sum()), 1e-12)
-    odds = alias * np.exp(gained)
+    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
     total = none + float(odds.sum())
     others = (total - odds) / (1.0 - alias).clip(min=1e-12)
     return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
@@ -354,8 +355,10 @@ def branch(
     evidence = old.evidence.copy()
     gained = share.weight * (total - evidence[:, source])
     evidence[:, source] += gained
-    explained, of_others, alias = explained_by_aliases(aliases_go_on(old.alias, share.progress), gained)
     hidden = hide_and_show(old.hidden[:, source], share.progress)
+    before = aliases_go_on(old.alias, share.progress)
+    by_others = np.delete(1.0 - old.hidden, source, axis=1).max(axis=1, initial=0.0)
+    explained, of_others, alias = explained_by_aliases(before, gained, hidden * by_others)
     with np.errstate(divide="ignore"):
         shown = old.log_weight + np.log1p(-hidden) + gained - explained
         unseen = old.log_weight + np.log(hidden) + of_others - explained

@@ -460,3 +460,18 @@ def test_what_one_lidar_cannot_show_is_hidden_from_it_alone() -> None:
     front, rear = belief.tracks.hidden[np.argmax(belief.tracks.log_weight)]
     assert front < 0.01
     assert rear > 0.99
+
+
+def test_of_two_lidars_that_contradict_each_other_the_new_place_does_not_win() -> None:
+    """The old place may look alike for one lidar and be hidden from the other, as the new one may."""
+    belief, spread = Belief(TrackerSettings()), np.diag([1e-3, 1e-3, 1e-4])[None]
+    here, new = (np.array([[2.0, 3.0, 0.0]]), 10.0), (np.array([[10.0, 3.0, 0.0]]), 13.0)
+    for scan in range(120):
+        for lidar in ("front", "rear"):
+            pose, likelihood = new if lidar == "rear" and scan >= 40 else here
+            likelihoods = np.array([likelihood])
+            seen = Observation(scan, f"{lidar}/0", lidar, "map", pose, spread, likelihoods, 6.0, 400.0, True)
+            belief.observe(seen, Share(0.23, 0.07, 0.2))
+            settle(belief)
+    stayed = np.hypot(*(belief.tracks.x[:, :2] - here[0][0, :2]).T) < 0.5
+    assert np.exp(belief.tracks.log_weight[stayed]).sum() > 0.9

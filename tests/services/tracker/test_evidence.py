@@ -183,16 +183,18 @@ def test_without_tracks_nothing_slips() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-12.0, 12.0)), min_size=1, max_size=6),
+    st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.floats(-12.0, 12.0), st.floats(0.0, 1.0)), min_size=1, max_size=6
+    ),
     st.floats(0.0, 1.0),
 )
-def test_aliases_are_weighed_by_bayes(tracks: list[tuple[float, float]], none: float) -> None:
-    """Case by case: none of the tracks is an alias, or the first is, or the second, and so on."""
-    prior = np.array([none + 0.01, *(share for share, _ in tracks)])
+def test_aliases_are_weighed_by_bayes(tracks: list[tuple[float, float, float]], none: float) -> None:
+    """Case by case: none of the tracks is an alias, or the first is, shown or hidden, and so on."""
+    prior = np.array([none + 0.01, *(share for share, _, _ in tracks)])
     prior /= prior.sum()
-    likelihood = np.exp([0.0, *(gained for _, gained in tracks)])
-    gained = np.array([gained for _, gained in tracks])
-    explained, of_others, after = explained_by_aliases(prior[1:], gained)
+    gained, hidden = (np.array([each[i] for each in tracks]) for i in (1, 2))
+    likelihood = np.array([1.0, *(h * 1.0 + (1.0 - h) * np.exp(g) for _, g, h in tracks)])
+    explained, of_others, after = explained_by_aliases(prior[1:], gained, hidden)
     joint = prior * likelihood
     assert explained == pytest.approx(np.log(joint.sum()), abs=1e-9)
     np.testing.assert_allclose(after, joint[1:] / joint.sum(), atol=1e-9)
@@ -206,7 +208,7 @@ def test_a_similar_place_that_goes_on_gains_no_more_than_aliases_end() -> None:
     """What looked right at first shows little by looking right again, however well it does."""
     alias, reported = aliases_of(np.array([6.0])), []
     for _ in range(20):
-        explained, _, alias = explained_by_aliases(aliases_go_on(alias, 1.0), np.array([6.0]))
+        explained, _, alias = explained_by_aliases(aliases_go_on(alias, 1.0), np.array([6.0]), np.zeros(1))
         reported.append(6.0 - explained)
     # the share of aliases that end over a step is all that is left to learn
     assert reported[-1] == pytest.approx(-np.log(np.exp(-ENDS)), abs=0.02)

@@ -55,17 +55,17 @@ def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -
         total[i] = log_sum(total[i], fit[row])
         preference[i] = log_sum(preference[i], scan.weight * fit[row])
     gained = scan.weight * (total - old.evidence[:, scan.source])
+    hides, elsewhere = _hidden(old, scan, c)
     before = aliases_go_on(old.alias, scan.progress, c)
-    explained, of_others, alias = explained_by_aliases(before, gained)
+    explained, of_others, alias = explained_by_aliases(before, gained, elsewhere)
     out = taken(old, origin)
     for row in range(len(origin)):
         i = origin[row]
         part = scan.weight * fit[row] - preference[i]
-        hidden = hide_and_show(old.hidden[i, scan.source], scan.progress, c)
-        log_weight = old.log_weight[i] + np.log1p(-hidden) + gained[i] - explained + part + first[row]
+        log_weight = old.log_weight[i] + np.log1p(-hides[i]) + gained[i] - explained + part + first[row]
         out.hidden[row, scan.source] = 0.0
         if row < count:
-            unseen = old.log_weight[i] + np.log(hidden) + of_others[i] - explained
+            unseen = old.log_weight[i] + np.log(hides[i]) + of_others[i] - explained
             log_weight = log_sum(log_weight, unseen)
             out.hidden[row, scan.source] = np.exp(unseen - log_weight)
         out.log_weight[row], out.alias[row] = log_weight, alias[i] * np.exp(part)
@@ -76,6 +76,18 @@ def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -
         scan.stamp, c.tail, c.least_new,
     )  # fmt: skip
     return out
+
+
+@inner()  # pragma: no cover - compiled
+def _hidden(old: Columns, scan: Scan, c: Constants) -> tuple[Array, Array]:
+    """How likely this source does not show each track (n,); and does not, while another one shows it."""
+    hides, elsewhere = np.empty(len(old.x)), np.zeros(len(old.x))
+    for i in range(len(hides)):
+        hides[i] = hide_and_show(old.hidden[i, scan.source], scan.progress, c)
+        for source in range(old.hidden.shape[1]):
+            if source != scan.source:
+                elsewhere[i] = max(elsewhere[i], hides[i] * (1.0 - old.hidden[i, source]))
+    return hides, elsewhere
 
 
 @inner()  # pragma: no cover - compiled

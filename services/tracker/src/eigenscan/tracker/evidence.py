@@ -201,14 +201,15 @@ def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def explained_by_aliases(alias: Array, gained: Array) -> tuple[float, Array, Array]:
+def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
 
     Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
+    One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
     none = max(1.0 - alias.sum(), 1e-12)
-    odds = alias * np.exp(gained)
+    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
     total = none + odds.sum()
     others = (total - odds) / np.maximum(1.0 - alias, 1e-12)
     return np.log(total), np.log(np.maximum(others, 1e-12)), odds / total
