@@ -13,10 +13,16 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
 from eigenscan.geometry.pose import from_message
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
@@ -59,11 +65,11 @@ class Broker:
     port: int
     process: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> None:
+    def start(self, more: str = "") -> None:
         program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
         assert program, "mosquitto is not installed: apt-get install mosquitto"
         settings = self.folder / "mosquitto.conf"
-        settings.write_text(f"listener {self.port} 127.0.0.1\nallow_anonymous true\n")
+        settings.write_text(f"listener {self.port} 127.0.0.1\nallow_anonymous true\n{more}")
         self.process = subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL)
 
     def stop(self) -> None:
@@ -282,6 +288,55 @@ def test_the_broker_publishes_the_last_will_of_a_bridge_that_was_killed(scene: S
     assert scene.bridge.wait(PATIENCE_S) == 0
 
 
+def certificate(folder: Path, address: str) -> Path:
+    """A certificate for an address, signed by itself, and its key in one file."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "broker")])
+    now = datetime.now(UTC)
+    made = (
+        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
+        .not_valid_before(now - timedelta(minutes=1))
+        .not_valid_after(now + timedelta(hours=1))
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address(address))]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    pem = serialization.Encoding.PEM
+    private = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    file = folder / f"{address}.pem"
+    file.write_bytes(made.public_bytes(pem) + private)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("scheme", "issued_to", "trusted", "words"),
+    [
+        ("mqtts", "127.0.0.1", True, "no pose arrives"),
+        ("mqtts", "127.0.0.1", False, "not trusted: self-signed certificate: set ca_file"),
+        ("mqtts", "127.0.0.2", True, "not trusted: IP address mismatch"),
+        ("mqtt", "127.0.0.1", False, "mqtts://, if the broker speaks TLS"),
+        ("mqtt", "", False, "Connection refused"),
+    ],
+)
+def test_health_names_why_a_broker_cannot_be_reached(
+    tmp_path: Path, scheme: str, issued_to: str, trusted: bool, words: str
+) -> None:
+    broker = Broker(tmp_path, free_port())
+    flags = ["--site", f"test-{uuid.uuid4().hex[:12]}", "--broker", f"{scheme}://127.0.0.1:{broker.port}"]
+    if issued_to:
+        file = certificate(tmp_path, issued_to)
+        broker.start(f"certfile {file}\nkeyfile {file}\nuser root\n")  # else it may not read them
+        flags += ["--ca-file", str(file)] if trusted else []
+    command = [sys.executable, "-m", "eigenscan.vda5050.node", *flags]
+    log = tmp_path / "bridge.log"
+    with log.open("wb") as errors, subprocess.Popen(command, stderr=errors) as bridge:
+        try:
+            wait_for(lambda: words in log.read_text(), f"{words}: {log.read_text()}")
+        finally:
+            bridge.kill()
+            broker.stop()
+
+
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
@@ -291,6 +346,7 @@ def test_the_broker_publishes_the_last_will_of_a_bridge_that_was_killed(scene: S
         (["--robot", "läufer"], "serial_number"),
         (["--version", "1.1"], "--version"),
         (["--manufacturer", "a/b"], "--manufacturer"),
+        (["--broker", "mqtts://127.0.0.1", "--ca-file", "/nowhere/ca.crt"], "ca_file: /nowhere/ca.crt"),
     ],
 )
 def test_wrong_settings_end_it_with_one_line(flags: list[str], words: str) -> None:

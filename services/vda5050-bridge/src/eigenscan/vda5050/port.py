@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import ssl
+import sys
 from collections import Counter
 from datetime import UTC, datetime
 from typing import Any
@@ -34,6 +35,8 @@ RECONNECT_S = (1, 10)
 MOST_BYTES = 262_144
 """Largest message that is read."""
 CLOSE_S = 0.5
+OTHER_NAME = (62, 64)
+"""OpenSSL's codes where the certificate is for another host name or address."""
 
 
 class MqttPort:
@@ -45,6 +48,7 @@ class MqttPort:
         self._options = options
         self._inbox: Inbox | None = None
         self._numbers: Counter[str] = Counter()
+        self._connected = False
         broken = {2: "CONNECTIONBROKEN", 3: "CONNECTION_BROKEN"}[options.major]
         self._client = Client(CallbackAPIVersion.VERSION2, client_id=f"eigenscan-{options.serial}")
         if not options.only_visualization:
@@ -52,10 +56,10 @@ class MqttPort:
         if options.username:
             self._client.username_pw_set(options.username, self._password())
         if options.address[2]:
-            self._client.tls_set_context(ssl.create_default_context(cafile=options.ca_file))
+            self._client.tls_set_context(self._tls())
         self._client.reconnect_delay_set(*RECONNECT_S)
         self._client.on_connect = self._on_connect
-        self._client.on_connect_fail = lambda *_: self._report("cannot be reached")
+        self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect
         self._client.on_message = self._on_message
 
@@ -93,6 +97,12 @@ class MqttPort:
         except OSError as error:
             raise SettingsError(f"password_file: {error}") from error
 
+    def _tls(self) -> ssl.SSLContext:
+        try:
+            return ssl.create_default_context(cafile=self._options.ca_file)
+        except OSError as error:
+            raise SettingsError(f"ca_file: {self._options.ca_file}: {error.strerror or error}") from error
+
     def _connection(self, state: str) -> str:
         fields = {
             "headerId": self._numbers[CONNECTION],
@@ -117,18 +127,32 @@ class MqttPort:
         if reason.is_failure:
             self._report(f"refuses: {reason}")
             return
+        self._connected = True
         if not self._options.only_visualization:
             client.subscribe([(self._topic(name), 0) for name in (INSTANT_ACTIONS, ORDER)])
             client.publish(self._topic(CONNECTION), self._connection("ONLINE"), qos=1, retain=True)
         self._report("")
 
+    def _on_connect_fail(self, _client: Client, _data: Any) -> None:
+        error = sys.exc_info()[1]  # paho calls this while it handles what went wrong, and passes nothing on
+        self._report(f"{self._options.broker} cannot be reached: {_cause(error)}")
+
     def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
-        self._report(f"connection lost: {reason}")
+        fix = "" if self._connected or self._options.address[2] else ": mqtts://, if the broker speaks TLS"
+        self._report(f"connection lost: {reason}{fix}")
 
     def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         topic = message.topic.rpartition("/")[2]
         # longer than any action: the core refuses a cut message
         self._put(topic, bytes(message.payload[:MOST_BYTES]))
+
+
+def _cause(error: BaseException | None) -> str:
+    """Why a connection failed, and what to set."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        fix = "" if error.verify_code in OTHER_NAME else ": set ca_file"
+        return f"its certificate is not trusted: {error.verify_message.rstrip('.')}{fix}"
+    return getattr(error, "strerror", None) or str(error or "no reason given")
 
 
 def _now() -> str:
