@@ -195,3 +195,44 @@ def test_a_frame_that_is_silent_for_long_holds_nothing_up(make_core: MakeCore, s
         output += core.handle(speaker.hypotheses(at, [pose], [20.0], projector=frame, frame=frame))
     last = [one.open(PoseEstimate) for one in output if one.channel is POSE][-1]
     assert (last.state, last.frame_id) == (STATE_LOCALIZED, "first")
+
+
+@pytest.mark.parametrize("floors", [1, 2])
+def test_where_there_are_several_floors_a_robot_that_no_scan_shows_may_be_in_a_lift(
+    make_core: MakeCore, speaker: Speaker, floors: int
+) -> None:
+    """It stands in the cabin for 4 s; then one list shows a good place on the other floor."""
+    core = make_core()
+    core.handle(BUILDING if floors == 2 else models(box("ground", np.zeros(3))))
+    assert drive(core, speaker, HERE, 0.0)[-1].floor == "ground"
+    cabin = compose(HERE, [1.4, 0.0, 0.0])
+
+    def see(number: int, poses: list[np.ndarray]) -> PoseEstimate:
+        at = 1.5 + 0.1 * number
+        core.handle(speaker.odometry(at, np.array([1.4, 0.0, 0.0])))
+        output = core.handle(speaker.hypotheses(at, [*poses, cabin + 60.0], [18.0] * len(poses) + [9.0]))
+        return [each.open(PoseEstimate) for each in output if each.channel is POSE][-1]
+
+    hidden = [see(number, []) for number in range(40)]
+    assert {one.state for one in hidden} == {STATE_LOCALIZED}
+    out = see(40, [compose(UP, HERE)])
+    assert (out.state == STATE_LOCALIZED) == (floors == 1)
+
+
+@pytest.mark.parametrize("floors", [1, 2])
+def test_in_a_building_with_floors_a_claim_that_no_scan_shows_does_not_last(
+    make_core: MakeCore, speaker: Speaker, floors: int
+) -> None:
+    core = make_core()
+    core.handle(BUILDING if floors == 2 else models(box("ground", np.zeros(3))))
+    drive(core, speaker, HERE, 0.0)
+    claimed = 0
+    for number in range(600):
+        at = 1.5 + 0.1 * number
+        core.handle(speaker.odometry(at, np.array([1.4, 0.0, 0.0])))
+        output = core.handle(speaker.hypotheses(at, [np.array([80.0, 80.0, 0.0])], [9.0]))
+        claimed += sum(
+            each.open(PoseEstimate).state == STATE_LOCALIZED for each in output if each.channel is POSE
+        )
+    assert (claimed == 600) == (floors == 1)
+    assert claimed > 100

@@ -23,7 +23,7 @@ from eigenscan.mapbuilder.site import build_site
 from eigenscan.projector.channels import LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, ODOMETRY, POSE
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, MODEL_SET, ODOMETRY, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.extra import needs
 from eigenscan.schemas.localize_pb2 import LocalizeQuery, LocalizeReply
@@ -138,7 +138,7 @@ class Localizer:
             raise ScanError(f"time = {scan.time}: must be after that of the scan before")
         found = self._answer(scan)
         self._newest = scan.stamp
-        tracker = self._tracker = self._tracker or _new_tracker(self._method)
+        tracker = self._tracker = self._tracker or _new_tracker(self._method, self.site)
         if pose is not None:
             message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(pose))
             list(tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
@@ -179,12 +179,14 @@ class Localizer:
         return found[0]
 
 
-def _new_tracker(method: str) -> TrackerCore:
-    """Imports the tracker, which compiles it, only when it is needed."""
+def _new_tracker(method: str, site: SiteModel) -> TrackerCore:
+    """Imports the tracker, which compiles it, only when it is needed. It knows the site's floors."""
     from eigenscan.tracker.core import TrackerCore
     from eigenscan.tracker.settings import TrackerSettings
 
-    return TrackerCore(TrackerSettings.model_validate(of_service(method, "tracker")))
+    tracker = TrackerCore(TrackerSettings.model_validate(of_service(method, "tracker")))
+    list(tracker.handle(Envelope(MODEL_SET, {"site": DEFAULT_SITE}, site.to_message())))
+    return tracker
 
 
 def _be_a_scan(scan: Scan) -> None:

@@ -154,7 +154,7 @@ class TrackerCore:
         return Condition(Health.STATUS_OK, "; ".join(notes[:3]), dict(self._counts))
 
     def _robot(self, address: Mapping[str, str]) -> _Tracked:
-        return self._robots.use(
+        robot = self._robots.use(
             (address["site"], address["robot"]),
             lambda: _Tracked(
                 RobotTracker(self._settings, self._counts),
@@ -162,6 +162,8 @@ class TrackerCore:
                 _Pace(self._settings.tracks_hz),
             ),
         )
+        robot.tracker.building = self._buildings.get(address["site"], NO_BUILDING)
+        return robot
 
     def _relocate(self, robot: _Tracked, message: Relocation) -> None:
         try:
@@ -213,7 +215,7 @@ class TrackerCore:
         for estimate in estimates:
             robot.map_frame = estimate.frame
             message = _pose_message(estimate, robot.body_frame, self._settings.protection_risk)
-            self._buildings.get(address["site"], NO_BUILDING).locate(message)
+            robot.tracker.building.locate(message)
             yield Envelope(POSE, address, message)
             if estimate.request is not None:
                 lidar = {**address, "lidar": estimate.request.lidar}

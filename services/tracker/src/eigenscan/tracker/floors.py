@@ -11,6 +11,7 @@ from eigenscan.geometry.pose import to_message
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.belief import Belief
+from eigenscan.tracker.tracks import Tracks
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -21,6 +22,8 @@ RIVAL = 0.2
 """Share of the belief from which a second map frame is a reason for having no claim."""
 RIVALS_NS = 2_000_000_000
 """After so long health reports it, as it does a pose that does not come."""
+LIFT_RATE = 0.02
+"""1/s, how often a robot that no lidar shows goes to another floor, where there are several: by lift."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,14 @@ class Building:
         if unusable := len(message.floors) - len(floors):
             counts["floor_not_usable"] += unusable
         return cls(message.frame_id, floors)
+
+    def lift_rate(self, tracks: Tracks) -> float:
+        """1/s, how often a robot goes to another floor: by the tracks' mass that no source shows."""
+        if len(self.floors) < 2 or not tracks.hidden.size:
+            return 0.0
+        masses = np.exp(tracks.log_weight)
+        unseen = float(masses @ tracks.hidden.min(axis=1))
+        return LIFT_RATE * unseen / max(float(masses.sum()), 1e-300)
 
     def locate(self, message: PoseEstimate) -> None:
         """Adds the floor to a pose in the set's map frame, and the pose in that floor's own frame."""

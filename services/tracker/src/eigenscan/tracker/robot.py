@@ -17,7 +17,7 @@ from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_MOST, EVEN_STEPS, learned, likelihood_at
-from eigenscan.tracker.floors import Rivals
+from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample
@@ -102,6 +102,8 @@ class RobotTracker:
     def __init__(self, settings: TrackerSettings, counts: Counter[str]) -> None:
         self._settings = settings
         self._counts = counts
+        self.building = Building()
+        """Of the site's models; the core keeps it current."""
         self._gyroscope = Gyroscope(settings.turn_max, counts)
         self._trail = OdometryTrail(
             VelocityGate(settings.v_max, settings.turn_max),
@@ -318,8 +320,9 @@ class RobotTracker:
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
         # after a kidnap hardly any hypothesis goes on
-        rate = self._settings.kidnap_rate * carried_ratio(count, moved) / len(self._sources)
-        carried = happened(rate * seconds)
+        rate = self._settings.kidnap_rate * carried_ratio(count, moved)
+        rate += self.building.lift_rate(self.belief.tracks)
+        carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
         precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else progress)
         return Share(
