@@ -49,6 +49,7 @@ class Manager:
     number: int = 0
     topics: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     words: list[Relocation] = field(default_factory=list)
+    sent: dict[str, Any] = field(default_factory=dict)
 
     @property
     def major(self) -> int:
@@ -77,7 +78,8 @@ class Manager:
             "serialNumber": "r1",
             "actions": list(actions),
         }
-        self.receive(topic, json.dumps(reported | changes).encode())
+        self.sent = reported | changes
+        self.receive(topic, json.dumps(self.sent).encode())
 
     def pose(self, state: State = STATE_LOCALIZED, pose: Iterable[float] = HERE, **fields: Any) -> None:
         self.at += 100 * MS
@@ -251,6 +253,7 @@ def test_with_floors_the_map_is_the_floor_and_the_position_is_in_its_frame(manag
 def test_a_position_that_the_scans_confirm_is_finished(manager: Manager) -> None:
     manager.pose(pose=(9.0, 9.0, 0.0))
     manager.publish(set_position(major=manager.major))
+    check("instantActions", manager.sent, manager.major)
     (word,) = manager.words
     assert from_message(word.pose) == pytest.approx(HERE)
     assert manager.action("a1")["actionStatus"] == "RUNNING"
