@@ -167,6 +167,31 @@ def test_who_comes_late_gets_the_map(sink: FoxgloveSink) -> None:
     assert (body.column_count, body.pose.position.x) == (3, -1.0)
 
 
+@pytest.mark.parametrize(
+    "sent",
+    [
+        "not JSON",
+        '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 4711}]}',
+        '{"op": "subscribe", "subscriptions": 7}',
+        '{"op": "advertise", "channels": [{"id": 1, "topic": "s/map", "encoding": "json"}]}',
+        b"",
+        b"\xff" * 1000,
+        struct.pack("<BI", 1, 1) + b"{}",
+    ],
+    ids=["no JSON", "no channel", "no list", "a publisher", "empty", "no opcode", "a message"],
+)
+def test_a_client_that_sends_nonsense_disturbs_nobody(
+    sink: FoxgloveSink, client: Client, sent: str | bytes
+) -> None:
+    with connect(sink.url, subprotocols=["foxglove.sdk.v1"]) as other:  # type: ignore[list-item]
+        other.send(sent)
+        write(sink, POSE, pose())
+        client.topics({"s/robot/r/pose"})
+        client.subscribe("s/robot/r/pose")
+        assert published(client, lambda: write(sink, POSE, pose()))[0] == "s/robot/r/pose"
+    assert set(client.channels) == {"s/robot/r/pose", "s/robot/r/pose/drawn"}
+
+
 def test_a_taken_port_is_named(sink: FoxgloveSink) -> None:
     port = int(sink.url.rpartition(":")[2])
     with pytest.raises(SettingsError, match=f"foxglove_port = {port}: cannot serve"):
