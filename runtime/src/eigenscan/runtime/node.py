@@ -30,6 +30,7 @@ from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.latched_cache import ASIDE, FAILED_STARTS, LatchedCache
 from eigenscan.runtime.logs import configure, logger
+from eigenscan.runtime.memory import StartMemory
 from eigenscan.runtime.port import NoPort, Port
 from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
 from eigenscan.runtime.session import open_meanwhile
@@ -191,9 +192,11 @@ class Node:
         self.serve_metrics()
         core = threading.Thread(target=self.run_core, name="core", daemon=True)
         core.start()
+        memory = StartMemory()
         while not self._stop.stopping and core.is_alive() and not self.is_deaf:
             self._stop.wait(HEALTH_PERIOD_S)
             self.report()
+            memory.tend()
         stop_s = self.settings.stop_s
         faulthandler.dump_traceback_later(STOP_ALL * stop_s, exit=True)
         try:

@@ -17,6 +17,7 @@ from typing import Any
 import zenoh
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.logs import configure
+from eigenscan.runtime.memory import StartMemory
 from eigenscan.runtime.node import (
     CLOSE,
     HEALTH_PERIOD_S,
@@ -143,10 +144,12 @@ class Together:
 
     def _tend(self, threads: dict[str, threading.Thread]) -> None:
         """Publishes each service's health until the end is requested or one of them ends."""
+        memory = StartMemory()
         while not self._stop.stopping and all(thread.is_alive() for thread in threads.values()):
             self._stop.wait(HEALTH_PERIOD_S)
             for node in self.nodes:
                 node.report()
+            memory.tend()
             if any(node.is_deaf for node in self.nodes):
                 return
 
