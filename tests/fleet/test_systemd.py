@@ -4,11 +4,14 @@ import os
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
+from eigenscan.fleet.configuration import settings
 
 from tests.environment import PROGRAMS, ROOT
+from tests.fleet.conftest import run
 
 UNITS = ROOT / "deploy/systemd"
 WORST_EXPOSURE = 20  # of 100, as systemd-analyze security counts: OK
@@ -59,9 +62,110 @@ def test_a_service_has_few_rights(units: Path, name: str) -> None:
     analyze(units, "security", "--offline=true", "--no-pager", threshold, f"eigenscan@{name}.service")
 
 
-def test_no_service_writes_what_another_one_runs() -> None:
-    """Compiled code is loaded as it is: each service can write its own cache only."""
-    text = (UNITS / "eigenscan@.service").read_text()
-    assert "NUMBA_CACHE_DIR=/var/cache/eigenscan/%i" in text
-    assert "CacheDirectory=eigenscan/%i\n" in text
-    assert "ReadWritePaths" not in text
+SERVICES = sorted(path.name.removeprefix("eigenscan-") for path in PROGRAMS.glob("eigenscan-*"))
+TOGETHER = sorted({*members("robot"), *members("site")})
+"""Those that one machine may have."""
+
+
+def directives(service: str) -> dict[str, list[str]]:
+    """What the unit of a service states, with its drop-in."""
+    found: dict[str, list[str]] = {}
+    for path in (UNITS / "eigenscan@.service", *(UNITS / f"eigenscan@{service}.service.d").glob("*.conf")):
+        for line in path.read_text().replace("%i", service).splitlines():
+            if re.match(r"\w+=", line):
+                name, value = line.split("=", 1)
+                found.setdefault(name, []).extend(value.split())
+    return found
+
+
+def folders(service: str) -> set[Path]:
+    """Those that it may write."""
+    unit = directives(service)
+    assert "ReadWritePaths" not in unit
+    assert unit["ProtectSystem"] == ["strict"]
+    kinds = {"CacheDirectory": "/var/cache", "StateDirectory": "/var/lib"}
+    for kind in kinds:
+        assert unit[f"{kind}Mode"] == ["0700"]
+    return {Path(base) / name for kind, base in kinds.items() for name in unit.get(kind, [])}
+
+
+def test_no_service_writes_what_another_one_runs_or_reads() -> None:
+    """Compiled code is loaded as it is, and models and recordings are believed."""
+    owned = [(folder, service) for service in TOGETHER for folder in folders(service)]
+    for folder, service in owned:
+        above = {other for path, other in owned if path == folder or path in folder.parents}
+        assert above == {service}, folder
+    for service in SERVICES:
+        (cache,) = [word for word in directives(service)["Environment"] if word.startswith("NUMBA_")]
+        assert Path(cache.split("=")[1]) in folders(service)
+
+
+@pytest.mark.parametrize("written", [settings("hospital"), settings("hospital", "r17")])
+def test_every_folder_that_the_settings_name_is_the_services_own(written: str) -> None:
+    for service, values in tomllib.loads(written).items():
+        if service not in TOGETHER:
+            continue
+        words = dict(word.split("=", 1) for word in directives(service)["Environment"])
+        for name, value in values.items():
+            path = Path(words.get(f"EIGENSCAN_{service}_{name}".upper(), str(value)))
+            if path.is_relative_to("/var"):
+                assert folders(service) & {path, *path.parents}, f"{service}.{name} = {path}"
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Path:
+    """The root of a machine with the users, and in /etc/eigenscan a site's and a robot's files at once."""
+    if os.geteuid():
+        pytest.skip("who owns a file is root's to say")
+    fleet, root = tmp_path / "fleet", tmp_path / "root"
+    done = run("certify", "--site", "hospital", "--address", "10.0.0.5", "--robot", "r17", "-o", fleet)
+    assert done.exit_code == 0, done.output
+    for part in ("site", "robots/r17", "operator"):
+        shutil.copytree(fleet / part, root / "etc/eigenscan", dirs_exist_ok=True)
+    for command in (["systemd-sysusers"], ["systemd-tmpfiles", "--create"]):
+        asked: list[str | Path] = [
+            *command,
+            f"--root={root}",
+            UNITS / f"eigenscan.{command[0].removeprefix('systemd-')}",
+        ]
+        ran = subprocess.run(asked, capture_output=True, text=True, check=False)
+        assert ran.returncode == 0, ran.stderr
+    return root
+
+
+def users(root: Path) -> dict[str, tuple[int, int]]:
+    lines = [line.split(":") for line in (root / "etc/passwd").read_text().splitlines()]
+    return {name: (int(own), int(group)) for name, _, own, group, *_ in lines}
+
+
+def test_each_service_has_a_user_of_its_own(machine: Path) -> None:
+    found = users(machine)
+    for service in SERVICES:
+        (user,) = directives(service)["User"]
+        assert user in found, service
+        assert directives(service)["Group"] == ["eigenscan"]
+    assert len({own for own, _ in found.values()}) == len(found) == len(SERVICES)
+    assert 0 not in {own for own, _ in found.values()}
+
+
+@pytest.mark.parametrize(
+    ("service", "keys"),
+    [
+        ("router", {"router.key", "robot.key"}),
+        ("mapbuilder", {"mapbuilder.key"}),
+        ("recorder", {"recorder.key"}),
+        ("tracker", set()),
+    ],
+)
+def test_a_service_reads_its_own_key_only(machine: Path, service: str, keys: set[str]) -> None:
+    folder = machine / "etc/eigenscan"
+    own = users(machine)[directives(service)["User"][0]]
+    assert {path.name for path in folder.glob("*.key") if _may_read(path, *own)} == keys
+    assert all(_may_read(path, *own) for path in folder.glob("*.json5"))
+    assert not any(path.stat().st_mode & 0o022 for path in (folder, *folder.iterdir()))
+
+
+def _may_read(path: Path, own: int, group: int) -> bool:
+    found = path.stat()
+    shift = 6 if found.st_uid == own else 3 if found.st_gid == group else 0
+    return bool(found.st_mode >> shift & 4)
