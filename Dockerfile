@@ -2,9 +2,11 @@
 #   docker build --target projector -t eigenscan/projector .
 # Targets: router, scan-ingest, projector, tracker, mapbuilder, ros-bridge, recorder, robot-recorder, simulator.
 # A service takes its settings from flags (docker run IMAGE --site hospital), EIGENSCAN_* variables or a mounted TOML file.
+# BASE by digest, so that no registry can change it: docs/docker.md.
+ARG BASE=python:3.11-slim-bookworm
 
 # --- what builds and installs; it is in no image ---
-FROM python:3.11-slim-bookworm AS tools
+FROM ${BASE} AS tools
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore PIP_QUIET=1
 COPY deploy/requirements /requirements
 RUN python -m venv /tools && python -m venv --without-pip /opt/eigenscan \
@@ -23,7 +25,7 @@ RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./g
  && /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/simulator /wheels/*
 
 # --- what every image has: a user without rights, its folders, a probe ---
-FROM python:3.11-slim-bookworm AS shell
+FROM ${BASE} AS shell
 RUN groupadd --system --gid 10001 eigenscan \
  && useradd --system --uid 10001 --gid 10001 --no-create-home --home-dir /tmp eigenscan \
  && install -d -o eigenscan -g eigenscan /recordings /models /var/cache/eigenscan

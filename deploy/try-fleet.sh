@@ -15,7 +15,7 @@ eigenscan fleet certify --site hospital --address site --robot r17 --robot r18 -
 cp -r deploy/maps fleet/site/maps && sudo chown -R 10001 fleet/site fleet/robots
 docker network create air
 for machine in site r17 r18 r19; do
-  docker run -d --init --name $machine --network air python:3.11-slim-bookworm sleep infinity
+  docker run -d --init --name $machine --network air "${EIGENSCAN_BASE:-python:3.11-slim-bookworm}" sleep infinity
 done
 machine site site site "up -d"
 for robot in r17 r18 r19; do

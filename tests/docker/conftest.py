@@ -64,15 +64,22 @@ def compose(
 
 
 @pytest.fixture(scope="session")
-def images() -> Iterator[str]:
+def base() -> str:
+    """The image that all begin with."""
+    has_base = subprocess.run(["docker", "image", "inspect", BASE], capture_output=True, check=False)
+    if has_base.returncode and subprocess.run(["docker", "pull", "-q", BASE], check=False).returncode:
+        subprocess.run([MAKE_BASE], check=True, timeout=900)
+    return BASE
+
+
+@pytest.fixture(scope="session")
+def images(request: pytest.FixtureRequest) -> Iterator[str]:
     """Prefix of the images of all services."""
     if GIVEN:
         yield GIVEN
         return
     assert shutil.which("docker")
-    has_base = subprocess.run(["docker", "image", "inspect", BASE], capture_output=True, check=False)
-    if has_base.returncode and subprocess.run(["docker", "pull", "-q", BASE], check=False).returncode:
-        subprocess.run([MAKE_BASE], check=True, timeout=900)
+    request.getfixturevalue("base")
     prefix = f"eigenscan-images-{uuid.uuid4().hex[:8]}"
     try:
         compose(*PROFILES, "build", environment={"EIGENSCAN_IMAGES": prefix})
