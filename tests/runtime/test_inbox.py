@@ -10,7 +10,7 @@ from eigenscan.runtime.inbox import MOST_UNSORTED, Inbox
 from eigenscan.runtime.intake import Intake
 from eigenscan.schemas.channels import CHANNELS, MODEL, ODOMETRY, POSE, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.workbench.simtest.network import Timestamp
+from eigenscan.workbench.simtest.session import Timestamp
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -15,7 +15,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import decode, encode, encoding
-from eigenscan.workbench.simtest.network import Sample, Session
+from eigenscan.workbench.simtest.session import Sample, Session
 from eigenscan.workbench.simtest.site import Plan, Site
 
 from tests.system.house import House

@@ -13,7 +13,8 @@ from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.wire import encode
 from eigenscan.workbench.simtest.faults import Fault
 from eigenscan.workbench.simtest.first_release import CHANNELS, LACKED, FirstRelease
-from eigenscan.workbench.simtest.network import Network, Sample, Session
+from eigenscan.workbench.simtest.network import Network
+from eigenscan.workbench.simtest.session import Sample, Session
 from eigenscan.workbench.simtest.trial import run
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterable
 from random import Random
 
@@ -21,6 +22,8 @@ from eigenscan.workbench.simtest.network import Network
 from eigenscan.workbench.simtest.site import Plan
 from eigenscan.workbench.simtest.story import shrunk, story
 from eigenscan.workbench.simtest.trial import run
+
+from tests.command import eigenscan
 
 SEEDS = range(5)
 ROBOTS = 1
@@ -63,6 +66,12 @@ def test_a_seed_repeats_itself_exactly() -> None:
     first, again, other = run(3, 1), run(3, 1), run(4, 1)
     assert (first.trace, first.notes) == (again.trace, again.notes)
     assert first.trace != other.trace
+
+
+def test_the_speed_is_stated_by_the_processor_and_by_the_clock() -> None:
+    done = eigenscan("simtest", "--seed", "3", "--robots", "1")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"of a site, \d+ times the processor's time, \d+ times the clock's", done.stdout)
 
 
 def test_every_kind_of_fault_is_drawn_and_has_words() -> None:

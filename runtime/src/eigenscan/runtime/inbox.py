@@ -215,5 +215,4 @@ class Inbox:
             return dict(self._dropped)
 
     def __len__(self) -> int:
-        with self._ready:
-            return len(self._waiting) + len(self._unsorted)
+        return len(self._waiting) + len(self._unsorted)

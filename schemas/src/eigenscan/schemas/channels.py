@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property, lru_cache
+from operator import itemgetter
 
 from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
@@ -34,6 +35,7 @@ DEFAULT_ROBOT = "robot"
 MOST_PARSED = 4096
 """Keys of a channel whose addresses are remembered: a sender may invent any number."""
 
+_FIELD = re.compile(r"{(\w+)}")
 _CHUNK = re.compile(r"[^/*$#?@\s\x00-\x1f\x7f-\x9f]+")
 
 
@@ -119,7 +121,12 @@ class Channel:
     @cached_property
     def fields(self) -> tuple[str, ...]:
         """Names of the template's fields, in order."""
-        return tuple(re.findall(r"{(\w+)}", self.template))
+        return tuple(_FIELD.findall(self.template))
+
+    @cached_property
+    def _values(self) -> Callable[[Mapping[str, str]], tuple[str, ...] | str]:
+        """Those of an address in the order of `fields`; the value itself where there is one field."""
+        return itemgetter(*self.fields)
 
     @cached_property
     def schema_name(self) -> str:
@@ -142,7 +149,10 @@ class Channel:
 
         Raises ContractError if a field is missing or is not one plain key chunk.
         """
-        return _key(self.name, self.template, tuple([(name, address.get(name, "")) for name in self.fields]))
+        try:
+            return _key(self.name, self.template, self._values(address))
+        except KeyError as missing:
+            raise ContractError(f"{self.name}: key field {missing} cannot be ''") from missing
 
     def selector(self, address: Mapping[str, str] | None = None) -> str:
         """Key expression for all keys of this channel with the fields that `address` gives.
@@ -170,11 +180,13 @@ class Channel:
 
 
 @lru_cache(maxsize=4096)  # the same few keys come with each message
-def _key(channel: str, template: str, fields: tuple[tuple[str, str], ...]) -> str:
-    for name, value in fields:
+def _key(channel: str, template: str, values: tuple[str, ...] | str) -> str:
+    given = (values,) if isinstance(values, str) else values
+    fields = dict(zip(_FIELD.findall(template), given, strict=True))
+    for name, value in fields.items():
         if not is_chunk(value):
             raise ContractError(f"{channel}: key field {name!r} cannot be {value!r}")
-    return template.format_map(dict(fields))
+    return template.format_map(fields)
 
 
 _LIVE = Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=40.0)

@@ -73,8 +73,11 @@ def _read_file(path: Path, begin: int) -> Iterator[Record]:
     with opened(path) as file:
         early = _latched_topics(path) if begin else ()
         held: dict[str, _Found] = {}
+        known: dict[str, tuple[Channel, dict[str, str]] | None] = {}
         for schema, channel, message in messages(file, begin, early):
-            own = find(channel.topic)
+            if channel.topic not in known:
+                known[channel.topic] = find(channel.topic)
+            own = known[channel.topic]
             if own is None:
                 continue
             found = _Found(*own, _declared(schema, channel), message)

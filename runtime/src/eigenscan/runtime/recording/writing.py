@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -128,6 +129,11 @@ class RecordingWriter:
 
 def descriptors(message: type[Message]) -> bytes:
     """FileDescriptorSet of a message type and its imports, dependencies first."""
+    return _with_imports(message.DESCRIPTOR.file)
+
+
+@cache  # each file of a recording holds those of its channels
+def _with_imports(own: Any) -> bytes:
     ordered: dict[str, Any] = {}
 
     def visit(file: Any) -> None:
@@ -137,7 +143,7 @@ def descriptors(message: type[Message]) -> bytes:
             visit(needed)
         ordered[file.name] = file
 
-    visit(message.DESCRIPTOR.file)
+    visit(own)
     result = FileDescriptorSet()
     for file in ordered.values():
         file.CopyToProto(result.file.add())

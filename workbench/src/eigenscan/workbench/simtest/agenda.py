@@ -26,14 +26,18 @@ class Agenda:
 
     def after(self, seconds: float, action: Action) -> None:
         """Does something so much later."""
+        self.at(self.now_ns + round(seconds * 1e9), action)
+
+    def at(self, due_ns: int, action: Action) -> None:
+        """Does something then, ns since the beginning; at once where that is over."""
         self._added += 1
-        heapq.heappush(self._waiting, (self.now_ns + max(0, round(seconds * 1e9)), self._added, action))
+        heapq.heappush(self._waiting, (max(self.now_ns, due_ns), self._added, action))
 
     def run(self, until: float) -> None:
         """Does what is due up to that second."""
-        end = round(until * 1e9)
-        while self._waiting and self._waiting[0][0] <= end:
-            self.now_ns, _, action = heapq.heappop(self._waiting)
+        end, waiting = round(until * 1e9), self._waiting
+        while waiting and waiting[0][0] <= end:
+            self.now_ns, _, action = heapq.heappop(waiting)
             action()
         self.now_ns = end
 
@@ -47,11 +51,11 @@ class MachineClock:
 
     def monotonic(self) -> float:
         """Seconds since the beginning."""
-        return self._agenda.now
+        return self._agenda.now_ns * 1e-9
 
     def perf_counter(self) -> float:
         """The same: a computation takes no time by itself."""
-        return self._agenda.now
+        return self._agenda.now_ns * 1e-9
 
     def time_ns(self) -> int:
         """Time of day, ns since 1970."""

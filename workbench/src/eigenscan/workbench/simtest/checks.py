@@ -13,7 +13,7 @@ from eigenscan.runtime.recording import RecordingError, read
 from eigenscan.runtime.recording.files import is_only_begun
 from eigenscan.runtime.recording.writing import CHUNK_BYTES
 from eigenscan.runtime.work import SILENT_S
-from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, SCAN_RAW, TRACKS, by_name
+from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, POSE, SCAN_RAW, TRACKS
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
@@ -21,8 +21,8 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import encode
 from eigenscan.tracker.planar import wrap
 from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S
-from eigenscan.workbench.simtest.network import Sample, Session, channel_of
 from eigenscan.workbench.simtest.process import Process
+from eigenscan.workbench.simtest.session import Sample, Session, channel_of
 from eigenscan.workbench.simtest.site import BUDGET_MB, SITE, Life, Site
 
 SETTLE_S = 45.0
@@ -35,6 +35,8 @@ LATE_S = 2.0
 INPUTS = {"tracker": HYPOTHESES, "scan-ingest": SCAN_RAW}
 FAR_M, FAR_RAD = 1.0, math.radians(20.0)
 """A claim without a protection level that is farther off is wrong."""
+LATCHED = {channel.name for channel in CHANNELS if channel.qos.latched}
+RECEIVED_LATCHED, RECEIVED_TICK = tuple(f"heard_{name}" for name in sorted(LATCHED)), f"heard_{TICK.name}"
 KILL_S = 1.5
 """Of traffic, that a kill may cost: the recorder's flush_s and a second."""
 
@@ -62,6 +64,8 @@ class Judge:
         self._posed: dict[str, float] = {}
         self._unique_since: dict[str, float] = {}
         self._inputs: dict[Session, int] = {}
+        self._queues: dict[Session, tuple[str, Inbox, int]] = {}
+        """Of a service: its input's name, its inbox, and how many messages may wait there."""
         self._latched: dict[str, bytes] = {}
         site.network.observer = self.see
         site.on_condition = self.note_condition
@@ -158,11 +162,11 @@ class Judge:
         reported += sum(
             count
             for name, count in counters.items()
-            if name.startswith(("heard_", "dropped_")) and name != f"heard_{TICK.name}"
+            if name.startswith(("heard_", "dropped_")) and name != RECEIVED_TICK
         )
-        latched = sum(count for name, count in arrived.items() if _is_latched(name))
+        latched = sum(count for name, count in arrived.items() if name in LATCHED or name == "unanswered")
         missing = sum(arrived.values()) - reported
-        kept = sum(counters[f"heard_{channel.name}"] for channel in CHANNELS if channel.qos.latched)
+        kept = sum(counters[name] for name in RECEIVED_LATCHED)
         if (
             not -kept - counters["waiting"] <= missing <= latched
         ):  # of latched ones not all are news, and some are read from disk
@@ -183,19 +187,18 @@ class Judge:
         process = session.owner
         if process is None or process.node is None:
             return
-        wanted = INPUTS.get(process.node.service.name)
-        if wanted is not None and session.arrived[wanted.name] != self._inputs.get(session, 0):
-            self._inputs[session] = session.arrived[wanted.name]
+        queue = self._queues.get(session)
+        if queue is None:
+            service = process.node.service
+            wanted = INPUTS.get(service.name)
+            depth = (WHOLE_SITE_SLACK if service.whole_site else 1) * (self.site.plan.robots * 4 + 2) * 1024
+            queue = self._queues[session] = (wanted.name if wanted else "", process.node.inbox, depth)
+        name, inbox, deepest = queue
+        if name and session.arrived[name] != self._inputs.get(session, 0):
+            self._inputs[session] = session.arrived[name]
             self._input_at[session] = self.site.agenda.now
-        inbox: Inbox = process.node.inbox
-        if len(inbox) > self._deepest(process):
+        if len(inbox) > deepest:
             self.fail("memory", f"{process.name}: {len(inbox)} messages wait")
-
-    def _deepest(self, process: Process) -> int:
-        assert process.node is not None
-        slack = WHOLE_SITE_SLACK if process.node.service.whole_site else 1
-        keys = self.site.plan.robots * 4 + 2
-        return slack * keys * 1024
 
     def finish(self) -> None:
         """At the end, once all had the time to recover."""
@@ -308,10 +311,3 @@ def _take(found: Counter[tuple[str, int]], message: tuple[str, int]) -> bool:
         found[message] -= 1
         return True
     return False
-
-
-def _is_latched(name: str) -> bool:
-    try:
-        return by_name(name).qos.latched
-    except ValueError:
-        return name == "unanswered"

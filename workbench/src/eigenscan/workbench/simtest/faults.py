@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
-from eigenscan.workbench.simtest.network import Link, Session
+from eigenscan.workbench.simtest.network import Link
 from eigenscan.workbench.simtest.process import HANDLING_S, Process
+from eigenscan.workbench.simtest.session import Session
 from eigenscan.workbench.simtest.site import SITE, Machine, Plan, Site
 from eigenscan.workbench.simtest.stranger import Stranger
 

@@ -6,21 +6,27 @@ does not pass it; one that may not waits for as long as the link is held for sta
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from hashlib import blake2b
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import zenoh
-from eigenscan.runtime.intake import Intake
-from eigenscan.schemas.channels import Channel, Role, find
+from eigenscan.schemas.channels import Channel, Role
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
-
-if TYPE_CHECKING:
-    from eigenscan.workbench.simtest.process import Process
+from eigenscan.workbench.simtest.session import (
+    Declared,
+    Query,
+    Reply,
+    Sample,
+    Session,
+    channel_of,
+    expression,
+)
 
 LEASE_S = 10.0
 """Zenoh's own: a link that passes nothing for so long is given up."""
@@ -28,51 +34,6 @@ RECONNECT_S = 4.0
 """Zenoh's longest pause between two attempts to connect."""
 LOCAL_S = 0.0005
 """From process to process on one machine."""
-
-expression = lru_cache(maxsize=65536)(zenoh.KeyExpr)
-channel_of = lru_cache(maxsize=65536)(find)
-
-
-class Bytes(bytes):
-    """A payload."""
-
-    def to_bytes(self) -> bytes:
-        """As Zenoh's."""
-        return self
-
-
-NOTHING = Bytes()
-
-
-@dataclass(frozen=True, order=True)
-class Timestamp:
-    """Time and session."""
-
-    time: int
-    own: str
-
-    def get_id(self) -> str:
-        """Whose it is."""
-        return self.own
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What a subscriber gets."""
-
-    key_expr: str
-    payload: Bytes = NOTHING
-    encoding: Any = ""
-    timestamp: Timestamp | None = None
-    kind: Any = field(default_factory=lambda: zenoh.SampleKind.PUT)
-
-
-@dataclass(frozen=True)
-class Reply:
-    """What a query gets."""
-
-    ok: Sample | None
-    err: str = ""
 
 
 @dataclass
@@ -95,169 +56,24 @@ class Link:
     latest_ns: dict[tuple[str, str], int] = field(default_factory=dict)
 
 
-class Declared:
-    """A subscriber, a queryable or a token, until it is undeclared."""
+class Way(NamedTuple):
+    """From a session to another one."""
 
-    def __init__(self, session: Session, key: str, callback: Any = None, **more: Any) -> None:
-        if isinstance(callback, zenoh.handlers.Callback):  # in whose thread makes no difference here
-            callback = callback.callback.__wrapped__  # type: ignore[attr-defined]
-        self.session, self.key, self.callback, self.more = session, key, callback, more
-        self.expression = expression(key)
-        self.seen: set[str] = set()
-        """Of a subscriber to tokens: those that are there."""
-        self.waiting: deque[Sample] = deque()
-        """Of a subscriber without a callback: what `try_recv` takes."""
-        self.fills_inbox = isinstance(getattr(callback, "__self__", None), Intake)
-        self.is_patient = isinstance(callback, zenoh.handlers.RingChannel)
-        """Whether what arrives waits until the service looks, and wakes nobody at once."""
-        if self.is_patient:
-            self.callback = self.waiting.append
-
-    def try_recv(self) -> Sample | None:
-        """The oldest sample that waits; only now it is in the inbox."""
-        if not self.waiting:
-            return None
-        sample = self.waiting.popleft()
-        self.session.note_arrived(sample.key_expr)
-        return sample
-
-    def undeclare(self) -> None:
-        """Ends it."""
-        self.session.network.forget(self)
+    link: Link
+    pair: tuple[str, str]
+    """Whose messages keep their order: two machines', as their routers share a link; or two sessions'."""
 
 
-class Publisher:
-    """Puts on one key."""
+class Route(NamedTuple):
+    """To the subscribers of one session, for one key."""
 
-    def __init__(self, session: Session, key: str, reported: Any, *, block: bool) -> None:
-        self._session, self._key, self._encoding, self._block = session, key, reported, block
-
-    def put(self, payload: bytes, timestamp: Timestamp | None = None) -> None:
-        """Publishes."""
-        if not self._session.is_open:
-            return
-        translated = self._session.translate(self._key, payload)
-        if translated is not None:
-            sample = Sample(self._key, Bytes(translated), self._encoding, timestamp)
-            self._session.network.publish(self._session, sample, block=self._block)
-
-    def undeclare(self) -> None:
-        """Nothing to undo."""
-
-
-class Query:
-    """At a queryable."""
-
-    def __init__(self, session: Session, key: str, payload: bytes | None, answer: Callable[[Reply], None]):
-        self.session, self.key_expr = session, expression(key)
-        self.payload = None if payload is None else Bytes(payload)
-        self._answer = answer
-
-    def __enter__(self) -> Query:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def reply(self, key: Any, payload: bytes, encoding: Any = "", timestamp: Any = None, **_: Any) -> None:
-        """Sends an answer."""
-        translated = self.session.translate(str(key), payload)
-        if translated is not None:
-            self._answer(Reply(Sample(str(key), Bytes(translated), encoding, timestamp)))
-
-    def reply_err(self, payload: str) -> None:
-        """Sends an error."""
-        self._answer(Reply(None, payload))
-
-
-class Session:
-    """One process's, as the runtime's Bus uses zenoh.Session."""
-
-    def __init__(self, network: Network, machine: str, number: int, clock: MachineClock) -> None:
-        self.network, self.machine, self._clock = network, machine, clock
-        self.name = f"{number:08x}"
-        self.is_open = True
-        self.is_silent = False
-        """It stands, but nothing arrives any more."""
-        self.arrived: Counter[str] = Counter()
-        """What was handed to the inbox, by channel."""
-        self.owner: Process | None = None
-        """The service's process; None: a driver or a stranger."""
-        self.translate: Callable[[str, bytes], bytes | None] = lambda _key, payload: payload
-        """What a service of another release publishes instead; None: nothing."""
-        self._stamped = 0
-        self.info = self
-
-    def note_arrived(self, key: str) -> None:
-        """Counts what is handed to the inbox."""
-        found = channel_of(key)
-        self.arrived[found[0].name if found else "foreign_key"] += 1
-
-    def zid(self) -> str:
-        """Its name."""
-        return self.name
-
-    def routers_zid(self) -> list[str]:
-        """None: peers are enough to show a link."""
-        return []
-
-    def peers_zid(self) -> list[str]:
-        """Whom it is linked to: those of its machine always."""
-        return [each.name for each in self.network.sessions if each is not self]
-
-    def is_closed(self) -> bool:
-        """Whether it was closed."""
-        return not self.is_open
-
-    def new_timestamp(self) -> Timestamp:
-        """Later than all before it."""
-        self._stamped = max(self._stamped + 1, self._clock.time_ns())
-        return Timestamp(self._stamped, self.name)
-
-    def declare_publisher(
-        self, key: str, encoding: Any = "", congestion_control: Any = None, **_: Any
-    ) -> Any:
-        """Of one key."""
-        block = congestion_control == zenoh.CongestionControl.BLOCK
-        return Publisher(self, key, str(encoding), block=block)
-
-    def declare_subscriber(self, key: str, callback: Any, allowed_origin: Any = zenoh.Locality.ANY) -> Any:
-        """To all keys that fit."""
-        remote = allowed_origin == zenoh.Locality.REMOTE
-        return self.network.subscribe(Declared(self, key, callback, remote=remote))
-
-    def declare_queryable(self, key: str, callback: Any, **_: Any) -> Any:
-        """For all keys that fit."""
-        return self.network.offer(Declared(self, key, callback))
-
-    def liveliness(self) -> Session:
-        """Tokens."""
-        return _Liveliness(self)  # type: ignore[return-value]
-
-    def get(
-        self, selector: str, handler: Any, payload: bytes | None = None, timeout: float = 10.0, **_: Any
-    ) -> None:
-        """Asks all who answer."""
-        self.network.ask(self, str(selector), handler, payload, timeout)
-
-    def close(self) -> None:
-        """Ends all of it."""
-        self.network.close(self)
-
-
-class _Liveliness:
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
-    def declare_token(self, key: str) -> Declared:
-        return self._session.network.show(Declared(self._session, key))
-
-    def declare_subscriber(self, key: str, callback: Any, **_: Any) -> Declared:
-        return self._session.network.watch(Declared(self._session, key, callback))
-
-    def get(self, _key: str, handler: Callable[[Reply], None], timeout: float) -> None:
-        """A router answers at once, which a session that receives nothing does not learn."""
-        self._session.network.time_out(self._session, handler, timeout)
+    receivers: list[Declared]
+    way: Way | None
+    """None: its own session."""
+    machine: str
+    """Another one, where it has to cross."""
+    period_ns: float
+    """Between two that cross."""
 
 
 class Network:
@@ -278,7 +94,7 @@ class Network:
         self._queryables: list[Declared] = []
         self._tokens: list[Declared] = []
         self._watchers: list[Declared] = []
-        self._routes: dict[str, list[Declared]] = {}
+        self._routes: dict[tuple[Session, str], list[Route]] = {}
         self._crossed: dict[tuple[str, str], int] = {}
 
     def open(self, machine: str, clock: MachineClock) -> Session:
@@ -340,49 +156,66 @@ class Network:
 
     def publish(self, session: Session, sample: Sample, *, block: bool) -> None:
         """To all who subscribe and may receive it."""
+        key = sample.key_expr
         self.observer(session, sample)
         self.sent += 1
-        self.trace.update(
-            f"{self._agenda.now_ns} {session.name} {sample.key_expr} ".encode() + sample.payload
-        )
-        route = self._routes.get(sample.key_expr)
-        if route is None:
-            key = expression(sample.key_expr)
-            route = [each for each in self._subscribers if each.expression.intersects(key)]
-            self._routes[sample.key_expr] = route
-        by_session: defaultdict[Session, list[Declared]] = defaultdict(list)
-        for each in route:
-            if each.session is session:
-                if not each.more["remote"]:
-                    self._deliver(each, sample)
-            else:
-                by_session[each.session].append(each)
+        self.trace.update(f"{self._agenda.now_ns} {session.name} {key} ".encode())
+        self.trace.update(sample.payload)
+        routes = self._routes.get((session, key))
+        if routes is None:
+            routes = self._routes[session, key] = self._routes_of(session, key)
         crossing: dict[str, bool] = {}
-        for to, receivers in by_session.items():
-            if to.machine != session.machine:
-                if to.machine not in crossing:
-                    crossing[to.machine] = self._may_cross(session.machine, to.machine, sample.key_expr)
-                if not crossing[to.machine]:
+        for receivers, way, machine, period_ns in routes:
+            if way is None:
+                self._deliver_all(receivers, sample)
+                continue
+            if machine:
+                if machine not in crossing:
+                    crossing[machine] = self._may_cross(machine, key, period_ns)
+                if not crossing[machine]:
                     continue
-            self._send(session, to, partial(self._deliver_all, receivers, sample), block=block)
+            self._send(way, partial(self._deliver_all, receivers, sample), block=block)
 
-    def _may_cross(self, machine: str, to: str, key: str) -> bool:
-        """What a site's routers let through, and how often."""
+    def _routes_of(self, session: Session, key: str) -> list[Route]:
+        """Its own session first."""
+        by_session: dict[Session, list[Declared]] = {session: []}
+        wanted = expression(key)
+        for each in self._subscribers:
+            own = each.session is session
+            if each.expression.intersects(wanted) and not (own and each.more["remote"]):
+                by_session.setdefault(each.session, []).append(each)
+        routes = []
+        for to, receivers in by_session.items():
+            if to is session:
+                routes.append(Route(receivers, None, "", 0.0))
+                continue
+            crosses = to.machine != session.machine
+            hertz = self._crosses_hz(session.machine, to.machine, key) if crosses else math.inf
+            if hertz:
+                machine = to.machine if crosses else ""
+                routes.append(Route(receivers, self._way(session, to), machine, 1e9 / hertz))
+        return routes
+
+    def _crosses_hz(self, machine: str, to: str, key: str) -> float:
+        """How often a site's routers let a key through; 0: never."""
         found = channel_of(key)
         if found is None or "site" not in (machine, to):
-            return False
+            return 0.0
         channel: Channel = found[0]
         if machine == "site":
             own = found[1].get("robot", to) == to
-            return (
-                own
-                and Role.ROBOT in channel.received_by
-                and any(r is not Role.ROBOT for r in channel.published_by)
+            is_for_robots = Role.ROBOT in channel.received_by and any(
+                r is not Role.ROBOT for r in channel.published_by
             )
-        if channel.qos.air_hz == 0.0:
-            return False
+            return math.inf if own and is_for_robots else 0.0
+        return channel.qos.air_hz
+
+    def _may_cross(self, to: str, key: str, period_ns: float) -> bool:
+        """Whether the last one crossed long enough ago."""
+        if not period_ns:
+            return True
         last, now = self._crossed.get((to, key)), self._agenda.now_ns
-        if last is not None and now - last < 1e9 / channel.qos.air_hz:
+        if last is not None and now - last < period_ns:
             return False
         self._crossed[to, key] = now
         return True
@@ -400,31 +233,37 @@ class Network:
         receiver.callback(sample)
         self.arrived(session, receiver.is_patient)
 
-    def _send(self, session: Session, to: Session, action: Callable[[], None], *, block: bool) -> None:
-        """Over the link between two sessions."""
+    def _way(self, session: Session, to: Session) -> Way:
         link = self.link(session.machine, to.machine)
+        if session.machine == to.machine:
+            return Way(link, (session.name, to.name))
+        return Way(link, (session.machine, to.machine))
+
+    def _send(self, way: Way, action: Callable[[], None], *, block: bool) -> None:
+        """Over the link between two sessions."""
+        link = way.link
         if not link.passes or not link.stands:
             if block and link.stands:
-                link.held.append(lambda: self._travel(link, session, to, action))
+                link.held.append(lambda: self._travel(way, action))
             return
         if not block and link.loss and link.random.random() < link.loss:
             return
-        self._travel(link, session, to, action)
+        self._travel(way, action)
         if link.duplication and link.random.random() < link.duplication:
-            self._travel(link, session, to, action)
+            self._travel(way, action)
 
-    def _travel(self, link: Link, session: Session, to: Session, action: Callable[[], None]) -> None:
+    def _travel(self, way: Way, action: Callable[[], None]) -> None:
+        link, pair = way
         seconds = link.delay_s + link.extra_s + link.jitter_s * link.random.random()
         due = self._agenda.now_ns + round(seconds * 1e9)
-        pair = (session.machine, to.machine)  # their routers share one connection
-        if session.machine == to.machine:
-            pair = (session.name, to.name)
+        latest = link.latest_ns.get(pair, 0)
         if link.disorder_s:
             due += round(link.random.random() * link.disorder_s * 1e9)
-        else:
-            due = max(due, link.latest_ns.get(pair, 0))
-        link.latest_ns[pair] = max(due, link.latest_ns.get(pair, 0))
-        self._agenda.after((due - self._agenda.now_ns) * 1e-9, action)
+        elif due < latest:
+            due = latest
+        if due > latest:
+            link.latest_ns[pair] = due
+        self._agenda.at(due, action)
 
     def cut(self, link: Link) -> None:
         """From now on it passes nothing."""
@@ -513,7 +352,7 @@ class Network:
                         receive(each)
                     done()
 
-                self._send(one.session, session, bring, block=True)
+                self._send(self._way(one.session, session), bring, block=True)
 
             return put
 
@@ -522,7 +361,7 @@ class Network:
             if one.session is session:
                 question(one)()
             else:
-                self._send(session, one.session, question(one), block=True)
+                self._send(self._way(session, one.session), question(one), block=True)
 
         def give_up() -> None:
             if open_queries:

@@ -13,7 +13,8 @@ from eigenscan.runtime.work import CONDITION_PERIOD_S, Work
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
 from eigenscan.workbench.simtest.disk import Disk, KilledError
 from eigenscan.workbench.simtest.first_release import FirstRelease
-from eigenscan.workbench.simtest.network import Network, Session
+from eigenscan.workbench.simtest.network import Network
+from eigenscan.workbench.simtest.session import Session
 
 RESTART_S = 1.0
 """As deploy/systemd has it: RestartSec."""
@@ -136,8 +137,9 @@ class Process:
 
     def _schedule(self, seconds: float) -> None:
         """The next turn, that much after now, but not before the last message is done with."""
-        due = max(self._agenda.now_ns + round(seconds * 1e9), self._busy_until if self._turn_number else 0)
-        if self._turn_at and self._agenda.now_ns <= self._turn_at <= due:
+        now = self._agenda.now_ns
+        due = max(now + round(seconds * 1e9), self._busy_until if self._turn_number else 0)
+        if self._turn_at and now <= self._turn_at <= due:
             return
         self._turn_at = due
         self._turn_number += 1
@@ -147,7 +149,7 @@ class Process:
             if self._life == life and self._turn_number == number and self.is_up:
                 self._turn()
 
-        self._agenda.after((due - self._agenda.now_ns) * 1e-9, turn)
+        self._agenda.at(due, turn)
 
     _busy_until = 0
 

@@ -30,6 +30,7 @@ FITS, FITS_BADLY = (14.0, 22.0), (2.0, 6.0)
 APART = 8.0
 """Nats by which the right place fits better than its alias, where they differ."""
 BEAMS, NOISE_M, RANGE_MAX_M = 120, 0.01, 50.0
+BEARINGS = tuple(-math.pi + beam * 2.0 * math.pi / BEAMS for beam in range(BEAMS))
 HALL_BEAMS = 360
 MARGIN_M = 1.5
 """From the drive to the room's walls."""
@@ -61,17 +62,15 @@ class Drive:
 
     def ranges(self, pose: Pose, random: Random) -> list[float]:
         """What a lidar sees there, m."""
+        x, y, theta = pose
+        (cx, cy), a, b = self._centre, self._a + MARGIN_M, self._b + MARGIN_M
+        west, east, south, north = cx - a - x, cx + a - x, cy - b - y, cy + b - y
         found = []
-        for beam in range(BEAMS):
-            angle = pose[2] - math.pi + beam * 2.0 * math.pi / BEAMS
-            ways = []
-            for at, centre, half, step in (
-                (pose[0], self._centre[0], self._a + MARGIN_M, math.cos(angle)),
-                (pose[1], self._centre[1], self._b + MARGIN_M, math.sin(angle)),
-            ):
-                if abs(step) > 1e-9:
-                    ways.append((centre + math.copysign(half, step) - at) / step)
-            found.append(min(ways) + random.gauss(0.0, NOISE_M))
+        for bearing in BEARINGS:
+            step_x, step_y = math.cos(theta + bearing), math.sin(theta + bearing)
+            along_x = (east if step_x > 0.0 else west) / step_x if abs(step_x) > 1e-9 else math.inf
+            along_y = (north if step_y > 0.0 else south) / step_y if abs(step_y) > 1e-9 else math.inf
+            found.append(min(along_x, along_y) + random.gauss(0.0, NOISE_M))
         return found
 
     def is_unique(self, pose: Pose) -> bool:

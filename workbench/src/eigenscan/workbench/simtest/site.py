@@ -36,9 +36,10 @@ from eigenscan.tracker.options import TrackerOptions
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
 from eigenscan.workbench.simtest.disk import Disk
 from eigenscan.workbench.simtest.hall import hall
-from eigenscan.workbench.simtest.network import Network, Session
+from eigenscan.workbench.simtest.network import Network
 from eigenscan.workbench.simtest.process import Process
 from eigenscan.workbench.simtest.robot import Robot, SyntheticProjector
+from eigenscan.workbench.simtest.session import Bytes, Sample, Session
 
 SITE = "site"
 """Its name, and that of its one machine that is no robot."""
@@ -264,7 +265,8 @@ class Site:
 
     def publish(self, session: Session, one: Envelope) -> None:
         """Publishes for a driver."""
-        session.declare_publisher(one.key, encoding(one.channel)).put(encode(one.message))
+        sample = Sample(one.key, Bytes(encode(one.message)), encoding(one.channel))
+        self.network.publish(session, sample, block=False)
 
     def _recorder_settings(self, disk: Disk) -> ServiceSettings:
         settings = RecorderOptions(

@@ -11,7 +11,7 @@ from eigenscan.schemas.envelope import stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
 from eigenscan.schemas.wire import encoding
-from eigenscan.workbench.simtest.network import Bytes, Sample, Session
+from eigenscan.workbench.simtest.session import Bytes, Sample, Session
 from eigenscan.workbench.simtest.site import SITE, Site
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
