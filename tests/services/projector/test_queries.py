@@ -24,7 +24,9 @@ from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import HYPOTHESES, LOCALIZE_TEMPLATE, MAP, MODEL, MODEL_SET, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.localize_pb2 import LocalizeQuery, LocalizeReply
+from eigenscan.schemas.scan_pb2 import RawScan
 
+from tests.docs.code_blocks import blocks
 from tests.network import PATIENT_QUEUE, free_port
 from tests.services.projector.office import ADDRESS, envelopes, free_poses, scan_at, site
 from tests.services.projector.test_one_shot import raw
@@ -111,6 +113,18 @@ def test_an_answer_comes_without_any_robot_and_states_where(served: Served) -> N
     off = from_message(reply.candidates[0].pose) - pose
     assert np.hypot(*off[:2]) < 0.3
     assert reply.candidates[0].probability > 0.9
+
+
+def test_the_code_of_the_page_prints_where(served: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = [one.code for one in blocks("docs/contract.md") if "LocalizeQuery" in one.code]
+    pose = free_poses(1, 17)[0]
+    fields = {name.name: value for name, value in query(pose).scan.ListFields()}
+    ranges = fields.pop("ranges")
+    names = {"session": served.session, "SITE": served.name, "ranges": ranges, "LIDAR": fields}
+    exec(code, {**names, "RawScan": RawScan})
+    probability, x, y, _ = map(float, capsys.readouterr().out.splitlines()[0].split())
+    assert probability > 0.9
+    assert np.hypot(*(pose[:2] - (x, y))) < 0.3
 
 
 @pytest.mark.parametrize(
