@@ -12,7 +12,11 @@ import zenoh
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.recorder.files import Files
 from eigenscan.recorder.mcap_sink import McapSink
-from eigenscan.schemas.channels import HYPOTHESES, POSE, TRACKS
+from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.receive_watchdog import ReceiveWatchdog
+from eigenscan.runtime.work import Work
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
@@ -125,6 +129,42 @@ HANDLE = TrackerCore.handle
 def test_a_faulty_tracker_is_found(monkeypatch: pytest.MonkeyPatch, handle: object, rule: str) -> None:
     monkeypatch.setattr(TrackerCore, "handle", handle)
     assert run(1, 1, []).broken[0].rule == rule
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+def _forget_some(work: Work, arrival: Arrival) -> None:
+    if arrival.channel is not ODOMETRY or arrival.time % 3:
+        WORK_HANDLE(work, arrival)
+
+
+WORK_HANDLE = Work._handle
+SLOW = Fault(12.0, "slow", "r1", 0, 1.0, 60.0)
+FLOOD = Fault(12.0, "stranger", "r1", 0, 1.0, 60.0)
+SILENT_PROJECTOR, SILENT_TRACKER = (Fault(12.0, "mute", "r1", part, 0.0, 0.0) for part in (1, 0))
+KILL_RECORDER = Fault(12.0, "kill", "site", 0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "bug", "faults", "rule"),
+    [
+        (Inbox, "_give_way", _nothing, [SLOW, FLOOD], "memory"),
+        (Work, "_lacks", lambda _: "", [SILENT_PROJECTOR], "health"),
+        (Work, "_handle", _forget_some, [], "health"),
+        (ReceiveWatchdog, "is_lost", lambda *_: False, [SILENT_TRACKER], "recovery"),
+        (Bus, "_follow", _nothing, [KILL_RECORDER], "latched"),
+    ],
+    ids=["endless queue", "silence not reported", "uncounted", "deaf for ever", "late ones not asked for"],
+)
+def test_a_faulty_shell_is_found(
+    monkeypatch: pytest.MonkeyPatch, place: type, name: str, bug: object, faults: list[Fault], rule: str
+) -> None:
+    """Without the bug the same faults break nothing."""
+    assert run(4, 1, faults).broken == ()
+    monkeypatch.setattr(place, name, bug)
+    assert run(4, 1, faults).broken[0].rule == rule
 
 
 def test_what_may_wait_has_arrived_once_the_service_looks() -> None:

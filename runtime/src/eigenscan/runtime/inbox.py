@@ -214,5 +214,11 @@ class Inbox:
         with self._ready:
             return dict(self._dropped)
 
+    @property
+    def waiting(self) -> dict[str, int]:
+        """Numbers of sorted samples that wait, by key."""
+        with self._ready:
+            return {key: len(orders) for key, orders in self._orders.items()}
+
     def __len__(self) -> int:
         return len(self._waiting) + len(self._unsorted)

@@ -37,6 +37,8 @@ FAR_M, FAR_RAD = 1.0, math.radians(20.0)
 """A claim without a protection level that is farther off is wrong."""
 LATCHED = {channel.name for channel in CHANNELS if channel.qos.latched}
 RECEIVED_LATCHED, RECEIVED_TICK = tuple(f"heard_{name}" for name in sorted(LATCHED)), f"heard_{TICK.name}"
+SHALLOW = min(channel.qos.depth for channel in CHANNELS if channel.qos.depth)
+"""Messages that any queue may hold."""
 KILL_S = 1.5
 """Of traffic, that a kill may cost: the recorder's flush_s and a second."""
 
@@ -65,7 +67,7 @@ class Judge:
         self._unique_since: dict[str, float] = {}
         self._inputs: dict[Session, int] = {}
         self._queues: dict[Session, tuple[str, Inbox, int]] = {}
-        """Of a service: its input's name, its inbox, and how many messages may wait there."""
+        """Of a service: its input's name, its inbox, and the factor on the depth of its queues."""
         self._latched: dict[str, bytes] = {}
         site.network.observer = self.see
         site.on_condition = self.note_condition
@@ -191,14 +193,20 @@ class Judge:
         if queue is None:
             service = process.node.service
             wanted = INPUTS.get(service.name)
-            depth = (WHOLE_SITE_SLACK if service.whole_site else 1) * (self.site.plan.robots * 4 + 2) * 1024
-            queue = self._queues[session] = (wanted.name if wanted else "", process.node.inbox, depth)
-        name, inbox, deepest = queue
+            slack = WHOLE_SITE_SLACK if service.whole_site else 1
+            queue = self._queues[session] = (wanted.name if wanted else "", process.node.inbox, slack)
+        name, inbox, slack = queue
         if name and session.arrived[name] != self._inputs.get(session, 0):
             self._inputs[session] = session.arrived[name]
             self._input_at[session] = self.site.agenda.now
-        if len(inbox) > deepest:
-            self.fail("memory", f"{process.name}: {len(inbox)} messages wait")
+        if len(inbox) > SHALLOW:
+            for key, waiting in inbox.waiting.items():
+                found = channel_of(key)
+                depth = found[0].qos.depth if found else 0
+                if depth and waiting > slack * depth:
+                    self.fail(
+                        "memory", f"{process.name}: {waiting} messages of {key} wait, of {depth} at most"
+                    )
 
     def finish(self) -> None:
         """At the end, once all had the time to recover."""

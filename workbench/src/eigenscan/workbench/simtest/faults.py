@@ -10,7 +10,7 @@ from eigenscan.workbench.simtest.network import Link
 from eigenscan.workbench.simtest.process import HANDLING_S, Process
 from eigenscan.workbench.simtest.session import Session
 from eigenscan.workbench.simtest.site import SITE, Machine, Plan, Site
-from eigenscan.workbench.simtest.stranger import Stranger
+from eigenscan.workbench.simtest.stranger import FLOOD_S, PERIOD_S, Stranger
 
 Undo = Callable[[], None]
 
@@ -148,10 +148,15 @@ def _new_map(site: Site, _fault: Fault) -> None:
             process.stop()
 
 
+def _floods(fault: Fault) -> bool:
+    return fault.amount > 0.7
+
+
 def _stranger(site: Site, fault: Fault) -> Undo:
     machine = _machine(site, fault)
     session = site.network.open(machine.name, machine.clock)
-    stranger = Stranger(site, session, f"{site.seed} stranger {fault.at}")
+    period_s = FLOOD_S if _floods(fault) else PERIOD_S
+    stranger = Stranger(site, session, f"{site.seed} stranger {fault.at}", period_s)
     stranger.speak()
     return stranger.leave
 
@@ -180,6 +185,11 @@ def _of_first_release(site: Site, fault: Fault) -> Undo:
 
 def _name(site: Site, fault: Fault) -> str:
     return f"the {_process(site, fault).name}"
+
+
+def _nonsense(_site: Site, fault: Fault) -> str:
+    rate = f"{1.0 / FLOOD_S:.0f} times a second " if _floods(fault) else ""
+    return f"a stranger publishes nonsense {rate}on {fault.place}"
 
 
 def _where(site: Site, fault: Fault) -> str:
@@ -231,7 +241,7 @@ KINDS: dict[str, Kind] = {
     "new map": Kind(
         _new_map, lambda _site, _fault: "the mapbuilder is restarted with another map", lasts=False
     ),
-    "stranger": Kind(_stranger, lambda _site, fault: f"a stranger publishes nonsense on {fault.place}"),
+    "stranger": Kind(_stranger, _nonsense),
     "full": Kind(
         _full,
         lambda site, fault: (

@@ -17,15 +17,16 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-PERIOD_S = 0.3
+PERIOD_S, FLOOD_S = 0.3, 0.02
 AHEAD_NS = 3_600_000_000_000
 
 
 class Stranger:
     """Publishes until it leaves."""
 
-    def __init__(self, site: Site, session: Session, seed: str) -> None:
+    def __init__(self, site: Site, session: Session, seed: str, period_s: float = PERIOD_S) -> None:
         self._site, self._session, self._random = site, session, Random(seed)
+        self._period_s = period_s
 
     def leave(self) -> None:
         """Closes its session."""
@@ -35,7 +36,7 @@ class Stranger:
         """One message, and the next one later."""
         if self._session.is_open:
             self._site.network.publish(self._session, self._sample(), block=False)
-            self._site.agenda.after(PERIOD_S, self.speak)
+            self._site.agenda.after(self._period_s, self.speak)
 
     def _sample(self) -> Sample:
         random, robot = self._random, self._session.machine
