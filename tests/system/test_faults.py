@@ -9,7 +9,6 @@ import zenoh
 from eigenscan.schemas.channels import HYPOTHESES, MODEL_SET, ODOMETRY, POSE, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -53,23 +52,6 @@ def test_every_service_ends_in_good_order_when_asked_to(drive: Drive, models: Pa
     for service in ORDER:
         assert house.terminate(service) == 0, f"{service}\n{house.log(service)}"
         assert "unfinished=False" in house.log(service) or '"unfinished": false' in house.log(service)
-
-
-@pytest.mark.dataset
-def test_a_projector_that_comes_last_gets_the_models_and_answers(
-    drive: Drive, models: Path, house: House
-) -> None:
-    house.start("mapbuilder", "--model", models)
-    house.until("mapbuilder", ready, "has said its models")
-    house.start("projector")
-    house.until("projector", ready, "has models")
-    (version,) = {message.version for message in house.ear.of(MODEL_SET, ModelSet)}
-    house.start("scan-ingest")
-    send(house, SCAN_RAW, scans_of(drive, 1)[0], lidar="front")
-    house.ear.wait_for(lambda received: any(e.channel is HYPOTHESES for e in received), "hypotheses")
-    (answer,) = house.ear.of(HYPOTHESES, Hypotheses)
-    assert answer.model_version == version
-    assert answer.hypotheses
 
 
 @pytest.mark.dataset

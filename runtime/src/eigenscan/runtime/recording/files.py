@@ -13,9 +13,8 @@ import lz4.frame
 import zstandard
 from eigenscan.schemas.channels import ContractError
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-from mcap.reader import NonSeekingReader, make_reader
+from mcap.reader import McapReader, NonSeekingReader, make_reader
 from mcap.records import Channel, ChunkIndex, Message, Schema
-from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
@@ -178,31 +177,33 @@ def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iter
     the file's order, up to its last whole chunk or to the damage. Raises ValueError at the end if a chunk
     that the index names is not there.
     """
-    summary = _summary(file)
-    if summary is None:
+    reader = _indexed(file)
+    if reader is None:
         whole = cast(IO[bytes], WholeReads(file))
         with suppress(EndOfFile):
             yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
         return
-    reader, topics = make_reader(file, validate_crcs=True), list(early)
+    topics = list(early)
     if topics and begin:
         yield from reader.iter_messages(topics=topics, ending_before=begin)
     yield from reader.iter_messages(starting_at=begin)
-    for index in summary.chunk_indexes:
+    summary = reader.get_summary()
+    for index in summary.chunk_indexes if summary else ():
         _refuse_other_chunk(file, index)
 
 
-def _summary(file: IO[bytes]) -> Summary | None:
-    """The index; None if there is none or it is damaged, with the file at its start."""
-    found = None
+def _indexed(file: IO[bytes]) -> McapReader | None:
+    """Reads by the index; None if there is none or it is damaged, with the file at its start."""
+    reader = found = None
     if is_indexed(file):
         with suppress(EndOfFile, OSError, *DAMAGE):  # OSError: a damaged offset cannot be sought
-            found = make_reader(file).get_summary()
+            reader = make_reader(file, validate_crcs=True)
+            found = reader.get_summary()
     file.seek(0)
     # records that were overwritten by zeros are passed over
     if found and found.statistics and found.statistics.chunk_count != len(found.chunk_indexes):
         return None
-    return found
+    return reader if found else None
 
 
 def _refuse_other_chunk(file: IO[bytes], index: ChunkIndex) -> None:
