@@ -18,7 +18,7 @@ from eigenscan.geometry.gridmap import (
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from PIL import Image
+from PIL import EpsImagePlugin, Image
 
 
 def saved(folder: Path, pixels: ArrayLike, image: str = "map.pgm", **meta: object) -> Path:
@@ -201,11 +201,17 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, which: str) -> None:
         read_map(path)
 
 
-def test_an_image_that_would_start_a_program_is_refused(tmp_path: Path) -> None:
-    path = _yaml(tmp_path)
+def test_an_image_that_would_start_a_program_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, program = _yaml(tmp_path), tmp_path / "gs"
+    program.write_text(f"#!/bin/sh\ntouch {tmp_path}/started\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(EpsImagePlugin, "gs_binary", str(program))  # Pillow looks for it once only
     (tmp_path / "map.pgm").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EOF\n")
     with pytest.raises(MapError, match="cannot be read"):
         read_map(path)
+    assert not (tmp_path / "started").exists()
 
 
 @given(

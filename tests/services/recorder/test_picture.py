@@ -23,6 +23,7 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
 from eigenscan.recorder.options import RecorderOptions
+from eigenscan.recorder.picture import status
 from eigenscan.recorder.picture.belief import probabilities
 from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
@@ -359,6 +360,23 @@ def test_map_and_board_show_one_state(tmp_path: Path, state: State, colour: tupl
     _, board = rows(tmp_path / "a.rrd", "/status", "Image:buffer")[-1]
     shown = {tuple(pixel) for pixel in np.array(board[0]).reshape(-1, 3).tolist()}
     assert shown & {LOCALIZED, AMBIGUOUS, LOST} == {colour}
+
+
+def test_label_and_board_state_one_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one pose the board stated 20 % and the label 38 %."""
+    stated: list[str] = []
+
+    def noted(lines: list[Line]) -> object:
+        stated.extend(line.sureness for line in lines)
+        return draw_board(lines)
+
+    monkeypatch.setattr(status, "draw_board", noted)
+    pose = localized(S, [1.0, 2.0, 0.0])
+    pose.open(PoseEstimate).confidence = 0.389
+    draw(tmp_path / "a.rrd", [pose])
+    ((_, labels),) = rows(tmp_path / "a.rrd", "/world/robots/r1/pose/label", "Points3D:labels")
+    assert "38%" in labels[0]
+    assert stated == ["over 35 % sure"]
 
 
 def test_the_board_shows_every_robot(tmp_path: Path) -> None:
