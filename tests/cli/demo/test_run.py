@@ -59,6 +59,28 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], t
     assert list((tmp_path / "out/mcap").glob("*.mcap"))
 
 
+@pytest.mark.parametrize("way", [[], ["--together"]], ids=["separate", "together"])
+def test_nothing_that_it_starts_is_reached_from_another_machine(way: list[str], tmp_path: Path) -> None:
+    """Once there were six listeners on all interfaces, and multicast."""
+    write_map(office().render(), tmp_path / "map.yaml")
+    flags = ["--site", f"test-{uuid4().hex}", "--out", str(tmp_path / "out"), "--json", "-", *way]
+    command = [*EIGENSCAN, "run", str(tmp_path / "map.yaml"), *flags]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            line = next(each for each in process.stdout if '"ready"' in each)
+            tree = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+            sockets = [one for member in tree for one in member.net_connections("inet")]
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=240)
+    assert line
+    # a connection has an address at its other end; all else takes what comes from anywhere
+    open_to = {one.laddr.ip for one in sockets if not one.raddr}
+    assert open_to
+    assert open_to <= {"127.0.0.1", "::1"}
+
+
 def test_an_open_endpoint_must_be_asked_for_in_words(tmp_path: Path) -> None:
     write_map(office().render(), tmp_path / "map.yaml")
     _expect_one_line(
