@@ -238,6 +238,19 @@ def test_a_kill_in_a_write_leaves_what_was_written_before() -> None:
     assert list(disk.files) == ["/d/f"]
 
 
+def test_a_kill_in_a_write_tears_it() -> None:
+    _, disk = _disk()
+    path = disk.path("/d/f")
+    file = path.open("wb")
+    file.write(b"1234")
+    disk.kill_at = 0
+    with pytest.raises(KilledError):
+        file.flush()
+    disk.end_process()
+    file.close()
+    assert path.read_bytes() == b"12"
+
+
 def test_a_recorder_that_deletes_its_newest_files_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """By file time, what was written before the clock was set back is the newest."""
     plans = ((seed, Plan.of(seed, 1)) for seed in range(1000))

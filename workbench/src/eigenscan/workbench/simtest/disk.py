@@ -152,12 +152,19 @@ class _Raw(io.RawIOBase):
     def write(self, data: Any) -> int:
         if self._is_dead:  # Python empties the buffers of a process that is no more
             return len(data)
-        self._disk.step()
+        try:
+            self._disk.step()
+        except KilledError:  # in the midst of it
+            self._put(bytes(data)[: len(data) // 2])
+            raise
         size = self._disk.room(len(data))
-        self._inode.data[self._at : self._at + size] = bytes(data)[:size]
-        self._at += size
-        self._disk.note(self._inode)
+        self._put(bytes(data)[:size])
         return size
+
+    def _put(self, data: bytes) -> None:
+        self._inode.data[self._at : self._at + len(data)] = data
+        self._at += len(data)
+        self._disk.note(self._inode)
 
     def fileno(self) -> int:
         """One that can be locked. It is asked for to lock a new file, and to sync: then all is safe."""
