@@ -278,7 +278,7 @@ def test_carried_away_is_noticed_where_two_of_ten_go_on_by_chance(
     assert (True, False) not in claims[33:]
 
 
-def test_sparse_lists_of_what_the_map_lacks_do_not_end_the_claim(
+def test_one_sparse_list_of_what_the_map_lacks_does_not_end_the_claim(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     """Nothing of them goes on over most of a metre, but odometry is still sure."""
@@ -294,7 +294,8 @@ def test_sparse_lists_of_what_the_map_lacks_do_not_end_the_claim(
         output = core.handle(speaker.hypotheses(time, poses[lacking:], logs[lacking:]))
         if scan > 2:
             message = poses_of(output)[0]
-            assert message.state == STATE_LOCALIZED
+            # after a metre without a confirmation an eighth of the belief elsewhere ends it
+            assert message.state == STATE_LOCALIZED or scan >= 12
             assert is_right(message, truth)
 
 

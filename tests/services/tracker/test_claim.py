@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate
 from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.settings import TrackerSettings
@@ -11,6 +11,8 @@ from eigenscan.tracker.tracks import Tracks, begin
 from eigenscan.tracker.velocity_gate import VelocityGate
 from hypothesis import given
 from hypothesis import strategies as st
+
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
 
 def at(x: float, y: float, heading: float = 0.0, sigma: float = 0.05, frame: int = 1) -> Tracks:
@@ -86,3 +88,22 @@ def test_where_scans_show_that_the_robot_was_carried_away_nothing_is_held_back()
     claim.held_back(STATE_LOCALIZED, at(0.0, 0.0), 0)
     claim.forget()
     assert claim.held_back(STATE_LOCALIZED, at(9.0, 0.0), 0) == STATE_LOCALIZED
+
+
+def test_a_claim_that_no_list_confirms_any_more_ends_where_other_places_are_likely(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """The robot drives on from what the map shows, by good odometry; from then on another place is listed."""
+    core = make_core(odometry_slip=0.01, odometry_turn=0.01, odometry_veer=0.001)
+    doubtful, held = list[PoseEstimate](), TrackerSettings().released_below
+    for scan in range(110):
+        time, pose = 10.0 + 0.1 * scan, np.array([0.1 * scan, 0.0, 0.0])
+        list(core.handle(speaker.odometry(time, pose)))
+        place, likelihood = (pose, 17.0) if scan < 30 else (pose + np.array([0.0, 50.0, 0.0]), 13.0)
+        (estimate,) = poses_of(core.handle(speaker.hypotheses(time, [place], [likelihood])))
+        if scan == 50:  # two metres on, odometry still carries it
+            assert estimate.state == STATE_LOCALIZED
+        if held <= estimate.confidence < 0.8 and abs(estimate.pose.y) < 1.0:
+            doubtful.append(estimate)
+    assert doubtful
+    assert all(estimate.state != STATE_LOCALIZED for estimate in doubtful)

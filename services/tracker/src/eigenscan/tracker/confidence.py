@@ -136,6 +136,11 @@ def protect(tracks: Tracks, best: int, risk: float) -> Protection | None:
     return Protection(*level)
 
 
+def mass_of_place(tracks: Tracks, best: int) -> float:
+    """Probability of the best track's place, however wide odometry has made its tracks."""
+    return float(_here(tracks.x, tracks.C, tracks.log_weight, tracks.frame, best)[:, 0].sum())
+
+
 @njit("f8[:,:](f8[:,:], f8[:,:,:], f8[:], i8[:], i8)", cache=True)  # pragma: no cover - compiled
 def _here(x: Array, C: Array, log_weight: Array, frame: Index, best: int) -> Array:
     """Of the tracks of the best one's place: mass, how far off in position and heading, both variances."""
@@ -162,9 +167,12 @@ def _level(here: Array, order: Index, spare: float, rayleigh: float, normal: flo
     return radius, angle
 
 
-def next_state(state: State, belief: Belief, confidence: float, settings: TrackerSettings) -> State:
-    """Lost, ambiguous or localized; a claim once made is held down to a lower confidence."""
-    needed = settings.released_below if state == STATE_LOCALIZED else settings.localized_above
+def next_state(
+    state: State, belief: Belief, confidence: float, settings: TrackerSettings, *, confirmed: bool
+) -> State:
+    """Lost, ambiguous or localized; a claim once made is held at a lower confidence while `confirmed`."""
+    held = confirmed and state == STATE_LOCALIZED
+    needed = settings.released_below if held else settings.localized_above
     if confidence >= needed:
         return STATE_LOCALIZED
     return STATE_LOST if belief.none_probability > 0.5 else STATE_AMBIGUOUS

@@ -14,7 +14,15 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, T
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.claim import Claim
-from eigenscan.tracker.confidence import Protection, Verdict, judge, next_state, protect, share_within
+from eigenscan.tracker.confidence import (
+    Protection,
+    Verdict,
+    judge,
+    mass_of_place,
+    next_state,
+    protect,
+    share_within,
+)
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_MOST, EVEN_STEPS, learned, likelihood_at
 from eigenscan.tracker.floors import Building, Rivals
@@ -44,6 +52,11 @@ BLIND_RATE = 0.5
 """1/s, the same where nobody knows whether the robot moves."""
 BLIND_NS = 1_000_000_000
 """Without an estimate for longer, a claim holds as long as odometry alone carries it."""
+UNCONFIRMED = 2.0
+"""New scans without the claimed place, after which a claim ends where other places are at all likely.
+
+What is hidden for so long is more often wrong (benchmarks/mechanisms.py).
+"""
 HISTORY_STEP = (0.1, 0.1, 0.17)
 """m, m, rad between two kept poses of a trajectory."""
 
@@ -338,7 +351,11 @@ class RobotTracker:
 
     def _progress(self, moved: Motion) -> float:
         """How far the robot has come, 1: a scan is new evidence."""
-        return moved.way / self._settings.independence_m + moved.turn / self._settings.independence_rad
+        return self._new_scans(moved.way, moved.turn)
+
+    def _new_scans(self, way: float, turn: float) -> float:
+        """How many scans are new evidence on a way, m, with a turn, rad."""
+        return way / self._settings.independence_m + turn / self._settings.independence_rad
 
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
@@ -362,9 +379,14 @@ class RobotTracker:
     def _conclude(self, seen: Observation) -> Estimate:
         belief = self.belief
         verdict = self._judge()
-        self.state = self._claim.held_back(
-            next_state(self.state, belief, verdict.confidence, self._settings), belief.tracks, verdict.track
+        state = next_state(
+            self.state,
+            belief,
+            verdict.confidence,
+            self._settings,
+            confirmed=self._is_confirmed(verdict.track),
         )
+        self.state = self._claim.held_back(state, belief.tracks, verdict.track)
         odometry = self._trail.at(seen.stamp) if self._near_odometry(seen.stamp) else None
         frame = belief.frames[int(belief.tracks.frame[verdict.track])] if verdict.track >= 0 else seen.frame
         return Estimate(
@@ -404,6 +426,15 @@ class RobotTracker:
             even=EVEN_EXACT if source is None else source.even,
             sure=sure,
         )
+
+    def _is_confirmed(self, best: int) -> bool:
+        """Whether a list has shown the best track lately, or no other place is likely in its stead."""
+        if best < 0:
+            return False
+        tracks = self.belief.tracks
+        way, turn = tracks.unchecked[best].tolist()
+        shown = self._new_scans(way, turn) <= UNCONFIRMED
+        return shown or mass_of_place(tracks, best) >= self._settings.localized_above
 
     def _judge(self) -> Verdict:
         """The most believed track, as far as odometry is, and its map frame after every frame's lists."""
