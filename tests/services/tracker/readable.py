@@ -8,7 +8,7 @@ import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, associate
-from eigenscan.tracker.belief import BREAK_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
+from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
 from eigenscan.tracker.covariance import (
     determinant,
     fuse,
@@ -90,7 +90,7 @@ class Readable(Belief):
         shown[:, source] *= np.exp(-share.progress)
         tracks = release(replace(self.tracks, evidence=shown), rest, share.carried)
         if share.broken:
-            tracks = release(tracks, rest, BREAK_SHARE)
+            tracks = release(tracks, rest, CARRIED_SHARE)
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0

@@ -95,7 +95,7 @@ class Constants(NamedTuple):
     kept: float
     misses: float
     off_map_share: float
-    break_share: float
+    carried_share: float
 
 
 class Scan(NamedTuple):
