@@ -136,6 +136,13 @@ def test_the_mean_step_is_that_of_all_pairs_of_neighbours() -> None:
     assert mean_step([sheets]) == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-5)
 
 
+def test_rows_are_sorted_up_to_the_last_that_a_site_can_have() -> None:
+    rows = np.random.default_rng(2).integers(0, 2**31, 500)
+    found = Matches(rows, np.zeros(500, np.float32)).sorted_rows
+    assert found.dtype == np.int64
+    assert found.tolist() == sorted(rows.tolist())
+
+
 def test_matches_of_two_lists_are_one_a_pose() -> None:
     one = Matches(np.array([5, 7, 6, 4]), np.array([1, 2, 3, 6], np.float32), np.eye(4)[:, :3])
     other = Matches(np.array([8, 7]), np.array([4, 5], np.float32))

@@ -42,6 +42,16 @@ def test_poses_lie_in_the_field_as_they_do_in_the_map() -> None:
     assert np.allclose(difference(found[:, 2], plain[:, 2]), 0.0, rtol=0, atol=1e-12)
 
 
+def test_a_pose_costs_the_same_alone_and_among_others_that_share_headings() -> None:
+    field = WallField.of(DistanceField.of(office()), 0.1)
+    poses = free_poses(300, 6)
+    turns = np.deg2rad(2.0) * np.arange(-3, 3)
+    poses[:, 2] = np.concatenate([turns, turns + 2.0 * np.pi, turns + 1e-3])[np.arange(300) % 18]
+    points = observe(scan_at(poses[0], seed=3)).points
+    alone = [cost_at(field, pose[None], points, 0.5)[0] for pose in poses]
+    assert np.array_equal(cost_at(field, poses, points, 0.5), alone)
+
+
 def test_a_fit_that_does_not_move_is_the_sum_over_its_points() -> None:
     grid = office()
     field = DistanceField.of(grid)

@@ -180,7 +180,7 @@ def _verified(
     """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
     offset = None
     if matches.between is None:
-        rows, home, window = view.distinct_places(np.sort(matches.rows))
+        rows, home, window = view.distinct_places(matches.sorted_rows)
     else:
         matches = matches.by_row()
         rows, offset = matches.rows, matches.offsets

@@ -42,6 +42,8 @@ _LARGEST_STEP_M, _LARGEST_STEP_RAD = 0.15, 0.1
 _DAMPING = 1e-3
 _LANES = 16
 """Single numbers in the widest vector registers."""
+_HEADINGS, _HEADINGS_PER_RAD = 512, 512 / (2.0 * np.pi)
+"""Headings whose cosines are kept; a power of two, twice those of a grid."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +99,15 @@ def _cost_at(cells: Words, cell: float, poses: Array, ends: Array, scale: float,
     half, zero, unit, s2 = np.float32(0.5), np.float32(0.0), np.float32(cell), np.float32(scale * scale)
     columns, right, top = np.int32(width), np.float32(width) - half, np.float32(height) - half
     at, words, u, v = np.empty(len(px), np.uint32), np.empty(len(px), np.uint32), px.copy(), py.copy()
+    known, cosines = np.full(_HEADINGS, np.finfo(np.float64).max), np.empty((2, _HEADINGS), np.float32)
     for i in range(len(poses)):
         x, y, total = np.float32(poses[i, 0]), np.float32(poses[i, 1]), zero
-        cos, sin = np.float32(np.cos(poses[i, 2])), np.float32(np.sin(poses[i, 2]))
+        # poses of a grid share few headings
+        k = np.uint64(np.int64(poses[i, 2] * _HEADINGS_PER_RAD) & (_HEADINGS - 1))
+        if known[k] != poses[i, 2]:
+            known[k] = poses[i, 2]
+            cosines[0, k], cosines[1, k] = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        cos, sin = cosines[0, k], cosines[1, k]
         # the words in a loop of their own: not every processor's vector units look up
         for j in range(len(px)):
             u[j] = min(max(x + cos * px[j] - sin * py[j], zero), right)

@@ -66,6 +66,11 @@ class Matches:
         """`between` (k, 3), 0 without interpolation."""
         return np.zeros((len(self.rows), 3)) if self.between is None else self.between
 
+    @property
+    def sorted_rows(self) -> Index:
+        """`rows` in order; a site has fewer than 2^31, and short numbers are sorted in half the time."""
+        return np.sort(self.rows.astype(np.int32)).astype(np.int64)
+
     def take(self, which: Index) -> Matches:
         """The matches `which` (j,), in that order."""
         between = None if self.between is None else self.between[which]
