@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from eigenscan.projector.columns import doubles, flag, floats, messages, nested, packed, record
+from eigenscan.projector.columns import doubles, flag, floats, messages, nested, record
 from eigenscan.schemas.geometry_pb2 import Pose2
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Obstacles, Projection
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis, Projection
 from eigenscan.schemas.wire import encode
 
 
@@ -49,10 +49,3 @@ def test_a_message_is_the_one_that_is_put_together_number_by_number(
         ],
     )
     assert encode(found) == encode(wanted)
-
-
-def test_a_list_of_numbers_keeps_what_is_missing() -> None:
-    error = np.array([0.5, np.nan, -2.0], dtype=np.float32)
-    found = Obstacles()
-    found.MergeFromString(packed(Obstacles.ERROR_FIELD_NUMBER, error))
-    assert encode(found) == encode(Obstacles(error=error.tolist()))

@@ -10,13 +10,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.message_floats import head
 from numpy.typing import ArrayLike, NDArray
 
 Record = NDArray[Any]
 """Fields of one message as they lie in its bytes; the part `value` of each is to be filled in."""
 
-_VARINT, _DOUBLE, _LENGTH = 0, 1, 2
-"""Wire types: a number in steps of 7 bits, 8 bytes, a length and so many bytes."""
+_VARINT, _DOUBLE = 0, 1
+"""Wire types: a number in steps of 7 bits, and 8 bytes."""
 
 
 def doubles(*numbers: int) -> Record:
@@ -34,11 +35,6 @@ def flag(number: int) -> Record:
 def floats(number: int, count: int) -> Record:
     """A repeated field of the type float, of values (count,)."""
     return _headed(number, np.zeros(count, "<f4"))
-
-
-def packed(number: int, values: NDArray[np.float32]) -> bytes:
-    """A repeated field of the type float with its values (count,)."""
-    return _head(number, 4 * len(values)) + values.astype("<f4").tobytes()
 
 
 def nested(number: int, *numbers: int) -> Record:
@@ -79,24 +75,12 @@ def messages(
 def _text(number: int, named: int, text: str, size: int) -> bytes:
     """What comes before a message's `size` bytes: its head, and its text field."""
     encoded = text.encode()
-    name = _head(named, len(encoded)) + encoded
-    return _head(number, len(name) + size) + name
+    name = head(named, len(encoded)) + encoded
+    return head(number, len(name) + size) + name
 
 
 def _headed(number: int, content: Record) -> Record:
-    head = np.frombuffer(_head(number, content.nbytes), dtype=np.uint8)
-    blank = np.zeros((), [("head", "u1", len(head)), ("value", content.dtype, content.shape)])
-    blank["head"], blank["value"] = head, content
+    front = np.frombuffer(head(number, content.nbytes), dtype=np.uint8)
+    blank = np.zeros((), [("head", "u1", len(front)), ("value", content.dtype, content.shape)])
+    blank["head"], blank["value"] = front, content
     return blank
-
-
-def _head(number: int, length: int) -> bytes:
-    """Tag and length of a field."""
-    head = bytearray()
-    for number_or_length in (number << 3 | _LENGTH, length):
-        left = number_or_length
-        while left > 0x7F:
-            head.append(left & 0x7F | 0x80)
-            left >>= 7
-        head.append(left)
-    return bytes(head)

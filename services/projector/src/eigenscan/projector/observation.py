@@ -9,6 +9,7 @@ import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN, coarse_sensor
 from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.message_floats import floats_of
 from eigenscan.geometry.normalize import FARTHEST
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ def observe(scan: Scan) -> Observation:
         raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
     if not 0.0 <= scan.range_max < np.inf:
         raise ValueError(f"range_max = {scan.range_max} m")
-    ranges = np.fromiter(scan.ranges, dtype=np.float32, count=beams)
+    ranges = floats_of(scan, "ranges")
     sensor = Sensor(scan.angle_min, step, beams, scan.range_max)
     nearest, outside, bearings = _analysis_grid(sensor)
     coarse = ranges[nearest]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.eigenspace.floors import Floor, floor_of
 from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.message_floats import floats_of
 from eigenscan.geometry.normalize import FARTHEST_MOUNT, ScanError, Sweep, limit, limits, orient
 from eigenscan.geometry.pose import compose, covariance_to_message, from_message, to_message
 from eigenscan.projector.candidates import Candidates
@@ -159,7 +160,7 @@ def canonical(raw: RawScan) -> Scan:
         if not all(abs(value) <= FARTHEST_MOUNT for value in (raw.mount.x, raw.mount.y, raw.mount.theta)):
             raise ScanError("mount_too_far")
         low, high = limits(raw.range_min, raw.range_max)
-        ranges = np.fromiter(raw.ranges, np.float32, len(raw.ranges))
+        ranges = floats_of(raw, "ranges")
         sweep = orient(Sweep(ranges, raw.angle_min, raw.angle_increment), raw.upside_down)
         ranges = limit(sweep.ranges, low, high)
         if np.isnan(ranges).all():

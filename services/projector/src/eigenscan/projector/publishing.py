@@ -7,9 +7,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.message_floats import put_floats
 from eigenscan.geometry.pose import covariance_to_message, to_message
 from eigenscan.projector.candidates import Candidates, Fitted
-from eigenscan.projector.columns import Record, doubles, flag, floats, messages, nested, packed, record
+from eigenscan.projector.columns import Record, doubles, flag, floats, messages, nested, record
 from eigenscan.projector.coordinates import coordinates
 from eigenscan.projector.focus import Scope
 from eigenscan.projector.local import REACH_M
@@ -189,7 +190,7 @@ def obstacles_message(
         map_y=mask.in_map[:, 1].tolist(),
         model_version=site.version,
     )
-    message.MergeFromString(packed(Obstacles.ERROR_FIELD_NUMBER, mask.error))
+    put_floats(message, Obstacles.ERROR_FIELD_NUMBER, mask.error)
     return message
 
 

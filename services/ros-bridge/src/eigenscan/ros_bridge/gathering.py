@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.message_floats import floats_of
 from eigenscan.geometry.normalize import Sweep, limit, limits, orient
 from eigenscan.geometry.pose import Array, between, compose, from_message, from_pose3, inverse, transform
 from eigenscan.schemas.envelope import nanoseconds
@@ -127,9 +128,7 @@ def points_of(raw: RawScan) -> Array:
 
     Raises ScanError.
     """
-    sweep = orient(
-        Sweep(np.array(raw.ranges, dtype=np.float32), raw.angle_min, raw.angle_increment), raw.upside_down
-    )
+    sweep = orient(Sweep(floats_of(raw, "ranges"), raw.angle_min, raw.angle_increment), raw.upside_down)
     ranges = limit(sweep.ranges, *limits(raw.range_min, raw.range_max)).astype(np.float64)
     bearings = sweep.angle_min + sweep.angle_increment * np.arange(len(ranges))
     seen = np.isfinite(ranges)

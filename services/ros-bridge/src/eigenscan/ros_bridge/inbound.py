@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
+from eigenscan.geometry.message_floats import put_floats
 from eigenscan.geometry.pose import covariance_to_message, to_message, to_pose3
 from eigenscan.geometry.transforms import FARTHEST
 from eigenscan.schemas.envelope import stamp
@@ -31,7 +32,7 @@ def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawSc
     increment = float(body.angle_increment)
     if increment == 0.0 and len(body.ranges) > 1:
         increment = (float(body.angle_max) - float(body.angle_min)) / (len(body.ranges) - 1)
-    return RawScan(
+    scan = RawScan(
         timestamp=stamp(time),
         frame_id=frame_name(body.header.frame_id),
         mount=to_message(mount),
@@ -40,8 +41,9 @@ def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawSc
         angle_increment=increment,
         range_min=float(body.range_min),
         range_max=float(body.range_max),
-        ranges=np.asarray(body.ranges, dtype=np.float32).tolist(),
     )
+    put_floats(scan, RawScan.RANGES_FIELD_NUMBER, np.asarray(body.ranges, dtype=np.float32))
+    return scan
 
 
 def odometry(body: Any) -> Odometry | None:

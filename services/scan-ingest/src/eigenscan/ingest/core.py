@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.message_floats import floats_of, put_floats
 from eigenscan.geometry.normalize import (
     FARTHEST_MOUNT,
     Ranges,
@@ -179,9 +180,9 @@ class ScanIngestCore:
             angle_increment=sweep.angle_increment,
             range_min=range_min,
             range_max=range_max,
-            ranges=sweep.ranges.tolist(),
             sequence=lidar.published,
         )
+        put_floats(scan, Scan.RANGES_FIELD_NUMBER, sweep.ranges)
         lidar.newest, lidar.late, lidar.published = time, 0, lidar.published + 1
         return scan, sweep.ranges
 
@@ -234,4 +235,4 @@ class ScanIngestCore:
             raise ScanError("no_beams")
         if count > self._settings.max_beams:
             raise ScanError("too_many_beams")
-        return np.fromiter(raw.ranges, dtype=np.float32, count=count)
+        return floats_of(raw, "ranges")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
+from eigenscan.geometry.message_floats import floats_of
 from eigenscan.geometry.pose import compose, from_message
 from eigenscan.mapbuilder.keeping.claim import Claim, bridge
 from eigenscan.mapbuilder.keeping.view import View
@@ -133,7 +134,7 @@ class TrustedObserver:
 
     def _view(self, base: ArrayLike, scan: Scan) -> View | None:
         """The beams that show the cell of their end; None if there are too few."""
-        ranges = np.array(scan.ranges, dtype=np.float64)
+        ranges = floats_of(scan, "ranges").astype(np.float64)
         bearings = scan.angle_min + np.arange(len(ranges), dtype=np.float64) * scan.angle_increment
         sensor = compose(base, from_message(scan.mount))
         with np.errstate(invalid="ignore"):
