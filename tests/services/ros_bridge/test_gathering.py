@@ -14,6 +14,7 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
 
+from tests.services.ros_bridge.test_cloud import HALF, cloud
 from tests.services.ros_bridge.test_core import TIME, core, header, listen, scan, transform
 
 STEP_NS = 100_000_000
@@ -88,6 +89,22 @@ def test_two_sensors_make_one_scan() -> None:
     drive(made, (0.0, 0.0, 0.0), TIME + STEP_NS)
     both = points(look(made, "front", [NOTHING, 1.8, NOTHING], TIME + STEP_NS))
     assert both == pytest.approx(in_base((0.0, 0.0, 0.0), (2.0, 0.0), (-3.0, 0.0)), abs=0.03)
+
+
+def test_several_clouds_and_a_lidar_make_one_scan() -> None:
+    """Two depth cameras, ahead and to the left, each with a floor below the slice; a lidar behind."""
+    made = bridge(scan=["rear/scan"], points=["front/points", "left/points"])
+    listen(made, "%tf_static", transform("base_link", "left", (0.0, 0.2, 0.3), (0.0, 0.0, HALF, HALF)))
+    drive(made, (0.0, 0.0, 0.0), TIME)
+    for number, sensor in enumerate(("front", "left")):
+        time = TIME + number * STEP_NS
+        drive(made, (0.0, 0.0, 0.0), time)
+        seen = cloud([(1.8, 0.0, 0.2), (0.5, 0.0, -0.3)], sensor, header=header(sensor, time))
+        listen(made, f"%{sensor}%points", seen)
+    drive(made, (0.0, 0.0, 0.0), TIME + 2 * STEP_NS)
+    every = points(look(made, "rear", [NOTHING, 2.8, NOTHING], TIME + 2 * STEP_NS))
+    walls = in_base((0.0, 0.0, 0.0), (2.0, 0.0), (0.0, 2.0), (-3.0, 0.0))
+    assert every == pytest.approx(walls, abs=0.03)
 
 
 def test_sensors_that_follow_each_other_at_once_are_not_two_scans() -> None:
