@@ -203,6 +203,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "aliases": ((evidence, "ALIASES", 1e-12),),
     "what the map is worth, learned": ((robot, "learned", lambda *_: evidence.EVEN_EXACT),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, __: moved.turn),),
+    "places alike along a hallway": ((evidence, "ALIKE_M", 0.0),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),
     "what lists leave out": ((belief, "MISSES", 0.0),),
     "slipped wheels": ((evidence, "SLIPS", 0.0),),

@@ -21,6 +21,7 @@ from eigenscan.tracker.covariance import (
 )
 from eigenscan.tracker.evidence import (
     ALIASES,
+    ALIKE_M,
     ENDS,
     EVEN_EXACT,
     HIDES,
@@ -387,8 +388,9 @@ def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precisi
     """Branches after the first `alone`, brought together with their hypotheses."""
     joined = slice(alone, None)
     x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
-    R = seen.covariances[pairs.hypothesis]
-    C[joined] *= surprise(pairs.distance2)[:, None, None]
+    R = widened(seen)[pairs.hypothesis]
+    off = residual(seen.poses[pairs.hypothesis], x[joined])
+    C[joined] *= surprise(mahalanobis_squared(off, C[joined] + R))[:, None, None]
     share = independent_share(C[joined], R, precision)
     x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R / share[:, None, None])
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
@@ -411,6 +413,15 @@ def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precisi
         nis=nis,
         observations=observations,
     )
+
+
+def widened(seen: Observation) -> Array:
+    """Covariances (k, 3, 3) with the spread of what lies nearby with one heading, weighed by likelihood."""
+    off = residual(seen.poses[None], seen.poses[:, None])
+    near = (np.hypot(off[..., 0], off[..., 1]) <= ALIKE_M) & (np.abs(off[..., 2]) <= NEAR_RAD)
+    weight = np.where(near, np.exp(seen.log_likelihoods[None] - seen.log_likelihoods[:, None]), 0.0)
+    spread = np.einsum("ki,kia,kib->kab", weight / weight.sum(axis=1, keepdims=True), off, off)
+    return np.asarray(seen.covariances + spread)
 
 
 def at_least(

@@ -476,3 +476,21 @@ def test_of_two_lidars_that_contradict_each_other_the_new_place_does_not_win() -
             settle(belief)
     stayed = np.hypot(*(belief.tracks.x[:, :2] - here[0][0, :2]).T) < 0.5
     assert np.exp(belief.tracks.log_weight[stayed]).sum() > 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_places_alike_along_a_hallway_do_not_pull_a_track_along(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, seed: int
+) -> None:
+    """Each scan fits sharply in many places along it; odometry, which is exact here, knows the way along."""
+    core, rng, off = make_core(), np.random.default_rng(seed), list[float]()
+    for scan in range(100):
+        time, pose = 10.0 + 0.1 * scan, np.array([0.1 * scan, 0.0, 0.0])
+        list(core.handle(speaker.odometry(time, pose)))
+        in_hallway = scan >= 30
+        along = rng.uniform(-3.0, 3.0, 8) if in_hallway else np.zeros(1)
+        likelihoods = rng.uniform(10.0, 12.0, 8) if in_hallway else np.full(1, 17.0)
+        places = pose + np.column_stack([along, np.zeros((len(along), 2))])
+        (message,) = poses_of(core.handle(speaker.hypotheses(time, places, likelihoods)))
+        off.append(message.pose.x - pose[0])
+    assert np.abs(off[30:]).max() < 0.15

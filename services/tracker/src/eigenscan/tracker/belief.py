@@ -192,4 +192,5 @@ def _constants() -> Constants:
         MISSES,
         OFF_MAP_SHARE,
         CARRIED_SHARE,
+        evidence.ALIKE_M,
     )

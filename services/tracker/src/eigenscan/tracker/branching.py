@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.inner import inner
-from eigenscan.geometry.symmetric import determinant, triangle
+from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
 from eigenscan.tracker import evidence as model
 from eigenscan.tracker.association import Pairs, crowding_each
 from eigenscan.tracker.evidence import (
@@ -21,7 +21,7 @@ from eigenscan.tracker.evidence import (
     surprise,
 )
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.symmetric import fuse_each
+from eigenscan.tracker.symmetric import apart, fuse_each
 from eigenscan.tracker.tracks import Arrays, Columns, Tracks, arrays_of, begun, taken, tracks_of
 from numba import njit
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -
         out.evidence[row, scan.source] += gained[i]
     _name_forks(out, origin, count)
     _fuse(
-        out, count, seen.poses, seen.covariances, pairs.hypothesis, pairs.distance2, scan.precision,
+        out, count, seen.poses, seen.widened, pairs.hypothesis, pairs.distance2, scan.precision,
         scan.stamp, c.tail, c.least_new,
     )  # fmt: skip
     return out
@@ -140,7 +140,8 @@ def _fuse(
     x, C, y, R = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
     for pair in range(count):
         row, k = alone + pair, hypothesis[pair]
-        wider = surprise(distance2[pair], tail)
+        off, total = apart(poses[k], out.x[row]), plus(triangle(out.C[row]), triangle(covariances[k]))
+        wider = surprise(square(inverse(total), off), tail)
         for i in range(3):
             x[pair, i], y[pair, i] = out.x[row, i], poses[k, i]
             for j in range(3):

@@ -51,6 +51,8 @@ def learned(even: float, likelihood: float, share: float) -> float:
 
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
 """Poses this near to each other are of one place."""
+ALIKE_M = 3.0
+"""m, within which hypotheses of one heading may be one place along a hallway (benchmarks/mechanisms.py)."""
 SHOWN_YET_MISSED = -6.0
 """The same for a track without a hypothesis, were it shown: next to impossible."""
 HIDES, SHOWS = 0.05, 0.2
@@ -96,6 +98,7 @@ class Constants(NamedTuple):
     misses: float
     off_map_share: float
     carried_share: float
+    alike_m: float
 
 
 class Scan(NamedTuple):
@@ -115,6 +118,7 @@ class Scan(NamedTuple):
 class Listed(NamedTuple):
     """Hypotheses (k,) of a list that are likelier than a pose outside it, and what each is worth in nats.
 
+    `widened` (k, 3, 3): covariances with what the list cannot tell from them nearby, see `widened_each`.
     `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
     `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
     there. `alias`: of the wrong tracks that it begins, how many are aliases.
@@ -122,6 +126,7 @@ class Listed(NamedTuple):
 
     poses: Array
     covariances: Array
+    widened: Array
     alone: Array
     predicted: Array
     alias: Array
@@ -163,7 +168,32 @@ def listed(
     alone = L + lead - 1.5 * poorness_each(L, c.poorer)
     predicted = c.slope * (L - even) + lead
     alias = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
-    return Listed(y, R, alone, predicted, alias)
+    return Listed(y, R, widened_each(y, R, L, c.alike_m), alone, predicted, alias)
+
+
+@inner()  # pragma: no cover - compiled
+def widened_each(poses: Array, covariances: Array, log_likelihoods: Array, reach: float) -> Array:
+    """Covariances (k, 3, 3) with the spread of hypotheses within `reach`, m, of one heading.
+
+    Along a hallway a scan fits in many places, each as sharp as if it were the only one. What the scan shows
+    of the way along is their mixture: its second moment around each, weighed by likelihood.
+    """
+    out = covariances.copy()
+    moment = np.empty((3, 3))
+    for k in range(len(poses)):
+        total, moment[:] = 0.0, 0.0
+        for i in range(len(poses)):
+            off = apart(poses[i], poses[k])
+            if np.hypot(off[0], off[1]) <= reach and abs(off[2]) <= NEAR_RAD:
+                weight = np.exp(log_likelihoods[i] - log_likelihoods[k])
+                total += weight
+                for row in range(3):
+                    for column in range(3):
+                        moment[row, column] += weight * off[row] * off[column]
+        for row in range(3):
+            for column in range(3):
+                out[k, row, column] += moment[row, column] / total
+    return out
 
 
 @inner()  # pragma: no cover - compiled
