@@ -153,7 +153,9 @@ def await_right_pose(published: IO[str], truth: Callable[[float], Array]) -> Non
 
 
 def test_the_pages_example_finds_the_robot(site: Site, bare: Path, tmp_path: Path) -> None:
-    (code,) = re.findall(r"```python[^\n]*\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = re.findall(
+        r'```python title="with a robot"\n(.*?)```', PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
     for reported, here in ((MEETING, site.endpoint), ('"site", "robot"', f'"{site.name}", "{ROBOT}"')):
         assert code.count(reported) == 1
         code = code.replace(reported, here)
