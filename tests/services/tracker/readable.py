@@ -390,9 +390,9 @@ def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precisi
     x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
     R = widened(seen)[pairs.hypothesis]
     off = residual(seen.poses[pairs.hypothesis], x[joined])
+    R /= independent_share(C[joined], R, precision)[:, None, None]
     C[joined] *= surprise(mahalanobis_squared(off, C[joined] + R))[:, None, None]
-    share = independent_share(C[joined], R, precision)
-    x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R / share[:, None, None])
+    x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R)
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
     unchecked[joined], nis[joined] = 0.0, pairs.distance2
     observations[joined] += 1

@@ -494,3 +494,19 @@ def test_places_alike_along_a_hallway_do_not_pull_a_track_along(
         (message,) = poses_of(core.handle(speaker.hypotheses(time, places, likelihoods)))
         off.append(message.pose.x - pose[0])
     assert np.abs(off[30:]).max() < 0.15
+
+
+@pytest.mark.parametrize("beside", [(0.15, 0.0, 0.05), (0.0, 0.2, 0.0), (0.25, 0.0, 0.0)])
+def test_what_each_scan_from_one_place_shows_far_off_makes_a_track_no_vaguer(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, beside: tuple[float, float, float]
+) -> None:
+    """A robot stands; every other list names a pose at the edge of its gate alone, ten times a second."""
+    core, at = make_core(), np.array([2.0, 3.0, 0.0])
+    sigmas = list[tuple[float, float]]()
+    for scan in range(60):
+        time = 10.0 + 0.05 * scan
+        list(core.handle(speaker.odometry(time, np.zeros(3))))
+        pose, log = (at + np.array(beside), 11.0) if scan % 2 else (at, 17.0)
+        (message,) = poses_of(core.handle(speaker.hypotheses(time, [pose], [log])))
+        sigmas.append((message.covariance.xx**0.5, message.covariance.tt**0.5))
+    assert np.max(sigmas, axis=0) == pytest.approx(sigmas[0], rel=0.02)

@@ -134,23 +134,24 @@ def _fuse(
 
     Scans from one place err alike: a track as sure as one scan learns only what motion makes new, the
     `precision`. One that prediction has made vaguer than a scan takes all of it: 1 - (|R| / |C|)^(1/3).
+    A surprise counts as far as the scan is new: else each scan from one place would make a track vaguer.
     """
     # by single numbers: whole rows take ten seconds and thirty MB more to compile
     count = len(hypothesis)
     x, C, y, R = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
     for pair in range(count):
         row, k = alone + pair, hypothesis[pair]
-        off, total = apart(poses[k], out.x[row]), plus(triangle(out.C[row]), triangle(covariances[k]))
-        wider = surprise(square(inverse(total), off), tail)
+        known = np.cbrt(determinant(triangle(covariances[k])) / determinant(triangle(out.C[row])))
+        share = min(max(1.0 - known, precision, least_new), 1.0)
         for i in range(3):
             x[pair, i], y[pair, i] = out.x[row, i], poses[k, i]
             for j in range(3):
-                C[pair, i, j] = out.C[row, i, j] * wider
-        known = np.cbrt(determinant(triangle(covariances[k])) / determinant(triangle(C[pair])))
-        share = min(max(1.0 - known, precision, least_new), 1.0)
+                R[pair, i, j] = covariances[k, i, j] / share
+        total = plus(triangle(out.C[row]), triangle(R[pair]))
+        wider = surprise(square(inverse(total), apart(poses[k], out.x[row])), tail)
         for i in range(3):
             for j in range(3):
-                R[pair, i, j] = covariances[k, i, j] / share
+                C[pair, i, j] = out.C[row, i, j] * wider
     fused_x, fused_C = fuse_each(x, C, y, R)
     for pair in range(count):
         row = alone + pair
