@@ -14,6 +14,7 @@ from enum import Enum
 from functools import cached_property, lru_cache
 from operator import itemgetter
 
+from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.heading_pb2 import Heading
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, SearchRequest
@@ -264,6 +265,13 @@ TRACKS = Channel(
     Qos(rate_hz=40.0, air_hz=1.0),
     "all trajectories in play, from the tracker",
 )
+ADVICE = Channel(
+    "advice",
+    "{site}/robot/{robot}/advice",
+    Advice,
+    Qos(rate_hz=1.0, air_hz=1.0),
+    "the move that would tell ambiguous places apart, from a projector, for whoever drives",
+)
 TRANSFORM = Channel(
     "transform",
     "{site}/robot/{robot}/tf",
@@ -345,6 +353,7 @@ CHANNELS: tuple[Channel, ...] = (
     OBSTACLES,
     POSE,
     TRACKS,
+    ADVICE,
     TRANSFORM,
     TRUTH,
     RELOCATION,

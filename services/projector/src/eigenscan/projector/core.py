@@ -1,4 +1,4 @@
-"""The projector without its shell: models and scans in, hypotheses and obstacles out."""
+"""The projector without its shell: models and scans in; hypotheses, obstacles and advice out."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from eigenscan.eigenspace.space_message import space_from_message
 from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.normalize import FARTHEST_MOUNT
 from eigenscan.geometry.pose import from_message
+from eigenscan.projector.advice import Advisor
 from eigenscan.projector.candidates import Candidates, Fitted
 from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
+from eigenscan.projector.distinction import Lidar
 from eigenscan.projector.focus import WHOLE, Focus, Scope
 from eigenscan.projector.local import LocalSearch
 from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
@@ -26,7 +28,9 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.projector.tables import Store
 from eigenscan.schemas import model_pb2
+from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.channels import (
+    ADVICE,
     DEFAULT_ROBOT,
     HYPOTHESES,
     LIDAR_KIND,
@@ -38,6 +42,7 @@ from eigenscan.schemas.channels import (
     SCAN,
     SEARCH,
     SPACE,
+    TRACKS,
     Channel,
 )
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
@@ -46,7 +51,7 @@ from eigenscan.schemas.hypotheses_pb2 import SearchRequest
 from eigenscan.schemas.localize_pb2 import LocalizeQuery
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.wrappers_pb2 import StringValue
 
@@ -66,8 +71,8 @@ class Search(Protocol):
 class ProjectorCore:
     """Receives the site's models and its robots' scans; publishes the poses that explain each scan."""
 
-    inputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SEARCH, SCAN)
-    outputs: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND)
+    inputs: tuple[Channel, ...] = (MAP, MODEL, MODEL_SET, SPACE, SEARCH, SCAN, POSE, TRACKS)
+    outputs: tuple[Channel, ...] = (HYPOTHESES, OBSTACLES, LIDAR_KIND, ADVICE)
 
     def __init__(
         self,
@@ -90,8 +95,6 @@ class ProjectorCore:
         self.forget_robots()
         by_walls = settings.verification == settings.obstacles == "walls"
         self._fits_locally = by_walls and settings.share[1] == 1
-        if settings.focus:
-            self.inputs = (*ProjectorCore.inputs, POSE)
         self._assembler = ModelSetAssembler()
         self._site: Site | None = None
         self._counts: Counter[str] = Counter()
@@ -108,14 +111,18 @@ class ProjectorCore:
     def forget_robots(self) -> None:
         """Forgets what robots asked for and where they were; the map stays."""
         self._focus, self._local = Focus(), LocalSearch()
+        settings = self._settings
+        # of the parts of a site one is enough: each knows the whole map
+        advises = settings.advice and settings.share[0] == 1
+        self._advisor = Advisor(settings.robot_radius, settings.advice_reach) if advises else None
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
         if received.channel == SCAN:
             return self._scan(received)
-        if received.channel == POSE:
-            self._focus.receive(received.address["robot"], received.open(PoseEstimate))
-        elif received.channel == SEARCH:
+        if received.channel in (POSE, TRACKS):
+            return self._advise(received)
+        if received.channel == SEARCH:
             lidar = received.address["robot"], received.address["lidar"]
             self._local.receive(lidar, received.open(SearchRequest))
         elif received.channel == MAP:
@@ -129,6 +136,21 @@ class ProjectorCore:
         elif received.channel == MODEL_SET:
             self._take("model_set", lambda: self._assembler.put_set(received.open(ModelSet)))
         return []
+
+    def _advise(self, received: Envelope) -> list[Envelope]:
+        """What follows from where a robot may be."""
+        robot, advisor, advice = received.address["robot"], self._advisor, None
+        if received.channel == POSE:
+            pose = received.open(PoseEstimate)
+            if self._settings.focus:
+                self._focus.receive(robot, pose)
+            advice = advisor.receive_pose(robot, pose, self._site) if advisor else None
+        elif advisor:
+            advice = advisor.receive_tracks(robot, received.open(Tracks), self._site)
+        if advice is None:
+            return []
+        self._counts["advised" if advice.kind == Advice.KIND_MOVE else "advised_nothing"] += 1
+        return [Envelope(ADVICE, received.address, advice)]
 
     def condition(self) -> Condition:
         """WAITING without a model; DEGRADED if the newest one was refused."""
@@ -218,6 +240,8 @@ class ProjectorCore:
         except ValueError:
             self._counts["scan_malformed"] += 1
             return []
+        if self._advisor:
+            self._advisor.see(received.address, nanoseconds(scan.timestamp), Lidar(seen.sensor, mount))
         if seen.returned < self._settings.least_beams:
             self._counts["scan_unusable"] += 1
             return [Envelope(HYPOTHESES, address, unusable(scan, self._site, seen))]

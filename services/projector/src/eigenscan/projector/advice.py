@@ -1,0 +1,246 @@
+"""Which move tells places apart that fit alike: the shortest after which a scan is to decide between them.
+
+Follows from a robot's tracks and pose of one scan, and from its lidars; nothing is calculated while it knows
+where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from eigenscan.geometry.circle import TURN, wrap
+from eigenscan.geometry.pose import compose, from_message
+from eigenscan.projector.distinction import Lidar, fitted_odds, odds, rays_of, told_apart, walls_of
+from eigenscan.projector.ground import Ground, Move
+from eigenscan.projector.site import Site
+from eigenscan.schemas.advice_pb2 import Advice
+from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.recently_used import RecentlyUsed
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate, State, Tracks
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+APART_NS = 900_000_000
+"""Between two pieces of advice at least: one a second, and stamps jitter."""
+LEAST_SHARE = 0.03
+"""Of a place that counts, among those of the tracks."""
+MOST_PLACES = 6
+"""The most probable ones; with each more the ground that is free from all gets less."""
+SAME_M, SAME_RAD = 0.5, np.deg2rad(10.0)
+"""Tracks nearer to each other are one place."""
+FARTHEST = 1e7
+"""m from the map's origin: beyond it a number is an overflow, not a place."""
+SEEN_NS = 1_000_000_000
+"""Age of a lidar's last scan from which it is not reckoned with any more."""
+MOST_LIDARS = 4
+
+NEW_M, NEW_RAD = 0.5, 0.5
+"""A shorter way or turn shows what has been seen: scans from one place are no further evidence."""
+STRIDE = 2
+"""Cells of the ground, from one end of a way that is looked at to the next."""
+MOST_ENDS = 240
+"""Ends of ways that are looked at."""
+BATCH = 24
+"""Looked at together: the search ends with the first batch that has what is sought."""
+TURNS = 24
+"""Headings to which a lidar that does not see all around may turn."""
+ENOUGH = 0.2
+"""Of the doubt between the places, what a move that tells them apart leaves."""
+SOME = 0.8
+"""The same of a move that is worth its way where none tells all apart."""
+MOST_FITTED = 12
+"""Moves whose scans are fitted, before another is looked for no more."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a robot may be: base poses (k, 3), map frame, most probable first, their shares (k,) and tracks."""
+
+    poses: Array
+    shares: Array
+    tracks: tuple[int, ...]
+
+    @classmethod
+    def of(cls, message: Tracks) -> Places:
+        """The places of tracks; those near each other are one."""
+        found: list[tuple[Array, float, int]] = []
+        for track in message.tracks:
+            pose = from_message(track.pose)
+            if not (np.abs(pose) < FARTHEST).all() or not 0.0 < track.probability <= 1.0:
+                continue
+            for i, (known, share, id_) in enumerate(found):
+                x, y, turn = pose - known
+                if x * x + y * y < SAME_M**2 and abs(wrap(turn)) < SAME_RAD:
+                    found[i] = known, share + track.probability, id_
+                    break
+            else:
+                found.append((pose, track.probability, track.id))
+        found.sort(key=lambda place: -place[1])
+        whole = sum(share for _, share, _ in found)
+        kept = [one for one in found[:MOST_PLACES] if one[1] >= LEAST_SHARE * whole]
+        shares = np.array([share for _, share, _ in kept])
+        return cls(
+            np.array([pose for pose, _, _ in kept]).reshape(-1, 3),
+            shares / max(float(shares.sum()), 1e-9),
+            tuple(id_ for _, _, id_ in kept),
+        )
+
+    @property
+    def now(self) -> float:
+        """Expected share of the true place before any move."""
+        return float((self.shares**2).sum())
+
+
+@dataclass(frozen=True)
+class Found:
+    """A move and what is foreseen of it: the expected share of the true place, and the evidence, nats."""
+
+    move: Move
+    probability: float
+    evidence: float
+
+
+def best_move(
+    site: Site, lidars: Sequence[Lidar], places: Places, radius: float, reach: float
+) -> Found | None:
+    """The least move that tells the places apart; where none does, the one that is most worth its way.
+
+    None where no way up to `reach`, m, for a robot of this `radius`, m, is worth it.
+    """
+    ground = Ground.around(places.poses, walls_of(site), rays_of(site), radius, reach)
+    search = _Search(site, lidars, places)
+    if not all(lidar.sees_around for lidar in lidars):
+        turns = np.zeros((TURNS - 1, 3))
+        steps = np.arange(1, TURNS)
+        turns[:, 2] = np.where(steps % 2, 1, -1) * ((steps + 1) // 2) * (TURN / TURNS)  # the least first
+        turns = turns[np.abs(turns[:, 2]) >= NEW_RAD]
+        found = search.first(turns, lambda i: Move(float(wrap(turns[i, 2])), 0.0, 0.0), np.zeros(len(turns)))
+        if found is not None:
+            return found
+    cells, arrivals = ground.ends(NEW_M, STRIDE)
+    every = -(-len(cells) // MOST_ENDS) if len(cells) else 1
+    cells, arrivals = cells[::every], arrivals[::every]
+    ways = ground.length.ravel()[cells]
+    found = search.first(arrivals, lambda i: ground.move(int(cells[i])), ways)
+    return found or search.worth()
+
+
+class _Search:
+    """Looks at moves in order, and remembers the one most worth its way."""
+
+    def __init__(self, site: Site, lidars: Sequence[Lidar], places: Places) -> None:
+        self._site, self._lidars, self._places = site, lidars, places
+        self._doubt = 1.0 - places.now
+        self._fitted = 0
+        self._others: list[tuple[float, Array, object, int]] = []
+
+    def first(self, arrivals: Array, move: object, ways: Array) -> Found | None:
+        """The first of the moves to `arrivals` (m, 3), in the robot's frame, that leaves so little doubt."""
+        for begin in range(0, len(arrivals), BATCH):
+            part = arrivals[begin : begin + BATCH]
+            moved = compose(self._places.poses[None], part[:, None])
+            left = 1.0 - told_apart(self._places.shares, odds(self._site, self._lidars, moved))
+            for i, doubt in enumerate(left.tolist()):
+                if doubt > SOME * self._doubt:
+                    continue
+                at = begin + i
+                worth = (1.0 - doubt / self._doubt) / (1.0 + float(ways[at]))
+                self._others.append((worth, part[i], move, at))
+                if doubt <= ENOUGH * self._doubt and self._fitted < MOST_FITTED:
+                    found = self._fit(part[i], move, at, ENOUGH)
+                    if found is not None:
+                        return found
+        return None
+
+    def worth(self) -> Found | None:
+        """The move most worth its way of those that were looked at."""
+        self._others.sort(key=lambda one: -one[0])
+        for _, arrival, move, at in self._others[:MOST_FITTED]:
+            found = self._fit(arrival, move, at, SOME)
+            if found is not None:
+                return found
+        return None
+
+    def _fit(self, arrival: Array, move: object, at: int, most: float) -> Found | None:
+        self._fitted += 1
+        places = self._places
+        ratios = fitted_odds(self._site, self._lidars, compose(places.poses, arrival))
+        share = float(told_apart(places.shares, ratios[None])[0])
+        if 1.0 - share > most * self._doubt:
+            return None
+        pairs = np.outer(places.shares, places.shares)
+        np.fill_diagonal(pairs, 0.0)
+        evidence = float((pairs * ratios).sum() / pairs.sum())
+        return Found(move(at), share, evidence)  # type: ignore[operator]
+
+
+@dataclass
+class _Robot:
+    """Its lidars with their last stamps, its last pose and tracks, and when it was advised."""
+
+    lidars: dict[str, tuple[int, Lidar]] = field(default_factory=dict)
+    state: tuple[int, State] | None = None
+    tracks: Tracks | None = None
+    said: int | None = None
+
+
+class Advisor:
+    """Advises robots whose pose is ambiguous, once a second by their stamps.
+
+    Pose and tracks of one scan belong together, whichever comes first.
+    """
+
+    def __init__(self, radius: float, reach: float) -> None:
+        """`radius` of the robots and longest way `reach`, m."""
+        self._radius, self._reach = radius, reach
+        self._robots: RecentlyUsed[str, _Robot] = RecentlyUsed()
+
+    def see(self, address: Mapping[str, str], stamp: int, lidar: Lidar) -> None:
+        """A robot's lidar, by a scan of it."""
+        lidars = self._robots.use(address["robot"], _Robot).lidars
+        if address["lidar"] in lidars or len(lidars) < MOST_LIDARS:
+            lidars[address["lidar"]] = stamp, lidar
+
+    def receive_pose(self, name: str, message: PoseEstimate, site: Site | None) -> Advice | None:
+        """The advice that follows, if the tracks of the same scan are there."""
+        robot = self._robots.use(name, _Robot)
+        robot.state = nanoseconds(message.timestamp), message.state
+        return self._advise(robot, site)
+
+    def receive_tracks(self, name: str, message: Tracks, site: Site | None) -> Advice | None:
+        """The advice that follows, if the pose of the same scan is there."""
+        robot = self._robots.use(name, _Robot)
+        robot.tracks = message
+        return self._advise(robot, site)
+
+    def _advise(self, robot: _Robot, site: Site | None) -> Advice | None:
+        if site is None or robot.tracks is None or robot.state is None:
+            return None
+        at, (of, state) = nanoseconds(robot.tracks.timestamp), robot.state
+        due = robot.said is None or not 0 <= at - robot.said < APART_NS
+        if of != at or state != STATE_AMBIGUOUS or robot.tracks.frame_id != site.frame_id or not due:
+            return None
+        lidars = [lidar for last, lidar in robot.lidars.values() if abs(at - last) < SEEN_NS]
+        places = Places.of(robot.tracks)
+        if len(places.tracks) < 2 or not lidars:
+            return None
+        robot.said = at
+        found = best_move(site, lidars, places, self._radius, self._reach)
+        message = Advice(
+            timestamp=robot.tracks.timestamp,
+            frame_id=site.frame_id,
+            kind=Advice.KIND_NOTHING,
+            track_ids=places.tracks,
+            probability=places.now,
+            probability_now=places.now,
+            reach=self._reach,
+        )
+        if found is not None:
+            message.kind = Advice.KIND_MOVE
+            message.heading, message.distance = found.move.heading, found.move.distance
+            message.way, message.probability = found.move.way, found.probability
+            message.evidence = found.evidence
+        return message
