@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import FREE, GridMap
+from eigenscan.geometry.pose import compose
+from eigenscan.geometry.raycast import RayCaster
 from eigenscan.workbench.simulation.world import WALL, Box, Disc, FloorPlan
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 Array = NDArray[np.float64]
 Furniture = list[Box | Disc]
+Like = Callable[[Array], Array]
+"""Gives the pose (3,) at a like place."""
 
 DOOR = 1.0
-TRIES = 200
+TRIES = 300
+CLEAR_M = 0.45
+"""From a start to the nearest wall."""
+REACH_M, TOLERANCE_M, MOST_DIFFERENT = 12.0, 0.15, 0.02
+"""Places are alike where so few of a scan's beams, up to so long, differ by more than the tolerance."""
 
 
 @dataclass(frozen=True)
 class Alike:
-    """A building, and poses (n, 3) at places that have a like elsewhere."""
+    """A building, and poses (n, 3) from which a scan all around looks like one elsewhere."""
 
     name: str
     grid: GridMap
@@ -41,14 +51,14 @@ def _cells(random: np.random.Generator) -> Alike:
     doors = tuple(_opening(i * wide + door, deep) for i in range(count))
     pieces = _furnished(random, wide, deep, door)
     furniture = [piece for i in range(count) for piece in _moved(pieces, i * wide, 0.0)]
-    furniture += _along(random, length, deep, deep + hall, [i * wide + door for i in range(count)])
+    furniture += _along(random, length, deep + hall)
     plan = FloorPlan(rooms, doors, tuple(furniture))
-    return _alike("rooms on a hallway", plan, random, [rooms[f"room {i}"] for i in range(count)])
+    return _alike("rooms on a hallway", plan, random, rooms["room 0"], _in_row(wide, count))
 
 
 def _hallways(random: np.random.Generator) -> Alike:
     """Two like hallways side by side, joined at one end by a hall; at the other ends niches that differ."""
-    length, hall, apart = random.uniform(10.0, 14.0), random.uniform(1.8, 2.4), random.uniform(3.0, 5.0)
+    length, hall, apart = random.uniform(20.0, 26.0), random.uniform(1.8, 2.4), random.uniform(3.0, 5.0)
     low, high = Box(3.0, 0.0, 3.0 + length, hall), Box(3.0, hall + apart, 3.0 + length, 2 * hall + apart)
     rooms = {"low": low, "high": high, "joined": Box(0.0, 0.0, 3.0, 2 * hall + apart)}
     doors = [Box(2.9, 0.3, 3.1, hall - 0.3), Box(2.9, hall + apart + 0.3, 3.1, 2 * hall + apart - 0.3)]
@@ -57,13 +67,13 @@ def _hallways(random: np.random.Generator) -> Alike:
         x = hallway.x_max - random.uniform(1.2, 2.0)
         rooms[name] = Box(x - 0.9, hallway.y_max, x + 0.9, hallway.y_max + min(depth, apart - 0.4))
         doors.append(_opening(x, hallway.y_max))
-    pillars = [random.uniform(2.0, length - 4.0) for _ in range(2)]
+    pillars = [random.uniform(2.0, length - 4.0) for _ in range(3)]
     furniture: Furniture = [
         Disc(3.0 + at, hallway.y_min + 0.25, 0.15) for hallway in (low, high) for at in pillars
     ]
     furniture += [Box(0.1, 0.1, 0.7, 1.0), Disc(2.0, hall + apart / 2, 0.25)]
     plan = FloorPlan(rooms, tuple(doors), tuple(furniture))
-    return _alike("two hallways", plan, random, [low, high])
+    return _alike("two hallways", plan, random, low, _shifted(0.0, hall + apart))
 
 
 def _corners(random: np.random.Generator) -> Alike:
@@ -87,7 +97,7 @@ def _corners(random: np.random.Generator) -> Alike:
             rooms[f"lock {i}"] = Box(x - 0.6, deep + 0.4, x, deep + 1.5)
             doors.append(Box(x - 0.7, deep + 0.5, x - 0.5, deep + 1.4))
     plan = FloorPlan(rooms, tuple(doors), tuple(furniture))
-    return _alike("rooms with closets", plan, random, [rooms[f"room {i}"] for i in range(count)])
+    return _alike("rooms with closets", plan, random, rooms["room 0"], _in_row(wide + 0.6, count))
 
 
 def _halves(random: np.random.Generator) -> Alike:
@@ -109,7 +119,14 @@ def _halves(random: np.random.Generator) -> Alike:
         Box(0.9, 0.1, 0.9 + random.uniform(1.0, 1.6), random.uniform(0.7, 1.1)),
     ]
     plan = FloorPlan(rooms, doors, tuple(furniture))
-    return _alike("two halves", plan, random, [rooms["hall"]])
+    middle = np.array([length / 2, low + hall / 2, 0.0])
+    return _alike(
+        "two halves",
+        plan,
+        random,
+        rooms["hall"],
+        [lambda pose: compose(middle, compose([0, 0, np.pi], pose - middle))],
+    )
 
 
 KINDS = (_cells, _hallways, _corners, _halves)
@@ -128,19 +145,17 @@ def _moved(pieces: Furniture, x: float, y: float) -> Furniture:
 
 
 def _furnished(random: np.random.Generator, wide: float, deep: float, door: float) -> Furniture:
-    """A table, and shelves at two walls; none before the door."""
-    shelf = random.uniform(0.6, deep - 2.0)
+    """A table, and racks at two walls; none before the door."""
+    rack = random.uniform(0.6, deep - 2.0)
     table = 0.8 if door > wide / 2 else wide - 1.6
     return [
-        Box(0.1, 0.2, 0.5, 0.2 + shelf),
+        Box(0.1, 0.2, 0.5, 0.2 + rack),
         Box(wide - random.uniform(1.2, 2.0), 0.1, wide - 0.1, 0.5),
         Box(table, deep / 2 - 0.3, table + random.uniform(0.5, 0.9), deep / 2 + 0.3),
     ]
 
 
-def _along(
-    random: np.random.Generator, length: float, low: float, high: float, doors: list[float]
-) -> Furniture:
+def _along(random: np.random.Generator, length: float, high: float) -> Furniture:
     """Cupboards at the far wall of a hallway, and at one of its ends."""
     found: Furniture = [Box(length - 0.6, high - 0.9, length - 0.1, high - 0.1)]
     for _ in range(3):
@@ -149,18 +164,33 @@ def _along(
     return found
 
 
-def _alike(name: str, plan: FloorPlan, random: np.random.Generator, rooms: list[Box]) -> Alike:
-    """With poses drawn in the `rooms`, clear of walls."""
-    from scipy.ndimage import distance_transform_edt
+def _shifted(x: float, y: float) -> list[Like]:
+    return [lambda pose: pose + np.array([x, y, 0.0])]
 
+
+def _in_row(wide: float, count: int) -> list[Like]:
+    """The same place of all rooms of a row but the first."""
+    return [like for i in range(1, count) for like in _shifted(i * wide, 0.0)]
+
+
+def _alike(
+    name: str, plan: FloorPlan, random: np.random.Generator, first: Box, likes: Sequence[Like]
+) -> Alike:
+    """With poses drawn in the `first` of the like places and its likes, where a scan does not tell which."""
     grid = plan.render()
-    clear = distance_transform_edt(grid.cells == 0) * grid.resolution
-    starts = list[list[float]]()
+    caster, clear = RayCaster.of(grid), distance_transform_edt(grid.cells == FREE) * grid.resolution
+    bearings, starts = np.arange(360) * (2.0 * np.pi / 360), list[Array]()
     for _ in range(TRIES):
-        room = rooms[int(random.integers(len(rooms)))]
-        x = random.uniform(room.x_min + 0.4, room.x_max - 0.4)
-        y = random.uniform(room.y_min + 0.4, room.y_max - 0.4)
-        column, row = np.floor(grid.to_grid(np.array([x, y]))).astype(int)
-        if clear[row, column] > 0.45:
-            starts.append([x, y, random.uniform(-np.pi, np.pi)])
-    return Alike(name, grid, np.array(starts))
+        x = random.uniform(first.x_min + 0.4, first.x_max - 0.4)
+        y = random.uniform(first.y_min + 0.4, first.y_max - 0.4)
+        poses = np.array([[x, y, random.uniform(-np.pi, np.pi)]])
+        poses = np.vstack([poses, *(like(poses[0]) for like in likes)])
+        column, row = np.floor(grid.to_grid(poses[:, :2])).astype(int).T
+        if (clear[row, column] < CLEAR_M).any():
+            continue
+        seen = np.minimum(caster.cast(poses, bearings, REACH_M), REACH_M)
+        true = int(random.integers(len(poses)))
+        differs = (np.abs(np.delete(seen, true, axis=0) - seen[true]) > TOLERANCE_M).mean(axis=1)
+        if differs.min() < MOST_DIFFERENT:
+            starts.append(poses[true])
+    return Alike(name, grid, np.array(starts).reshape(-1, 3))

@@ -7,16 +7,18 @@ import numpy as np
 from eigenscan.geometry.pose import to_message
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
-from eigenscan.schemas.channels import SEARCH
+from eigenscan.schemas.channels import ADVICE, POSE, SEARCH, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SearchRequest
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate, Track, Tracks
 
 from tests.services.projector.office import ADDRESS, free_poses, ready, receive, scan_at
 
 
 def test_the_three_scans_are_answered() -> None:
-    # hypotheses and obstacles of each
-    assert warm_up(ProjectorSettings()) == 6
+    # hypotheses and obstacles of each, and the advice
+    assert warm_up(ProjectorSettings()) == 7
+    assert warm_up(ProjectorSettings(advice=False)) == 6
 
 
 def test_a_real_scan_compiles_nothing_more() -> None:
@@ -56,6 +58,13 @@ def _check() -> None:
         request.least_log_likelihood = -1e6
         list(core.handle(Envelope(SEARCH, {**ADDRESS, "lidar": lidar}, request)))
         assert receive(core, scans[1], lidar=lidar)[0].search == SEARCH_LOCAL
+    at = 10**15 + 3 + 100_000_000
+    places = [Track(id=i, pose=to_message(pose), probability=0.5) for i, pose in enumerate(free_poses(2, 7))]
+    ambiguous = PoseEstimate(timestamp=stamp(at), state=STATE_AMBIGUOUS)
+    list(core.handle(Envelope(POSE, ADDRESS, ambiguous)))
+    tracks = Tracks(timestamp=stamp(at), frame_id="map", tracks=places)
+    (advice,) = core.handle(Envelope(TRACKS, ADDRESS, tracks))
+    assert advice.channel is ADVICE
     more = sorted(name for name, count in _compiled().items() if count > before.get(name, 0))
     assert before
     assert not more, f"compiled at a scan: {', '.join(more)}"

@@ -13,6 +13,7 @@ from eigenscan.geometry.pose import compose, to_message, to_pose3
 from eigenscan.recorder.picture.drawing import Picture
 from eigenscan.recorder.picture.layout import Layout
 from eigenscan.schemas.channels import (
+    ADVICE,
     CHANNELS,
     HEADING,
     HEALTH,
@@ -58,6 +59,7 @@ SEEN_AS: dict[Channel, str] = {
     OBSTACLES: "/world/robots/r1/obstacles/front",
     POSE: "/world/robots/r1/pose",
     TRACKS: "/world/robots/r1/tracks",
+    ADVICE: "/world/robots/r1/advice",
     TRANSFORM: "/frames/r1/map/odom",
     TRUTH: "/world/robots/r1/truth",
     RELOCATION: "/world/robots/r1/relocation",

@@ -35,7 +35,8 @@ from eigenscan.recorder.picture.palette import AMBIGUOUS, LOCALIZED, LOST, perce
 from eigenscan.recorder.picture.robot import label_place
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
-from eigenscan.schemas.channels import CHANNELS, HEALTH, HYPOTHESES, MAP, POSE, SCAN, TRACKS, TRUTH
+from eigenscan.schemas.advice_pb2 import Advice
+from eigenscan.schemas.channels import ADVICE, CHANNELS, HEALTH, HYPOTHESES, MAP, POSE, SCAN, TRACKS, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
@@ -119,6 +120,8 @@ def test_the_file_is_sound_and_holds_every_part_of_the_picture(tmp_path: Path) -
         "/world/robots/r1/tracks",
         "/world/robots/r1/obstacles/front",
         "/world/robots/r1/truth",
+        "/world/robots/r1/advice",
+        "/world/robots/r1/advice/label",
         "/beams/r1/front/explained",
         "/beams/r1/front/unexpected",
         "/eigenspace/r1/scan",
@@ -179,6 +182,90 @@ def test_a_map_too_big_for_a_texture_keeps_its_walls_and_its_scale(tmp_path: Pat
     ((row, _),) = np.argwhere(picture == OCCUPIED)
     south, north = (form["height"] - 1 - row) * size, (form["height"] - row) * size
     assert south <= 800.05 <= north
+
+
+def ambiguous(at: int, pose: list[float], state: State = STATE_AMBIGUOUS) -> Envelope:
+    return Envelope(
+        POSE, ADDRESS, PoseEstimate(timestamp=stamp(at), pose=to_message(pose), state=state, track_id=1)
+    )
+
+
+def advised(at: int, **fields: Any) -> Envelope:
+    return Envelope(ADVICE, ADDRESS, Advice(timestamp=stamp(at), track_ids=[1, 2], **fields))
+
+
+def test_an_advised_move_is_an_arrow_as_long_as_it_with_words_at_its_tip(tmp_path: Path) -> None:
+    pose = [4.0, -2.0, 0.5]
+    move = {"kind": Advice.KIND_MOVE, "heading": 1.0, "distance": 3.0}
+    draw(
+        tmp_path / "a.rrd", [ambiguous(S, pose), advised(S, **move), ambiguous(2 * S, pose, STATE_LOCALIZED)]
+    )
+    drawn = rows(tmp_path / "a.rrd", "/world/robots/r1/advice", "LineStrips3D:strips")
+    ((at, strips),) = [row for row in drawn if row[1]]
+    corners = np.array([corner for strip in strips for corner in strip])
+    tip = np.array(pose[:2]) + 3.0 * np.array([math.cos(1.5), math.sin(1.5)])
+    away = np.hypot(*(corners[:, :2] - pose[:2]).T)
+    assert at == S
+    assert away.min() == pytest.approx(0.0, abs=1e-5)
+    assert away.max() == pytest.approx(3.0, abs=1e-5)
+    assert corners[np.argmax(away), :2] == pytest.approx(tip, abs=1e-5)
+    label = "/world/robots/r1/advice/label"
+    ((_, words),) = [row for row in rows(tmp_path / "a.rrd", label, "Points3D:labels") if row[1]]
+    assert words == ["drive 3.0 m, 57° to the left, to distinguish 2 places"]
+    # once the place is known there is none
+    for path in ("/world/robots/r1/advice", label):
+        assert [time for time, _ in rows(tmp_path / "a.rrd", path, "Clear:is_recursive")] == [2 * S]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words", "length"),
+    [
+        ({"kind": Advice.KIND_NOTHING, "reach": 8.0}, "no move within 8 m distinguishes 2 places", None),
+        ({"kind": Advice.KIND_MOVE, "heading": -1.0}, "turn 57° to the right to distinguish 2 places", 1.0),
+        (
+            {"kind": Advice.KIND_MOVE, "heading": 0.05, "distance": 1.25},
+            "drive 1.2 m, straight ahead, to distinguish 2 places",
+            1.25,
+        ),
+        (
+            {"kind": Advice.KIND_MOVE, "heading": 3.1, "distance": 0.5},
+            "drive 0.5 m, straight back, to distinguish 2 places",
+            0.5,
+        ),
+    ],
+)
+def test_each_kind_of_advice(
+    tmp_path: Path, fields: dict[str, Any], words: str, length: float | None
+) -> None:
+    draw(tmp_path / "a.rrd", [ambiguous(S, [0.0, 0.0, 0.0]), advised(S, **fields)])
+    label = rows(tmp_path / "a.rrd", "/world/robots/r1/advice/label", "Points3D:labels")
+    assert [row[1] for row in label if row[1]] == [[words]]
+    strips = rows(tmp_path / "a.rrd", "/world/robots/r1/advice", "LineStrips3D:strips")
+    if length is None:
+        assert not strips
+    else:
+        ((_, drawn),) = strips
+        reach = max(math.hypot(x, y) for strip in drawn for x, y, _ in strip)
+        assert reach == pytest.approx(length, abs=1e-5)
+
+
+def test_advice_without_a_place_or_with_impossible_numbers_is_not_drawn(tmp_path: Path) -> None:
+    move = {"kind": Advice.KIND_MOVE, "heading": 0.0}
+    lost = ambiguous(S, [0.0, 0.0, 0.0])
+    lost.open(PoseEstimate).track_id = 0
+    draw(tmp_path / "a.rrd", [lost, advised(S, **move, distance=1.0)])
+    strange = [advised(S + i, **move, distance=value) for i, value in enumerate((math.nan, math.inf, 1e9))]
+    draw(tmp_path / "b.rrd", [ambiguous(S, [0.0, 0.0, 0.0]), *strange, advised(S, distance=1.0)])
+    for name in ("a.rrd", "b.rrd"):
+        assert not any("advice" in entity for entity in entities(tmp_path / name))
+
+
+def test_old_advice_goes(tmp_path: Path) -> None:
+    move = advised(S, kind=Advice.KIND_MOVE, distance=1.0)
+    pose = [0.0, 0.0, 0.0]
+    draw(tmp_path / "a.rrd", [ambiguous(S, pose), move, ambiguous(3 * S, pose), ambiguous(5 * S, pose)])
+    cleared = rows(tmp_path / "a.rrd", "/world/robots/r1/advice", "Clear:is_recursive")
+    assert [time for time, _ in cleared] == [5 * S]
 
 
 def one_scan() -> Scan:

@@ -11,7 +11,9 @@ from eigenscan.eigenspace.model import quantize
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, covariance_to_message, to_message, transform
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.channels import (
+    ADVICE,
     HEADING,
     HEALTH,
     HYPOTHESES,
@@ -155,6 +157,11 @@ class Site:
                 track_id=0 if state == STATE_LOST else 1,
             ),
         )
+        if state == STATE_AMBIGUOUS:
+            advice = Advice(
+                timestamp=stamp(at), kind=Advice.KIND_MOVE, heading=0.7, distance=2.0, track_ids=[1, 2]
+            )
+            yield self._publish(ADVICE, advice)
         local = SearchRequest(
             timestamp=stamp(at), frame_id="map", search=SEARCH_LOCAL, pose=to_message(believed)
         )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import (
+    ADVICE,
     HEALTH,
     HYPOTHESES,
     MAP,
@@ -65,9 +66,9 @@ def with_message(timed: Timed, **fields: object) -> Timed:
     ("service", "published"),
     [
         ("scan-ingest", (SCAN, SCAN_MOTION)),
-        ("projector", (HYPOTHESES, OBSTACLES)),
+        ("projector", (HYPOTHESES, OBSTACLES, ADVICE)),
         ("tracker", TRACKER_PUBLISHES),
-        ("pipeline", (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, *TRACKER_PUBLISHES)),
+        ("pipeline", (SCAN, SCAN_MOTION, HYPOTHESES, OBSTACLES, ADVICE, *TRACKER_PUBLISHES)),
     ],
 )
 def test_a_run_replays_to_the_same_bits(
@@ -313,7 +314,7 @@ def test_two_projectors_are_distinguished_by_their_keys(run: Run, eigenscan: Com
     few = run.messages[: len(run.messages) // 4]
     alias = [
         Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "projector": "second"}))
-        for timed in only(few, HYPOTHESES, OBSTACLES)
+        for timed in only(few, HYPOTHESES, OBSTACLES, ADVICE)
     ]
     path = run.write(tmp_path / "a.mcap", sorted([*few, *alias], key=lambda timed: timed.time))
     ended = eigenscan("replay", path, "--service", "projector", "--compare")

@@ -16,12 +16,22 @@ from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.session import open_meanwhile
-from eigenscan.schemas.channels import ALIVE_TEMPLATE, CHANNELS, HEALTH, MODEL_SET, POSE, ContractError
+from eigenscan.schemas.advice_pb2 import Advice
+from eigenscan.schemas.advice_words import words_of
+from eigenscan.schemas.channels import (
+    ADVICE,
+    ALIVE_TEMPLATE,
+    CHANNELS,
+    HEALTH,
+    MODEL_SET,
+    POSE,
+    ContractError,
+)
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.group import EVERY, holds, is_one, patterns
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
-from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate
 from eigenscan.schemas.wire import decode
 
 OPEN_S = 5.0
@@ -35,6 +45,9 @@ FORGOTTEN_S = 24 * 3600.0
 
 MOST_SETTINGS = 20_000
 """Longest settings of a service, in characters: ten times our longest."""
+
+ADVICE_S = 3.0
+"""Age of advice, s, from which it does not hold any more: it comes once a second."""
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
@@ -129,11 +142,21 @@ _DROPS = frozenset(f"dropped_{channel.name}" for channel in CHANNELS)
 
 @dataclass
 class Robot:
-    """The newest pose of one robot."""
+    """The newest pose of one robot, and the newest advice to it."""
 
     name: str
     pose: PoseEstimate | None = None
     received_at: float = 0.0
+    advice: Advice | None = None
+    advised_at: float = 0.0
+
+    @property
+    def advised(self) -> str:
+        """The advice in words, while it holds: the pose is ambiguous, and it came just now."""
+        holds = self.pose is not None and self.pose.state == STATE_AMBIGUOUS
+        if self.advice is None or not holds or time.monotonic() - self.advised_at > ADVICE_S:
+            return ""
+        return words_of(self.advice)
 
 
 class FleetView:
@@ -149,7 +172,7 @@ class FleetView:
         self._bus = Bus(session)
         everyone = ALIVE_TEMPLATE.format(site=site, service="*", instance="*", contract="*")
         try:
-            self._bus.listen([HEALTH, POSE, MODEL_SET], {"site": site}, self._inbox)
+            self._bus.listen([HEALTH, POSE, ADVICE, MODEL_SET], {"site": site}, self._inbox)
             self._watch = session.liveliness().declare_subscriber(everyone, self._on_token, history=True)
         except Exception:
             self._bus.close()  # a session that is left open keeps the process
@@ -208,6 +231,9 @@ class FleetView:
             robot = self.robots.setdefault(address["robot"], Robot(address["robot"]))
             robot.pose, robot.received_at = message, now
             return [message]
+        elif isinstance(message, Advice):
+            robot = self.robots.setdefault(address["robot"], Robot(address["robot"], received_at=now))
+            robot.advice, robot.advised_at = message, now
         elif isinstance(message, Health):
             service = self._service(address["service"], address["instance"])
             service.offsets.append((nanoseconds(message.timestamp) - wall) * 1e-9)

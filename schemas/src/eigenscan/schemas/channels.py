@@ -267,10 +267,10 @@ TRACKS = Channel(
 )
 ADVICE = Channel(
     "advice",
-    "{site}/robot/{robot}/advice",
+    "{site}/robot/{robot}/advice/{projector}",
     Advice,
     Qos(rate_hz=1.0, air_hz=1.0),
-    "the move that would tell ambiguous places apart, from a projector, for whoever drives",
+    "the move that would distinguish ambiguous places, from a projector",
 )
 TRANSFORM = Channel(
     "transform",

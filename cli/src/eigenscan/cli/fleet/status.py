@@ -83,6 +83,7 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
         "services": {service.name: service.status for service in serving},
         "drops": sum(sum(service.drops.values()) for service in serving),
         "clock_offset_s": _clock(serving),
+        "advice": robot.advised if robot is not None else "",
     }
     if robot is not None and robot.pose is not None:
         pose = robot.pose
@@ -112,6 +113,7 @@ def _clock(serving: list[Service]) -> float | None:
 def table(view: FleetView) -> Table:
     """The rows as a table; red and yellow cells name what needs attention."""
     from rich.table import Table
+    from rich.text import Text
 
     found = rows(view)
     sure = sum(row["state"] == "localized" and (row["pose_age_s"] or 0) <= OLD_S for row in found)
@@ -120,6 +122,9 @@ def table(view: FleetView) -> Table:
         shown.add_column(heading, justify="right" if heading in ("confidence", "age", "drops") else "left")
     for row in found:
         shown.add_row(*_cells(row, view.model_version))
+    advised = [f"{printable(row['robot'])}: {row['advice']}" for row in found if row["advice"]]
+    if advised:
+        shown.caption, shown.caption_justify = Text("\n".join(advised)), "left"
     if not found:
         shown.caption = "no robot answers: eigenscan doctor shows why"
     return shown

@@ -65,7 +65,9 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
             for pose in view.update():
                 newest, received_at = pose, time.monotonic()
                 pose_events.receive(pose)
-            line.show(pose_text(newest, time.monotonic() - received_at, _lacking(view)))
+            robot = view.robots.get(pipeline.robot)
+            advised = robot.advised if robot is not None else ""
+            line.show(pose_text(newest, time.monotonic() - received_at, _lacking(view), advised))
             stop.wait(0.2)
         events.write("ended", folder=str(folder))
         line.keep(f"ended; recording and logs are in {folder}")
@@ -135,8 +137,11 @@ def _lacking(view: FleetView) -> list[str]:
     ]
 
 
-def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str]) -> str:
-    """The newest pose as text, unless `age_s` is too large; without a pose, what is missing."""
+def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str], advised: str = "") -> str:
+    """The newest pose as text, unless `age_s` is too large, and what the robot is `advised`.
+
+    Without a pose, what is missing.
+    """
     if pose is None:
         return f"no pose yet ({'; '.join(lacking)})" if lacking else "no pose yet"
     if age_s > OLD_S:
@@ -145,4 +150,5 @@ def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str]) -
     return (
         f"{state_name(pose.state)}  confidence {pose.confidence:.2f}  "
         f"x {at.x:.2f} m  y {at.y:.2f} m  heading {math.degrees(at.theta):.0f}°"
+        + (f"  {advised}" if advised else "")
     )

@@ -1,4 +1,4 @@
-"""Which move tells places apart that fit alike: the shortest after which a scan is to decide between them.
+"""Which move distinguishes places that fit alike: the shortest after which a scan should decide between them.
 
 Follows from a robot's tracks and pose of one scan, and from its lidars; nothing is calculated while it knows
 where it is.
@@ -6,22 +6,26 @@ where it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
 from eigenscan.geometry.pose import compose, from_message
-from eigenscan.projector.distinction import Lidar, fitted_odds, odds, rays_of, told_apart, walls_of
+from eigenscan.projector.distinction import Lidar, expected_share, fitted_odds, odds, rays_of, walls_of
 from eigenscan.projector.ground import Ground, Move
+from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.schemas.advice_pb2 import Advice
-from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.channels import POSE
+from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate, State, Tracks
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+MoveTo = Callable[[int], Move]
+"""Of several moves the one with this number."""
 
 APART_NS = 900_000_000
 """Between two pieces of advice at least: one a second, and stamps jitter."""
@@ -47,17 +51,19 @@ BATCH = 24
 """Looked at together: the search ends with the first batch that has what is sought."""
 TURNS = 24
 """Headings to which a lidar that does not see all around may turn."""
-ENOUGH = 0.2
-"""Of the doubt between the places, what a move that tells them apart leaves."""
+ENOUGH = 0.05
+"""Of the doubt between the places, what a move that distinguishes them leaves."""
 SOME = 0.8
-"""The same of a move that is worth its way where none tells all apart."""
+"""The same of a move that is worth its way where none distinguishes all."""
+WORTH_M = 1.0
+"""m that half the gain of a move is worth, next to itself."""
 MOST_FITTED = 12
 """Moves whose scans are fitted, before another is looked for no more."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where a robot may be: base poses (k, 3), map frame, most probable first, their shares (k,) and tracks."""
+    """Where a robot may be: base poses (k, 3), map frame, most probable first; shares (k,) and tracks."""
 
     poses: Array
     shares: Array
@@ -106,7 +112,7 @@ class Found:
 def best_move(
     site: Site, lidars: Sequence[Lidar], places: Places, radius: float, reach: float
 ) -> Found | None:
-    """The least move that tells the places apart; where none does, the one that is most worth its way.
+    """The least move that distinguishes the places; where none does, the one that is most worth its way.
 
     None where no way up to `reach`, m, for a robot of this `radius`, m, is worth it.
     """
@@ -135,19 +141,19 @@ class _Search:
         self._site, self._lidars, self._places = site, lidars, places
         self._doubt = 1.0 - places.now
         self._fitted = 0
-        self._others: list[tuple[float, Array, object, int]] = []
+        self._others: list[tuple[float, Array, MoveTo, int]] = []
 
-    def first(self, arrivals: Array, move: object, ways: Array) -> Found | None:
+    def first(self, arrivals: Array, move: MoveTo, ways: Array) -> Found | None:
         """The first of the moves to `arrivals` (m, 3), in the robot's frame, that leaves so little doubt."""
         for begin in range(0, len(arrivals), BATCH):
             part = arrivals[begin : begin + BATCH]
             moved = compose(self._places.poses[None], part[:, None])
-            left = 1.0 - told_apart(self._places.shares, odds(self._site, self._lidars, moved))
+            left = 1.0 - expected_share(self._places.shares, odds(self._site, self._lidars, moved))
             for i, doubt in enumerate(left.tolist()):
                 if doubt > SOME * self._doubt:
                     continue
                 at = begin + i
-                worth = (1.0 - doubt / self._doubt) / (1.0 + float(ways[at]))
+                worth = (1.0 - doubt / self._doubt) / (WORTH_M + float(ways[at]))
                 self._others.append((worth, part[i], move, at))
                 if doubt <= ENOUGH * self._doubt and self._fitted < MOST_FITTED:
                     found = self._fit(part[i], move, at, ENOUGH)
@@ -164,17 +170,17 @@ class _Search:
                 return found
         return None
 
-    def _fit(self, arrival: Array, move: object, at: int, most: float) -> Found | None:
+    def _fit(self, arrival: Array, move: MoveTo, at: int, most: float) -> Found | None:
         self._fitted += 1
         places = self._places
         ratios = fitted_odds(self._site, self._lidars, compose(places.poses, arrival))
-        share = float(told_apart(places.shares, ratios[None])[0])
+        share = float(expected_share(places.shares, ratios[None])[0])
         if 1.0 - share > most * self._doubt:
             return None
         pairs = np.outer(places.shares, places.shares)
         np.fill_diagonal(pairs, 0.0)
         evidence = float((pairs * ratios).sum() / pairs.sum())
-        return Found(move(at), share, evidence)  # type: ignore[operator]
+        return Found(move(at), share, evidence)
 
 
 @dataclass
@@ -184,7 +190,7 @@ class _Robot:
     lidars: dict[str, tuple[int, Lidar]] = field(default_factory=dict)
     state: tuple[int, State] | None = None
     tracks: Tracks | None = None
-    said: int | None = None
+    advised: int | None = None
 
 
 class Advisor:
@@ -193,9 +199,10 @@ class Advisor:
     Pose and tracks of one scan belong together, whichever comes first.
     """
 
-    def __init__(self, radius: float, reach: float) -> None:
-        """`radius` of the robots and longest way `reach`, m."""
-        self._radius, self._reach = radius, reach
+    def __init__(self, settings: ProjectorSettings) -> None:
+        # of the parts of a site one is enough: each knows the whole map
+        self._advises = settings.advice and settings.share[0] == 1
+        self._radius, self._reach = settings.robot_radius, settings.advice_reach
         self._robots: RecentlyUsed[str, _Robot] = RecentlyUsed()
 
     def see(self, address: Mapping[str, str], stamp: int, lidar: Lidar) -> None:
@@ -204,30 +211,30 @@ class Advisor:
         if address["lidar"] in lidars or len(lidars) < MOST_LIDARS:
             lidars[address["lidar"]] = stamp, lidar
 
-    def receive_pose(self, name: str, message: PoseEstimate, site: Site | None) -> Advice | None:
-        """The advice that follows, if the tracks of the same scan are there."""
-        robot = self._robots.use(name, _Robot)
-        robot.state = nanoseconds(message.timestamp), message.state
+    def receive(self, received: Envelope, site: Site | None) -> Advice | None:
+        """The advice that follows from a pose or tracks, once both of a scan are there."""
+        if not self._advises or site is None:
+            return None
+        robot = self._robots.use(received.address["robot"], _Robot)
+        if received.channel == POSE:
+            pose = received.open(PoseEstimate)
+            robot.state = nanoseconds(pose.timestamp), pose.state
+        else:
+            robot.tracks = received.open(Tracks)
         return self._advise(robot, site)
 
-    def receive_tracks(self, name: str, message: Tracks, site: Site | None) -> Advice | None:
-        """The advice that follows, if the pose of the same scan is there."""
-        robot = self._robots.use(name, _Robot)
-        robot.tracks = message
-        return self._advise(robot, site)
-
-    def _advise(self, robot: _Robot, site: Site | None) -> Advice | None:
-        if site is None or robot.tracks is None or robot.state is None:
+    def _advise(self, robot: _Robot, site: Site) -> Advice | None:
+        if robot.tracks is None or robot.state is None:
             return None
         at, (of, state) = nanoseconds(robot.tracks.timestamp), robot.state
-        due = robot.said is None or not 0 <= at - robot.said < APART_NS
+        due = robot.advised is None or not 0 <= at - robot.advised < APART_NS
         if of != at or state != STATE_AMBIGUOUS or robot.tracks.frame_id != site.frame_id or not due:
             return None
         lidars = [lidar for last, lidar in robot.lidars.values() if abs(at - last) < SEEN_NS]
         places = Places.of(robot.tracks)
         if len(places.tracks) < 2 or not lidars:
             return None
-        robot.said = at
+        robot.advised = at
         found = best_move(site, lidars, places, self._radius, self._reach)
         message = Advice(
             timestamp=robot.tracks.timestamp,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Protocol
 
 import numpy as np
 from eigenscan.eigenspace.analysis import Analysis, RegionSpace
@@ -22,7 +21,7 @@ from eigenscan.projector.local import LocalSearch
 from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
-from eigenscan.projector.projection import find_candidates, fit_around
+from eigenscan.projector.projection import Search, find_candidates, fit_around
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
@@ -51,21 +50,11 @@ from eigenscan.schemas.hypotheses_pb2 import SearchRequest
 from eigenscan.schemas.localize_pb2 import LocalizeQuery
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.wrappers_pb2 import StringValue
 
 ASK_AGAIN_NS = 10_000_000_000
-
-
-class Search(Protocol):
-    """Searches for a scan in the regions of a scope, as `find_candidates` does."""
-
-    def __call__(
-        self, site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, *, scope: Scope
-    ) -> Candidates:
-        """The poses that explain the scan."""
-        ...
 
 
 class ProjectorCore:
@@ -110,11 +99,7 @@ class ProjectorCore:
 
     def forget_robots(self) -> None:
         """Forgets what robots asked for and where they were; the map stays."""
-        self._focus, self._local = Focus(), LocalSearch()
-        settings = self._settings
-        # of the parts of a site one is enough: each knows the whole map
-        advises = settings.advice and settings.share[0] == 1
-        self._advisor = Advisor(settings.robot_radius, settings.advice_reach) if advises else None
+        self._focus, self._local, self._advisor = Focus(), LocalSearch(), Advisor(self._settings)
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
@@ -138,19 +123,14 @@ class ProjectorCore:
         return []
 
     def _advise(self, received: Envelope) -> list[Envelope]:
-        """What follows from where a robot may be."""
-        robot, advisor, advice = received.address["robot"], self._advisor, None
-        if received.channel == POSE:
-            pose = received.open(PoseEstimate)
-            if self._settings.focus:
-                self._focus.receive(robot, pose)
-            advice = advisor.receive_pose(robot, pose, self._site) if advisor else None
-        elif advisor:
-            advice = advisor.receive_tracks(robot, received.open(Tracks), self._site)
+        """What follows from a robot's pose or tracks."""
+        if received.channel == POSE and self._settings.focus:
+            self._focus.receive(received.address["robot"], received.open(PoseEstimate))
+        advice = self._advisor.receive(received, self._site)
         if advice is None:
             return []
         self._counts["advised" if advice.kind == Advice.KIND_MOVE else "advised_nothing"] += 1
-        return [Envelope(ADVICE, received.address, advice)]
+        return [Envelope(ADVICE, {**received.address, "projector": self._instance}, advice)]
 
     def condition(self) -> Condition:
         """WAITING without a model; DEGRADED if the newest one was refused."""
@@ -240,8 +220,7 @@ class ProjectorCore:
         except ValueError:
             self._counts["scan_malformed"] += 1
             return []
-        if self._advisor:
-            self._advisor.see(received.address, nanoseconds(scan.timestamp), Lidar(seen.sensor, mount))
+        self._advisor.see(received.address, nanoseconds(scan.timestamp), Lidar(seen.sensor, mount))
         if seen.returned < self._settings.least_beams:
             self._counts["scan_unusable"] += 1
             return [Envelope(HYPOTHESES, address, unusable(scan, self._site, seen))]

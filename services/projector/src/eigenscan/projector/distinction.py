@@ -1,6 +1,6 @@
-"""How surely a lidar's next scan tells places apart: by scans that are cast at each place, weighed at all others.
+"""How surely a lidar's next scan distinguishes places: scans are cast at each, and weighed at all others.
 
-By the same likelihood as a real scan (`likelihood`), so what is foreseen is what the tracker will be told.
+By the same likelihood as a real scan (`likelihood`): what is foreseen is what the tracker will receive.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ class Lidar:
         """Of the beams (b,) that are cast, rad, in the sensor's frame."""
         coarse = coarse_sensor(self.sensor)
         every = -(-coarse.beams // BEAMS)
-        own: Array = self.sensor.angle_min + np.arange(0, coarse.beams, every) * coarse.angle_increment
-        return own
+        steps = np.arange(0, coarse.beams, every, dtype=np.float64)
+        return self.sensor.angle_min + steps * coarse.angle_increment
 
     @property
     def reach(self) -> float:
-        """m."""
+        """M."""
         return self.sensor.range_max if self.sensor.range_max > 0 else FARTHEST_M
 
     @property
@@ -73,7 +73,7 @@ def rays_of(site: Site) -> Rays:
 
 
 def odds(site: Site, lidars: Sequence[Lidar], moved: Array) -> Array:
-    """Log-likelihood ratios (m, k, k), nats, at base poses `moved` (m, k, 3) of k places after each of m moves.
+    """Log-likelihood ratios (m, k, k), nats, of k places, from base poses `moved` (m, k, 3) after m moves.
 
     [i, a, b]: of place a to b, by a scan that is taken at a. 0 on the diagonal.
     """
@@ -92,7 +92,7 @@ def odds(site: Site, lidars: Sequence[Lidar], moved: Array) -> Array:
 
 
 def fitted_odds(site: Site, lidars: Sequence[Lidar], places: Array) -> Array:
-    """The same (k, k) after one move, to `places` (k, 3), with each scan fitted to the walls of each place first.
+    """The same (k, k) after one move, to `places` (k, 3); each scan is fitted to the walls there first.
 
     So an error of the tracks' poses is no difference of the places.
     """
@@ -115,7 +115,7 @@ def fitted_odds(site: Site, lidars: Sequence[Lidar], places: Array) -> Array:
     return total
 
 
-def told_apart(shares: Array, ratios: Array) -> Array:
+def expected_share(shares: Array, ratios: Array) -> Array:
     """Expected share (m,) of the true place among places with `shares` (k,), after `ratios` (m, k, k)."""
     others = np.einsum("b,mab->ma", shares, np.exp(-ratios))
     expected: Array = np.einsum("a,ma->m", shares * shares, 1.0 / others)

@@ -56,7 +56,7 @@ class Ground:
 
     @classmethod
     def around(cls, places: Array, walls: Walls, rays: Rays, radius: float, reach: float) -> Ground:
-        """Around base poses `places` (k, 3), map frame, for a robot of this `radius`, m, as far as `reach`, m."""
+        """Around base poses `places` (k, 3), map frame, for a robot of `radius`, m, as far as `reach`, m."""
         half = ceil(reach / CELL_M)
         axis = (np.arange(2 * half + 1) - half) * CELL_M
         points = np.empty((len(axis) ** 2, 2))
@@ -112,8 +112,10 @@ class Ground:
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def find_free(walls: Walls, rays: Rays, places: Array, points: Array, radius: float, free: Flags) -> None:
-    """Which points (n, 2) in the robot's frame are on known ground and `radius`, m, off every wall, from every
-    place (k, 3): `free` (n,)."""
+    """For compiled code: which points (n, 2) in the robot's frame are `free` (n,) from every place (k, 3).
+
+    They are on known ground, and `radius`, m, off every wall.
+    """
     cells, cell, map_in_field = walls
     leap, map_in_grid, resolution, _ = rays
     free[:] = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN
@@ -49,6 +50,16 @@ SURELY_LARGER = 2.0
 """Ratio of the mean squares of 45 independent errors each that chance exceeds in one of 100 (F-test)."""
 SLIDE_POINTS = 32
 """Beams that are enough for the coarse refinement."""
+
+
+class Search(Protocol):
+    """Searches for a scan in the regions of a scope, as `find_candidates` does."""
+
+    def __call__(
+        self, site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, *, scope: Scope
+    ) -> Candidates:
+        """The poses that explain the scan."""
+        ...
 
 
 def find_candidates(

@@ -57,7 +57,9 @@ class ProjectorSettings(BaseModel):
         description="while the tracker is localized, search around its pose, and the whole site once a "
         "second",
     )
-    advice: bool = Field(True, description="while places are ambiguous, say which move would tell them apart")
+    advice: bool = Field(
+        True, description="while several places fit, publish the move that would distinguish them"
+    )
     advice_reach: float = Field(8.0, gt=0, le=30, description="m, longest way of such a move")
     robot_radius: float = Field(
         0.3, ge=0, description="m: an advised move keeps so far away from the map's walls"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from eigenscan.schemas.channels import (
+    ADVICE,
     CHANNELS,
     HYPOTHESES,
     MAP,
@@ -71,8 +72,8 @@ PROFILES: dict[str, Profile] = {
         Profile(
             "projector",
             DRIVE,
-            (MAP, MODEL, MODEL_SET, SEARCH, SCAN),
-            (HYPOTHESES, OBSTACLES),
+            (MAP, MODEL, MODEL_SET, SEARCH, SCAN, POSE, TRACKS),
+            (HYPOTHESES, OBSTACLES, ADVICE),
             SCAN,
             (HYPOTHESES,),
             (HYPOTHESES, TRUTH),

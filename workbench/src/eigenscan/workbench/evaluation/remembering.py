@@ -10,7 +10,7 @@ import time
 from collections import OrderedDict
 
 from eigenscan.projector.candidates import Candidates
-from eigenscan.projector.core import Search
+from eigenscan.projector.projection import Search
 from eigenscan.projector.focus import Scope
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.projection import find_candidates

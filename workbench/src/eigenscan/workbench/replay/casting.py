@@ -92,6 +92,9 @@ def _instance(survey: Survey, service: Service, name: str | None, changes: Mappi
     reported = survey.reported.get((service.name, name)) if name is not None else None
     text = (reported.settings if reported else "") or survey.settings.get(service.name, "")
     values, source = _recorded(survey, service, text)
+    for setting, (channel, before) in service.later.items():
+        if not survey.counts[channel]:
+            values.setdefault(setting, before)
     if name is not None:
         values["instance"] = name
     settings = _settings(service, {**values, **changes})

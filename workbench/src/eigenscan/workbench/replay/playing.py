@@ -9,14 +9,23 @@ from enum import Enum
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import read
-from eigenscan.schemas.channels import HEADING, MODEL, ODOMETRY, RELOCATION, SCAN_MOTION, SEARCH
+from eigenscan.schemas.channels import (
+    HEADING,
+    MODEL,
+    ODOMETRY,
+    POSE,
+    RELOCATION,
+    SCAN_MOTION,
+    SEARCH,
+    TRACKS,
+)
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.workbench.replay.casting import Instance
 from eigenscan.workbench.replay.services import Service, published_by, received_by
 from eigenscan.workbench.replay.survey import Survey
 
-DISPENSABLE = (ODOMETRY, HEADING, RELOCATION, SCAN_MOTION, SEARCH)
+DISPENSABLE = (ODOMETRY, HEADING, RELOCATION, SCAN_MOTION, SEARCH, POSE, TRACKS)
 """Optional inputs of a service."""
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from eigenscan.ingest.core import ScanIngestCore
@@ -11,7 +11,7 @@ from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.options import ProjectorOptions
 from eigenscan.runtime.settings import ServiceSettings
-from eigenscan.schemas.channels import TRANSFORM, Channel
+from eigenscan.schemas.channels import ADVICE, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Core
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.options import TrackerOptions
@@ -27,6 +27,8 @@ class Service:
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     instance_field: str | None = None
+    later: Mapping[str, tuple[Channel, object]] = field(default_factory=dict)
+    """Settings that earlier versions lack: what only versions with them publish, and the value before."""
 
 
 SCAN_INGEST = Service(
@@ -39,6 +41,7 @@ PROJECTOR = Service(
     ProjectorCore.inputs,
     ProjectorCore.outputs,
     "projector",
+    {"advice": (ADVICE, False)},
 )
 TRACKER = Service("tracker", TrackerOptions, TrackerCore, TrackerCore.inputs, TrackerCore.outputs)
 

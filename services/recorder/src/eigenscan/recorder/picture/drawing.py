@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import rerun as rr
+from eigenscan.recorder.picture.advice import AdvicePicture
 from eigenscan.recorder.picture.belief import BeliefPicture
 from eigenscan.recorder.picture.blueprint import blueprint
 from eigenscan.recorder.picture.canvas import Canvas, Pace, ScanMemory
@@ -19,6 +20,7 @@ from eigenscan.recorder.picture.robot import RobotPicture
 from eigenscan.recorder.picture.sensors import FramesPicture, RawScanPicture
 from eigenscan.recorder.picture.status import Events, StatusBoard
 from eigenscan.schemas.channels import (
+    ADVICE,
     HEADING,
     HEALTH,
     HYPOTHESES,
@@ -58,6 +60,7 @@ The **bar on top** shows the state:
 - **black arrow**: the true pose, where it is known
 - **orange arrows**: the best hypotheses of the last scan; grey: improbable
 - **purple lines**: tracks and their past, from 1 % on; grey: improbable
+- **teal arrow with words**: the move that would distinguish the places that fit
 - **blue arrow with an ellipse**: the last relocation
 - **bar below the map**: its scale
 
@@ -111,6 +114,7 @@ class Picture:
         robots = RobotPicture(canvas, pace, scans, lambda: self._floor.label_gap, brief=layout == "fleet")
         belief = BeliefPicture(canvas, pace)
         beams, space = BeamsPicture(canvas, charts, scans), EigenspacePicture(canvas, charts, scans)
+        advice = AdvicePicture(canvas)
         board, events = StatusBoard(canvas), Events(canvas)
         self._motion = MotionPicture(canvas)
         self._drawn_by: dict[Channel, tuple[Draw, ...]] = {
@@ -118,7 +122,8 @@ class Picture:
             MODEL: (self._floor.draw_region,),
             MODEL_SET: (ModelsPicture(canvas).draw,),
             RELOCATION: (RelocationPicture(canvas, brief=layout == "fleet").draw,),
-            POSE: (robots.draw_pose, board.receive_pose, self._plots.receive_pose),
+            POSE: (robots.draw_pose, advice.receive_pose, board.receive_pose, self._plots.receive_pose),
+            ADVICE: (advice.draw,),
             TRUTH: (self._note_truth, robots.draw_truth, self._plots.receive_truth),
             LIDAR_KIND: (events.receive_kind,),
             SPACE: (events.receive_space,),

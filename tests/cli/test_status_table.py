@@ -1,12 +1,14 @@
-"""The fleet's table shows a robot's floor, with the pose in that floor's own map."""
+"""The fleet's table shows a robot's floor, with the pose in that floor's own map; and its advice."""
 
 import time
 
 import pytest
 from eigenscan.cli.fleet.status import rows, table
+from eigenscan.cli.launch.attend import pose_text
 from eigenscan.fleet.view import Robot
+from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.geometry_pb2 import Pose2
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, State
 from rich.console import Console
 
 
@@ -48,3 +50,22 @@ def test_a_robots_name_does_not_turn_the_line_around() -> None:
     with console.capture() as shown:
         console.print(table(view))  # type: ignore[arg-type]
     assert "r?1[b]" in shown.get()
+
+
+@pytest.mark.parametrize(
+    ("state", "age_s", "shown"),
+    [(STATE_AMBIGUOUS, 0.5, True), (STATE_AMBIGUOUS, 4.0, False), (STATE_LOCALIZED, 0.5, False)],
+)
+def test_advice_is_below_the_table_while_it_holds(state: State, age_s: float, shown: bool) -> None:
+    view = View(PoseEstimate(state=state))
+    robot = view.robots["r1"]
+    robot.advice = Advice(kind=Advice.KIND_MOVE, heading=0.7, distance=3.21, track_ids=[4, 9])
+    robot.advised_at = time.monotonic() - age_s
+    words = "drive 3.2 m, 40° to the left, to distinguish 2 places"
+    console = Console(width=200)
+    with console.capture() as printed:
+        console.print(table(view))  # type: ignore[arg-type]
+    assert (f"r1: {words}" in printed.get()) == shown
+    (row,) = rows(view)  # type: ignore[arg-type]
+    assert row["advice"] == (words if shown else "")
+    assert (words in pose_text(robot.pose, 0.0, [], robot.advised)) == shown
