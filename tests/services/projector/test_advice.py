@@ -14,7 +14,15 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.pose import compose, to_message
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.projector.advice import MOST_PLACES, Advisor, Places, best_move
-from eigenscan.projector.distinction import Lidar, expected_share, fitted_odds, odds
+from eigenscan.projector.distinction import (
+    Lidar,
+    expected_share,
+    fitted_odds,
+    odds,
+    rays_of,
+    walls_of,
+)
+from eigenscan.projector.ground import Ground
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, Site
 from eigenscan.projector.wall_field import WallField
@@ -106,17 +114,19 @@ def test_like_buildings_have_no_such_move() -> None:
 
 
 def test_a_move_that_one_of_the_places_blocks_is_not_advised() -> None:
-    # the same wall of glass, as it were, before the second door: only that place is shut
-    open_ = best_move(building(CUPBOARD), [AROUND], TWO, 0.3, REACH)
-    shut = building(CUPBOARD, (1.0 + APART + 1.2, 3.4, 1.0 + APART + 4.0, 3.5, OCCUPIED))
-    ways = best_move(shut, [AROUND], TWO, 0.3, REACH)
-    assert open_ is not None
-    if ways is None:
-        return
-    for place in TWO.poses:
-        leg = np.linspace(0.0, ways.move.distance, 50)[:, None] * [1.0, 0.0, 0.0]
-        points = compose(compose(place, [0.0, 0.0, ways.move.heading]), leg)
-        assert shut.drawn.at(points[:, :2]).min() > 0.25
+    # in the second place the door is shut
+    shut = building(CUPBOARD, (APART + 3.8, 5.0, APART + 4.8, 5.1, OCCUPIED))
+    reached = [
+        compose(START, Ground.around(places, walls_of(shut), rays_of(shut), RADIUS, REACH).ends(0.5, 1)[1])
+        for places in (TWO.poses[:1], TWO.poses)
+    ]
+    first_alone, both = (poses[:, 1].max() for poses in reached)
+    assert first_alone > 6.0  # through the door
+    assert both < 4.8
+    found = best_move(shut, [AROUND], TWO, RADIUS, REACH)
+    assert found is not None  # the door itself is a difference
+    end = compose(compose(START, [0.0, 0.0, found.move.heading]), [found.move.distance, 0.0, 0.0])
+    assert end[1] < 4.8
 
 
 def test_the_way_keeps_clear_of_walls_and_unknown_ground() -> None:
@@ -146,6 +156,15 @@ def test_a_narrow_lidar_is_turned_first() -> None:
     assert -math.pi < found.move.heading < -0.5
     around = best_move(behind, [AROUND], Places(poses, np.array([0.5, 0.5]), (1, 2)), RADIUS, REACH)
     assert around is None or around.move.distance > 0.0
+
+
+def test_a_turn_shows_nothing_new_to_the_lidar_that_sees_all_around() -> None:
+    # both lidars see that the places differ, and so they did before the turn
+    differ = building((1.0, 4.0, 2.0, 5.0, OCCUPIED), (1.0 + APART, 1.0, 1.0 + APART + 2.4, 2.0, OCCUPIED))
+    ahead = Places(TWO.poses + np.array([0.0, 0.6, 0.0]), TWO.shares, TWO.tracks)
+    found = best_move(differ, [AROUND], ahead, RADIUS, REACH)
+    assert found is not None
+    assert found.move.distance > 0.0
 
 
 def test_an_error_of_a_tracks_pose_is_no_difference_of_places() -> None:

@@ -117,46 +117,59 @@ def best_move(
     None where no way up to `reach`, m, for a robot of this `radius`, m, is worth it.
     """
     ground = Ground.around(places.poses, walls_of(site), rays_of(site), radius, reach)
-    search = _Search(site, lidars, places)
-    if not all(lidar.sees_around for lidar in lidars):
+    search = _Search(site, places)
+    narrow = [lidar for lidar in lidars if not lidar.sees_around]
+    if narrow:
         turns = np.zeros((TURNS - 1, 3))
         steps = np.arange(1, TURNS)
         turns[:, 2] = np.where(steps % 2, 1, -1) * ((steps + 1) // 2) * (TURN / TURNS)  # the least first
         turns = turns[np.abs(turns[:, 2]) >= NEW_RAD]
-        found = search.first(turns, lambda i: Move(float(wrap(turns[i, 2])), 0.0, 0.0), np.zeros(len(turns)))
+        stays = np.zeros(len(turns))
+        found = search.first(narrow, turns, lambda i: Move(float(wrap(turns[i, 2])), 0.0, 0.0), stays)
         if found is not None:
             return found
     cells, arrivals = ground.ends(NEW_M, STRIDE)
     every = -(-len(cells) // MOST_ENDS) if len(cells) else 1
     cells, arrivals = cells[::every], arrivals[::every]
     ways = ground.length.ravel()[cells]
-    found = search.first(arrivals, lambda i: ground.move(int(cells[i])), ways)
+    found = search.first(lidars, arrivals, lambda i: ground.move(int(cells[i])), ways)
     return found or search.worth()
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where a move ends, in the robot's frame, and which lidars show something new there."""
+
+    lidars: Sequence[Lidar]
+    arrival: Array
+    move: MoveTo
+    number: int
 
 
 class _Search:
     """Looks at moves in order, and remembers the one most worth its way."""
 
-    def __init__(self, site: Site, lidars: Sequence[Lidar], places: Places) -> None:
-        self._site, self._lidars, self._places = site, lidars, places
+    def __init__(self, site: Site, places: Places) -> None:
+        self._site, self._places = site, places
         self._doubt = 1.0 - places.now
         self._fitted = 0
-        self._others: list[tuple[float, Array, MoveTo, int]] = []
+        self._others: list[tuple[float, _End]] = []
 
-    def first(self, arrivals: Array, move: MoveTo, ways: Array) -> Found | None:
+    def first(self, lidars: Sequence[Lidar], arrivals: Array, move: MoveTo, ways: Array) -> Found | None:
         """The first of the moves to `arrivals` (m, 3), in the robot's frame, that leaves so little doubt."""
         for begin in range(0, len(arrivals), BATCH):
             part = arrivals[begin : begin + BATCH]
             moved = compose(self._places.poses[None], part[:, None])
-            left = 1.0 - expected_share(self._places.shares, odds(self._site, self._lidars, moved))
+            left = 1.0 - expected_share(self._places.shares, odds(self._site, lidars, moved))
             for i, doubt in enumerate(left.tolist()):
                 if doubt > SOME * self._doubt:
                     continue
                 at = begin + i
                 worth = (1.0 - doubt / self._doubt) / (WORTH_M + float(ways[at]))
-                self._others.append((worth, part[i], move, at))
+                end = _End(lidars, part[i], move, at)
+                self._others.append((worth, end))
                 if doubt <= ENOUGH * self._doubt and self._fitted < MOST_FITTED:
-                    found = self._fit(part[i], move, at, ENOUGH)
+                    found = self._fit(end, ENOUGH)
                     if found is not None:
                         return found
         return None
@@ -164,23 +177,23 @@ class _Search:
     def worth(self) -> Found | None:
         """The move most worth its way of those that were looked at."""
         self._others.sort(key=lambda one: -one[0])
-        for _, arrival, move, at in self._others[:MOST_FITTED]:
-            found = self._fit(arrival, move, at, SOME)
+        for _, end in self._others[:MOST_FITTED]:
+            found = self._fit(end, SOME)
             if found is not None:
                 return found
         return None
 
-    def _fit(self, arrival: Array, move: MoveTo, at: int, most: float) -> Found | None:
+    def _fit(self, end: _End, most: float) -> Found | None:
         self._fitted += 1
         places = self._places
-        ratios = fitted_odds(self._site, self._lidars, compose(places.poses, arrival))
+        ratios = fitted_odds(self._site, end.lidars, compose(places.poses, end.arrival))
         share = float(expected_share(places.shares, ratios[None])[0])
         if 1.0 - share > most * self._doubt:
             return None
         pairs = np.outer(places.shares, places.shares)
         np.fill_diagonal(pairs, 0.0)
         evidence = float((pairs * ratios).sum() / pairs.sum())
-        return Found(move(at), share, evidence)
+        return Found(end.move(end.number), share, evidence)
 
 
 @dataclass
@@ -207,6 +220,8 @@ class Advisor:
 
     def see(self, address: Mapping[str, str], stamp: int, lidar: Lidar) -> None:
         """A robot's lidar, by a scan of it."""
+        if not self._advises:
+            return
         lidars = self._robots.use(address["robot"], _Robot).lidars
         if address["lidar"] in lidars or len(lidars) < MOST_LIDARS:
             lidars[address["lidar"]] = stamp, lidar
@@ -226,18 +241,20 @@ class Advisor:
     def _advise(self, robot: _Robot, site: Site) -> Advice | None:
         if robot.tracks is None or robot.state is None:
             return None
-        at, (of, state) = nanoseconds(robot.tracks.timestamp), robot.state
+        tracks, at, (of, state) = robot.tracks, nanoseconds(robot.tracks.timestamp), robot.state
+        if of >= at:
+            robot.tracks = None  # long, and of no more use
         due = robot.advised is None or not 0 <= at - robot.advised < APART_NS
-        if of != at or state != STATE_AMBIGUOUS or robot.tracks.frame_id != site.frame_id or not due:
+        if of != at or state != STATE_AMBIGUOUS or tracks.frame_id != site.frame_id or not due:
             return None
         lidars = [lidar for last, lidar in robot.lidars.values() if abs(at - last) < SEEN_NS]
-        places = Places.of(robot.tracks)
+        places = Places.of(tracks)
         if len(places.tracks) < 2 or not lidars:
             return None
         robot.advised = at
         found = best_move(site, lidars, places, self._radius, self._reach)
         message = Advice(
-            timestamp=robot.tracks.timestamp,
+            timestamp=tracks.timestamp,
             frame_id=site.frame_id,
             kind=Advice.KIND_NOTHING,
             track_ids=places.tracks,

@@ -13,7 +13,7 @@ from eigenscan.geometry.gridmap import MapError
 from eigenscan.geometry.normalize import FARTHEST_MOUNT
 from eigenscan.geometry.pose import from_message
 from eigenscan.projector.advice import Advisor
-from eigenscan.projector.candidates import Candidates, Fitted
+from eigenscan.projector.candidates import Fitted
 from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.distinction import Lidar
 from eigenscan.projector.focus import WHOLE, Focus, Scope

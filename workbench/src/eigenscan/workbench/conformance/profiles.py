@@ -72,7 +72,7 @@ PROFILES: dict[str, Profile] = {
         Profile(
             "projector",
             DRIVE,
-            (MAP, MODEL, MODEL_SET, SEARCH, SCAN, POSE, TRACKS),
+            (MAP, MODEL, MODEL_SET, SEARCH, SCAN),
             (HYPOTHESES, OBSTACLES, ADVICE),
             SCAN,
             (HYPOTHESES,),

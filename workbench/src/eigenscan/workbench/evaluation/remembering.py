@@ -10,10 +10,9 @@ import time
 from collections import OrderedDict
 
 from eigenscan.projector.candidates import Candidates
-from eigenscan.projector.projection import Search
 from eigenscan.projector.focus import Scope
 from eigenscan.projector.observation import Observation
-from eigenscan.projector.projection import find_candidates
+from eigenscan.projector.projection import Search, find_candidates
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 
