@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.focus import Reach
-from eigenscan.schemas.channels import POSE
+from eigenscan.schemas.channels import POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
@@ -42,9 +42,11 @@ def searched(message: Hypotheses) -> set[str]:
     return {projection.region for projection in message.projections}
 
 
-def test_only_who_is_configured_so_receives_poses() -> None:
-    assert POSE in ready(focus=True).inputs
-    assert POSE not in ready().inputs
+def test_only_who_is_configured_so_receives_poses_and_tracks() -> None:
+    assert POSE in ready(focus=True, advice=False).inputs
+    assert {POSE, TRACKS} <= {*ready().inputs}
+    for without in (ready(advice=False), ready(part="2/2")):
+        assert not {POSE, TRACKS} & {*without.inputs}
 
 
 def test_around_a_sure_pose_little_is_searched_and_the_place_is_found() -> None:

@@ -214,13 +214,13 @@ class Advisor:
 
     def __init__(self, settings: ProjectorSettings) -> None:
         # of the parts of a site one is enough: each knows the whole map
-        self._advises = settings.advice and settings.share[0] == 1
+        self.advises = settings.advice and settings.share[0] == 1
         self._radius, self._reach = settings.robot_radius, settings.advice_reach
         self._robots: RecentlyUsed[str, _Robot] = RecentlyUsed()
 
     def see(self, address: Mapping[str, str], stamp: int, lidar: Lidar) -> None:
         """A robot's lidar, by a scan of it."""
-        if not self._advises:
+        if not self.advises:
             return
         lidars = self._robots.use(address["robot"], _Robot).lidars
         if address["lidar"] in lidars or len(lidars) < MOST_LIDARS:
@@ -228,7 +228,7 @@ class Advisor:
 
     def receive(self, received: Envelope, site: Site | None) -> Advice | None:
         """The advice that follows from a pose or tracks, once both of a scan are there."""
-        if not self._advises or site is None:
+        if not self.advises or site is None:
             return None
         robot = self._robots.use(received.address["robot"], _Robot)
         if received.channel == POSE:

@@ -84,6 +84,9 @@ class ProjectorCore:
         self.forget_robots()
         by_walls = settings.verification == settings.obstacles == "walls"
         self._fits_locally = by_walls and settings.share[1] == 1
+        advises = self._advisor.advises
+        needed = {POSE: advises or settings.focus, TRACKS: advises}
+        self.inputs = tuple(one for one in ProjectorCore.inputs if needed.get(one, True))
         self._assembler = ModelSetAssembler()
         self._site: Site | None = None
         self._counts: Counter[str] = Counter()
