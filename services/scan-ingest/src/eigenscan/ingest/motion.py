@@ -7,6 +7,8 @@ motion so far. Odometry plays no part, so that it can be held against the result
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, pi
@@ -154,7 +156,7 @@ def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
         return NOTHING_IN_COMMON
     points = after.xy[chosen[:: max(len(chosen) // BEAMS, 1)]]
     turn = _first_turn(before, after)
-    tried = _lay(before, points, np.array([guess, (0.0, 0.0, turn)]))
+    tried = _layer()(before, points, np.array([guess, (0.0, 0.0, turn)]))
     best = max(tried, key=lambda each: each.explained)
     return _supported(_held_along(before, points, best) if best.fits else best)
 
@@ -169,7 +171,8 @@ def _held_along(before: Points, points: Array, found: Motion) -> Motion:
     if values[0] * NOISE**2 >= HELD_SUPPORT * len(points):
         return found
     x, y = directions[:, 0].tolist()
-    tried = [found, *_lay(before, points, np.array(found.delta) + SHIFTS[:, None] * np.array([x, y, 0.0]))]
+    starts = np.array(found.delta) + SHIFTS[:, None] * np.array([x, y, 0.0])
+    tried = [found, *_layer()(before, points, starts)]
     best = max(tried, key=lambda each: each.explained)
     for rival in tried:
         off = x * (rival.delta[0] - best.delta[0]) + y * (rival.delta[1] - best.delta[1])
@@ -201,7 +204,16 @@ def _first_turn(before: Points, after: Points) -> float:
     return float(shifts[int(np.argmin(cost))]) * before.step
 
 
-def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
+def _layer() -> Callable[[Points, Array, Array], list[Motion]]:
+    """The function `lay`: compiled where the process has numba anyway, which alone would take 60 MB."""
+    if "numba" not in sys.modules:
+        return lay
+    from eigenscan.ingest.laying import lay_compiled
+
+    return lay_compiled
+
+
+def lay(before: Points, points: Array, starts: Array) -> list[Motion]:
     """Points (n, 2) laid on the earlier scan, from each of several motions (k, 3)."""
     moved = starts.copy()
     lidar, zero = complex(*before.mount[:2]), before.mount[2] + before.angle_min
@@ -242,9 +254,13 @@ def _lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         moved += step
         if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
             break
-    found = used.sum(axis=1)
     on_line = (used & (np.abs(off) <= ON_LINE)).sum(axis=1)
-    explained = on_line / np.maximum(visible.sum(axis=1), LEAST_POINTS)
+    return motions(moved, information, visible.sum(axis=1), used.sum(axis=1), on_line)
+
+
+def motions(moved: Array, information: Array, seen: Index, found: Index, on_line: Index) -> list[Motion]:
+    """What was found from each start: of how many points `seen`, with a line, and on it."""
+    explained = on_line / np.maximum(seen, LEAST_POINTS)
     return [
         Motion((x, y, turn), information[k] / NOISE**2, float(explained[k]), int(found[k]))
         if found[k] >= LEAST_POINTS
