@@ -274,6 +274,19 @@ def test_samples_of_sources_wake_nobody_and_come_before_a_later_one_that_does() 
     assert inbox.take(0.0) is None
 
 
+def test_sources_are_looked_into_only_when_nothing_else_waits() -> None:
+    inbox, looks = Inbox(batch_s=60.0, wakes=True), list[int]()
+    inbox.sources.append(lambda: looks.append(len(inbox)))
+    for payload in (b"1", b"2", b"3"):
+        inbox.put(ODOMETRY, "s/robot/r/odom", payload, "")
+    assert inbox.is_waiting
+    assert [inbox.take(0.0).payload for _ in range(3)] == [b"1", b"2", b"3"]  # type: ignore[union-attr]
+    assert not looks
+    assert inbox.take(0.0) is None
+    assert looks == [0]
+    assert not inbox.is_waiting
+
+
 def test_an_answer_is_put_after_what_came_before_it() -> None:
     """Seed 7025: an answer overtook the previous publisher's model, which then counted as the newest."""
     inbox = Inbox(batch_s=1.0)

@@ -15,7 +15,7 @@ from eigenscan.runtime.intake import Intake
 from eigenscan.runtime.node import Service
 from eigenscan.runtime.settings import ServiceSettings, SettingsError
 from eigenscan.runtime.together import read
-from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, SCAN_RAW
+from eigenscan.schemas.channels import HEALTH, HYPOTHESES, OBSTACLES, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
@@ -46,6 +46,20 @@ def test_messages_go_hand_to_hand_in_one_thread_and_to_others_as_well(
         arrival = inbox.take(PATIENCE_S)
         assert arrival
         assert Hypotheses.FromString(arrival.payload).frame_id == f"{name} same core"
+
+
+def test_an_answer_is_handled_before_the_next_one_is_made(
+    net: Any, start: Callable[..., Any], buses: Callable[[], Bus], capfd: pytest.CaptureFixture[str]
+) -> None:
+    bus, inbox = buses(), Inbox()
+    bus.listen([OBSTACLES], {"site": net.site}, inbox)
+    service = start(program=TINY, config=net.leaf)
+    _ask(service, bus, net, "and more")
+    assert inbox.take(PATIENCE_S)
+    service.process.send_signal(signal.SIGTERM)
+    assert service.process.wait(PATIENCE_S) == 0
+    kept = re.findall(r"kept (\w+) and more", capfd.readouterr().out)
+    assert kept == ["scan", "hypotheses", "obstacles"]
 
 
 def test_each_has_its_own_health(net: Any, start: Callable[..., Any], buses: Callable[[], Bus]) -> None:

@@ -10,7 +10,7 @@ from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.runtime.together import main
 from eigenscan.schemas.channels import CHANNELS, HYPOTHESES, OBSTACLES, SCAN, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 PUBLISHED: list[int] = []
@@ -38,7 +38,7 @@ class Silent:
 
 class First(Silent):
     inputs: tuple[Channel, ...] = (SCAN_RAW,)
-    outputs: tuple[Channel, ...] = (SCAN,)
+    outputs: tuple[Channel, ...] = (SCAN, OBSTACLES)
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         name = received.open(RawScan).frame_id
@@ -47,6 +47,8 @@ class First(Silent):
         scan = Scan(frame_id=name)
         PUBLISHED.append(id(scan))
         yield Envelope(SCAN, received.address, scan)
+        if name == "and more":
+            yield Envelope(OBSTACLES, {**received.address, "projector": "p"}, Obstacles(frame_id=name))
 
 
 class Second(Silent):

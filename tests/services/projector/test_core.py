@@ -1,6 +1,7 @@
 """What the projector publishes, and what it makes of messages that are late, foreign or broken."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,11 +9,12 @@ from eigenscan.eigenspace.model import model_set
 from eigenscan.geometry.gridmap import to_message
 from eigenscan.geometry.pose import compose
 from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.publishing import obstacles_message
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, SCAN
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
 
@@ -178,6 +180,23 @@ def test_each_lidar_of_each_robot_is_answered_on_its_own_key() -> None:
     assert [e.channel for e in output] == [HYPOTHESES, OBSTACLES]
     assert output[0].key == "s/robot/r9/hypotheses/rear/7"
     assert output[1].key == "s/robot/r9/obstacles/rear/7"
+
+
+def test_hypotheses_are_on_their_way_before_obstacles_are_looked_for(
+    core: ProjectorCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = list[str]()
+
+    def noted(*given: Any) -> Obstacles:
+        looked.append("obstacles")
+        return obstacles_message(*given)
+
+    monkeypatch.setattr("eigenscan.projector.core.obstacles_message", noted)
+    answers = iter(core.handle(Envelope(SCAN, ADDRESS, scan_at(free_poses(1, 3)[0]))))
+    assert next(answers).channel is HYPOTHESES
+    assert not looked
+    assert next(answers).channel is OBSTACLES
+    assert looked == ["obstacles"]
 
 
 def test_the_same_scan_has_the_same_answer_bit_for_bit() -> None:

@@ -251,7 +251,7 @@ def test_without_a_model_it_reports_what_is_missing() -> None:
 def test_queries_with_any_number_of_lidars_leave_a_robots_own_tables_alone() -> None:
     core = ready()
     pose = free_poses(1, 8)[0]
-    core.handle(Envelope(SCAN, ADDRESS, scan_at(pose)))
+    list(core.handle(Envelope(SCAN, ADDRESS, scan_at(pose))))
     assert core._site is not None
     (own,) = core._site.sensors
     kept = core._site.view(own)

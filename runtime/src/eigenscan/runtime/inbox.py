@@ -145,7 +145,8 @@ class Inbox:
         If the core is behind and the channel allows it, the newest sample of the oldest one's key instead;
         those between are dropped. No key waits longer by that.
         """
-        self.sort()
+        if self._unsorted or not self._waiting:  # else what the sources have came later
+            self.sort()
         if timeout and not self._waiting and self._wait(timeout):
             self.sort()
         with self._ready:
@@ -219,6 +220,11 @@ class Inbox:
         """Numbers of sorted samples that wait, by key."""
         with self._ready:
             return {key: len(orders) for key, orders in self._orders.items()}
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a sorted sample waits."""
+        return bool(self._waiting)
 
     def __len__(self) -> int:
         return len(self._waiting) + len(self._unsorted)

@@ -1,7 +1,8 @@
 """Runs several services in one process: same cores, same keys, one session, and messages passed directly.
 
-Quick cores share a thread, so none waits for a thread switch; the one nearest to the pose comes first. Every
-other core has its own thread. A service that fails ends the process, so that all are restarted together.
+Quick cores share a thread, so none waits for a thread switch; the one nearest to the pose comes first, also
+between two answers of another one. Every other core has its own thread. A service that fails ends the
+process, so that all are restarted together.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -161,9 +163,13 @@ class Together:
                 works.insert(0, (node, node.begin()))
             if node.fault:
                 return
+        for number, (_, work) in enumerate(works[1:], start=1):
+            work.let_go_first = partial(self._work_off, works[:number])
         longest_s = min([CONDITION_PERIOD_S, *(node.inbox.batch_s for node in nodes if node.inbox.batch_s)])
         while not self._stop.stopping:
             if not self._work(works):
+                for node in nodes:
+                    node.inbox.sort()
                 with self._ready:
                     self._ready.wait_for(
                         lambda: self._stop.stopping or any(len(node.inbox) for node in nodes), longest_s
@@ -173,12 +179,17 @@ class Together:
         for _, work in reversed(works):
             work.finish()
 
+    def _work_off(self, works: list[tuple[Node, Work]]) -> None:
+        while self._work(works):
+            pass
+
     def _work(self, works: list[tuple[Node, Work]]) -> bool:
         """Handles one message, of the service nearest to the pose that has one; False if none waits."""
         for node, work in works:
             try:
                 work.keep_time()
-                if work.step():
+                # what came without waking this thread is looked for when nothing else is left
+                if node.inbox.is_waiting and work.step():
                     return True
             except BaseException as error:
                 node.fault = error

@@ -60,6 +60,9 @@ class Work:
         self._too_late = 0
         self._turn = threading.Lock()
         """Held by the thread that runs the core."""
+        self.let_go_first: Callable[[], None] | None = None
+        """Called after each answer: others in this thread handle it before the core makes the next one."""
+        self._elsewhere_s = 0.0
 
     def begin(self) -> None:
         """Publishes the first messages of the core."""
@@ -143,7 +146,7 @@ class Work:
         """Lets the core handle a message, and publishes its answers."""
         name = received.channel.name
         self._counters.counts[f"heard_{name}"] += 1
-        began = self._clock.perf_counter()
+        began, self._elsewhere_s = self._clock.perf_counter(), 0.0
         if received.channel is self._lives_on:
             self._fed_at = self._clock.monotonic()
         try:
@@ -152,12 +155,16 @@ class Work:
             # the next scan may be fine
             if not self._stop.stopping:
                 self._counters.set_aside("core_failed", key, error, trace=True)
-        self._monitor.handled(name, self._clock.perf_counter() - began)
+        self._monitor.handled(name, self._clock.perf_counter() - began - self._elsewhere_s)
 
     def _publish(self, envelopes: Iterable[Envelope]) -> None:
         for envelope in envelopes:
             self._publish_one(envelope)
             self._counters.counts[f"said_{envelope.channel.name}"] += 1
+            if self.let_go_first is not None:
+                left = self._clock.perf_counter()
+                self.let_go_first()
+                self._elsewhere_s += self._clock.perf_counter() - left
 
     def _condition(self) -> Condition:
         counters = dict(self._counters.counts)

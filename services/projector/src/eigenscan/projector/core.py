@@ -209,7 +209,7 @@ class ProjectorCore:
         )
         yield Envelope(LIDAR_KIND, address, kind)
 
-    def _scan(self, received: Envelope) -> list[Envelope]:
+    def _scan(self, received: Envelope) -> Iterable[Envelope]:
         if self._site is None:
             self._counts["scan_without_model"] += 1
             return []
@@ -244,33 +244,28 @@ class ProjectorCore:
 
     def _answer(
         self, address: dict[str, str], scan: Scan, seen: Observation, mount: np.ndarray, site: Site
-    ) -> list[Envelope]:
+    ) -> Iterator[Envelope]:
+        """The hypotheses first: what comes after them is made when they are on their way."""
         is_new = not site.has_view(seen.sensor)
         view = self._view = site.view(seen.sensor)
         lidar, at = (address["robot"], address["lidar"]), nanoseconds(scan.timestamp)
         fitted = self._fitted(lidar, scan, seen, site) if self._fits_locally else None
         if fitted is not None and not is_new:
-            return [
-                Envelope(HYPOTHESES, address, local_message(scan, site, seen, mount, fitted)),
-                Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, fitted.pose)),
-            ]
+            yield Envelope(HYPOTHESES, address, local_message(scan, site, seen, mount, fitted))
+            yield Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, fitted.pose))
+            return
         scope = self._scope(address, scan, site)
         candidates = self._search(site, view, seen, self._settings, scope=scope)
         if scope.regions is None:
             self._focus.searched_whole(*lidar, at, candidates.ordinary)
             self._local.searched_whole(lidar, at, candidates.ordinary)
-        published = [
-            Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates, scope)),
-        ]
+        yield Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates, scope))
         if len(candidates.poses):
             best = candidates.poses[0]
-            published.append(
-                Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, best, candidates))
-            )
-        published.extend(self._ask(address, scan, site, view))
+            yield Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, best, candidates))
+        yield from self._ask(address, scan, site, view)
         if is_new:
             self._begin(view)
-        return published
 
     def _fitted(self, lidar: tuple[str, str], scan: Scan, seen: Observation, site: Site) -> Fitted | None:
         """The scan's pose around the one that the tracker predicts; None: search the whole map."""
