@@ -57,4 +57,8 @@ class Embedding:
             return clipped[None]
         radius = CIRCUMFERENCE / (2.0 * np.pi)
         angle = clipped / np.float32(radius)
-        return np.stack([np.cos(angle), np.sin(angle)]) * np.float32(radius)
+        channels = np.empty((2, *angle.shape), dtype=np.float32)
+        np.cos(angle, out=channels[0])
+        np.sin(angle, out=channels[1])
+        channels *= np.float32(radius)
+        return channels

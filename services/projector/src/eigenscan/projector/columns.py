@@ -64,10 +64,10 @@ def messages(
         if field.dtype.names:
             field = field["value"]
         field[...] = column
-    content, size = rows.tobytes(), blank.nbytes
-    parts: list[bytes] = []
-    for i, text in enumerate(names[1]):
-        parts += _text(number, names[0], text, size), content[i * size : (i + 1) * size]
+    size = blank.nbytes
+    parts = [b""] * (2 * len(rows))
+    parts[::2] = [_text(number, names[0], text, size) for text in names[1]]
+    parts[1::2] = rows.view(f"V{size}").tolist()
     return b"".join(parts)
 
 

@@ -111,7 +111,7 @@ def hypotheses_message(
         messages(
             Hypotheses.PROJECTIONS_FIELD_NUMBER,
             alike.projection,
-            (Projection.REGION_FIELD_NUMBER, [site.regions[r] for r in reported]),
+            (Projection.REGION_FIELD_NUMBER, [site.regions[r] for r in reported.tolist()]),
             {
                 "coefficients": projected.coefficients[reported],
                 "error_energy": energy[reported, None],
@@ -121,7 +121,7 @@ def hypotheses_message(
         + messages(
             Hypotheses.HYPOTHESES_FIELD_NUMBER,
             alike.hypothesis,
-            (Hypothesis.REGION_FIELD_NUMBER, [site.regions[r] for r in found.region]),
+            (Hypothesis.REGION_FIELD_NUMBER, [site.regions[r] for r in found.region.tolist()]),
             {
                 "pose": base,
                 "covariance": covariances.reshape(-1, 9)[:, _UPPER],

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
+from operator import attrgetter
 
 import numpy as np
 from eigenscan.geometry.symmetric import MATRICES, put
@@ -118,13 +119,16 @@ def poorness_each(log_likelihoods: Array, poorer: float) -> Array:
     return poorer * np.minimum(np.maximum(GOOD - log_likelihoods, 0.0), GOOD)
 
 
+_POSE, _UPPER = attrgetter("x", "y", "theta"), attrgetter("xx", "xy", "xt", "yy", "yt", "tt")
+
+
 def _rows(message: Hypotheses) -> Array:
     """x, y, theta, log-likelihood and the covariance's upper triangle of each hypothesis, (k, 10)."""
     numbers = list[float]()
     for hypothesis in message.hypotheses:
-        pose, c = hypothesis.pose, hypothesis.covariance
-        numbers += [pose.x, pose.y, pose.theta, hypothesis.log_likelihood]
-        numbers += [c.xx, c.xy, c.xt, c.yy, c.yt, c.tt]
+        numbers += _POSE(hypothesis.pose)
+        numbers.append(hypothesis.log_likelihood)
+        numbers += _UPPER(hypothesis.covariance)
     return np.array(numbers).reshape(-1, 10)
 
 
