@@ -80,7 +80,7 @@ def test_a_drive_is_tracked(localizer: Localizer, drive: Path) -> None:
         last = localizer.track(scan, odometry)
     assert last is not None
     assert last.state == "localized"
-    assert last.confidence > 0.9
+    assert last.confidence > 0.89  # 0.9 until motion has proven the set-up
     distance, turn = _off(last.pose, scan)
     assert distance < 0.1
     assert turn < 0.05

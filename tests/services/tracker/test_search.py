@@ -178,7 +178,7 @@ def test_a_robot_whose_odometry_nothing_confirms_needs_the_whole_map(
 ) -> None:
     monkeypatch.undo()
     robot.drive(30)
-    assert 0.91 < robot.poses[-1].confidence < 0.93
+    assert robot.poses[-1].confidence == pytest.approx(0.9)
     assert not any(robot.local)
 
 

@@ -32,6 +32,27 @@ def test_a_clock_that_was_set_back_catches_up_unseen() -> None:
     assert received == [Outcome.TAKEN, Outcome.TAKEN, Outcome.TOO_LATE, Outcome.TOO_LATE, Outcome.RESTARTED]
 
 
+def test_lists_that_were_overtaken_are_set_aside_and_restart_nothing() -> None:
+    counts = Counter[str]()
+    timeline = Timeline(patience=0.2, late=0.5, counts=counts)
+    received = [timeline.receive(seen(stamp)) for stamp in (10.0, 10.8, 10.2, 10.4, 11.0, 11.2)]
+    assert [each is Outcome.TOO_LATE for each in received] == [False, False, True, True, False, False]
+    assert counts == {"hypotheses_too_late": 2}
+    # two came early
+    received = [timeline.receive(seen(stamp)) for stamp in (12.0, 12.2, 11.4, 11.6, 11.8, 12.4)]
+    assert Outcome.RESTARTED not in received
+    assert counts == {"hypotheses_too_late": 5}
+
+
+def test_a_clock_that_was_set_back_for_good_restarts_once() -> None:
+    counts = Counter[str]()
+    timeline = Timeline(patience=0.2, late=0.5, counts=counts)
+    stamps = [10.0, 10.2, 10.4, *(2.0 + 0.2 * tick for tick in range(20))]
+    received = [timeline.receive(seen(stamp)) for stamp in stamps]
+    assert received.count(Outcome.RESTARTED) == counts["clock_set_back"] == 1
+    assert received[-1] is Outcome.TAKEN
+
+
 def test_a_list_older_than_the_last_of_its_source_is_not_taken() -> None:
     """Seed 4154: the clock was set back by less than two scans, and a pose of now counted as of before."""
     timeline = Timeline(patience=0.2, late=0.5, counts=Counter())

@@ -78,6 +78,11 @@ class Agreement:
         return min(each.trust for each in self._faults.values() or (UNSEEN,))
 
     @property
+    def proven(self) -> float:
+        """Probability that each lidar is set up right, as far as motion has shown it."""
+        return min(each.proven for each in self._faults.values() or (UNSEEN,))
+
+    @property
     def reversed(self) -> bool:
         """Whether odometry counted backwards as forwards when it was last compared."""
         return any(each.backwards for each in self._faults.values())

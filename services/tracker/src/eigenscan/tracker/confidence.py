@@ -30,6 +30,13 @@ class Verdict:
     """Index among the tracks, -1: none."""
     confidence: float
     """Probability that the true pose is within 0.5 m and 10 degrees of that track's."""
+    proven: float = 1.0
+    """The same at most, for a set-up that no motion has proven may be wrong."""
+
+    @property
+    def stated(self) -> float:
+        """Confidence that is published; the state follows from map and motion alone."""
+        return min(self.confidence, self.proven)
 
 
 def judge(tracks: Tracks) -> Verdict:

@@ -238,7 +238,7 @@ def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:
         frame_id=estimate.frame,
         child_frame_id=body,
         state=estimate.state,
-        confidence=estimate.verdict.confidence,
+        confidence=estimate.verdict.stated,
         none_probability=estimate.none_probability,
         has_odometry=estimate.map_to_odom is not None,
         model_version=estimate.model_version,

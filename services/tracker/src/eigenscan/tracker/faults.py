@@ -10,16 +10,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, degrees, log, pi, radians
+from math import degrees, log, pi, radians
 
 import numpy as np
+from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.odometry import Motion, OdometryTrail
+from eigenscan.tracker.past import Past
 from eigenscan.tracker.planar import Pose, wrap
+from eigenscan.tracker.set_up import SetUp
 from eigenscan.tracker.symmetric import wrapped
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 SIGMA_M, SIGMA_RAD, SIGMA_SHARE = 0.03, 0.025, 0.15
 """m, rad: what both motions over an interval differ by where nothing is wrong, and the share of the way and
@@ -31,6 +35,11 @@ ODD = 0.02
 """Share of right motions that the fit finds somewhere else."""
 SLIP, SLIP_SHARE = 0.1, 1.0
 """m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`."""
+STILL_M, STILL_RAD, BLOCKED = 0.01, 0.005, 0.1
+"""m, rad: how exactly scans of one place show no motion; and the share of slipping robots that stay in place.
+"""
+DISTINCT = 2.0
+"""nats by which odometry's motion must differ from none: two sigma."""
 SLIPS, GRIPS = 0.01, 0.4
 """Chances, an interval, that wheels begin to slip and that they cease to."""
 ALIKE_BEGINS, ALIKE_ENDS = 0.1, 0.03
@@ -53,9 +62,10 @@ SET_UP_BEGINS, SET_UP_ENDS = 1e-6, 1e-4
 BACKS, BACKS_KNOWN, FORWARDS = 1e-5, 0.01, 0.2
 """Chances, an interval, that a robot begins to drive backwards, its encoders without a sign: before it was
 seen to, and after; and that it ceases to."""
-LATE_S, LATEST_S, LATE_STEP_S, KEPT = 0.5, 8.0, 0.25, 256
-"""s: scans are tried as so much late, in such steps (less is learned: `lateness`); and the samples of
-odometry that are kept for it, at least half of them."""
+LATE_S, LATEST_S, LATE_STEP_S = 0.5, 8.0, 0.25
+"""s: scans are tried as so much late, in such steps (less is learned: `lateness`)."""
+GOES_ON = 0.9
+"""How probably a late scan, from before the first odometry, shows a robot that moved as it then did."""
 TURNED = np.array([radians(angle) for angle in range(30, 345, 15) if abs(angle - 180) > 20])
 """rad, angles by which a mount may be turned."""
 QUIET_M, QUIET_RAD = 0.005, 0.005
@@ -113,6 +123,8 @@ _KINDS = (
 _FIRST = np.cumsum([1, *(kind.count for kind in _KINDS)])
 FROZEN, UNRELATED, ODOMETRY_STANDS, REVERSED, MIRRORED, MOUNT_TURNED, LATE = _FIRST[2:-1].tolist()
 ALIKE = UNRELATED + 1
+WRONG_SET_UPS = np.array([FROZEN, *range(ODOMETRY_STANDS, int(_FIRST[-1]))])
+"""States that are there from the start, if at all: see `set_up`."""
 _STATES = int(_FIRST[-1])
 DISJOINED = (
     "scans do not follow from each other: do two robots or two lidars use this name, "
@@ -147,10 +159,10 @@ class Faults:
 
     def __init__(self) -> None:
         self.probability, self._change = _start()
+        self._set_up = SetUp(WRONG_SET_UPS)
         self.without_sign = False
         """Whether the robot was seen to drive backwards while odometry counted on."""
-        self._passed, self._kept = np.empty((KEPT, 4)), 0
-        """Of odometry: stamp [s], pose without jumps in the heading; and how many there are."""
+        self._past = Past(LATEST_S, LATE_STEP_S)
         self._no_fit = 0.0
         """How often scans did not fit each other lately."""
         self._ways = [0.0, 0.0]
@@ -162,6 +174,11 @@ class Faults:
         forwards, backwards = self._ways
         known = self.without_sign and backwards < forwards  # else the mount is rather turned
         return float(self.probability[AGREE] + known * self.probability[BACKWARDS])
+
+    @property
+    def proven(self) -> float:
+        """Probability that the set-up is right, of the least that motion leaves of it: see `set_up`."""
+        return self._set_up.proven
 
     @property
     def backwards(self) -> bool:
@@ -187,7 +204,7 @@ class Faults:
 
     def restart(self) -> None:
         """Odometry's stamps begin again."""
-        self._kept = 0
+        self._past = Past(LATEST_S, LATE_STEP_S)
 
     def take_apart(self) -> None:
         """Two scans that must have much in common do not fit each other."""
@@ -205,11 +222,18 @@ class Faults:
         `spread` is the covariance xx, xy, yy [m^2] of the scans' way.
         """
         self._no_fit *= 1.0 - NEWEST
-        self._pass(since, driven.seconds, trail)
-        begun, passed = since * 1e-9, self._passed[: self._kept]
-        predicted = _predicted(driven.delta, passed, begun, begun + driven.seconds)
+        self._past.take(since, driven.seconds, trail)
+        begun = since * 1e-9
+        predicted = _predicted(driven.delta, self._past.poses, begun, begun + driven.seconds)
         log_likelihood = _log_likelihood(scans, spread, turn_variance, predicted)
+        late = log_likelihood[LATE:]
+        guessed = begun - LATE_BY < self._past.known_since
+        anyhow = log_likelihood[UNRELATED] + log(1.0 - GOES_ON)
+        late[guessed] = np.logaddexp(late[guessed] + log(GOES_ON), anyhow)
         self._weigh(log_likelihood)
+        agree, slips = log_likelihood[AGREE], log_likelihood[SLIPPING]
+        right = float(np.logaddexp(agree + log(1.0 - SLIPS), slips + log(SLIPS)))
+        self._set_up.take(log_likelihood, right, self._is_wrong())
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
         if self.backwards and not self.without_sign:
@@ -218,30 +242,17 @@ class Faults:
             self._change[AGREE, BACKWARDS] = BACKS_KNOWN
         return bool(log_likelihood[AGREE] >= log_likelihood[SLIPPING])
 
+    def _is_wrong(self) -> Flags:
+        """In which states (n,) a pose of now is wrong: late scans do no harm to a robot that hardly moved."""
+        wrong = np.ones(_STATES, dtype=np.bool_)
+        way, turn = self._past.moved(LATE_BY)
+        wrong[LATE:] = (way > NEAR_M / 2.0) | (turn > NEAR_RAD / 2.0)
+        return wrong
+
     def _weigh(self, log_likelihood: Array) -> None:
         changed = self.probability @ self._change
         weighed = changed * np.exp(log_likelihood - log_likelihood.max())
         self.probability = weighed / weighed.sum()
-
-    def _pass(self, since: int, seconds: float, trail: OdometryTrail) -> None:
-        """Keeps where odometry was at steps of an interval."""
-        steps = max(ceil(2.0 * seconds / LATE_STEP_S), 1)
-        for step in range(steps + 1):
-            stamp = since + round(1e9 * seconds * step / steps)
-            before = self._passed[self._kept - 1] if self._kept else None
-            if before is not None and stamp * 1e-9 <= before[0]:
-                continue
-            sample = trail.at(stamp)
-            if sample is None:
-                continue
-            x, y, heading = sample.chained
-            if before is not None:
-                heading = before[3] + wrap(heading - before[3])
-            if self._kept == len(self._passed):
-                self._kept //= 2
-                self._passed[: self._kept] = self._passed[self._kept :]
-            self._passed[self._kept] = stamp * 1e-9, x, y, heading
-            self._kept += 1
 
 
 @njit("UniTuple(f8, 3)(f8[:,:], f8)", cache=True)  # pragma: no cover - compiled
@@ -316,6 +327,7 @@ def _log_likelihood(
     """
     x, y, turn = predicted[AGREE]
     way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
+    wide, wide_turn = SIGMA_M + SIGMA_SHARE * way, SIGMA_RAD + SIGMA_SHARE * turned
     anyhow = _anyhow(scans, spread, turn_variance)
     result = np.empty(len(predicted))
     for state in range(len(predicted)):
@@ -324,13 +336,20 @@ def _log_likelihood(
             continue
         near = _log_gaussian(
             scans[0] - predicted[state, 0], scans[1] - predicted[state, 1], scans[2] - predicted[state, 2],
-            spread, turn_variance, SIGMA_M + SIGMA_SHARE * way, SIGMA_RAD + SIGMA_SHARE * turned,
+            spread, turn_variance, wide, wide_turn,
         )  # fmt: skip
         result[state] = np.logaddexp(near + log(1.0 - ODD), anyhow + log(ODD))
     result[SLIPPING] = _log_gaussian(
         scans[0] - x, scans[1] - y, scans[2] - turn,
         spread, turn_variance, SLIP + SLIP_SHARE * way, SLIP + SLIP_SHARE * turned,
     )  # fmt: skip
+    distinct = _log_gaussian(0.0, 0.0, 0.0, spread, turn_variance, wide, wide_turn)
+    distinct -= _log_gaussian(x, y, turn, spread, turn_variance, wide, wide_turn)
+    if distinct > DISTINCT:
+        # scans that stay in place show it far more exactly than a motion
+        still = _log_gaussian(scans[0], scans[1], scans[2], spread, turn_variance, STILL_M, STILL_RAD)
+        result[FROZEN] = np.logaddexp(result[FROZEN], still) - log(2.0)
+        result[SLIPPING] = np.logaddexp(result[SLIPPING] + log(1.0 - BLOCKED), still + log(BLOCKED))
     if abs(turn) > 2.0 * SIGMA_RAD:
         result[ALIKE] = np.logaddexp(result[AGREE] + log(TURNS_ALIKE), anyhow + log(1.0 - TURNS_ALIKE))
     if abs(x) + abs(y) >= QUIET_M or abs(turn) >= QUIET_RAD:

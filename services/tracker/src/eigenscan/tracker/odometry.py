@@ -97,6 +97,11 @@ class OdometryTrail:
         """Last sample taken."""
         return self._samples[-1] if self._samples else None
 
+    @property
+    def oldest(self) -> Sample | None:
+        """First sample that is kept."""
+        return self._samples[0] if self._samples else None
+
     def take(self, stamp: int, pose: Pose) -> str:
         """Adds odometry at `stamp` ns; gives what became of it: taken, or the reason it was not.
 
@@ -194,10 +199,15 @@ class OdometryTrail:
         return motion(a, b)
 
     def spacing(self, stamp: int) -> int:
-        """Time, ns, between the two messages that the pose at `stamp`, ns, is found by; 0 without two."""
+        """Time, ns, between the two messages that the pose at `stamp`, ns, is found by.
+
+        0 without two, and at a message itself.
+        """
         if len(self._samples) < 2:
             return 0
         after = bisect_left(self._stamps, stamp - self._delay)
+        if after < len(self._stamps) and self._stamps[after] == stamp - self._delay:
+            return 0
         after = min(max(after, 1), len(self._samples) - 1)
         return self._samples[after].stamp - self._samples[after - 1].stamp
 

@@ -443,7 +443,8 @@ class RobotTracker:
         if verdict.track < 0:
             return verdict
         share = self._rivals.share(int(tracks.frame[verdict.track]))
-        return Verdict(verdict.track, min(verdict.confidence, share) * self._agreement.trust)
+        confidence = min(verdict.confidence, share) * self._agreement.trust
+        return Verdict(verdict.track, confidence, self._agreement.proven)
 
     def _protection(self, verdict: Verdict) -> Protection | None:
         if self.state != STATE_LOCALIZED or self._agreement.trust < self._settings.localized_above:

@@ -47,8 +47,8 @@ class Timeline:
         self._doubted: dict[str, int] = {}
         self._past_in_row: Counter[str] = Counter()
         """Of each source: lists from the past since one of any source was in time."""
-        self._back_in_row: Counter[str] = Counter()
-        """The same: older than another of their own source."""
+        self._back: dict[str, list[int]] = {}
+        """The same: stamps of those that are older than another of their own source."""
         self._received: int | None = None
         self._odometry: int | None = None
         self._alone = False
@@ -68,13 +68,16 @@ class Timeline:
             self._counts["hypotheses_duplicate"] += 1
             return Outcome.DUPLICATE
         if recent and seen.stamp < max(recent):  # a projector answers scans in their order
-            self._back_in_row[seen.source] += 1
+            self._back.setdefault(seen.source, []).append(seen.stamp)
             return self._receive_past(seen)
         if self._received is not None and seen.stamp < self._received - self._late:
             return self._receive_past(seen)
-        back = self._back_in_row.pop(seen.source, 0)
+        back = self._back.pop(seen.source, [])
         self._past_in_row.clear()  # a source that is slow is no clock that was set back
-        if back >= CAUGHT_UP_AFTER:  # how much time has passed meanwhile is not known
+        # lists that one overtook fall between it and the one before; a clock that was set back passes others
+        places = {sum(stamp < late for stamp in recent) for late in back}
+        overtaken = len(places) == 1 and 0 not in places
+        if len(back) >= CAUGHT_UP_AFTER and not overtaken:  # how much time has passed meanwhile is not known
             return self._restart(seen)
         if self._is_doubtful(seen):
             self._counts["hypotheses_from_future"] += 1
