@@ -35,11 +35,6 @@ ODD = 0.02
 """Share of right motions that the fit finds somewhere else."""
 SLIP, SLIP_SHARE = 0.1, 1.0
 """m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`."""
-STILL_M, STILL_RAD, BLOCKED = 0.01, 0.005, 0.1
-"""m, rad: how exactly scans of one place show no motion; and the share of slipping robots that stay in place.
-"""
-DISTINCT = 2.0
-"""nats by which odometry's motion must differ from none: two sigma."""
 SLIPS, GRIPS = 0.01, 0.4
 """Chances, an interval, that wheels begin to slip and that they cease to."""
 ALIKE_BEGINS, ALIKE_ENDS = 0.1, 0.03
@@ -327,7 +322,6 @@ def _log_likelihood(
     """
     x, y, turn = predicted[AGREE]
     way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
-    wide, wide_turn = SIGMA_M + SIGMA_SHARE * way, SIGMA_RAD + SIGMA_SHARE * turned
     anyhow = _anyhow(scans, spread, turn_variance)
     result = np.empty(len(predicted))
     for state in range(len(predicted)):
@@ -336,20 +330,13 @@ def _log_likelihood(
             continue
         near = _log_gaussian(
             scans[0] - predicted[state, 0], scans[1] - predicted[state, 1], scans[2] - predicted[state, 2],
-            spread, turn_variance, wide, wide_turn,
+            spread, turn_variance, SIGMA_M + SIGMA_SHARE * way, SIGMA_RAD + SIGMA_SHARE * turned,
         )  # fmt: skip
         result[state] = np.logaddexp(near + log(1.0 - ODD), anyhow + log(ODD))
     result[SLIPPING] = _log_gaussian(
         scans[0] - x, scans[1] - y, scans[2] - turn,
         spread, turn_variance, SLIP + SLIP_SHARE * way, SLIP + SLIP_SHARE * turned,
     )  # fmt: skip
-    distinct = _log_gaussian(0.0, 0.0, 0.0, spread, turn_variance, wide, wide_turn)
-    distinct -= _log_gaussian(x, y, turn, spread, turn_variance, wide, wide_turn)
-    if distinct > DISTINCT:
-        # scans that stay in place show it far more exactly than a motion
-        still = _log_gaussian(scans[0], scans[1], scans[2], spread, turn_variance, STILL_M, STILL_RAD)
-        result[FROZEN] = np.logaddexp(result[FROZEN], still) - log(2.0)
-        result[SLIPPING] = np.logaddexp(result[SLIPPING] + log(1.0 - BLOCKED), still + log(BLOCKED))
     if abs(turn) > 2.0 * SIGMA_RAD:
         result[ALIKE] = np.logaddexp(result[AGREE] + log(TURNS_ALIKE), anyhow + log(1.0 - TURNS_ALIKE))
     if abs(x) + abs(y) >= QUIET_M or abs(turn) >= QUIET_RAD:
