@@ -17,7 +17,7 @@ from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.session import open_meanwhile
 from eigenscan.schemas.advice_pb2 import Advice
-from eigenscan.schemas.advice_words import words_of
+from eigenscan.schemas.advice_words import HOLDS_S, words_of
 from eigenscan.schemas.channels import (
     ADVICE,
     ALIVE_TEMPLATE,
@@ -45,9 +45,6 @@ FORGOTTEN_S = 24 * 3600.0
 
 MOST_SETTINGS = 20_000
 """Longest settings of a service, in characters: ten times our longest."""
-
-ADVICE_S = 3.0
-"""Age of advice, s, from which it does not hold any more: it comes once a second."""
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
@@ -154,7 +151,7 @@ class Robot:
     def advised(self) -> str:
         """The advice in words, while it holds: the pose is ambiguous, and it came just now."""
         holds = self.pose is not None and self.pose.state == STATE_AMBIGUOUS
-        if self.advice is None or not holds or time.monotonic() - self.advised_at > ADVICE_S:
+        if self.advice is None or not holds or time.monotonic() - self.advised_at > HOLDS_S:
             return ""
         return words_of(self.advice)
 

@@ -8,6 +8,8 @@ from eigenscan.schemas.advice_pb2 import Advice
 
 AHEAD_DEG, BACK_DEG = 10.0, 170.0
 """Headings that are as good as straight ahead, and straight back."""
+HOLDS_S = 3.0
+"""Age of advice, s, from which it is not shown any more: it comes once a second."""
 
 
 def words_of(advice: Advice) -> str:

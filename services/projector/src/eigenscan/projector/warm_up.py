@@ -45,7 +45,8 @@ def warm_up(settings: ProjectorSettings) -> int:
         second,
         Envelope(SEARCH, address, _request(second.stamp)),
         third,
-        *(Envelope(POSE, address, _ambiguous(third.stamp)), Envelope(TRACKS, address, _tracks(third.stamp))),
+        Envelope(POSE, address, _ambiguous(third.stamp)),
+        Envelope(TRACKS, address, _tracks(third.stamp)),
     ]
     _look_at(model)  # only what is large needs it
     return sum(len(list(core.handle(envelope))) for envelope in received)

@@ -11,15 +11,13 @@ from eigenscan.recorder.picture.canvas import Canvas, stamp_of
 from eigenscan.recorder.picture.palette import ADVICE
 from eigenscan.recorder.picture.shapes import arrows, is_place, lift
 from eigenscan.schemas.advice_pb2 import Advice
-from eigenscan.schemas.advice_words import words_of
+from eigenscan.schemas.advice_words import HOLDS_S, words_of
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate
 
 TURN_M = 1.0
 """Length of the arrow of a turn without a drive."""
-OLD_NS = 3_000_000_000
-"""Advice of this age is not shown any more: it comes once a second."""
 
 
 @dataclass
@@ -47,7 +45,7 @@ class AdvicePicture:
         shown.pose = pose if message.track_id and is_place(pose) else None
         if shown.advised is None:
             return
-        if message.state != STATE_AMBIGUOUS or not 0 <= stamp - shown.advised < OLD_NS:
+        if message.state != STATE_AMBIGUOUS or not 0 <= stamp - shown.advised < HOLDS_S * 1e9:
             shown.advised = None
             for path in _paths(robot):
                 self._canvas.clear(stamp, path)
