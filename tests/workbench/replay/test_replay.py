@@ -215,6 +215,22 @@ def test_hypotheses_that_arrive_later_give_the_same_poses(
     assert "first difference: transform" in strict.out
 
 
+def test_advice_rests_on_arrival_and_is_judged_only_strictly(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """A busy projector receives poses and tracks late or not at all, so another second's pair begins."""
+    advised = only(run.messages, ADVICE)
+    assert advised
+    changed = [with_message(timed, evidence=-1.0) if timed is advised[0] else timed for timed in run.messages]
+    path = run.write(tmp_path / "a.mcap", changed)
+    ended = eigenscan("replay", path, "--service", "projector", "--compare")
+    assert ended.code == 0, ended.out
+    assert "not judged: advice: one follows each second" in ended.out
+    strict = eigenscan("replay", path, "--service", "projector", "--compare", "--strict")
+    assert strict.code == 1
+    assert "first difference: advice" in strict.out
+
+
 def test_too_few_answers_are_no_proof(run: Run, eigenscan: Command, tmp_path: Path) -> None:
     silent = run.write(tmp_path / "silent.mcap", without(run.messages, *TRACKER_PUBLISHES))
     ended = eigenscan("replay", silent, "--service", "tracker", "--compare")
@@ -317,7 +333,7 @@ def test_two_projectors_are_distinguished_by_their_keys(run: Run, eigenscan: Com
         for timed in only(few, HYPOTHESES, OBSTACLES, ADVICE)
     ]
     path = run.write(tmp_path / "a.mcap", sorted([*few, *alias], key=lambda timed: timed.time))
-    ended = eigenscan("replay", path, "--service", "projector", "--compare")
+    ended = eigenscan("replay", path, "--service", "projector", "--compare", "--strict")
     assert ended.code == 0, ended.out
     assert f"the same: {2 * len(alias)} messages" in ended.out
 

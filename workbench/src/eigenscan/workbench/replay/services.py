@@ -55,8 +55,10 @@ CHOICES: dict[str, tuple[Service, ...]] = {part.name: (part,) for part in PARTS}
 ARRIVAL: dict[Channel, str] = {
     TRANSFORM: "one follows each odometry sample, and rests on the newest pose that was there by then: "
     "an accident of arrival",
+    ADVICE: "one follows each second of those poses and tracks that the projector had received in pairs: "
+    "an accident of arrival",
 }
-"""Fields that are not judged for a recording over Zenoh, and why. The poses behind a transform are judged."""
+"""What is not judged for a recording over Zenoh, and why. The poses and tracks behind it are judged."""
 
 
 def published_by(services: tuple[Service, ...]) -> tuple[Channel, ...]:
