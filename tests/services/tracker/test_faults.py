@@ -14,7 +14,6 @@ from eigenscan.tracker.planar import Pose, between, compose, inverse
 from eigenscan.tracker.velocity_gate import VelocityGate
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import multivariate_normal
 
 STEP_S = 0.2
 NS = 1_000_000_000
@@ -75,14 +74,6 @@ def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(rows: list[
         joint = np.array([sum(joint[i] * change[i, j] for i in range(len(prior))) for j in range(len(prior))])
         joint = joint * np.exp(np.array(row))
     assert faults.probability == pytest.approx(joint / joint.sum(), rel=1e-9, abs=1e-300)
-
-
-@given(st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3))
-def test_densities_are_gaussian(off: list[float]) -> None:
-    x, y, turn = off
-    got = model._log_gaussian(x, y, turn, (0.02, 0.005, 0.03), 0.001, 0.1, 0.2)
-    C = [[0.03, 0.005, 0], [0.005, 0.04, 0], [0, 0, 0.041]]
-    assert got == pytest.approx(multivariate_normal.logpdf(off, np.zeros(3), C), rel=1e-9)
 
 
 @given(st.tuples(st.floats(-0.4, 0.4), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5)), st.floats(0.1, 3.0))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import log
+from math import exp, log, pi, radians, sin
 
 import numpy as np
 import pytest
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED
-from eigenscan.tracker.faults import Faults
-from eigenscan.tracker.odometry import OdometryTrail
-from eigenscan.tracker.planar import Pose, compose
+from eigenscan.schemas.channels import RELOCATION
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation
+from eigenscan.tracker.faults import AGREE, MIRRORED, Faults, _log_likelihoods, _predicted
+from eigenscan.tracker.odometry import RESTART_AFTER, OdometryTrail
+from eigenscan.tracker.planar import Pose, between, compose
+from eigenscan.tracker.scan_motion import EXACT, SIGMA_M, SIGMA_RAD, SIGMA_SHARE
 from eigenscan.tracker.set_up import PROVEN, WRONG, SetUp
 from eigenscan.tracker.velocity_gate import VelocityGate
 
@@ -91,15 +94,112 @@ def test_a_late_lidar_does_no_harm_to_a_robot_that_stands() -> None:
 
 
 def test_the_worst_way_counts_and_chance_proves_nothing() -> None:
-    set_up, all_wrong = SetUp(np.array([0, 1])), np.ones(2, dtype=np.bool_)
-    set_up.take(np.array([-30.0, -log(10.0)]), 0.0, all_wrong)
+    set_up, both = SetUp(2, 1), np.ones(2, dtype=np.bool_)
+    set_up.take(np.array([[-30.0, -log(10.0)]]), np.zeros(1), both)
     assert set_up.proven == pytest.approx(1.0 - WRONG)
-    set_up.take(np.array([0.0, -log(2.0)]), 0.0, all_wrong)
+    set_up.take(np.array([[0.0, -log(2.0)]]), np.zeros(1), both)
     assert set_up.proven == pytest.approx(1.0 / (1.0 + 0.1 / 0.9 / 20.0))
-    set_up.take(np.array([0.0, 1000.0]), 0.0, all_wrong)
+    set_up.take(np.array([[0.0, 1000.0]]), np.zeros(1), both)
     assert set_up.proven == pytest.approx(0.0)
-    set_up.take(np.array([0.0, 0.0]), 0.0, np.array([True, False]))
+    set_up.take(np.zeros((1, 2)), np.zeros(1), np.array([True, False]))
     assert set_up.proven > PROVEN
+
+
+def test_a_right_set_up_counts_as_the_mean_over_how_exact_it_may_be_and_a_wrong_one_as_the_likeliest() -> (
+    None
+):
+    set_up, only = SetUp(1, 2), np.ones(1, dtype=np.bool_)
+    set_up.take(np.array([[-5.0], [-2.5]]), np.array([0.0, -1000.0]), only)
+    # half of it was likely, so the ratio is exp(2.5) / 2 = 6: eleven are no proof yet
+    assert set_up.proven == pytest.approx(1.0 - WRONG)
+    set_up.take(np.array([[0.0], [-5.0]]), np.zeros(2), only)
+    assert set_up.proven == pytest.approx(1.0 / (1.0 + 0.1 / 0.9 * 2.0 * exp(-5.0)))
+
+
+def test_turns_of_a_degree_prove_the_set_up_of_a_robot_that_is_exact() -> None:
+    """Along 10 m, its heading goes to and fro by 1.4 degrees."""
+    assert swaying(noise_share=0.15)[-1] > PROVEN
+    assert max(swaying(noise_share=1.0)) <= 1.0 - WRONG
+
+
+def swaying(noise_share: float) -> list[float]:
+    """How well its set-up is proven; both motions differ by a share of what they may."""
+    rng, faults, result = np.random.default_rng(2), Faults(), list[float]()
+    trail, pose, step = OdometryTrail(VelocityGate(2.0, 3.0)), (0.0, 0.0, 0.0), 0.05
+    for number in range(600):
+        trail.take(round((100.0 + number * step) * NS), pose)
+        time = number * step - 9.0
+        turning = radians(0.7) * 2.0 * pi / 8.0 * sin(2.0 * pi * time / 8.0)
+        pose = compose(pose, (step * min(max(time, 0.0), 0.5), 0.0, step * turning * (time > 0.0)))
+    for number in range(33):
+        since, every = round((109.0 + 0.6 * number) * NS), round(0.6 * NS)
+        driven = trail.between(since, since + every)
+        off = noise_share * rng.standard_normal(3) * [SIGMA_M, SIGMA_M, SIGMA_RAD]
+        x, y, turn = np.array(driven.delta) + off
+        faults.take((x, y, turn), (1e-5, 0.0, 1e-5), 4e-6, driven, since, trail)
+        result.append(faults.proven)
+    return result
+
+
+@pytest.mark.parametrize(("way_share", "turn_share"), [(1.0, 1.0), (0.25, 1.0), (0.5, 0.25), (0.3, 0.6)])
+def test_however_exact_a_robot_is_its_mirrored_lidar_is_rarely_taken_as_right(
+    way_share: float, turn_share: float
+) -> None:
+    """At most in one drive in eleven, however long (Ville's inequality)."""
+    rng, drives, taken = np.random.default_rng(3), 80, 0
+    past = np.array([[0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
+    for _ in range(drives):
+        set_up, only, proven = SetUp(1, len(EXACT)), np.ones(1, dtype=np.bool_), False
+        for _ in range(50):
+            turn = radians(0.5) * float(rng.standard_normal())
+            predicted = _predicted((0.1, 0.0, turn), past, 50.0, 50.6)
+            sigma = np.array([SIGMA_M, SIGMA_M, SIGMA_RAD]) + SIGMA_SHARE * np.array([0.1, 0.1, abs(turn)])
+            off = rng.standard_normal(3) * sigma * [way_share, way_share, turn_share]
+            x, y, turned = off + np.array([0.1, 0.0, -turn])
+            found = _log_likelihoods((x, y, turned), (1e-8, 0.0, 1e-8), 1e-8, predicted)
+            set_up.take(found[:, [MIRRORED]], found[:, AGREE], only)
+            proven |= set_up.proven > PROVEN
+        taken += proven
+    assert taken <= drives / 11
+
+
+def test_a_robot_without_a_sign_of_its_encoders_backs_out_without_losing_its_proof() -> None:
+    """As far back as ahead: odometry counts on."""
+    faults, trail, pose, since = Faults(), OdometryTrail(VelocityGate(2.0, 3.0)), (0.0, 0.0, 0.0), 100 * NS
+    trail.take(since, pose)
+    for number in range(28):
+        before, way = pose, 0.0 if number < 4 else 0.1
+        pose, until = compose(pose, (way, 0.0, 0.1 * (number % 3 == 0))), since + round(EVERY_S * NS)
+        trail.take(until, pose)
+        x, y, turn = between(before, pose)
+        back = -1.0 if number >= 16 else 1.0
+        driven = trail.between(since, until)
+        faults.take((back * x, back * y, turn), (1e-5, 0.0, 1e-5), 4e-6, driven, since, trail)
+        assert faults.proven > PROVEN or number < 16
+        since = until
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_proof_outlasts_a_relocation_and_a_restart_of_odometry(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, restarts: bool
+) -> None:
+    """Lidar, mount and encoders are the same as before."""
+    core = make_core()
+    assert drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP, stands=6)[-1].confidence > 0.99
+    truth = np.array([2.0, 3.0, 0.0])
+    if restarts:
+        for late in range(RESTART_AFTER):
+            list(core.handle(speaker.odometry(9.0 + 0.1 * late, np.zeros(3))))
+        assert core.condition().counters["odometry_restarted"] == 1
+    else:
+        list(core.handle(Envelope(RELOCATION, {"site": "s", "robot": "r"}, Relocation())))
+        assert core.condition().counters["relocated"] == 1
+    output = list[PoseEstimate]()
+    for scan in range(4):
+        time = 17.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, np.zeros(3))))
+        output += poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+    assert output[-1].confidence > 0.95
 
 
 def test_before_it_has_moved_a_robot_is_localized_at_nine_in_ten(

@@ -10,29 +10,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import degrees, log, pi, radians
+from math import degrees, log, radians
 
 import numpy as np
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.past import Past
 from eigenscan.tracker.planar import Pose, wrap
+from eigenscan.tracker.scan_motion import (
+    EXACT,
+    ODD,
+    SIGMA_M,
+    SIGMA_RAD,
+    SIGMA_SHARE,
+    log_gaussian,
+    unpredicted,
+)
 from eigenscan.tracker.set_up import SetUp
-from eigenscan.tracker.symmetric import wrapped
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-SIGMA_M, SIGMA_RAD, SIGMA_SHARE = 0.03, 0.025, 0.15
-"""m, rad: what both motions over an interval differ by where nothing is wrong, and the share of the way and
-of the turn on top. These and the chances below were chosen on intel and fr079: benchmarks/mechanisms.py
---fault."""
-DRIVES, SIDEWAYS, TURNS = 0.2, 0.05, 0.2
-"""m, m, rad: sigma of a motion between two scans that nothing predicts."""
-ODD = 0.02
-"""Share of right motions that the fit finds somewhere else."""
 SLIP, SLIP_SHARE = 0.1, 1.0
 """m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`."""
 SLIPS, GRIPS = 0.01, 0.4
@@ -118,6 +118,8 @@ _KINDS = (
 _FIRST = np.cumsum([1, *(kind.count for kind in _KINDS)])
 FROZEN, UNRELATED, ODOMETRY_STANDS, REVERSED, MIRRORED, MOUNT_TURNED, LATE = _FIRST[2:-1].tolist()
 ALIKE = UNRELATED + 1
+RIGHT = np.array([AGREE, SLIPPING, BACKWARDS])
+"""States of a set-up that is right."""
 WRONG_SET_UPS = np.array([FROZEN, *range(ODOMETRY_STANDS, int(_FIRST[-1]))])
 """States that are there from the start, if at all: see `set_up`."""
 _STATES = int(_FIRST[-1])
@@ -154,7 +156,7 @@ class Faults:
 
     def __init__(self) -> None:
         self.probability, self._change = _start()
-        self._set_up = SetUp(WRONG_SET_UPS)
+        self._set_up = SetUp(len(WRONG_SET_UPS), len(EXACT))
         self.without_sign = False
         """Whether the robot was seen to drive backwards while odometry counted on."""
         self._past = Past(LATEST_S, LATE_STEP_S)
@@ -220,22 +222,23 @@ class Faults:
         self._past.take(since, driven.seconds, trail)
         begun = since * 1e-9
         predicted = _predicted(driven.delta, self._past.poses, begun, begun + driven.seconds)
-        log_likelihood = _log_likelihood(scans, spread, turn_variance, predicted)
-        late = log_likelihood[LATE:]
-        guessed = begun - LATE_BY < self._past.known_since
-        anyhow = log_likelihood[UNRELATED] + log(1.0 - GOES_ON)
-        late[guessed] = np.logaddexp(late[guessed] + log(GOES_ON), anyhow)
-        self._weigh(log_likelihood)
-        agree, slips = log_likelihood[AGREE], log_likelihood[SLIPPING]
-        right = float(np.logaddexp(agree + log(1.0 - SLIPS), slips + log(SLIPS)))
-        self._set_up.take(log_likelihood, right, self._is_wrong())
+        by_exactness = _log_likelihoods(scans, spread, turn_variance, predicted)
+        late = np.arange(LATE, _STATES)[begun - LATE_BY < self._past.known_since]
+        anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
+        by_exactness[:, late] = np.logaddexp(by_exactness[:, late] + log(GOES_ON), anyhow)
+        if _stands(predicted[AGREE]):  # how exact a motion is that there is shows none of another
+            by_exactness[:] = by_exactness[0]
+        chances = (self.probability @ self._change)[RIGHT]
+        right = np.logaddexp.reduce(by_exactness[:, RIGHT] + np.log(chances / chances.sum()), axis=1)
+        self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
+        self._weigh(by_exactness[0])
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
         if self.backwards and not self.without_sign:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
             self._change[AGREE, BACKWARDS] = BACKS_KNOWN
-        return bool(log_likelihood[AGREE] >= log_likelihood[SLIPPING])
+        return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
 
     def _is_wrong(self) -> Flags:
         """In which states (n,) a pose of now is wrong: late scans do no harm to a robot that hardly moved."""
@@ -288,57 +291,46 @@ def _predicted(moved: Pose, passed: Array, since: float, until: float) -> Array:
     return result
 
 
-@njit("f8(f8, f8, f8, UniTuple(f8, 3), f8, f8, f8)", cache=True)  # pragma: no cover - compiled
-def _log_gaussian(
-    x: float, y: float, turn: float, spread: tuple[float, float, float], turn_variance: float,
-    sigma: float, turn_sigma: float,
-) -> float:  # fmt: skip
-    """Ln of the density at (x, y, turn), `sigma` m and `turn_sigma` rad beside the fit's own covariance."""
-    xx, xy, yy = spread[0] + sigma**2, spread[1], spread[2] + sigma**2
-    tt, determinant = turn_variance + turn_sigma**2, xx * yy - xy * xy
-    turned = wrapped(turn)
-    distance2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / determinant + turned * turned / tt
-    return float(-0.5 * (distance2 + log(determinant * tt)) - 1.5 * log(2.0 * pi))
+@njit("b1(f8[:])", cache=True)  # pragma: no cover - compiled
+def _stands(moved: Array) -> bool:
+    """Whether odometry hardly shows a motion (3,)."""
+    return bool(abs(moved[0]) + abs(moved[1]) < QUIET_M and abs(moved[2]) < QUIET_RAD)
 
 
-@njit("f8(UniTuple(f8, 3), UniTuple(f8, 3), f8)", cache=True)  # pragma: no cover - compiled
-def _anyhow(scans: Pose, spread: tuple[float, float, float], turn_variance: float) -> float:
-    """Ln of the density of a motion that nothing predicts: half of the robots drive straight on."""
-    x, y, turn = scans
-    xx, xy, yy = spread
-    wide = (xx + DRIVES**2, xy, yy + SIDEWAYS**2)
-    straight = _log_gaussian(x, y, turn, wide, turn_variance, 0.0, SIGMA_RAD)
-    turning = _log_gaussian(x, y, turn, wide, turn_variance, 0.0, TURNS)
-    return float(np.logaddexp(straight, turning) - log(2.0))
-
-
-@njit("f8[::1](UniTuple(f8, 3), UniTuple(f8, 3), f8, f8[:,::1])", cache=True)  # pragma: no cover - compiled
-def _log_likelihood(
+@njit("f8[:,::1](UniTuple(f8, 3), UniTuple(f8, 3), f8, f8[:,::1])", cache=True)  # pragma: no cover - compiled
+def _log_likelihoods(
     scans: Pose, spread: tuple[float, float, float], turn_variance: float, predicted: Array
 ) -> Array:
-    """Ln of the density (n,) of the scans' motion in each state, whose `predicted` is (n, 3).
+    """Ln of the density (e, n) of the scans' motion by exactness in each state, `predicted` (n, 3).
 
     All with one covariance: a fault that predicts less motion does not predict it more exactly.
     """
     x, y, turn = predicted[AGREE]
     way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
-    anyhow = _anyhow(scans, spread, turn_variance)
-    result = np.empty(len(predicted))
-    for state in range(len(predicted)):
-        if np.isnan(predicted[state, 0]):
-            result[state] = anyhow
-            continue
-        near = _log_gaussian(
-            scans[0] - predicted[state, 0], scans[1] - predicted[state, 1], scans[2] - predicted[state, 2],
-            spread, turn_variance, SIGMA_M + SIGMA_SHARE * way, SIGMA_RAD + SIGMA_SHARE * turned,
-        )  # fmt: skip
-        result[state] = np.logaddexp(near + log(1.0 - ODD), anyhow + log(ODD))
-    result[SLIPPING] = _log_gaussian(
+    anyhow = unpredicted(scans, spread, turn_variance)
+    slipped = log_gaussian(
         scans[0] - x, scans[1] - y, scans[2] - turn,
         spread, turn_variance, SLIP + SLIP_SHARE * way, SLIP + SLIP_SHARE * turned,
     )  # fmt: skip
-    if abs(turn) > 2.0 * SIGMA_RAD:
-        result[ALIKE] = np.logaddexp(result[AGREE] + log(TURNS_ALIKE), anyhow + log(1.0 - TURNS_ALIKE))
-    if abs(x) + abs(y) >= QUIET_M or abs(turn) >= QUIET_RAD:
-        result[ODOMETRY_STANDS] += log(ODD)
+    result = np.empty((len(EXACT), len(predicted)))
+    for i in range(len(EXACT)):
+        row, (of_way, of_turn) = result[i], EXACT[i]
+        sigma, turn_sigma = (
+            of_way * (SIGMA_M + SIGMA_SHARE * way),
+            of_turn * (SIGMA_RAD + SIGMA_SHARE * turned),
+        )
+        for state in range(len(predicted)):
+            if np.isnan(predicted[state, 0]):
+                row[state] = anyhow
+                continue
+            near = log_gaussian(
+                scans[0] - predicted[state, 0], scans[1] - predicted[state, 1],
+                scans[2] - predicted[state, 2], spread, turn_variance, sigma, turn_sigma,
+            )  # fmt: skip
+            row[state] = np.logaddexp(near + log(1.0 - ODD), anyhow + log(ODD))
+        row[SLIPPING] = slipped
+        if abs(turn) > 2.0 * SIGMA_RAD:
+            row[ALIKE] = np.logaddexp(row[AGREE] + log(TURNS_ALIKE), anyhow + log(1.0 - TURNS_ALIKE))
+        if not _stands(predicted[AGREE]):
+            row[ODOMETRY_STANDS] += log(ODD)
     return result

@@ -7,9 +7,9 @@ turns, a delay of a tenth of a second is several degrees between two lookups of 
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.tracker.faults import SIGMA_M, SIGMA_RAD
 from eigenscan.tracker.odometry import OdometryTrail, motion
 from eigenscan.tracker.planar import Pose, wrap
+from eigenscan.tracker.scan_motion import SIGMA_M, SIGMA_RAD
 from numpy.typing import NDArray
 
 STEP_NS, STEPS = 50_000_000, 7

@@ -8,13 +8,12 @@ motion has excluded least. Then no confidence exceeds 0.9 before each is exclude
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 WRONG = 0.1
@@ -31,29 +30,42 @@ FARTHEST = 700.0
 
 
 class SetUp:
-    """Log-likelihoods of wrong set-ups, each there from the start, against that of a right one."""
+    """Log-likelihoods of wrong set-ups, each there from the start, against that of a right one.
 
-    def __init__(self, states: Index) -> None:
-        self._states = states
-        """Those of wrong set-ups."""
-        self._ratio = np.zeros(len(states))
-        self._wrong = np.ones(len(states), dtype=np.bool_)
-        """Which of them would make a pose wrong now."""
+    How exact a robot's odometry and scans are is not known, either. A right set-up counts as the mean over
+    how exact they may be, a wrong one as the likeliest. So the chance above holds however exact they are
+    (Wasserman, Ramdas and Balakrishnan, "Universal inference", PNAS 2020).
+    """
+
+    def __init__(self, states: int, exactness: int) -> None:
+        self._wrong, self._right = np.zeros((exactness, states)), np.zeros(exactness)
+        self._matters = np.ones(states, dtype=np.bool_)
+        """Which wrong set-ups would make a pose wrong now."""
 
     @property
     def proven(self) -> float:
-        """Least probability of a right set-up, over all that robots may be set up wrongly.
+        """Probability of a right set-up: what the worst wrong one leaves of it, once it is excluded.
 
-        Before it is PROVEN no more than at first: what happens to agree by chance is no proof.
+        Before it is no more than at first: what happens to agree by chance is no proof. It is less where the
+        wrong ones, any as probable, explain the motion of a least exact robot better than a right one does.
         """
-        worst = min(float(self._ratio[self._wrong].max()), FARTHEST)
-        right = 1.0 / (1.0 + WRONG / (1.0 - WRONG) * exp(worst))
-        return right if right >= PROVEN else min(right, 1.0 - WRONG)
+        wrong = self._wrong[:, self._matters]
+        worst = float(wrong.max()) - float(np.logaddexp.reduce(self._right)) + log(len(self._right))
+        if _right_share(worst) >= PROVEN:
+            return _right_share(worst)
+        usual = float(np.logaddexp.reduce(wrong[0])) - log(len(wrong[0])) - float(self._right[0])
+        return min(_right_share(usual), 1.0 - WRONG)
 
-    def take(self, log_likelihood: Array, right: float, wrong: Flags) -> None:
-        """Takes the log-likelihoods of an interval in each state and in a right set-up.
+    def take(self, wrong: Array, right: Array, matters: Flags) -> None:
+        """Takes an interval's log-likelihoods by exactness, the least first: (e, n), of a right set-up (e,).
 
-        `wrong`: in which states a pose after the interval is wrong.
+        `matters` (n,): which of the wrong ones make a pose after the interval wrong.
         """
-        self._ratio += log_likelihood[self._states] - right
-        self._wrong = wrong[self._states]
+        self._wrong += wrong
+        self._right += right
+        self._matters = matters
+
+
+def _right_share(against: float) -> float:
+    """Probability of a right set-up of which wrong ones have such a log-likelihood ratio."""
+    return 1.0 / (1.0 + WRONG / (1.0 - WRONG) * exp(min(against, FARTHEST)))
