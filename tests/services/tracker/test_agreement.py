@@ -217,6 +217,43 @@ def test_odometry_of_two_robots_is_not_localized(
     assert "two robots" in core.condition().detail
 
 
+def test_one_jump_of_odometry_is_named_at_once_and_for_a_while(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """The encoders' board restarts while the robot drives: the frame begins anew, once."""
+    core, truth, reported = make_core(), np.array([2.0, 3.0, 0.0]), np.array([5.0, 0.0, 0.0])
+    named = list[bool]()
+    for scan in range(230):
+        time = 10.0 + 0.1 * scan
+        reported = np.zeros(3) if scan == 40 else reported
+        list(core.handle(speaker.odometry(time, reported)))
+        poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        condition = core.condition()
+        named.append(condition.status == Health.STATUS_DEGRADED)
+        assert "jumped" in condition.detail or not named[-1]
+        truth, reported = compose(truth, np.array(STEP)), compose(reported, np.array(STEP))
+    assert not any(named[:40])
+    assert all(named[40:70])
+    assert not any(named[-30:])
+
+
+@pytest.mark.parametrize(
+    ("moved", "agrees"), [((0.1, 0.0, 0.0), False), ((0.78, 0.0, 0.0), True), (None, True)]
+)
+def test_odometry_that_runs_ahead_of_the_scans_is_a_fault_where_these_fit(
+    moved: Step | None, agrees: bool
+) -> None:
+    """0.8 m from scan to scan; two scans so far apart need not fit each other."""
+    trail, agreement = OdometryTrail(VelocityGate(2.0, 3.0)), Agreement()
+    for number in range(70):
+        trail.take(number * 100_000_000, (0.13 * number, 0.0, 0.0))
+    for number in range(10):
+        since, until = number * 600_000_000, (number + 1) * 600_000_000
+        agreement.receive(ScanInterval("front", since, until, moved, longest_step=0.6))
+        agreement.compare(trail, until)
+    assert (agreement.fault == "") is agrees
+
+
 def test_map_to_odom_ends_with_the_claim(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP, count=30)
