@@ -19,7 +19,7 @@ from tests.environment import ROOT
 
 def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(root / "tools/release"), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=1800, check=False)
 
 
 @pytest.fixture
