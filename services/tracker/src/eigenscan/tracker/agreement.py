@@ -101,7 +101,7 @@ class Agreement:
         for lidar, faults in self._faults.items():
             if faults.trust < 0.5:
                 return faults.cause if len(self._faults) == 1 else f"{lidar}: {faults.cause}"
-        if self._jumps and abs(self._now - self._jumps[-1]) <= JUMPS_NS:
+        if self._jumps and self._was_lately(self._jumps[-1]):
             return "odometry jumped: was it reset, or do two robots use this name?"
         return WITHOUT_SIGN if any(each.without_sign for each in self._faults.values()) else ""
 
@@ -137,8 +137,10 @@ class Agreement:
     @property
     def two_robots(self) -> bool:
         """Whether odometry jumps so often that two robots must use one name."""
-        jumps = self._jumps
-        return len(jumps) == JUMPS and max(abs(self._now - at) for at in jumps) <= JUMPS_NS
+        return len(self._jumps) == JUMPS and all(map(self._was_lately, self._jumps))
+
+    def _was_lately(self, jump: int) -> bool:
+        return abs(self._now - jump) <= JUMPS_NS
 
     def receive(self, interval: ScanInterval) -> None:
         """Keeps an interval until odometry has come as far; once, for it comes alone and with hypotheses."""

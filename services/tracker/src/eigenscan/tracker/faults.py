@@ -228,10 +228,9 @@ class Faults:
         by_exactness[:, late] = np.logaddexp(by_exactness[:, late] + log(GOES_ON), anyhow)
         if _stands(predicted[AGREE]):  # how exact a motion is that there is shows none of another
             by_exactness[:] = by_exactness[0]
-        chances = (self.probability @ self._change)[RIGHT]
+        chances = self._weigh(by_exactness[0])[RIGHT]
         right = np.logaddexp.reduce(by_exactness[:, RIGHT] + np.log(chances / chances.sum()), axis=1)
         self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
-        self._weigh(by_exactness[0])
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
         if self.backwards and not self.without_sign:
@@ -247,10 +246,12 @@ class Faults:
         wrong[LATE:] = (way > NEAR_M / 2.0) | (turn > NEAR_RAD / 2.0)
         return wrong
 
-    def _weigh(self, log_likelihood: Array) -> None:
-        changed = self.probability @ self._change
+    def _weigh(self, log_likelihood: Array) -> Array:
+        """Weighs the states by what was seen (n,); gives how probable each was before that."""
+        changed: Array = self.probability @ self._change
         weighed = changed * np.exp(log_likelihood - log_likelihood.max())
         self.probability = weighed / weighed.sum()
+        return changed
 
 
 @njit("UniTuple(f8, 3)(f8[:,:], f8)", cache=True)  # pragma: no cover - compiled
@@ -315,10 +316,8 @@ def _log_likelihoods(
     result = np.empty((len(EXACT), len(predicted)))
     for i in range(len(EXACT)):
         row, (of_way, of_turn) = result[i], EXACT[i]
-        sigma, turn_sigma = (
-            of_way * (SIGMA_M + SIGMA_SHARE * way),
-            of_turn * (SIGMA_RAD + SIGMA_SHARE * turned),
-        )
+        sigma = of_way * (SIGMA_M + SIGMA_SHARE * way)
+        turn_sigma = of_turn * (SIGMA_RAD + SIGMA_SHARE * turned)
         for state in range(len(predicted)):
             if np.isnan(predicted[state, 0]):
                 row[state] = anyhow

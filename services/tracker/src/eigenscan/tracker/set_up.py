@@ -51,8 +51,9 @@ class SetUp:
         """
         wrong = self._wrong[:, self._matters]
         worst = float(wrong.max()) - float(np.logaddexp.reduce(self._right)) + log(len(self._right))
-        if _right_share(worst) >= PROVEN:
-            return _right_share(worst)
+        right = _right_share(worst)
+        if right >= PROVEN:
+            return right
         usual = float(np.logaddexp.reduce(wrong[0])) - log(len(wrong[0])) - float(self._right[0])
         return min(_right_share(usual), 1.0 - WRONG)
 
