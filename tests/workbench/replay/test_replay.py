@@ -207,12 +207,17 @@ def test_hypotheses_that_arrive_later_give_the_same_poses(
         for timed in run.messages
     ]
     path = run.write(tmp_path / "a.mcap", late)
-    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    differs_only_strictly(eigenscan, path, "tracker", "transform: one follows each odometry sample")
+
+
+def differs_only_strictly(eigenscan: Command, path: Path, service: str, why: str) -> None:
+    """`why`: the channel, and why it is not judged."""
+    ended = eigenscan("replay", path, "--service", service, "--compare")
     assert ended.code == 0, ended.out
-    assert "not judged: transform: one follows each odometry sample" in ended.out
-    strict = eigenscan("replay", path, "--service", "tracker", "--compare", "--strict")
+    assert f"not judged: {why}" in ended.out
+    strict = eigenscan("replay", path, "--service", service, "--compare", "--strict")
     assert strict.code == 1
-    assert "first difference: transform" in strict.out
+    assert f"first difference: {why.partition(':')[0]}" in strict.out
 
 
 def test_advice_rests_on_arrival_and_is_judged_only_strictly(
@@ -223,12 +228,7 @@ def test_advice_rests_on_arrival_and_is_judged_only_strictly(
     assert advised
     changed = [with_message(timed, evidence=-1.0) if timed is advised[0] else timed for timed in run.messages]
     path = run.write(tmp_path / "a.mcap", changed)
-    ended = eigenscan("replay", path, "--service", "projector", "--compare")
-    assert ended.code == 0, ended.out
-    assert "not judged: advice: one follows each second" in ended.out
-    strict = eigenscan("replay", path, "--service", "projector", "--compare", "--strict")
-    assert strict.code == 1
-    assert "first difference: advice" in strict.out
+    differs_only_strictly(eigenscan, path, "projector", "advice: one follows each second")
 
 
 def test_too_few_answers_are_no_proof(run: Run, eigenscan: Command, tmp_path: Path) -> None:
