@@ -13,6 +13,7 @@ from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses, SearchRequest
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
+from eigenscan.tracker.continuity import NEAR_RAD
 from eigenscan.tracker.core import TrackerCore
 
 from tests.services.tracker.conftest import MakeCore, Speaker
@@ -164,13 +165,24 @@ def test_a_pose_that_the_map_shows_badly_needs_the_whole_map(make_core: MakeCore
     assert not any(robot.local[-5:])
 
 
-def test_on_an_inexact_map_less_is_a_good_fit(make_core: MakeCore, speaker: Speaker) -> None:
+def test_on_an_inexact_map_no_fit_is_good_enough(make_core: MakeCore, speaker: Speaker) -> None:
     robot = Robot(make_core(local_fits=True), speaker, straight).drive(300, likelihood=11.0)
-    first = next(i for i, one in enumerate(robot.local) if one)
-    claimed = next(i for i, one in enumerate(robot.poses) if one.state == STATE_LOCALIZED)
-    # on an exact map 11 nats speak against a track, until scans have shown that it is none
-    assert first > claimed + 10
-    assert np.mean(robot.local[-20:]) > 0.5
+    assert robot.poses[-1].state == STATE_LOCALIZED  # scans have shown what the map is worth
+    assert not any(robot.local)
+
+
+def test_turning_the_whole_lists_lie_so_near_that_a_kidnap_shows(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    def turning(seconds: float) -> np.ndarray:
+        return np.array([0.0, 0.0, 0.4 * seconds])
+
+    robot = Robot(make_core(local_fits=True), speaker, turning).drive(60)
+    whole = 1 + np.flatnonzero(~np.array(robot.local[:-1]))
+    settled = whole[whole >= 10]
+    assert any(robot.local[10:])
+    # of the scans that were to be fitted locally the last is the one before a whole search
+    assert (np.diff(settled).max() - 1) * PERIOD * 0.4 <= NEAR_RAD + 1e-9
 
 
 def test_a_robot_whose_odometry_nothing_confirms_needs_the_whole_map(

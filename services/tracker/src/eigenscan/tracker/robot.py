@@ -416,14 +416,16 @@ class RobotTracker:
             and len(self.belief.frames) == 2
             and answered.count(seen.lidar) == 1
         )
-        searches, source = self._searches, self._sources.get(seen.source)
+        searches = self._searches
+        step = self._motion(searches.last(seen.lidar, seen.stamp), seen.stamp)
+        far = self._motion(searches.whole(seen), seen.stamp)
         return searches.after(
             seen,
             self._motion(searches.since(seen.lidar, seen.stamp), seen.stamp),
-            self._progress(self._motion(searches.last(seen.lidar, seen.stamp), seen.stamp)),
+            self._progress(step),
+            far._replace(way=far.way + step.way, turn=far.turn + step.turn),
             self.belief.tracks,
             verdict.track,
-            even=EVEN_EXACT if source is None else source.even,
             sure=sure,
         )
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.branching import fused
-from eigenscan.tracker.evidence import likelihood_at
+from eigenscan.tracker.continuity import are_neighbours
+from eigenscan.tracker.evidence import EVEN_EXACT, likelihood_at
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import IDENTITY, Pose, scaled
@@ -85,6 +86,11 @@ class Searches:
         """Stamp of the lidar's last list, ns; `stamp` where this is its first."""
         return self._lidars[lidar].lists[-1] if lidar in self._lidars else stamp
 
+    def whole(self, seen: Observation) -> int:
+        """Stamp of the lidar's last list of the whole map, ns, up to the one that was `seen`."""
+        known = self._lidars.get(seen.lidar)
+        return seen.stamp if known is None or is_whole(seen) else known.whole
+
     def since(self, lidar: str, stamp: int) -> int:
         """Stamp, ns, of the lidar's list from which the motion up to `stamp` gives a velocity."""
         lists = self._lidars[lidar].lists if lidar in self._lidars else [stamp]
@@ -95,29 +101,33 @@ class Searches:
         seen: Observation,
         moved: Motion,
         progress: float,
+        since_whole: Motion,
         tracks: Tracks,
         best: int,
         *,
-        even: float,
         sure: bool,
     ) -> Request:
         """The request that follows a list.
 
         `moved`: since the list of `since`. `progress`: since the last list, 1: a scan is new evidence.
-        `even`: the log-likelihood that speaks neither for nor against a track. `sure`: whether nothing else
-        speaks for a whole search.
+        `since_whole`: from the stamp of `whole` to where the next scan is expected. `sure`: whether nothing
+        else speaks for a whole search.
         """
         known = self._lidars.setdefault(seen.lidar, _Lidar(seen.stamp))
         known.progress += progress
         interval = seen.stamp - known.lists[-1] if known.lists else 0
         known.lists.append(seen.stamp)
-        if seen.usable and not seen.local:
+        if is_whole(seen):
             known.whole, known.progress = seen.stamp, 0.0
             known.there = likelihood_at(tracks.x[best], seen) if best >= 0 else 0.0
         due = known.progress + progress >= NEW or seen.stamp + interval - known.whole >= EVERY_NS
+        # a kidnap shows by lists of which none goes on in the next one: these must lie near each other
+        due = due or not are_neighbours(since_whole)
         predicts = SHORTEST_NS <= round(moved.seconds * 1e9) <= LONGEST_NS and moved.unknown <= UNKNOWN_S
         whole = Request(seen.lidar, seen.stamp, seen.frame)
-        if due or not (predicts and moved.breaks == 0 and sure and known.there >= even):
+        # on an inexact map, and where it lacks something, a fit alone has too often taken a wrong heading
+        fits = known.there >= EVEN_EXACT
+        if due or not (predicts and moved.breaks == 0 and sure and fits):
             return whole
         if not np.isfinite(tracks.nis[best]):  # the list does not have the pose
             return whole
@@ -132,6 +142,11 @@ class Searches:
             scaled(moved.delta, 1.0 / moved.seconds),
             known.there - FALL,
         )
+
+
+def is_whole(seen: Observation) -> bool:
+    """Whether a list is one of the whole map."""
+    return seen.usable and not seen.local
 
 
 def follow(tracks: Tracks, seen: Observation, gate: float, precision: float) -> Tracks:
