@@ -27,13 +27,13 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, Site
 from eigenscan.projector.wall_field import WallField
 from eigenscan.schemas.advice_pb2 import Advice
-from eigenscan.schemas.channels import ADVICE, POSE, SCAN, TRACKS
+from eigenscan.schemas.channels import ADVICE, SCAN, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import (
     STATE_AMBIGUOUS,
     STATE_LOCALIZED,
     STATE_LOST,
-    PoseEstimate,
+    STATE_UNSPECIFIED,
     State,
     Track,
     Tracks,
@@ -181,24 +181,18 @@ def test_the_expected_share_is_that_of_bayes() -> None:
     assert expected_share(shares, np.zeros((1, 2, 2)))[0] == pytest.approx(0.7**2 + 0.3**2)
 
 
-def tracks_of(at: int, poses: Array, shares: tuple[float, ...] = (0.5, 0.5), frame: str = "map") -> Tracks:
+def tracks_of(
+    at: int,
+    poses: Array,
+    shares: tuple[float, ...] = (0.5, 0.5),
+    frame: str = "map",
+    state: State = STATE_AMBIGUOUS,
+) -> Tracks:
     tracks = [
         Track(id=i + 1, pose=to_message(pose), probability=share)
         for i, (pose, share) in enumerate(zip(poses, shares, strict=True))
     ]
-    return Tracks(timestamp=stamp(at), frame_id=frame, tracks=tracks)
-
-
-def pose_of(at: int, state: State = STATE_AMBIGUOUS) -> PoseEstimate:
-    return PoseEstimate(timestamp=stamp(at), state=state)
-
-
-def pose_on_key(at: int, state: State = STATE_AMBIGUOUS) -> Envelope:
-    return Envelope(POSE, ADDRESS, pose_of(at, state))
-
-
-def tracks_on_key(at: int, poses: Array, shares: tuple[float, ...] = (0.5, 0.5)) -> Envelope:
-    return Envelope(TRACKS, ADDRESS, tracks_of(at, poses, shares))
+    return Tracks(timestamp=stamp(at), frame_id=frame, tracks=tracks, state=state)
 
 
 def advisor(at: int = S) -> Advisor:
@@ -213,37 +207,19 @@ def test_it_is_published_once_a_second_by_the_stamps() -> None:
     published = []
     for each in at:
         made.see({"robot": "r", "lidar": "front"}, each, AROUND)
-        made.receive(pose_on_key(each), site)
-        published.append(made.receive(tracks_on_key(each, TWO.poses), site) is not None)
+        published.append(made.receive("r", tracks_of(each, TWO.poses), site) is not None)
     assert [i for i, there in enumerate(published) if there] == [0, 9, 18]
 
 
-@pytest.mark.parametrize("state", [STATE_LOCALIZED, STATE_LOST])
+@pytest.mark.parametrize("state", [STATE_LOCALIZED, STATE_LOST, STATE_UNSPECIFIED])
 def test_there_is_none_while_the_pose_is_not_ambiguous(state: State) -> None:
     site, made = building(CUPBOARD), advisor()
-    assert made.receive(pose_on_key(S, state), site) is None
-    assert made.receive(tracks_on_key(S, TWO.poses), site) is None
-
-
-def test_pose_and_tracks_of_one_scan_may_come_in_either_order() -> None:
-    site, first, second = building(CUPBOARD), advisor(), advisor()
-    first.receive(pose_on_key(S), site)
-    one = first.receive(tracks_on_key(S, TWO.poses), site)
-    second.receive(tracks_on_key(S, TWO.poses), site)
-    other = second.receive(pose_on_key(S), site)
-    assert one is not None
-    assert other is not None
-    assert one.SerializeToString() == other.SerializeToString()
-    # of different scans they are not compared
-    third = advisor()
-    third.receive(pose_on_key(S), site)
-    assert third.receive(tracks_on_key(S + 1, TWO.poses), site) is None
+    assert made.receive("r", tracks_of(S, TWO.poses, state=state), site) is None
 
 
 def test_what_it_states() -> None:
     site, made = building(CUPBOARD), advisor()
-    made.receive(pose_on_key(S), site)
-    advice = made.receive(tracks_on_key(S, TWO.poses, (0.6, 0.3)), site)
+    advice = made.receive("r", tracks_of(S, TWO.poses, (0.6, 0.3)), site)
     assert advice is not None
     assert advice.kind == Advice.KIND_MOVE
     assert list(advice.track_ids) == [1, 2]
@@ -255,8 +231,7 @@ def test_what_it_states() -> None:
 
 def test_like_places_are_reported_as_such() -> None:
     site, made = building(), advisor()
-    made.receive(pose_on_key(S), site)
-    advice = made.receive(tracks_on_key(S, TWO.poses), site)
+    advice = made.receive("r", tracks_of(S, TWO.poses), site)
     assert advice is not None
     assert advice.kind == Advice.KIND_NOTHING
     assert (advice.heading, advice.distance, len(advice.track_ids)) == (0.0, 0.0, 2)
@@ -270,10 +245,9 @@ def test_no_advice_without_two_places_a_lidar_or_the_maps_frame() -> None:
         (advisor(), tracks_of(S, TWO.poses, frame="elsewhere")),
         (advisor(at=10 * S), tracks_of(S, TWO.poses)),
         (advisor(), tracks_of(S, np.full((2, 3), math.nan))),
-        (advisor(), Tracks(timestamp=stamp(S), frame_id="map")),
+        (advisor(), Tracks(timestamp=stamp(S), frame_id="map", state=STATE_AMBIGUOUS)),
     ):
-        made.receive(pose_on_key(S), site)
-        assert made.receive(Envelope(TRACKS, ADDRESS, tracks), site) is None
+        assert made.receive("r", tracks, site) is None
 
 
 def test_tracks_near_each_other_are_one_place_and_the_faint_ones_none() -> None:
@@ -296,7 +270,6 @@ def test_the_core_publishes_it_on_its_channel_and_counts_it() -> None:
     poses = free_poses(2, 3)
     messages = [
         Envelope(SCAN, ADDRESS, scan_at(poses[0], time=S)),
-        Envelope(POSE, ADDRESS, pose_of(S)),
         Envelope(TRACKS, ADDRESS, tracks_of(S, poses)),
     ]
     published = [answer for message in messages for answer in core.handle(message)]

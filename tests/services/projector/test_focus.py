@@ -43,8 +43,8 @@ def searched(message: Hypotheses) -> set[str]:
 
 
 def test_only_who_is_configured_so_receives_poses_and_tracks() -> None:
-    assert POSE in ready(focus=True, advice=False).inputs
-    assert {POSE, TRACKS} <= {*ready().inputs}
+    assert {POSE, TRACKS} & {*ready(focus=True, advice=False).inputs} == {POSE}
+    assert {POSE, TRACKS} & {*ready().inputs} == {TRACKS}
     for without in (ready(advice=False), ready(part="2/2")):
         assert not {POSE, TRACKS} & {*without.inputs}
 

@@ -7,10 +7,10 @@ import numpy as np
 from eigenscan.geometry.pose import to_message
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
-from eigenscan.schemas.channels import ADVICE, POSE, SEARCH, TRACKS
+from eigenscan.schemas.channels import ADVICE, SEARCH, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SearchRequest
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate, Track, Tracks
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, Track, Tracks
 
 from tests.services.projector.office import ADDRESS, free_poses, ready, receive, scan_at
 
@@ -60,9 +60,7 @@ def _check() -> None:
         assert receive(core, scans[1], lidar=lidar)[0].search == SEARCH_LOCAL
     at = 10**15 + 3 + 100_000_000
     places = [Track(id=i, pose=to_message(pose), probability=0.5) for i, pose in enumerate(free_poses(2, 7))]
-    ambiguous = PoseEstimate(timestamp=stamp(at), state=STATE_AMBIGUOUS)
-    list(core.handle(Envelope(POSE, ADDRESS, ambiguous)))
-    tracks = Tracks(timestamp=stamp(at), frame_id="map", tracks=places)
+    tracks = Tracks(timestamp=stamp(at), frame_id="map", tracks=places, state=STATE_AMBIGUOUS)
     (advice,) = core.handle(Envelope(TRACKS, ADDRESS, tracks))
     assert advice.channel is ADVICE
     more = sorted(name for name, count in _compiled().items() if count > before.get(name, 0))

@@ -12,7 +12,14 @@ from eigenscan.schemas.channels import POSE, RELOCATION, SCAN_MOTION, SEARCH, TR
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses, SearchRequest
 from eigenscan.schemas.scan_pb2 import ScanMotion
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
+from eigenscan.schemas.tracking_pb2 import (
+    STATE_AMBIGUOUS,
+    STATE_LOCALIZED,
+    PoseEstimate,
+    Relocation,
+    State,
+    Tracks,
+)
 from eigenscan.tracker.continuity import NEAR_RAD
 from eigenscan.tracker.core import TrackerCore
 
@@ -85,6 +92,15 @@ def _sure(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def robot(make_core: MakeCore, speaker: Speaker) -> Robot:
     return Robot(make_core(local_fits=True), speaker)
+
+
+@pytest.mark.parametrize(("places", "state"), [(1, STATE_LOCALIZED), (2, STATE_AMBIGUOUS)])
+def test_tracks_state_what_is_claimed(robot: Robot, places: int, state: State) -> None:
+    for scan in range(5):
+        found = [START, compose(START, np.array([3.0, 0.0, 0.0]))][:places]
+        robot.receive(robot.speaker.hypotheses(100.0 + scan, found, [25.0] * places))
+    robot.core.finish()
+    assert robot.tracks[-1].state == robot.poses[-1].state == state
 
 
 def test_without_the_setting_nothing_is_asked_for(make_core: MakeCore, speaker: Speaker) -> None:

@@ -85,16 +85,18 @@ class Track(_message.Message):
     def __init__(self, id: _Optional[int] = ..., parent_id: _Optional[int] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., probability: _Optional[float] = ..., observations: _Optional[int] = ..., age: _Optional[float] = ..., history: _Optional[_Iterable[_Union[_geometry_pb2.Pose2, _Mapping]]] = ..., nis: _Optional[float] = ...) -> None: ...
 
 class Tracks(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "tracks", "none_probability")
+    __slots__ = ("timestamp", "frame_id", "tracks", "none_probability", "state")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     TRACKS_FIELD_NUMBER: _ClassVar[int]
     NONE_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     tracks: _containers.RepeatedCompositeFieldContainer[Track]
     none_probability: float
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., tracks: _Optional[_Iterable[_Union[Track, _Mapping]]] = ..., none_probability: _Optional[float] = ...) -> None: ...
+    state: State
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., tracks: _Optional[_Iterable[_Union[Track, _Mapping]]] = ..., none_probability: _Optional[float] = ..., state: _Optional[_Union[State, str]] = ...) -> None: ...
 
 class Relocation(_message.Message):
     __slots__ = ("timestamp", "frame_id", "pose", "covariance")

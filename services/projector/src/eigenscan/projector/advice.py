@@ -1,7 +1,6 @@
 """Which move distinguishes places that fit alike: the shortest after which a scan should decide between them.
 
-Follows from a robot's tracks and pose of one scan, and from its lidars; nothing is calculated while it knows
-where it is.
+Follows from a robot's tracks and lidars; nothing is calculated while it knows where it is.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from eigenscan.projector.ground import Ground, Move
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.schemas.advice_pb2 import Advice
-from eigenscan.schemas.channels import POSE
-from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.recently_used import RecentlyUsed
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate, State, Tracks
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, Tracks
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -198,19 +196,14 @@ class _Search:
 
 @dataclass
 class _Robot:
-    """Its lidars with their last stamps, its last pose and tracks, and when it was advised."""
+    """Its lidars with their last stamps, and when it was advised."""
 
     lidars: dict[str, tuple[int, Lidar]] = field(default_factory=dict)
-    state: tuple[int, State] | None = None
-    tracks: Tracks | None = None
     advised: int | None = None
 
 
 class Advisor:
-    """Advises robots whose pose is ambiguous, once a second by their stamps.
-
-    Pose and tracks of one scan belong together, whichever comes first.
-    """
+    """Advises robots whose pose is ambiguous, once a second by their stamps."""
 
     def __init__(self, settings: ProjectorSettings) -> None:
         # of the parts of a site one is enough: each knows the whole map
@@ -226,26 +219,14 @@ class Advisor:
         if address["lidar"] in lidars or len(lidars) < MOST_LIDARS:
             lidars[address["lidar"]] = stamp, lidar
 
-    def receive(self, received: Envelope, site: Site | None) -> Advice | None:
-        """The advice that follows from a pose or tracks, once both of a scan are there."""
+    def receive(self, name: str, tracks: Tracks, site: Site | None) -> Advice | None:
+        """The advice that follows from a robot's tracks."""
         if not self.advises or site is None:
             return None
-        robot = self._robots.use(received.address["robot"], _Robot)
-        if received.channel == POSE:
-            pose = received.open(PoseEstimate)
-            robot.state = nanoseconds(pose.timestamp), pose.state
-        else:
-            robot.tracks = received.open(Tracks)
-        return self._advise(robot, site)
-
-    def _advise(self, robot: _Robot, site: Site) -> Advice | None:
-        if robot.tracks is None or robot.state is None:
+        if tracks.state != STATE_AMBIGUOUS or tracks.frame_id != site.frame_id:
             return None
-        tracks, at, (of, state) = robot.tracks, nanoseconds(robot.tracks.timestamp), robot.state
-        if of >= at:
-            robot.tracks = None  # long, and of no more use
-        due = robot.advised is None or not 0 <= at - robot.advised < APART_NS
-        if of != at or state != STATE_AMBIGUOUS or tracks.frame_id != site.frame_id or not due:
+        robot, at = self._robots.use(name, _Robot), nanoseconds(tracks.timestamp)
+        if robot.advised is not None and 0 <= at - robot.advised < APART_NS:
             return None
         lidars = [lidar for last, lidar in robot.lidars.values() if abs(at - last) < SEEN_NS]
         places = Places.of(tracks)

@@ -50,7 +50,7 @@ from eigenscan.schemas.hypotheses_pb2 import SearchRequest
 from eigenscan.schemas.localize_pb2 import LocalizeQuery
 from eigenscan.schemas.model_pb2 import LidarKind, ModelSet, RegionModel
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.wrappers_pb2 import StringValue
 
@@ -84,8 +84,7 @@ class ProjectorCore:
         self.forget_robots()
         by_walls = settings.verification == settings.obstacles == "walls"
         self._fits_locally = by_walls and settings.share[1] == 1
-        advises = self._advisor.advises
-        needed = {POSE: advises or settings.focus, TRACKS: advises}
+        needed = {POSE: settings.focus, TRACKS: self._advisor.advises}
         self.inputs = tuple(one for one in ProjectorCore.inputs if needed.get(one, True))
         self._assembler = ModelSetAssembler()
         self._site: Site | None = None
@@ -108,9 +107,11 @@ class ProjectorCore:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
         if received.channel == SCAN:
             return self._scan(received)
-        if received.channel in (POSE, TRACKS):
+        if received.channel == TRACKS:
             return self._advise(received)
-        if received.channel == SEARCH:
+        if received.channel == POSE:
+            self._focus.receive(received.address["robot"], received.open(PoseEstimate))
+        elif received.channel == SEARCH:
             lidar = received.address["robot"], received.address["lidar"]
             self._local.receive(lidar, received.open(SearchRequest))
         elif received.channel == MAP:
@@ -126,10 +127,8 @@ class ProjectorCore:
         return []
 
     def _advise(self, received: Envelope) -> list[Envelope]:
-        """What follows from a robot's pose or tracks."""
-        if received.channel == POSE and self._settings.focus:
-            self._focus.receive(received.address["robot"], received.open(PoseEstimate))
-        advice = self._advisor.receive(received, self._site)
+        """What follows from a robot's tracks."""
+        advice = self._advisor.receive(received.address["robot"], received.open(Tracks), self._site)
         if advice is None:
             return []
         self._counts["advised" if advice.kind == Advice.KIND_MOVE else "advised_nothing"] += 1

@@ -14,12 +14,12 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.first_look import first_look
 from eigenscan.projector.lattice import Lattice
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, POSE, SCAN, SEARCH, TRACKS
+from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN, SEARCH, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SearchRequest
 from eigenscan.schemas.scan_pb2 import Scan
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate, Track, Tracks
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, Track, Tracks
 
 _CAP_M, _BEAMS, _SPACING_M = 15.0, 180, 0.25
 _PLACE = (2.2, 1.7, 0.4)
@@ -45,7 +45,6 @@ def warm_up(settings: ProjectorSettings) -> int:
         second,
         Envelope(SEARCH, address, _request(second.stamp)),
         third,
-        Envelope(POSE, address, _ambiguous(third.stamp)),
         Envelope(TRACKS, address, _tracks(third.stamp)),
     ]
     _look_at(model)  # only what is large needs it
@@ -86,16 +85,12 @@ def _request(time: int) -> SearchRequest:
     )
 
 
-def _ambiguous(time: int) -> PoseEstimate:
-    return PoseEstimate(timestamp=stamp(time), state=STATE_AMBIGUOUS)
-
-
 def _tracks(time: int) -> Tracks:
     """At the scans' place, and at another."""
     x, y, theta = _PLACE
     poses = Pose2(x=x, y=y, theta=theta), Pose2(x=x, y=y, theta=theta + 2.0)
     tracks = [Track(id=i + 1, pose=pose, probability=0.5) for i, pose in enumerate(poses)]
-    return Tracks(timestamp=stamp(time), frame_id="map", tracks=tracks)
+    return Tracks(timestamp=stamp(time), frame_id="map", tracks=tracks, state=STATE_AMBIGUOUS)
 
 
 def _scan(grid: GridMap, time: int) -> Scan:

@@ -271,7 +271,10 @@ def _search_message(request: Request, settings: TrackerSettings) -> SearchReques
 
 def _tracks_message(estimate: Estimate) -> Tracks:
     message = Tracks(
-        timestamp=stamp(estimate.stamp), frame_id=estimate.frame, none_probability=estimate.none_probability
+        timestamp=stamp(estimate.stamp),
+        frame_id=estimate.frame,
+        none_probability=estimate.none_probability,
+        state=estimate.state,
     )
     tracks = estimate.tracks
     order = np.argsort(-tracks.log_weight, kind="stable")

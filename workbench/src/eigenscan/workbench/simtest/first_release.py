@@ -26,6 +26,7 @@ LACKED: dict[str, tuple[str, ...]] = {
         *("floor", "floor_pose", "extrapolated"),
     ),
     "eigenscan.Track": ("nis",),
+    "eigenscan.Tracks": ("state",),
 }
 """Fields that came later, by message."""
 
