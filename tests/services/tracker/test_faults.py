@@ -104,6 +104,37 @@ def test_what_agrees_is_trusted_and_a_delay_of_seconds_is_named(trail: OdometryT
     assert "2.0 s after" in late.cause
 
 
+def arc(count: int, turn: float, sign: float = 1.0, stands: int = -1) -> list[tuple[float, str]]:
+    """Trust and cause after each interval of an exact robot on an arc that turns by `turn`, rad, in each.
+
+    Scans show `sign` times its turn; in the interval `stands` they find no motion.
+    """
+    trail, faults, result = OdometryTrail(VelocityGate(2.0, 3.0)), Faults(), list[tuple[float, str]]()
+    pose: Pose = (0.0, 0.0, 0.0)
+    for number in range(count):
+        before, since = pose, 10 * NS + number * NS // 2
+        pose = compose(pose, (0.2, 0.0, turn))
+        trail.take(since, before)
+        trail.take(since + NS // 2, pose)
+        seen = (0.0, 0.0, 0.0) if number == stands else (0.2, 0.0, sign * turn)
+        driven = trail.between(since, since + NS // 2)
+        faults.take(seen, (1e-5, 0.0, 1e-5), 1e-6, driven, since, trail)
+        result.append((faults.trust, faults.cause))
+    return result
+
+
+def test_a_mirrored_lidar_of_an_exact_robot_is_named_within_three_seconds_of_turns_of_half_a_degree() -> None:
+    trust, cause = arc(6, 0.01, sign=-1.0)[-1]
+    assert trust < 0.1
+    assert "upside down" in cause
+
+
+def test_a_fit_that_finds_no_motion_once_is_no_fault() -> None:
+    trust = [each for each, _ in arc(40, 0.01, stands=20)]
+    assert min(trust) > 0.8
+    assert trust[-1] > 0.95
+
+
 def test_wheels_that_slip_for_a_second_cost_trust_for_no_longer_than_a_few(trail: OdometryTrail) -> None:
     faults = Faults()
     play(faults, trail, range(60, 80))

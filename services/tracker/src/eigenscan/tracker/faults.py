@@ -19,6 +19,7 @@ from eigenscan.tracker.past import Past
 from eigenscan.tracker.planar import Pose, wrap
 from eigenscan.tracker.scan_motion import (
     EXACT,
+    SHARES,
     ODD,
     SIGMA_M,
     SIGMA_RAD,
@@ -226,9 +227,12 @@ class Faults:
         late = np.arange(LATE, _STATES)[begun - LATE_BY < self._past.known_since]
         anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
         by_exactness[:, late] = np.logaddexp(by_exactness[:, late] + log(GOES_ON), anyhow)
+        agrees = bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
+        # an interval may turn as exactly as any: one that is less exact is no fault. The way counts by its
+        # whole sigma, for in a bare hallway a fit may find that the robot stood
+        chances = self._weigh(np.logaddexp.reduce(by_exactness[: len(SHARES)], axis=0))[RIGHT]
         if _stands(predicted[AGREE]):  # how exact a motion is that there is shows none of another
             by_exactness[:] = by_exactness[0]
-        chances = self._weigh(by_exactness[0])[RIGHT]
         right = np.logaddexp.reduce(by_exactness[:, RIGHT] + np.log(chances / chances.sum()), axis=1)
         self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
         for way, state in enumerate((AGREE, BACKWARDS)):
@@ -237,7 +241,7 @@ class Faults:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
             self._change[AGREE, BACKWARDS] = BACKS_KNOWN
-        return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
+        return agrees
 
     def _is_wrong(self) -> Flags:
         """In which states (n,) a pose of now is wrong: late scans do no harm to a robot that hardly moved."""

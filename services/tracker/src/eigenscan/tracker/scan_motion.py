@@ -17,7 +17,8 @@ DRIVES, SIDEWAYS, TURNS = 0.2, 0.05, 0.2
 """m, m, rad: sigma of a motion between two scans that nothing predicts."""
 ODD = 0.02
 """Share of right motions that the fit finds somewhere else."""
-EXACT = tuple((of_way, of_turn) for of_way in (1.0, 0.5, 0.25) for of_turn in (1.0, 0.5, 0.25))
+SHARES = (1.0, 0.5, 0.25)
+EXACT = tuple((of_way, of_turn) for of_way in SHARES for of_turn in SHARES)
 """Shares of these sigmas by which way and turn of a robot that moves may really differ, the whole first.
 
 On intel, whose odometry has steps of 1.4 degrees, they differ by the whole; on guardian 2 by a fifth.
