@@ -129,6 +129,21 @@ def test_a_mirrored_lidar_of_an_exact_robot_is_named_within_three_seconds_of_tur
     assert "upside down" in cause
 
 
+def test_odometry_that_trembles_on_a_straight_way_makes_no_lidar_frozen_or_late() -> None:
+    trail, faults, trust = OdometryTrail(VelocityGate(2.0, 3.0)), Faults(), list[float]()
+    rng, pose = np.random.default_rng(3), (0.0, 0.0, 0.0)
+    for number in range(200):
+        before, since = pose, 10 * NS + number * NS // 2
+        pose = compose(pose, (0.2, 0.0, 0.3 * (number < 20) + 0.005 * rng.standard_normal()))
+        trail.take(since, before)
+        trail.take(since + NS // 2, pose)
+        seen = (0.2, 0.0, 0.3 * (number < 20) + 0.001 * rng.standard_normal())
+        driven = trail.between(since, since + NS // 2)
+        faults.take(seen, (1.0, 0.0, 1e-5), 1e-6, driven, since, trail)
+        trust.append(faults.trust)
+    assert min(trust[40:]) > 0.97
+
+
 def test_a_fit_that_finds_no_motion_once_is_no_fault() -> None:
     trust = [each for each, _ in arc(40, 0.01, stands=20)]
     assert min(trust) > 0.8

@@ -124,6 +124,9 @@ RIGHT = np.array([AGREE, SLIPPING, BACKWARDS])
 WRONG_SET_UPS = np.array([FROZEN, *range(ODOMETRY_STANDS, int(_FIRST[-1]))])
 """States that are there from the start, if at all: see `set_up`."""
 _STATES = int(_FIRST[-1])
+INEXACT = np.array([FROZEN, *range(LATE, _STATES)])
+"""States in which turns count by their whole sigma: on a straight way, scans turn by less than odometry's
+noise. No turn, or one of the many other times', fits them more exactly than odometry's own."""
 DISJOINED = (
     "scans do not follow from each other: do two robots or two lidars use this name, "
     "or is the lidar covered in part?"
@@ -230,7 +233,9 @@ class Faults:
         agrees = bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
         # an interval may turn as exactly as any: one that is less exact is no fault. The way counts by its
         # whole sigma, for in a bare hallway a fit may find that the robot stood
-        chances = self._weigh(np.logaddexp.reduce(by_exactness[: len(SHARES)], axis=0))[RIGHT]
+        turns = by_exactness[: len(SHARES)].copy()
+        turns[:, INEXACT] = turns[0, INEXACT]
+        chances = self._weigh(np.logaddexp.reduce(turns, axis=0))[RIGHT]
         if _stands(predicted[AGREE]):  # how exact a motion is that there is shows none of another
             by_exactness[:] = by_exactness[0]
         right = np.logaddexp.reduce(by_exactness[:, RIGHT] + np.log(chances / chances.sum()), axis=1)
