@@ -1,13 +1,13 @@
 """What a first drive is worth: robots on a worse map, and on the map that `eigenscan map --on` made of it.
 
     .venv/bin/python benchmarks/second_day.py [--datasets FOLDER] [--only intel --only fr079]
-        [--way "walls 30 cm" --way "warped 40 cm"] [--windows 8] [--seed 1] [--json OUT]
+        [--way "walls 30 cm" --way "warped 40 cm"] [--windows 8] [--drive 1.0] [--seed 1] [--json OUT]
 
-All of a log but its windows is the first drive; of a log without windows.csv its first half. It is located on
-the log's own map made worse on purpose (worse_maps.py), and improves it. Then robots start cold in the
-windows, which no map has seen. On the better map a pose is right where it lies as the true reference does
-beside the nearest pose of the first drive: a mended map is straight again, so the reference that the worse
-map displaced no longer counts.
+All of a log but its windows is the first drive, or the first share of that (--drive); of a log without
+windows.csv its first half. It is located on the log's own map made worse on purpose (worse_maps.py), and
+improves it. Then robots start cold in the windows, which no map has seen. On the better map a pose is right
+where it lies as the true reference does beside the nearest pose of the first drive: a mended map is straight
+again, so the reference that the worse map displaced no longer counts.
 """
 
 import argparse
@@ -69,6 +69,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", action="append", help="name of a log; default: intel and fr079")
     parser.add_argument("--way", action="append", help="ways whose name holds this; may be given again")
     parser.add_argument("--windows", type=int, default=8, help="of each log, at most")
+    parser.add_argument("--drive", type=float, default=1.0, help="share of the first drive, from its start")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
@@ -82,7 +83,7 @@ def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespac
     before = time.perf_counter()
     worse, displaced = worsened(case, way, options.seed)
     windows = thin(_windows(case), options.windows)
-    first_drive = case.log.outside([*windows, *_late(case)])
+    first_drive = _begun(case.log.outside([*windows, *_late(case)]), options.drive)
     taught = set(first_drive.scans.tolist())
     driven = [sweep for sweep in sweeps if sweep.stamp in taught]
     with tempfile.TemporaryDirectory() as folder:
@@ -108,6 +109,13 @@ def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespac
         "second_day": second_day,
         "seconds": time.perf_counter() - before,
     }
+
+
+def _begun(log: Log, share: float) -> Log:
+    """The first share of a log's scans, and the odometry up to there."""
+    stamps = np.sort(log.scans)
+    kept = round(share * len(stamps))
+    return log.outside([Window(int(stamps[kept]), int(stamps[-1]))] if kept < len(stamps) else [])
 
 
 def _late(case: Case) -> list[Window]:

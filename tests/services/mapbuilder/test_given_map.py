@@ -71,6 +71,32 @@ def test_cells_that_no_ray_saw_come_from_the_given_map_in_any_frame() -> None:
     assert (points[:, 0] > 0.0).all()
 
 
+def test_a_thick_wall_keeps_its_middle_where_nothing_was_seen_and_only_its_seen_face_elsewhere() -> None:
+    # a wall from x = 1.0 to 1.6 m; the drive saw its face at 1.2 m, below y = 1.5 m
+    cells = np.full((60, 60), FREE, np.uint8)
+    cells[:, 20:32] = OCCUPIED
+    given = GridMap(cells, 0.05, np.zeros(3))
+    carved = np.full((60, 60), UNKNOWN, np.uint8)
+    carved[:30, :24], carved[:30, 24] = FREE, OCCUPIED
+    made = filled(GridMap(carved, 0.05, np.zeros(3)), given).cells
+    assert (made[:30] == OCCUPIED).sum() == 30
+    assert (made[:30, 24] == OCCUPIED).all()
+    assert (made[10:28, 25:27] == UNKNOWN).all()  # the middle: nothing is known of it
+    unseen = made[45:50]
+    assert np.array_equal(np.unique(np.nonzero(unseen == OCCUPIED)[1]), [25, 26])
+    assert (unseen[:, :24] == FREE).all()
+    assert (unseen[:, 32:] == FREE).all()
+
+
+def test_thin_walls_beside_a_seen_surface_stay() -> None:
+    cells = np.full((40, 40), FREE, np.uint8)
+    cells[:, 20] = OCCUPIED
+    carved = np.full((40, 40), UNKNOWN, np.uint8)
+    carved[:20, :20], carved[:20, 19] = FREE, OCCUPIED
+    made = filled(GridMap(carved, 0.05, np.zeros(3)), GridMap(cells, 0.05, np.zeros(3))).cells
+    assert (made[:, 20] == OCCUPIED).all()
+
+
 @pytest.mark.slow
 def test_thick_walls_become_true_ones_in_the_frame_of_the_map() -> None:
     grid, way = building(), drive()

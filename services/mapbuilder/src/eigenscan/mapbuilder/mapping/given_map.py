@@ -2,7 +2,8 @@
 
 Walls of a given map may be thick, displaced or gone. The scans of a drive fit to each other better than to
 it: their own pose graph gives the walls their shape, and the poses on the given map hold the graph in its
-frame. Where the drive saw nothing, the given map remains.
+frame. Where the drive saw nothing, the given map remains, with thick walls drawn by their middles: a map has
+one thickness of walls, and with two neither the seen nor the other walls are where a scan expects them.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.gridmap import UNKNOWN, GridMap
+from eigenscan.geometry.distance_tiles import distance_tiles
+from eigenscan.geometry.gridmap import OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.pose import Array, between, compose, inverse, transform
+from eigenscan.geometry.surfaces import Surfaces
 from eigenscan.mapbuilder.mapping.chain import Keyframe
 from eigenscan.mapbuilder.mapping.pose_graph import Edge
 from numpy.typing import NDArray
@@ -71,10 +74,20 @@ def _near(poses: Array, others: Array) -> NDArray[np.bool_]:
 
 
 def filled(carved: GridMap, given: GridMap) -> GridMap:
-    """The carved map, with the given one's cells where nothing was seen."""
+    """The carved map, with the given one's cells where nothing was seen.
+
+    Thick walls of the given map are thinned to their middles. Nearer to a carved surface than an ordinary
+    wall is thick there are none: they are the same wall.
+    """
+    surfaces = Surfaces.of(given)
     row, column = np.nonzero(carved.cells == UNKNOWN)
     cells = carved.cells.copy()
-    cells[row, column] = given.at(carved.to_map(np.stack([column, row], axis=-1) + 0.5))
+    cells[row, column] = surfaces.grid.at(carved.to_map(np.stack([column, row], axis=-1) + 0.5))
+    if surfaces.thinned:
+        reach = surfaces.thickness / carved.resolution
+        for part, distance in distance_tiles(carved.cells != OCCUPIED, reach):
+            same = (distance <= reach) & (carved.cells[part] == UNKNOWN) & (cells[part] == OCCUPIED)
+            cells[part][same] = UNKNOWN
     return GridMap(cells, carved.resolution, carved.origin)
 
 
