@@ -145,7 +145,7 @@ class Site:
         published += loop.finish()
         cell.windows += 1
         cell.moving += moved_at is not None
-        if named is not None:
+        if named is not None and (moved_at is not None or name == "none"):
             cell.named_after_s.append(max(named - (moved_at or named), 0) / NS)
         self._judge([e.open(PoseEstimate) for e in published if e.channel is POSE], stretch, cell)
 
