@@ -19,8 +19,8 @@ from eigenscan.tracker.past import Past
 from eigenscan.tracker.planar import Pose, wrap
 from eigenscan.tracker.scan_motion import (
     EXACT,
-    SHARES,
     ODD,
+    SHARES,
     SIGMA_M,
     SIGMA_RAD,
     SIGMA_SHARE,
@@ -126,7 +126,7 @@ WRONG_SET_UPS = np.array([FROZEN, *range(ODOMETRY_STANDS, int(_FIRST[-1]))])
 _STATES = int(_FIRST[-1])
 INEXACT = np.array([FROZEN, *range(LATE, _STATES)])
 """States in which turns count by their whole sigma: on a straight way, scans turn by less than odometry's
-noise. No turn, or one of the many other times', fits them more exactly than odometry's own."""
+noise. No turn, or one of the many other times', fits them more exactly by chance."""
 DISJOINED = (
     "scans do not follow from each other: do two robots or two lidars use this name, "
     "or is the lidar covered in part?"
