@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 
 import numpy as np
@@ -104,48 +105,44 @@ def test_what_agrees_is_trusted_and_a_delay_of_seconds_is_named(trail: OdometryT
     assert "2.0 s after" in late.cause
 
 
-def arc(count: int, turn: float, sign: float = 1.0, stands: int = -1) -> list[tuple[float, str]]:
-    """Trust and cause after each interval of an exact robot on an arc that turns by `turn`, rad, in each.
+def drive(turns: Sequence[float], seen: Sequence[Pose], ahead2: float) -> list[tuple[float, str]]:
+    """Trust and cause after each interval: odometry turns by `turns`, rad, on 0.2 m, and scans show `seen`.
 
-    Scans show `sign` times its turn; in the interval `stands` they find no motion.
+    `ahead2`: variance of the scans' way ahead, m^2.
     """
     trail, faults, result = OdometryTrail(VelocityGate(2.0, 3.0)), Faults(), list[tuple[float, str]]()
     pose: Pose = (0.0, 0.0, 0.0)
-    for number in range(count):
+    for number, (turn, scans) in enumerate(zip(turns, seen, strict=True)):
         before, since = pose, 10 * NS + number * NS // 2
         pose = compose(pose, (0.2, 0.0, turn))
         trail.take(since, before)
         trail.take(since + NS // 2, pose)
-        seen = (0.0, 0.0, 0.0) if number == stands else (0.2, 0.0, sign * turn)
         driven = trail.between(since, since + NS // 2)
-        faults.take(seen, (1e-5, 0.0, 1e-5), 1e-6, driven, since, trail)
+        faults.take(scans, (ahead2, 0.0, 1e-5), 1e-6, driven, since, trail)
         result.append((faults.trust, faults.cause))
     return result
 
 
 def test_a_mirrored_lidar_of_an_exact_robot_is_named_within_three_seconds_of_turns_of_half_a_degree() -> None:
-    trust, cause = arc(6, 0.01, sign=-1.0)[-1]
+    trust, cause = drive([0.01] * 6, [(0.2, 0.0, -0.01)] * 6, 1e-5)[-1]
     assert trust < 0.1
     assert "upside down" in cause
 
 
 def test_odometry_that_trembles_on_a_straight_way_makes_no_lidar_frozen_or_late() -> None:
-    trail, faults, trust = OdometryTrail(VelocityGate(2.0, 3.0)), Faults(), list[float]()
-    rng, pose = np.random.default_rng(3), (0.0, 0.0, 0.0)
+    rng, turns, seen = np.random.default_rng(3), list[float](), list[Pose]()
     for number in range(200):
-        before, since = pose, 10 * NS + number * NS // 2
-        pose = compose(pose, (0.2, 0.0, 0.3 * (number < 20) + 0.005 * rng.standard_normal()))
-        trail.take(since, before)
-        trail.take(since + NS // 2, pose)
-        seen = (0.2, 0.0, 0.3 * (number < 20) + 0.001 * rng.standard_normal())
-        driven = trail.between(since, since + NS // 2)
-        faults.take(seen, (1.0, 0.0, 1e-5), 1e-6, driven, since, trail)
-        trust.append(faults.trust)
+        turn = 0.3 * (number < 20)
+        turns.append(turn + 0.005 * rng.standard_normal())
+        seen.append((0.2, 0.0, turn + 0.001 * rng.standard_normal()))
+    trust = [each for each, _ in drive(turns, seen, 1.0)]
     assert min(trust[40:]) > 0.97
 
 
 def test_a_fit_that_finds_no_motion_once_is_no_fault() -> None:
-    trust = [each for each, _ in arc(40, 0.01, stands=20)]
+    seen: list[Pose] = [(0.2, 0.0, 0.01)] * 40
+    seen[20] = (0.0, 0.0, 0.0)
+    trust = [each for each, _ in drive([0.01] * 40, seen, 1e-5)]
     assert min(trust) > 0.8
     assert trust[-1] > 0.95
 

@@ -230,7 +230,6 @@ class Faults:
         late = np.arange(LATE, _STATES)[begun - LATE_BY < self._past.known_since]
         anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
         by_exactness[:, late] = np.logaddexp(by_exactness[:, late] + log(GOES_ON), anyhow)
-        agrees = bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
         # an interval may turn as exactly as any: one that is less exact is no fault. The way counts by its
         # whole sigma, for in a bare hallway a fit may find that the robot stood
         turns = by_exactness[: len(SHARES)].copy()
@@ -246,7 +245,7 @@ class Faults:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
             self._change[AGREE, BACKWARDS] = BACKS_KNOWN
-        return agrees
+        return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
 
     def _is_wrong(self) -> Flags:
         """In which states (n,) a pose of now is wrong: late scans do no harm to a robot that hardly moved."""
