@@ -11,7 +11,7 @@ from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.claims import judge_claims, read_claims, restamped, save_runs
 from eigenscan.workbench.evaluation.doubt import Walls
-from eigenscan.workbench.evaluation.figures import Figures, finite, windows_figures
+from eigenscan.workbench.evaluation.figures import Figures, finite
 from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.models import Built, build, gallery_of
 from eigenscan.workbench.evaluation.own_reference import RECORDED, WHOLE_DRIVE, recorded_truth, whole_drive
@@ -146,9 +146,7 @@ def _figures(
     windows = thin(judgeable(bench.log, bench.reference, asked), task.limit)
     if not windows and "windows" not in task.skip:
         raise _no_window(task, bench.log, bench.reference)
-    figures = windows_figures([], []) | {"cpu_ms_per_scan": {"median": None, "p99": None}, "per_window": []}
-    if "windows" not in task.skip:
-        figures = global_localization(bench, windows, task.poses)
+    figures = global_localization(bench, [] if "windows" in task.skip else windows, task.poses)
     kidnap = kidnapping(bench, windows) if task.kidnap else None
     peak = bench.workers.peak_mb
     single = None

@@ -39,15 +39,20 @@ class Walls:
 
     def share(self, scan: Scan, base: NDArray[np.float64]) -> float:
         """Share of the scan's returns on walls, from the base's pose (3,); NaN for too few returns."""
+        return float(self.shares(scan, base[None])[0])
+
+    def shares(self, scan: Scan, bases: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same (n,) from poses (n, 3)."""
         ranges = np.asarray(scan.ranges, dtype=np.float64)
         angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
         seen = np.isfinite(ranges) & (ranges > 0) & (ranges < scan.range_max)
         if np.count_nonzero(seen) < LEAST_RETURNS:
-            return float("nan")
+            return np.full(len(bases), np.nan)
         points = ranges[seen, None] * np.column_stack([np.cos(angles[seen]), np.sin(angles[seen])])
-        ends = transform(compose(base, from_message(scan.mount)), points)
-        distances, _ = self.field.at(ends)
-        return float(np.mean(distances <= ON_WALL_M))
+        lidars = compose(bases, from_message(scan.mount))
+        ends = np.stack([transform(lidar, points) for lidar in lidars])
+        shares: NDArray[np.float64] = np.mean(self.field.at(ends)[0] <= ON_WALL_M, axis=1)
+        return shares
 
 
 def doubtful(judged: Judged, scans: Iterable[Envelope], walls: Walls) -> Iterator[int]:

@@ -180,9 +180,15 @@ def kidnap_figures(outcomes: Sequence[Outcome]) -> Figures:
         "noticed_within_1_s": rate(
             [o.noticed_s is not None and o.noticed_s <= 1.0 for o in outcomes if o.claimed_before]
         ),
-        "recovered_within_3_s": rate([o.recovered_s is not None and o.recovered_s <= 3.0 for o in outcomes]),
+        "recovered_within_3_s": rate([_soon(o) for o in outcomes]),
+        "decided": sum(outcome.decided is True for outcome in outcomes),
+        "recovered_within_3_s_of_decided": rate([_soon(o) for o in outcomes if o.decided]),
         "per_kidnap": [vars(outcome) for outcome in outcomes],
     }
+
+
+def _soon(outcome: Outcome) -> bool:
+    return outcome.recovered_s is not None and outcome.recovered_s <= 3.0
 
 
 def single_figures(rows: Sequence[Figures]) -> Figures:

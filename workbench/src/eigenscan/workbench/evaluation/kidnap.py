@@ -92,7 +92,8 @@ class Outcome:
     """Result of one kidnap; times in s from the jump, None if it did not happen.
 
     From `recovered_s` on, every pose is claimed and right; `first_right_s` is the first such pose.
-    `noticed_s` is None unless the old place was rightly claimed at the jump.
+    `noticed_s` is None unless the old place was rightly claimed at the jump. `decided`: whether the scans of
+    the next 3 s decide where the robot is (`oracle`); None: not looked at.
     """
 
     claimed_before: bool
@@ -100,6 +101,7 @@ class Outcome:
     recovered_s: float | None
     first_right_s: float | None
     false_after_s: float
+    decided: bool | None = None
 
 
 def outcome(stream: Stream, spliced: Splice, reference: Trajectory) -> Outcome:

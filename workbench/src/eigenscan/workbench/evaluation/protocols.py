@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -34,6 +34,7 @@ from eigenscan.workbench.evaluation.metrics import (
     summary,
     write_poses,
 )
+from eigenscan.workbench.evaluation.oracle import decides, soon_after
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from eigenscan.workbench.evaluation.windows import Window
 from eigenscan.workbench.evaluation.workers import Workers
@@ -110,15 +111,22 @@ def _in_doubt(bench: Bench, window: Window, judged: Judged) -> int:
 
 def kidnapping(bench: Bench, windows: Sequence[Window]) -> Figures:
     """Each window with a jump to another one in its middle."""
-    splices = []
+    splices, afters = [], []
     for planned in plan(windows, bench.reference):
         before, after = bench.log.between(planned.before), bench.log.between(planned.after)
         if len(bench.log.scan_stamps(planned.before)) and len(bench.log.scan_stamps(planned.after)):
             splices.append(splice(before, after))
-    advance = bench.progress("kidnaps", len(splices))
+            afters.append(after)
+    advance = bench.progress("kidnaps", 2 * len(splices))
     outcomes = []
     for spliced, run in zip(splices, bench.workers.runs(s.received for s in splices), strict=True):
         outcomes.append(outcome(run.stream, spliced, bench.reference))
+        advance()
+    for number, (spliced, after) in enumerate(zip(splices, afters, strict=True)):
+        if bench.walls is not None:
+            scans = soon_after(after, spliced.jump - spliced.moved)
+            decided = decides(scans, bench.workers.answers, bench.reference, bench.walls)
+            outcomes[number] = replace(outcomes[number], decided=decided)
         advance()
     return kidnap_figures(outcomes)
 

@@ -124,6 +124,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
                 "kidnaps: right within 3 s and from then on",
                 f"{_percent(kidnap['recovered_within_3_s'])} of {kidnap['kidnaps']}",
             ),
+            *_decided(kidnap),
             ("kidnaps: a first right claim within 3 s", _percent(kidnap["first_right_within_3_s"])),
             ("kidnaps: right from some scan on", _percent(kidnap["recovered_rate"])),
             ("noticed, s", _pair(kidnap["noticed_s"], "p95")),
@@ -211,6 +212,13 @@ def _doubt(found: Figures | None) -> list[tuple[str, str]]:
     return [
         ("of these, reference in doubt", f"{found['claims']} claims in {found['windows']} windows: {RULE}")
     ]
+
+
+def _decided(kidnap: Figures) -> list[tuple[str, str]]:
+    if not kidnap["decided"]:
+        return []
+    share = _percent(kidnap["recovered_within_3_s_of_decided"])
+    return [("of those that 3 s of scans decide", f"{share} of {kidnap['decided']}")]
 
 
 def _percent(value: float | None, digits: int = 1) -> str:
