@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import typing
 from collections.abc import Mapping, Sequence
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from eigenscan.cli import paths
 from eigenscan.cli.former import current
 from eigenscan.runtime.errors import FailedError, by_users, one_line
 from eigenscan.runtime.settings import nearest, plain
@@ -23,6 +25,8 @@ EXIT_USAGE = 2
 EXIT_STOPPED = 130
 """Ended by Ctrl-C, as shells have it."""
 
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _MISTYPED: Any = typer.BadParameter.__mro__[1]
 """Typer's error for a mistake in the command line, which it does not export."""
@@ -73,6 +77,16 @@ class ShortHelp(TyperCommand):
         if "--help-all" in own:
             self.shows_all, args = True, ["--help"]
         return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """As usual, with paths that can be meant; a disk that is full is named by what is written."""
+        paths.check(self.params, ctx.params)
+        try:
+            return super().invoke(ctx)
+        except OSError as error:
+            if error.filename is None and error.errno in _FULL:
+                error.filename = paths.written_ones(self.params, ctx.params) or None
+            raise
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Such as [OPTIONS] LOG [MAP]: Typer would write {LOG}."""

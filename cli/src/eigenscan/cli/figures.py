@@ -40,6 +40,7 @@ def write_figures(figures: Any, target: Path | None) -> None:
     if target is None:
         return
     text = json.dumps(figures, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    text = text.encode("utf-8", "backslashreplace").decode()  # names of files that are no UTF-8
     if wants_words(target):
         target.write_text(text, encoding="utf-8")
     else:

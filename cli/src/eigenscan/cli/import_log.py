@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
@@ -52,8 +54,10 @@ def import_log(
     from rich.console import Console
 
     target = out or Path(_stem(log) + ".mcap")
-    if target.resolve() == log.resolve():
+    if is_same(target, log):
         raise UsageError(f"-o {target}: is the log itself: name another file")
+    if target.exists() and not target.is_file():  # it would be replaced, also a device
+        raise UsageError(f"-o {target}: is no file: name another one")
     if target.exists() and not force:
         raise UsageError(f"-o {target}: is there already: name another file, or add --force")
     prepare(json_file)
@@ -62,7 +66,7 @@ def import_log(
     opened = open_log(log, options)
     summary = _write(opened, target, mounts)
     if wants_words(json_file):
-        summary.show(Console(), opened, target)
+        summary.show(Console(markup=False, emoji=False), opened, target)
     write_figures(summary.figures(opened, target), json_file)
 
 
@@ -117,4 +121,4 @@ def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
 
 
 def _metadata(log: Log) -> dict[str, str]:
-    return {"source": log.path.name, "format": log.format}
+    return {"source": printable(log.path.name), "format": log.format}

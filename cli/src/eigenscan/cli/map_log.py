@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, print_rows, write_figures
+from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
 
@@ -80,7 +81,7 @@ def map_log(
         raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
     if on is not None and of is not None:
         raise UsageError("--composite takes scans without order; --on needs a drive: give one of them")
-    if on is not None and on.resolve() == target.resolve():
+    if on is not None and is_same(on, target):
         raise UsageError(f"-o {target}: is the given map: name another file")
     if of is None:
         check_installed()

@@ -46,8 +46,6 @@ def process_replay(
     if not (compare or out):
         raise UsageError("nothing to do: give --compare, --out FILE, or both")
     found = survey(file)
-    if out and out.exists() and out.samefile(file):
-        raise UsageError(f"--out {out}: is the recording itself: choose another file")
     trial = Trial(
         CHOICES[service],
         Terms(

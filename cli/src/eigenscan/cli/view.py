@@ -9,7 +9,7 @@ import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.moment import METAVAR, START, Moment, moment, span
 from eigenscan.recorder.picture.layout import Layout
-from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 
 if TYPE_CHECKING:
     from eigenscan.recorder.options import RecorderOptions
@@ -38,7 +38,7 @@ def view(
     ] = None,
     layout: Annotated[Layout, typer.Option(help="panels in front")] = "operator",
     picture_hz: Annotated[
-        float, typer.Option(min=0.01, help="pictures a second of the recording's time")
+        float, typer.Option(min=0.01, max=1000.0, help="pictures a second of the recording's time")
     ] = 10.0,
     draw_all: Annotated[
         bool, typer.Option("--draw-all", help="also raw scans and coordinate frames")
@@ -93,15 +93,18 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
         raise UsageError(f"--at: {recording} is from {span(found.begin, found.end)}")
     if end <= begin:
         raise UsageError("--to: must be after --at")
-    sink = RerunSink(settings)
-    with Bars() as bars:
-        moved = bars.start_share(f"drawing {recording.name}")
-        for record in read(recording, begin):
-            if record.log_time > end:
-                break
-            sink.write(record.envelope)
-            moved(max(record.log_time - begin, 0) / max(end - begin, 1))
-    sink.close()
+    try:
+        sink = RerunSink(settings)
+        with Bars() as bars:
+            moved = bars.start_share(f"drawing {recording.name}")
+            for record in read(recording, begin):
+                if record.log_time > end:
+                    break
+                sink.write(record.envelope)
+                moved(max(record.log_time - begin, 0) / max(end - begin, 1))
+        sink.close()
+    except RuntimeError as error:  # rerun's, such as of a full disk
+        raise FailedError(f"{settings.rrd}: {error}") from error
     if not found.complete:
         typer.echo(f"{recording}: its writer did not close it; drawn as far as it goes", err=True)
     return {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from errno import ENOSPC
+
 from eigenscan.runtime.printable import printable
 
 
@@ -39,6 +41,6 @@ _FIXES: dict[type[OSError], str] = {
 def one_line(error: Exception) -> str:
     """The error in one line that a terminal can show."""
     if isinstance(error, OSError) and error.filename is not None:
-        fix = _FIXES.get(type(error), "")
+        fix = ": make room, or name another place" if error.errno == ENOSPC else _FIXES.get(type(error), "")
         return printable(f"{error.filename}: {error.strerror}{fix}")
     return printable(str(error)) or type(error).__name__

@@ -11,6 +11,6 @@ MOST = 2000
 def printable(text: str) -> str:
     """`text` in one line, without what a terminal obeys (control and format characters), cut to MOST."""
     shown = " ".join(text[: 2 * MOST].split())
-    # Cc: escape sequences; Cf: marks that turn the order of the text around
-    shown = "".join("?" if unicodedata.category(each) in ("Cc", "Cf") else each for each in shown)
+    # Cc: escape sequences; Cf: marks that turn the order of the text around; Cs: bytes that are no UTF-8
+    shown = "".join("?" if unicodedata.category(each) in ("Cc", "Cf", "Cs") else each for each in shown)
     return shown if len(shown) <= MOST else f"{shown[:MOST]}…"

@@ -60,7 +60,7 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
             raise RecordingError(f"{fresh}: does not hold what was written: is the disk full?")
         fresh.rename(target)
     except OSError as error:
-        raise RecordingError(f"{error.filename}: {error.strerror}") from error
+        raise RecordingError(f"{error.filename or target}: {error.strerror}: name another place") from error
     finally:
         fresh.unlink(missing_ok=True)
     return found

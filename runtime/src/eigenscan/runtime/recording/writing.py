@@ -91,12 +91,16 @@ class RecordingWriter:
         self._measure()
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-        """Writes `metadata` and the index, and closes the file."""
-        if not self._file.closed:
+        """Writes `metadata` and the index, and closes the file, also where it cannot be written."""
+        if self._file.closed:
+            return
+        try:
             for name, entries in (metadata or {}).items():
                 self._writer.add_metadata(name, dict(entries))
             self._writer.finish()
             self._file.close()
+        finally:
+            self.abandon()
 
     def abandon(self) -> None:
         """Closes the file without an index, after a failed write; it stays readable."""

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -69,7 +70,7 @@ class Summary:
 
     def show(self, console: Console, log: Log, target: Path) -> None:
         """Prints the table and the rejected messages."""
-        table = Table(title=f"{log.path} ({log.format})", title_justify="left")
+        table = Table(title=printable(f"{log.path} ({log.format})"), title_justify="left")
         table.add_column("", overflow="fold")  # the name is needed whole, for --mount and --lidar-topic
         for column in ("messages", "Hz", "s", "beams"):
             table.add_column(column, justify="right")
@@ -82,7 +83,9 @@ class Summary:
             if count:
                 hint = f" ({HINTS[what]})" if what in HINTS else ""
                 console.print(f"{what.replace('_', ' ')}: {count}{hint}", highlight=False)
-        console.print(f"wrote {target} ({target.stat().st_size / 1e6:.1f} MB)", highlight=False)
+        console.print(
+            f"wrote {printable(str(target))} ({target.stat().st_size / 1e6:.1f} MB)", highlight=False
+        )
 
     def figures(self, log: Log, target: Path) -> dict[str, object]:
         """The same for scripts: by lidar and by channel."""

@@ -1,0 +1,61 @@
+"""Paths on a command line: what is read can be read, and nothing that is needed is written over."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from itertools import chain, combinations, product
+from pathlib import Path
+from typing import Any
+
+from eigenscan.cli.figures import wants_words
+from eigenscan.runtime.errors import UsageError
+
+WRITTEN = frozenset(
+    ("out", "json_file", "junit_file", "rrd", "truth", "save_map", "save_poses", "save_runs"),
+)
+"""Parameters of all commands that name what is written; every other path is read."""
+
+Named = tuple[str, Path]
+"""A path, and how the user gave it."""
+
+
+def check(parameters: list[Any], values: Mapping[str, Any]) -> None:
+    """Raises UsageError for paths of a command that cannot be meant."""
+    given = [(parameter.name, named) for parameter in parameters for named in _named(parameter, values)]
+    written = [named for name, named in given if name in WRITTEN]
+    read = [named for name, named in given if name not in WRITTEN]
+    for shown, path in read:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise UsageError(f"{shown}: is no file that can be read to its end: name a file or a folder")
+    for (shown, path), (other, there) in chain(product(written, read), combinations(written, 2)):
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            continue  # such as /dev/null
+        if is_same(path, there):
+            raise UsageError(f"{shown}: would overwrite {other}: name another file")
+
+
+def is_same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to the same file, by links too."""
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there
+        return os.path.realpath(one) == os.path.realpath(other)
+
+
+def written_ones(parameters: list[Any], values: Mapping[str, Any]) -> str:
+    """What a command writes, as the user gave it."""
+    return ", ".join(
+        shown
+        for parameter in parameters
+        if parameter.name in WRITTEN
+        for shown, _ in _named(parameter, values)
+    )
+
+
+def _named(parameter: Any, values: Mapping[str, Any]) -> Iterator[Named]:
+    value = values.get(parameter.name)
+    for path in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(path, Path) and wants_words(path):
+            option = max(parameter.opts, key=len) if parameter.param_type_name == "option" else ""
+            yield f"{option} {path}".strip(), path

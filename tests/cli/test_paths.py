@@ -1,0 +1,126 @@
+"""What a clumsy user names: an output that is an input too, a file without an end, a disk that is full."""
+
+import json
+import os
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.command import eigenscan
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A recording, a link to it, a map, and a file that never ends."""
+    monkeypatch.chdir(tmp_path)
+    made = eigenscan("simulate", "-o", "drive.mcap", "--save-map", "map.yaml", "--seconds", 1)
+    assert made.returncode == 0, made.stderr
+    Path("link.mcap").hardlink_to("drive.mcap")
+    Path("truth.tum").write_text("1 0 0 0 0 0 0 1\n")
+    os.mkfifo("endless")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("typed", "option", "kept"),
+    [
+        ("import drive.mcap -o a.mcap --json drive.mcap", "--json drive.mcap", "drive.mcap"),
+        ("import drive.mcap -o a.mcap --json a.mcap", "--json a.mcap", "drive.mcap"),
+        ("build map.yaml -o model --json map.yaml", "--json map.yaml", "map.yaml"),
+        ("view drive.mcap --no-open --rrd drive.mcap", "--rrd drive.mcap", "drive.mcap"),
+        ("view drive.mcap --no-open --rrd link.mcap", "--rrd link.mcap", "drive.mcap"),
+        ("simulate map.yaml -o map.yaml --seconds 1", "--out map.yaml", "map.yaml"),
+        ("simulate -o a.mcap --truth a.mcap --seconds 1", "--out a.mcap", "map.yaml"),
+        (
+            "evaluate drive.mcap map.yaml --save-poses truth.tum --ground-truth truth.tum",
+            "truth",
+            "truth.tum",
+        ),
+        ("replay drive.mcap --service scan-ingest --out drive.mcap", "--out drive.mcap", "drive.mcap"),
+    ],
+)
+def test_what_is_read_is_not_written_over(folder: Path, typed: str, option: str, kept: str) -> None:
+    before = (folder / kept).read_bytes()
+    result = eigenscan(*shlex.split(typed))
+    assert result.returncode == 2, result.stderr
+    assert option in result.stderr
+    assert "name another file" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert (folder / kept).read_bytes() == before
+
+
+@pytest.mark.parametrize("endless", ["endless", "/dev/zero"])
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "import {} -o a.mcap",
+        "view {} --no-open --rrd a.rrd",
+        "repair {}",
+        "build map.yaml -o model --regions {}",
+        "evaluate drive.mcap map.yaml --ground-truth {}",
+        "run map.yaml --zenoh {}",
+    ],
+)
+def test_a_file_without_an_end_is_refused_at_once(folder: Path, typed: str, endless: str) -> None:
+    result = eigenscan(*shlex.split(typed.format(endless)))
+    assert result.returncode == 2, result.stderr
+    assert f"{endless}: is no file that can be read to its end" in result.stderr
+
+
+def test_a_device_is_not_replaced_by_a_recording(folder: Path) -> None:
+    result = eigenscan("import", "drive.mcap", "-o", "endless", "--force")
+    assert result.returncode == 2
+    assert "-o endless: is no file" in result.stderr
+    assert (folder / "endless").is_fifo()
+
+
+def test_a_figures_file_may_be_a_device(folder: Path) -> None:
+    assert (folder / "drive.mcap").exists()
+    assert eigenscan("import", "drive.mcap", "-o", "a.mcap", "--json", "/dev/null").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("typed", "place"),
+    [
+        ("replay drive.mcap --service scan-ingest --out /dev/full", "--out /dev/full"),
+        ("import drive.mcap -o a.mcap --json /dev/full", "--json /dev/full"),
+        ("simulate -o /dev/full --seconds 5", "--out /dev/full"),
+    ],
+)
+def test_a_full_disk_is_named_by_what_is_written(folder: Path, typed: str, place: str) -> None:
+    result = eigenscan(*shlex.split(typed), cwd=folder)
+    assert result.returncode == 2, result.stderr
+    assert place in result.stderr
+    assert "No space left on device: make room" in result.stderr
+
+
+def test_a_picture_on_a_full_disk(folder: Path) -> None:
+    assert (folder / "drive.mcap").exists()
+    result = eigenscan("view", "drive.mcap", "--no-open", "--rrd", "/dev/full")
+    assert result.returncode == 1
+    assert "view: /dev/full: " in result.stderr
+    assert "No space left" in result.stderr
+    assert "fault of ours" not in result.stderr
+
+
+def test_a_name_that_is_no_utf8(folder: Path) -> None:
+    odd = os.fsdecode(b"[red]dr\xffve.mcap")
+    (folder / "drive.mcap").rename(folder / odd)
+    result = eigenscan("import", odd, "-o", os.fsdecode(b"\xfe.mcap"), "--json", "figures.json")
+    assert result.returncode == 0, result.stderr
+    assert "[red]dr?ve.mcap" in result.stdout
+    assert os.fsencode(json.loads((folder / "figures.json").read_text())["recording"]) == b"\xfe.mcap"
+
+
+def test_a_link_to_itself_is_no_fault_of_ours(folder: Path) -> None:
+    (folder / "loop.bag").symlink_to("loop.bag")
+    result = eigenscan("import", "loop.bag")
+    assert result.returncode == 2, result.stderr
+    assert "loop.bag: cannot be read" in result.stderr
+
+
+def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
+    result = eigenscan("view", folder / "drive.mcap", "--picture-hz", 1e300)
+    assert result.returncode == 2, result.stderr
+    assert "--picture-hz" in result.stderr
