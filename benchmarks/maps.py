@@ -6,7 +6,8 @@
 
 Each log at hand is driven on its map made worse on purpose (worse_maps.py), from mild to hard; the reference
 goes along with what the map did. A window succeeds when every claim from some scan on, over its last third
-at least, is right (0.5 m, 10 degrees). Worst first. `--quick` takes 5 windows and 40 scans of each.
+at least, is right (0.5 m, 10 degrees). Of false claims, those over 1 m or 20 degrees off are elsewhere. Worst
+first. `--quick` takes 5 windows and 40 scans of each.
 The datasets are not part of the project; by default they are looked for beside it. `--buildings FOLDER` takes
 logs of your own instead, laid out as for evaluate.py.
 """
@@ -169,6 +170,7 @@ def _judge(case: Case, way: str, options: argparse.Namespace) -> dict[str, Any]:
         "first_edition": float(np.mean([j.converged is not None for j in judged])),
         "false_windows": float(np.mean([count > 0 for count in false])),
         "false_share": sum(false) / claims if claims else 0.0,
+        "elsewhere_share": sum(int(j.elsewhere_claims.sum()) for j in judged) / max(claims, 1),
         "claimed": claims / max(sum(len(j.stream) for j in judged), 1),
         "best_is_right": float(np.mean(np.concatenate([j.right for j in judged]))),
         "scans": len(first),
@@ -196,6 +198,7 @@ COLUMNS = (
     ("success %", "success"),
     ("false windows %", "false_windows"),
     ("claims false %", "false_share"),
+    ("elsewhere %", "elsewhere_share"),
     ("claimed %", "claimed"),
     ("best right %", "best_is_right"),
     ("one scan: first %", "top1"),

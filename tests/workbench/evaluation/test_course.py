@@ -248,6 +248,7 @@ def test_the_pipelines_own_poses_judged_from_their_file_give_the_same_figures(
         "success_rate",
         "false_claim_rate",
         "false_share_of_claims",
+        "elsewhere_share_of_claims",
         "right_claim_rate",
         "error",
     )

@@ -48,7 +48,7 @@ def test_sustained_is_the_longest_suffix_of_at_least_3(held: list[bool]) -> None
 
 @given(
     st.lists(
-        st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(-15, 15), st.booleans()),
+        st.tuples(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(-25, 25), st.booleans()),
         min_size=1,
         max_size=20,
     )
@@ -61,6 +61,8 @@ def test_each_pose_is_judged_by_the_definition(rows: list[tuple[float, float, fl
         correct = (x * x + y * y) ** 0.5 <= 0.5 and abs(turn) <= 10
         assert judged.false_claims[index] == (claimed and not correct)
         assert judged.right_claims[index] == (claimed and correct)
+        apart = (x * x + y * y) ** 0.5 > 1.0 or abs(turn) > 20
+        assert judged.elsewhere_claims[index] == (claimed and apart)
 
 
 def test_a_heading_past_the_half_turn_is_near() -> None:
@@ -77,6 +79,7 @@ def test_poses_that_are_not_finite_are_wrong() -> None:
     offsets[3, 0] = np.nan
     judged = judge(stream(truth, offsets, [True] * 4), truth)
     assert judged.false_claims.tolist() == [False, False, False, True]
+    assert judged.elsewhere_claims.tolist() == [False, False, False, True]
     assert judged.converged is None
 
 

@@ -139,6 +139,9 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
         "success_rate": rate([row["success"] for row in rows]),
         "false_claim_rate": rate([row["false_claims"] > 0 for row in rows]),
         "false_share_of_claims": sum(row["false_claims"] for row in rows) / claims if claims else None,
+        "elsewhere_share_of_claims": (
+            sum(int(j.elsewhere_claims.sum()) for j in judged) / claims if claims else None
+        ),
         "right_claim_rate": rate([row["first_right_claim"] is not None for row in rows]),
         "to_localize": _all_reached(rows, "to_localize"),
         "first_right_claim": _all_reached(rows, "first_right_claim"),

@@ -17,6 +17,8 @@ from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from numpy.typing import ArrayLike, NDArray
 
 WITHIN_M, WITHIN_RAD = 0.5, np.radians(10.0)
+APART = 2.0
+"""A pose is at another place from so many times what a right one may be off."""
 AT_LEAST = 3
 """Scans that a run of right claims must last to count."""
 LAST_SHARE = 1 / 3
@@ -83,6 +85,11 @@ class Judged:
         return self.stream.localized & ~self.right
 
     @property
+    def elsewhere_claims(self) -> Bools:
+        """Claimed at another place."""
+        return self.stream.localized & elsewhere(self.position_m, self.heading_rad)
+
+    @property
     def right_claims(self) -> Bools:
         """Claimed, and right."""
         return self.stream.localized & self.right
@@ -99,7 +106,18 @@ class Judged:
 
 def right(position_m: ArrayLike, heading_rad: ArrayLike) -> Bools:
     """Which errors (n,), m and rad, are within 0.5 m and 10 degrees; a NaN is not."""
-    near: Bools = np.less_equal(position_m, WITHIN_M) & np.less_equal(np.abs(heading_rad), WITHIN_RAD)
+    return _within(position_m, heading_rad, 1.0)
+
+
+def elsewhere(position_m: ArrayLike, heading_rad: ArrayLike) -> Bools:
+    """Which errors (n,), m and rad, are those of another place: over 1 m or 20 degrees; a NaN is."""
+    return ~_within(position_m, heading_rad, APART)
+
+
+def _within(position_m: ArrayLike, heading_rad: ArrayLike, times: float) -> Bools:
+    near: Bools = np.less_equal(position_m, times * WITHIN_M) & np.less_equal(
+        np.abs(heading_rad), times * WITHIN_RAD
+    )
     return near
 
 

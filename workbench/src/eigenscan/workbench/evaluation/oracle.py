@@ -13,7 +13,7 @@ from eigenscan.geometry.pose import between, compose, inverse
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.evaluation.doubt import Walls
-from eigenscan.workbench.evaluation.metrics import WITHIN_M, WITHIN_RAD, errors, right
+from eigenscan.workbench.evaluation.metrics import elsewhere, errors, right
 from eigenscan.workbench.evaluation.pipeline import Answer
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ SOON_S = 3.0
 """The scans of so long after the jump count."""
 MOST_SCANS = 15
 """Scans that are looked at, evenly chosen."""
-APART = 2.0
-"""A place is another one from so many times what a right pose may be off."""
 Answers = Callable[[Iterable[Envelope]], Iterable[Answer]]
 """Answers each raw scan alone."""
 
@@ -55,8 +53,8 @@ def decides(scans: Sequence[Envelope], answers: Answers, reference: Trajectory, 
     if fits is None:
         return None
     off, turned = errors(places, np.broadcast_to(start, places.shape))
-    others = (off > APART * WITHIN_M) | (turned > APART * WITHIN_RAD)
-    return bool(fits[right(off, turned)].max() > fits[others].max(initial=0.0))
+    others = fits[elsewhere(off, turned)]
+    return bool(fits[right(off, turned)].max() > others.max(initial=0.0))
 
 
 def _shares(raw: Envelope, bases: NDArray[np.float64], walls: Walls) -> NDArray[np.float64]:

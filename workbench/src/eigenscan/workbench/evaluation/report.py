@@ -99,6 +99,10 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         (f"windows with a {words['right']} claim", _percent(f["right_claim_rate"])),
         (f"windows with a {words['false']} claim", _percent(f["false_claim_rate"])),
         (f"share of {words['false']} claims", _percent(f["false_share_of_claims"], 2)),
+        (
+            "of claims, at another place",
+            f"{_percent(f['elsewhere_share_of_claims'], 2)}: over 1 m or 20° off",
+        ),
         *_doubt(f.get("reference_in_doubt")),
         (f"to {words['success']}, median", _reached(reach, "median")),
         (f"to {words['success']}, 95 % within", _reached(reach, "p95")),
