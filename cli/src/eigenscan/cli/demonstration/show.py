@@ -219,7 +219,6 @@ class Demonstration:
         self._line.keep("the viewer stays until Ctrl-C")
         while not self._stop.stopping:
             supervisor.check()
-            self._line.show("viewer up; Ctrl-C ends it")
             self._stop.wait(1.0)
 
 
