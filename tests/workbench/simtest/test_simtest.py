@@ -66,6 +66,11 @@ def test_a_real_projector_that_gives_wrong_poses_is_found(monkeypatch: pytest.Mo
     assert run(1, 1, [], real=True).broken[0].rule == "claim"
 
 
+def test_a_recorder_that_is_killed_as_it_closes_its_file_writes_no_more() -> None:
+    """Closing the file after a kill in its midst wrote the rest behind a record that was cut."""
+    assert run(7341370, 2).broken == ()
+
+
 def test_a_seed_repeats_itself_exactly() -> None:
     first, again, other = run(3, 1), run(3, 1), run(4, 1)
     assert (first.trace, first.notes) == (again.trace, again.notes)

@@ -99,8 +99,9 @@ class RecordingWriter:
                 self._writer.add_metadata(name, dict(entries))
             self._writer.finish()
             self._file.close()
-        finally:
+        except Exception:
             self.abandon()
+            raise
 
     def abandon(self) -> None:
         """Closes the file without an index, after a failed write; it stays readable."""
