@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import pytest
 from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.eigenspace.space_message import space_from_message, space_to_message
+from eigenscan.projector import model_set_assembler
 from eigenscan.projector.model_set_assembler import ModelError, ModelSetAssembler, WholeSet
 from eigenscan.schemas import model_pb2
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -44,3 +46,23 @@ def test_after_a_hostile_set_the_next_sound_one_is_taken() -> None:
     whole = _put(assembler, site())
     assert whole is not None
     assert whole.version == site().to_message().version
+
+
+def test_positions_closer_than_a_building_needs_take_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 1 mm the grid around 180 m2 took 550 MB, around 10,000 m2 it would take 80 GB."""
+    monkeypatch.setattr(model_set_assembler, "MOST_CELLS", 10**6)
+    finer = tuple(replace(one, spacing=0.001, index=one.index * 500) for one in site().regions)
+    with pytest.raises(ModelError, match=r"spacing 0\.001 m makes .* larger --spacing"):
+        _put(ModelSetAssembler(), replace(site(), regions=finer))
+
+
+@pytest.mark.parametrize(("field", "value"), [("mean", 3e38), ("mean", -1e20), ("total_variance", 3e38)])
+def test_an_eigenspace_of_no_ranges_is_refused(field: str, value: float) -> None:
+    """Its lists were empty, and health was OK."""
+    message = space_to_message(site().regions[0].space)
+    if field == "mean":
+        message.mean[:] = [value] * len(message.mean)
+    else:
+        message.total_variance = value
+    with pytest.raises(ValueError, match="no ranges"):
+        space_from_message(message)

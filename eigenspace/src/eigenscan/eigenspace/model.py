@@ -246,8 +246,8 @@ def check(message: model_pb2.RegionModel) -> None:
         "range_unit": message.range_unit,
     }
     for field_name, value in numbers.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ModelError(f"{name}: {field_name} = {value}: expected a number above 0")
+        if not 0 < value <= FARTHEST_M:
+            raise ModelError(f"{name}: {field_name} = {value}: expected metres above 0")
     if 2 * len(message.index_x) * message.beams > MOST_BYTES:
         raise ModelError(
             f"{name}: {len(message.index_x)} panoramas of {message.beams} beams: more than {MOST_BYTES} bytes"

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN, RegionSpace
 from eigenscan.eigenspace.components import Eigenspace
-from eigenscan.eigenspace.embedding import Embedding, Kind
+from eigenscan.eigenspace.embedding import CIRCUMFERENCE, Embedding, Kind
 from eigenscan.schemas import model_pb2
 
 _NUMBERS: dict[Kind, model_pb2.Eigenspace.Embedding] = {
@@ -54,6 +54,9 @@ def space_from_message(message: model_pb2.Eigenspace) -> RegionSpace:
     numbers = [*message.mean, *message.vectors, *message.eigenvalues]
     if not np.isfinite([*numbers, message.total_variance, message.usual_error]).all():
         raise ValueError("holds numbers that are not finite")
+    largest = max(message.cap, CIRCUMFERENCE)
+    if max(map(abs, message.mean)) > largest or message.total_variance > size / shape[0] * largest**2:
+        raise ValueError(f"a mean or a total variance that no ranges up to {largest:g} m have")
     vectors = np.array(message.vectors, dtype=np.float32).reshape(shape)
     lengths = np.linalg.norm(vectors.reshape(shape[0], -1).astype(np.float64), axis=1)
     if np.abs(lengths - 1.0).max() > ROUNDING or min(message.eigenvalues) < 0 or message.usual_error < 0:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from eigenscan.eigenspace.floors import Floor, usable_floors
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
 from eigenscan.schemas import model_pb2
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
+
+MOST_CELLS = 2**26
+"""Cells of the positions' grid around all regions: 2 km x 2 km at 0.25 m. More is hostile."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,13 @@ def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:
             raise ModelError(
                 f"region {model.region!r}: has positions outside of the map: build the site again"
             )
+    positions = np.concatenate([model.positions for model in regions])
+    columns, rows = np.ptp(positions, axis=0) / first.spacing + 1
+    if columns * rows > MOST_CELLS:
+        raise ModelError(
+            f"region {first.region!r}: spacing {first.spacing:g} m makes {columns * rows:.0f} cells, "
+            f"{MOST_CELLS} at most: build the site again with a larger --spacing"
+        )
     for model in regions[1:]:
         if model.space.analysis != first.space.analysis:
             raise ModelError(
