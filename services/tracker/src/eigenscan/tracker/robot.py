@@ -109,6 +109,10 @@ class _Source:
         return new
 
 
+MOST_NAMES = 256
+"""Sources of hypotheses with their map frames; beyond these tracking begins again, in bounded memory."""
+
+
 class RobotTracker:
     """Tracks one robot. Needs no clock: all time is in the stamps."""
 
@@ -125,9 +129,16 @@ class RobotTracker:
         )
         self._odometry: deque[tuple[int, Pose]] = deque()
         """Waits for the gyroscope's heading of its time."""
-        self._timeline = Timeline(settings.patience, settings.late, counts)
-        self._silence = Silence(self._timeline)
         self._agreement = Agreement()
+        self._crowded = 0
+        """Lists to come before health is silent about too many sources."""
+        self._begin()
+
+    def _begin(self) -> None:
+        """Knows no source of hypotheses."""
+        self._timeline = Timeline(self._settings.patience, self._settings.late, self._counts)
+        self._silence = Silence(self._timeline)
+        self._names: set[tuple[str, str]] = set()
         self._reset()
 
     def _reset(self) -> None:
@@ -181,6 +192,12 @@ class RobotTracker:
 
     def receive(self, seen: Observation) -> Iterator[Estimate]:
         """Takes an observation; gives the estimates that are ready."""
+        self._crowded = max(self._crowded - 1, 0)
+        if (seen.source, seen.frame) not in self._names and len(self._names) == MOST_NAMES:
+            self._counts["sources_forgotten"] += MOST_NAMES
+            self._crowded = MOST_NAMES
+            self._begin()
+        self._names.add((seen.source, seen.frame))
         outcome = self._timeline.receive(seen)
         self._silence.receive(seen, outcome)
         if outcome is Outcome.RESTARTED:
@@ -204,6 +221,8 @@ class RobotTracker:
     @property
     def fault(self) -> str:
         """What is wrong with scans or odometry, or why no pose comes; empty: nothing that shows."""
+        if self._crowded:
+            return f"more than {MOST_NAMES} sources or map frames of hypotheses: do projectors change names?"
         return self._agreement.fault or self._silence.reason or self._rivals.reason(self.belief.stamp)
 
     @property
