@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.inner import inner
-from eigenscan.geometry.symmetric import determinant, inverse, plus, square, triangle
+from eigenscan.geometry.symmetric import MATRICES, determinant, inverse, plus, square, triangle
 from eigenscan.tracker import evidence as model
 from eigenscan.tracker.association import Pairs, crowding_each
 from eigenscan.tracker.evidence import (
@@ -21,9 +21,19 @@ from eigenscan.tracker.evidence import (
     surprise,
 )
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.symmetric import apart, fuse_each
-from eigenscan.tracker.tracks import Arrays, Columns, Tracks, arrays_of, begun, taken, tracks_of
-from numba import njit
+from eigenscan.tracker.symmetric import ROWS, apart, fuse_each
+from eigenscan.tracker.tracks import (
+    GIVEN,
+    MADE,
+    Arrays,
+    Columns,
+    Tracks,
+    arrays_of,
+    begun,
+    taken,
+    tracks_of,
+)
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -173,7 +183,14 @@ def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precisi
     return tracks_of(made)
 
 
-@njit(cache=True, error_model="numpy")  # pragma: no cover - compiled with the first local list: ten seconds
+@njit(  # pragma: no cover - compiled
+    MADE(
+        GIVEN, types.int64, ROWS, MATRICES, types.int64[::1], types.float64[::1], types.float64, types.int64,
+        types.float64, types.float64,
+    ),
+    cache=True,
+    error_model="numpy",
+)  # fmt: skip
 def _fused(
     arrays: Arrays, alone: int, poses: Array, covariances: Array, hypothesis: Index,
     distance2: Array, precision: float, stamp: int, tail: float, least_new: float,
