@@ -49,7 +49,7 @@ def test_after_a_hostile_set_the_next_sound_one_is_taken() -> None:
 
 
 def test_positions_closer_than_a_building_needs_take_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 1 mm the grid around 180 m2 took 550 MB, around 10,000 m2 it would take 80 GB."""
+    """At 1 mm the grid around 180 m2 took 500 MB."""
     monkeypatch.setattr(model_set_assembler, "MOST_CELLS", 10**6)
     finer = tuple(replace(one, spacing=0.001, index=one.index * 500) for one in site().regions)
     with pytest.raises(ModelError, match=r"spacing 0\.001 m makes .* larger --spacing"):
