@@ -39,23 +39,8 @@ class SetUp:
 
     def __init__(self, states: int, exactness: int) -> None:
         self._wrong, self._right = np.zeros((exactness, states)), np.zeros(exactness)
-        self._matters = np.ones(states, dtype=np.bool_)
-        """Which wrong set-ups would make a pose wrong now."""
-
-    @property
-    def proven(self) -> float:
-        """Probability of a right set-up: what the worst wrong one leaves of it, once it is excluded.
-
-        Before it is no more than at first: what happens to agree by chance is no proof. It is less where the
-        wrong ones, any as probable, explain the motion of a least exact robot better than a right one does.
-        """
-        wrong = self._wrong[:, self._matters]
-        worst = float(wrong.max()) - float(np.logaddexp.reduce(self._right)) + log(len(self._right))
-        right = _right_share(worst)
-        if right >= PROVEN:
-            return right
-        usual = float(np.logaddexp.reduce(wrong[0])) - log(len(wrong[0])) - float(self._right[0])
-        return min(_right_share(usual), 1.0 - WRONG)
+        self.proven = 1.0 - WRONG
+        """Probability of a right set-up."""
 
     def take(self, wrong: Array, right: Array, matters: Flags) -> None:
         """Takes an interval's log-likelihoods by exactness, the least first: (e, n), of a right set-up (e,).
@@ -64,7 +49,21 @@ class SetUp:
         """
         self._wrong += wrong
         self._right += right
-        self._matters = matters
+        self.proven = self._proven(matters)
+
+    def _proven(self, matters: Flags) -> float:
+        """Probability of a right set-up: what the worst wrong one leaves of it, once it is excluded.
+
+        Before it is no more than at first: what happens to agree by chance is no proof. It is less where the
+        wrong ones, any as probable, explain the motion of a least exact robot better than a right one does.
+        """
+        wrong = self._wrong[:, matters]
+        worst = float(wrong.max()) - float(np.logaddexp.reduce(self._right)) + log(len(self._right))
+        right = _right_share(worst)
+        if right >= PROVEN:
+            return right
+        usual = float(np.logaddexp.reduce(wrong[0])) - log(len(wrong[0])) - float(self._right[0])
+        return min(_right_share(usual), 1.0 - WRONG)
 
 
 def _right_share(against: float) -> float:
