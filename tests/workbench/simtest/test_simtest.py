@@ -71,6 +71,11 @@ def test_a_recorder_that_is_killed_as_it_closes_its_file_writes_no_more() -> Non
     assert run(7341370, 2).broken == ()
 
 
+def test_nobody_needs_what_a_mapbuilder_that_is_gone_had_published() -> None:
+    """Eigenspaces for a lidar that the mapbuilder does not make again, unless a projector asks."""
+    assert run(7350009, real=True).broken == ()
+
+
 def test_a_seed_repeats_itself_exactly() -> None:
     first, again, other = run(3, 1), run(3, 1), run(4, 1)
     assert (first.trace, first.notes) == (again.trace, again.notes)

@@ -68,7 +68,7 @@ class Judge:
         self._inputs: dict[Session, int] = {}
         self._queues: dict[Session, tuple[str, Inbox, int]] = {}
         """Of a service: its input's name, its inbox, and the factor on the depth of its queues."""
-        self._latched: dict[str, bytes] = {}
+        self._latched: dict[str, tuple[Session, bytes]] = {}
         site.network.observer = self.see
         site.on_condition = self.note_condition
         wake = site.network.arrived
@@ -95,7 +95,7 @@ class Judge:
             return
         channel, address = found
         if channel.qos.latched:
-            self._latched[sample.key_expr] = sample.payload
+            self._latched[sample.key_expr] = session, sample.payload
         if channel is TRACKS:
             self._sums_to_one(address["robot"], Tracks.FromString(sample.payload))
         elif channel is POSE:
@@ -250,11 +250,12 @@ class Judge:
                 yield "recovery", f"{robot}: is not localized {SETTLE_S:.0f} s after the last fault"
 
     def _old_latched(self, process: Process) -> Iterator[tuple[str, str]]:
-        """Every service has the newest map and models that it receives."""
+        """Every service has the newest map and models that it receives and that somebody still holds."""
         observer = self.site.observers[process]
-        for key, payload in self._latched.items():
+        for key, (publisher, payload) in self._latched.items():
             found = channel_of(key)
-            if found and found[0] in observer.inputs and observer.latched.get(key) != payload:
+            wanted = found and publisher.is_open and found[0] in observer.inputs
+            if found and wanted and observer.latched.get(key) != payload:
                 yield "latched", f"{process.name}: has not the newest {found[0].name}"
 
     def recordings(self) -> None:
