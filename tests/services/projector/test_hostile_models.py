@@ -1,16 +1,20 @@
 """Models that look sound and are of no building: refused before anything compiled sees them."""
 
 from dataclasses import replace
+from typing import cast
 
 import pytest
 from eigenscan.eigenspace.folder import SiteModel
+from eigenscan.eigenspace.model import RegionModel
 from eigenscan.eigenspace.space_message import space_from_message, space_to_message
-from eigenscan.projector import model_set_assembler
+from eigenscan.projector import model_set_assembler, set_aside
 from eigenscan.projector.model_set_assembler import ModelError, ModelSetAssembler, WholeSet
 from eigenscan.schemas import model_pb2
+from eigenscan.schemas.channels import MODEL, SPACE
+from eigenscan.schemas.envelope import Envelope
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
-from tests.services.projector.office import envelopes, site
+from tests.services.projector.office import envelopes, ready, site
 
 
 def _put(assembler: ModelSetAssembler, built: SiteModel) -> WholeSet | None:
@@ -54,6 +58,49 @@ def test_positions_closer_than_a_building_needs_take_no_memory(monkeypatch: pyte
     finer = tuple(replace(one, spacing=0.001, index=one.index * 500) for one in site().regions)
     with pytest.raises(ModelError, match=r"spacing 0\.001 m makes .* larger --spacing"):
         _put(ModelSetAssembler(), replace(site(), regions=finer))
+
+
+def _other(number: int) -> model_pb2.RegionModel:
+    """A sound model of another version."""
+    return replace(site().regions[0], spacing=0.501 + 0.001 * number).to_message()
+
+
+def test_models_that_no_set_needs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each distinct one stayed until a set was whole."""
+    monkeypatch.setattr(set_aside, "MOST", 3)
+    assembler = ModelSetAssembler()
+    for number in range(10):
+        assembler.put_model(_other(number))
+    assert len(assembler._models) == 3
+    assert assembler.set_aside == 7
+    *parts, announced = (one.message for one in envelopes(site()))
+    assembler.put_set(cast(model_pb2.ModelSet, announced))
+    for message in parts[1:]:
+        assembler.put_model(cast(model_pb2.RegionModel, message))
+        for number in range(5):
+            assembler.put_model(_other(number))
+    whole = assembler.put_map(cast(Grid, parts[0]))
+    assert whole is not None, assembler.missing
+
+
+def test_models_that_no_set_needs_are_bounded_by_their_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    core, one = ready(), set_aside.size_of_model(RegionModel.from_message(_other(0)))
+    monkeypatch.setattr(set_aside, "MOST_BYTES", int(2.5 * one))
+    before = core.condition().counters
+    for number in range(10):
+        core.handle(Envelope(MODEL, {"site": "s", "region": f"r{number}"}, _other(number)))
+    assert core.condition().counters["set_aside_model"] == 8
+    assert "set_aside_model" not in before
+
+
+def test_eigenspaces_of_unknown_models_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(set_aside, "MOST", 3)
+    core, space = ready(), space_to_message(site().regions[0].space)
+    for number in range(10):
+        message = model_pb2.RegionSpace(region="r", model_version=str(number), space=space)
+        core.handle(Envelope(SPACE, {"site": "s", "region": "r", "kind": "k"}, message))
+    assert len(core._spaces) == 3
+    assert core.condition().counters["set_aside_space"] == 7
 
 
 @pytest.mark.parametrize(("field", "value"), [("mean", 3e38), ("mean", -1e20), ("total_variance", 3e38)])

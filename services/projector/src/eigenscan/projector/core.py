@@ -23,6 +23,7 @@ from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
 from eigenscan.projector.projection import Search, find_candidates, fit_around
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
+from eigenscan.projector.set_aside import beyond, size_of_space
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.projector.tables import Store
@@ -161,6 +162,8 @@ class ProjectorCore:
             self._refused = str(error)
             return
         self._counts[f"taken_{kind}"] += 1
+        if self._assembler.set_aside:
+            self._counts["set_aside_model"] = self._assembler.set_aside
         if site is not None:
             before, self._site = self._site, site
             self.forget_robots()
@@ -184,6 +187,9 @@ class ProjectorCore:
             return
         self._counts["taken_space"] += 1
         self._spaces[message.model_version, own.analysis] = own
+        for key in beyond({key: size_of_space(one) for key, one in self._spaces.items()}):
+            del self._spaces[key]
+            self._counts["set_aside_space"] += 1
 
     def _begin(self, view: SensorView) -> None:
         """Starts the work aside for a new view."""

@@ -8,6 +8,7 @@ import numpy as np
 from eigenscan.eigenspace.floors import Floor, usable_floors
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
+from eigenscan.projector.set_aside import beyond, size_of_model
 from eigenscan.schemas import model_pb2
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
@@ -34,7 +35,11 @@ class ModelSetAssembler:
         self._grids: dict[str, GridMap] = {}
         self._models: dict[str, RegionModel] = {}
         self._announced: model_pb2.ModelSet | None = None
-        self._given = ""
+        self._given: tuple[str, ...] = ()
+        """The models of the set that was given last."""
+        self._version = ""
+        self.set_aside = 0
+        """Models, while no set needed them."""
 
     @property
     def missing(self) -> str:
@@ -42,7 +47,7 @@ class ModelSetAssembler:
         announced = self._announced
         if announced is None:
             return "no model"
-        if announced.version == self._given:
+        if announced.version == self._version:
             return ""
         lacking = sum(entry.version not in self._models for entry in announced.entries)
         parts = [f"{lacking} of {len(announced.entries)} regions"] if lacking else []
@@ -60,6 +65,7 @@ class ModelSetAssembler:
         """Takes a region's model. Raises ModelError."""
         if message.version not in self._models:
             self._models[message.version] = RegionModel.from_message(message)
+            self._set_aside()
         return self._whole()
 
     def put_set(self, message: model_pb2.ModelSet) -> WholeSet | None:
@@ -74,13 +80,24 @@ class ModelSetAssembler:
         self._announced = message
         return self._whole()
 
+    def _set_aside(self) -> None:
+        """Sets the oldest models aside that are of no set in use or announced, if they are too many."""
+        wanted = {
+            *self._given,
+            *(entry.version for entry in (self._announced or model_pb2.ModelSet()).entries),
+        }
+        others = {name: size_of_model(one) for name, one in self._models.items() if name not in wanted}
+        for version in beyond(others):
+            del self._models[version]
+            self.set_aside += 1
+
     def _wanted_grids(self) -> dict[str, GridMap]:
         wanted = self._announced.map_version if self._announced else ""
         return {version: grid for version, grid in self._grids.items() if version == wanted}
 
     def _whole(self) -> WholeSet | None:
         announced = self._announced
-        if announced is None or announced.version == self._given:
+        if announced is None or announced.version == self._version:
             return None
         grid = self._grids.get(announced.map_version)
         found = [self._models.get(entry.version) for entry in announced.entries]
@@ -92,7 +109,8 @@ class ModelSetAssembler:
         except ModelError:
             self._announced = None  # it stays refused, however often one of its parts comes again
             raise
-        self._given = announced.version
+        self._version = announced.version
+        self._given = tuple(model.version for model in regions)
         # only models that the next set may share are kept
         self._models = {model.version: model for model in regions}
         self._grids = {announced.map_version: grid}
