@@ -51,6 +51,22 @@ def test_a_child_that_dies_is_named_with_its_last_words(tmp_path: Path, make: Ma
             supervisor.check()
 
 
+def test_a_full_disk_costs_log_lines_and_not_the_child(
+    tmp_path: Path, make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the file as its standard error, the child ended, and nobody learned why."""
+    module = make("speaks", "print('viewer: http://here', flush=True); sys.exit('mcap: the disk is full')")
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs/recorder.log").symlink_to("/dev/full")
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("recorder", module, [])
+        child = supervisor.children["recorder"]
+        assert child.process.wait(PATIENCE_S) == 1
+        with pytest.raises(ChildDiedError, match="mcap: the disk is full"):
+            supervisor.check()
+        assert child.output.link == "http://here"
+
+
 def test_a_killed_child_is_reported_as_killed(tmp_path: Path, make: Make) -> None:
     module = make("sleeps", "print('up', flush=True); time.sleep(600)")
     with Supervisor(tmp_path / "logs") as supervisor:
@@ -68,7 +84,7 @@ def test_flags_reach_the_child(tmp_path: Path, make: Make) -> None:
     with Supervisor(tmp_path / "logs") as supervisor:
         supervisor.start("mapbuilder", module, ["--map", "a b.yaml"])
         child = supervisor.children["mapbuilder"]
-        assert _eventually(lambda: "['--map', 'a b.yaml']" in child.last_lines())
+        assert _eventually(lambda: "['--map', 'a b.yaml']" in child.output.last_lines())
 
 
 def test_a_child_that_will_not_end_is_killed(
@@ -81,7 +97,7 @@ def test_a_child_that_will_not_end_is_killed(
     with Supervisor(tmp_path / "logs") as supervisor:
         supervisor.start("tracker", module, [])
         child = supervisor.children["tracker"]
-        assert _eventually(lambda: "up" in child.last_lines())
+        assert _eventually(lambda: "up" in child.output.last_lines())
     assert child.process.returncode == -signal.SIGKILL
 
 
@@ -116,7 +132,9 @@ def test_the_recorder_receives_the_last_words(tmp_path: Path, make: Make) -> Non
     with Supervisor(tmp_path / "logs") as supervisor:
         for name in ("recorder", "tracker", "projector"):
             supervisor.start(name, module, [str(order), name])
-        assert _eventually(lambda: all("up" in child.last_lines() for child in supervisor.children.values()))
+        assert _eventually(
+            lambda: all("up" in child.output.last_lines() for child in supervisor.children.values())
+        )
     assert order.read_text().splitlines()[-1] == "recorder"
     assert len(order.read_text().splitlines()) == 3
 

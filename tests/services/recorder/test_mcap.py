@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import resource
 import signal
@@ -20,7 +21,8 @@ from eigenscan.recorder.core import RecorderCore
 from eigenscan.recorder.mcap_sink import RETRY_S, McapSink
 from eigenscan.recorder.node import batch_s, make_core
 from eigenscan.recorder.options import RecorderOptions
-from eigenscan.runtime.recording import read
+from eigenscan.runtime.errors import one_line
+from eigenscan.runtime.recording import RecordingWriter, read
 from eigenscan.schemas.channels import CHANNELS, HEALTH, MAP, POSE, TRACKS
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
@@ -340,6 +342,19 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     assert sink.problem == ""
     sink.close()
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
+
+
+def test_a_disk_that_is_full_at_the_start_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flush(_writer: RecordingWriter) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(RecordingWriter, "flush", flush)
+    with pytest.raises(OSError, match="No space left") as raised:
+        McapSink(tmp_path / "a.mcap", "s", Clock(), 0.5, {})
+    assert one_line(raised.value) == (
+        f"{tmp_path / 'a.mcap'}: No space left on device: make room, or name another place"
+    )
+    assert not (tmp_path / "a.mcap").exists()
 
 
 @pytest.mark.slow

@@ -107,6 +107,4 @@ def wait_until_ready(
 def viewer_link(supervisor: Supervisor) -> str | None:
     """The link that the recorder printed, if it serves a viewer."""
     child = supervisor.children.get("recorder") or supervisor.children[TOGETHER]
-    log = child.log.read_text(encoding="utf-8", errors="replace")
-    lines = [line for line in log.splitlines() if line.startswith("viewer: ")]
-    return lines[-1].removeprefix("viewer: ").strip() if lines else None
+    return child.output.link

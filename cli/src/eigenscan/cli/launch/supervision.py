@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from eigenscan.cli.launch.output import Output
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.receive_watchdog import EXIT_DEAF
 
@@ -29,8 +30,6 @@ NODES = {**SERVICES, "ros-bridge": ROS_BRIDGE}
 STOP_SETTING, STOP_S = "EIGENSCAN_STOP_S", 2.0
 """Time that a child may take to end, s; after twice that it is killed."""
 
-LAST_LINES = 8
-
 
 class ChildDiedError(FailedError):
     """A service ended by itself; the message has its name, exit code and last log lines."""
@@ -38,18 +37,13 @@ class ChildDiedError(FailedError):
 
 @dataclass(frozen=True)
 class Child:
-    """A running service and the file that it logs to."""
+    """A running service and what it writes."""
 
     name: str
     process: subprocess.Popen[bytes]
-    log: Path
+    output: Output
     module: str
     flags: Sequence[str]
-
-    def last_lines(self) -> str:
-        """The end of its log, indented."""
-        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:]
-        return "\n".join(f"  {line}" for line in lines) or "  (it logged nothing)"
 
 
 class Supervisor:
@@ -68,18 +62,19 @@ class Supervisor:
 
     def start(self, name: str, module: str, flags: Sequence[str]) -> None:
         """Starts the service `name` from its node `module`."""
-        log = self._logs / f"{name}.log"
-        with log.open("ab" if name in self.children else "wb") as file:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "eigenscan.cli.launch.child", module, *flags],
-                stdin=subprocess.DEVNULL,
-                stdout=file,
-                stderr=subprocess.STDOUT,
-                # Ctrl-C is for this process, which then ends its children in order
-                start_new_session=True,
-                env=_environment(),
-            )
-        self.children[name] = Child(name, process, log, module, flags)
+        output = Output(self._logs / f"{name}.log", appends=name in self.children)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "eigenscan.cli.launch.child", module, *flags],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            # Ctrl-C is for this process, which then ends its children in order
+            start_new_session=True,
+            env=_environment(),
+        )
+        assert process.stdout is not None
+        output.follow(process.stdout)
+        self.children[name] = Child(name, process, output, module, flags)
 
     def check(self) -> None:
         """Raises ChildDiedError if a child has ended by itself; restarts one that its watchdog ended."""
@@ -88,8 +83,9 @@ class Supervisor:
             if code == EXIT_DEAF:
                 self.start(child.name, child.module, child.flags)
             elif code is not None:
+                child.output.close()
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-                raise ChildDiedError(f"{child.name} {how}; its last log lines:\n{child.last_lines()}")
+                raise ChildDiedError(f"{child.name} {how}; its last log lines:\n{child.output.last_lines()}")
 
     def stop(self, keep: Sequence[str] = ()) -> None:
         """Ends all children but those in `keep`, the recorder last: it receives the others' last messages."""
@@ -98,16 +94,17 @@ class Supervisor:
         self._end([name for name in ending if name == "recorder"])
 
     def _end(self, names: Sequence[str]) -> None:
-        ending = [self.children.pop(name).process for name in names]
-        for process in ending:
-            process.terminate()
+        ending = [self.children.pop(name) for name in names]
+        for child in ending:
+            child.process.terminate()
         deadline = time.monotonic() + 2.0 * _stop_s()
-        for process in ending:
+        for child in ending:
             try:
-                process.wait(max(0.0, deadline - time.monotonic()))
+                child.process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+                child.process.kill()
+                child.process.wait()
+            child.output.close()
 
 
 def _stop_s() -> float:

@@ -182,10 +182,12 @@ class McapSink:
             for held in self._latched.values():
                 writer.write(held, now, _published(held) or now)
             writer.flush()
-        except Exception:
+        except Exception as error:
             if writer is not None:
                 writer.abandon()
             path.unlink(missing_ok=True)
+            if isinstance(error, OSError) and error.filename is None:  # of a write
+                error.filename = str(path)
             raise
         self._writer, self._opened_at, self._problem = writer, now, ""
         self._head = writer.size
