@@ -124,3 +124,30 @@ def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
     result = eigenscan("view", folder / "drive.mcap", "--picture-hz", 1e300)
     assert result.returncode == 2, result.stderr
     assert "--picture-hz" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ("conform tracker --junit . -- none", "--junit .: is a folder: name a file in it"),
+        ("simulate -o a.mcap --truth . --seconds 1", "--truth .: is a folder: name a file in it"),
+        ("import drive.mcap -o a.mcap --mount front=1e308,0,0", "--mount front=1e308,0,0: is farther than"),
+        ("import drive.mcap -o a.mcap --site a/b", "--site 'a/b': a name has no blanks"),
+        ("import drive.mcap -o a.mcap --robot 'r 1'", "--robot 'r 1': a name has no blanks"),
+        ("simtest --robots 100000", "less than or equal to 100"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_the_work(folder: Path, typed: str, words: str) -> None:
+    result = eigenscan(*shlex.split(typed))
+    assert result.returncode == 2, result.stderr
+    assert words in result.stderr
+    assert not (folder / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("name", ["out.yaml", "out.pgm", "out.tum", "out.png"])
+def test_a_map_replaces_none_of_its_four_files_unasked(folder: Path, name: str) -> None:
+    (folder / name).write_text("mine")
+    result = eigenscan("map", "drive.mcap", "-o", "out.yaml")
+    assert result.returncode == 2, result.stderr
+    assert f"{name} is there already: name another file, or add --force" in result.stderr
+    assert (folder / name).read_text() == "mine"

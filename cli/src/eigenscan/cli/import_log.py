@@ -12,7 +12,7 @@ from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.printable import printable
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 
 if TYPE_CHECKING:
     from eigenscan.workbench.logs import Log, Mount
@@ -53,6 +53,9 @@ def import_log(
     from eigenscan.workbench.logs import LogOptions, open_log
     from rich.console import Console
 
+    for name, value in (("--site", site), ("--robot", robot)):
+        if not is_chunk(value):
+            raise UsageError(f"{name} {value!r}: a name has no blanks and none of / * $ # ? @")
     target = out or Path(_stem(log) + ".mcap")
     if is_same(target, log):
         raise UsageError(f"-o {target}: is the log itself: name another file")
@@ -71,6 +74,7 @@ def import_log(
 
 
 def _mount(text: str) -> tuple[str, Mount]:
+    from eigenscan.geometry.normalize import FARTHEST_MOUNT
     from eigenscan.workbench.logs import Mount
 
     lidar, _, place = text.partition("=")
@@ -81,6 +85,10 @@ def _mount(text: str) -> tuple[str, Mount]:
         raise UsageError(f"--mount {text}: give LIDAR=X,Y,YAW in m and deg, such as scan=0.2,0,180") from None
     if not lidar or not all(map(math.isfinite, (x, y, yaw))):
         raise UsageError(f"--mount {text}: give a lidar's name and finite numbers, such as scan=0.2,0,180")
+    if max(abs(x), abs(y)) > FARTHEST_MOUNT:
+        raise UsageError(
+            f"--mount {text}: is farther than {FARTHEST_MOUNT:g} m from the base: give X and Y in m"
+        )
     return lidar, Mount(x, y, math.radians(yaw), upside_down)
 
 

@@ -53,6 +53,7 @@ def map_log(
     ] = None,
     odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
     robot: Annotated[str, typer.Option(help="robot whose scans count, in a recording")] = DEFAULT_ROBOT,
+    force: Annotated[bool, typer.Option("--force", help="replace files that are there")] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Make a map of a log's scans, with its odometry or without any.
@@ -81,8 +82,7 @@ def map_log(
         raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
     if on is not None and of is not None:
         raise UsageError("--composite takes scans without order; --on needs a drive: give one of them")
-    if on is not None and is_same(on, target):
-        raise UsageError(f"-o {target}: is the given map: name another file")
+    _check_outputs(target, [log, *([on] if on else [])], force)
     if of is None:
         check_installed()
     prepare(json_file)
@@ -105,6 +105,16 @@ def map_log(
     target.with_suffix(".png").write_bytes(draw_way(mapped, located.grid if located else None))
     sure = len(located.numbers) if located else None
     _summarize(scans, mapped, sure, target, time.perf_counter() - began, json_file)
+
+
+def _check_outputs(target: Path, inputs: list[Path], force: bool) -> None:
+    """Raises UsageError where one of the four files would replace something unasked."""
+    for path in (target, *(target.with_suffix(f".{end}") for end in ("pgm", "tum", "png"))):
+        for given in inputs:
+            if is_same(path, given):
+                raise UsageError(f"-o {target}: would overwrite {given}: name another file")
+        if path.exists() and not (path.is_file() and force):
+            raise UsageError(f"-o {target}: {path.name} is there already: name another file, or add --force")
 
 
 def _located(

@@ -16,6 +16,9 @@ WRITTEN = frozenset(
 )
 """Parameters of all commands that name what is written; every other path is read."""
 
+FILES = WRITTEN - {"out"}
+"""Those that are never a folder."""
+
 Named = tuple[str, Path]
 """A path, and how the user gave it."""
 
@@ -28,6 +31,9 @@ def check(parameters: list[Any], values: Mapping[str, Any]) -> None:
     for shown, path in read:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{shown}: is no file that can be read to its end: name a file or a folder")
+    for name, (shown, path) in given:
+        if name in FILES and path.is_dir():
+            raise UsageError(f"{shown}: is a folder: name a file in it")
     for (shown, path), (other, there) in chain(product(written, read), combinations(written, 2)):
         if path.exists() and not (path.is_file() or path.is_dir()):
             continue  # such as /dev/null

@@ -11,12 +11,16 @@ import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.runtime.errors import FailedError, StoppedError, UsageError
 
+MOST_ROBOTS = 100
+"""A simulated site with more takes minutes a second."""
+
 
 def simtest(
     seed: Annotated[int | None, typer.Option(min=0, help="run this seed")] = None,
     seeds: Annotated[str, typer.Option(metavar="A..B", help="run the seeds from A up to B")] = "0..99",
     robots: Annotated[
-        int | None, typer.Option(min=1, help="robots of each site; default: 1 to 5, by the seed")
+        int | None,
+        typer.Option(min=1, max=MOST_ROBOTS, help="robots of each site; default: 1 to 5, by the seed"),
     ] = None,
     projector: Annotated[
         Literal["lists", "real"],
