@@ -455,7 +455,9 @@ class RobotTracker:
         tracks = self.belief.tracks
         way, turn = tracks.unchecked[best].tolist()
         shown = self._new_scans(way, turn) <= UNCONFIRMED
-        return shown or mass_of_place(tracks, best) >= self._settings.localized_above
+        # halfway from where a shown claim ends to where one begins
+        likely = (self._settings.localized_above + self._settings.released_below) / 2.0
+        return shown or mass_of_place(tracks, best) >= likely
 
     def _judge(self) -> Verdict:
         """The most believed track, as far as odometry is, and its map frame after every frame's lists."""
