@@ -94,6 +94,51 @@ def test_ctrl_c_is_130(tmp_path: Path) -> None:
         assert process.wait(240) == 130
 
 
+def test_ctrl_c_while_it_still_loads_is_130_too() -> None:
+    code = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'eigenscan.cli.command_group':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from eigenscan.cli.entry import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "eigenscan: ended by Ctrl-C\n")
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "replay drive.mcap --service scan-ingest --out half.mcap",
+        "view drive.mcap --no-open --rrd half.rrd",
+        "simulate -o half.mcap --seconds 20",
+    ],
+)
+def test_ctrl_c_leaves_no_half_of_an_output(tmp_path: Path, drive: Path, typed: str) -> None:
+    """What was written until then had an index, and looked whole."""
+    code = (
+        "import sys, os, signal\n"
+        "from eigenscan.workbench.progress import Bars\n"
+        "start = Bars.start_share\n"
+        "def begin(self, text):\n"
+        "    moved, calls = start(self, text), []\n"
+        "    def move(share):\n"
+        "        moved(share); calls.append(share)\n"
+        "        if len(calls) == 20:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return move\n"
+        "Bars.start_share = begin\n"
+        "from eigenscan.cli.entry import main; main()"
+    )
+    (tmp_path / "drive.mcap").symlink_to(drive / "drive.mcap")
+    command = [sys.executable, "-c", code, *typed.split()]
+    done = subprocess.run(command, check=False, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 130, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
+
+
 @pytest.mark.parametrize(
     ("typed", "word", "offered"),
     [("eigenscan simu", 1, "simulate"), ("eigenscan simulate --kid", 2, "--kidnap")],

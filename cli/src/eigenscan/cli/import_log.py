@@ -99,13 +99,13 @@ def _stem(log: Path) -> str:
 def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
     """Writes beside `target` and moves it there when it is whole."""
     from eigenscan.runtime.recording import RecordingWriter
+    from eigenscan.runtime.whole import whole
     from eigenscan.schemas.channels import SCAN_RAW
     from eigenscan.workbench.logs.summary import Summary
     from eigenscan.workbench.progress import Bars
 
     summary = Summary()
-    part = target.with_name(target.name + ".part")
-    try:
+    with whole(target) as part:
         with Bars() as bars, RecordingWriter(part, {"import": _metadata(log)}) as writer:
             moved = bars.start_share("import")
             for envelope in log.envelopes():
@@ -122,9 +122,6 @@ def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
             raise UsageError(
                 f"--mount {unknown[0]}=…: no lidar that is taken has this name: choose one of {there}"
             )
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
     return summary
 
 

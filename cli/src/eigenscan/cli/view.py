@@ -63,6 +63,7 @@ def view(
         raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
     from eigenscan.recorder.options import RecorderOptions
     from eigenscan.recorder.web_viewer import free_port
+    from eigenscan.runtime.whole import whole
 
     prepare(json_file)
     if is_opened:  # a port that is taken is an error before a long recording is drawn
@@ -71,8 +72,10 @@ def view(
 
     with TemporaryDirectory(prefix="eigenscan-view-") as folder:
         target = rrd or Path(folder) / f"{recording.stem}.rrd"
-        settings = RecorderOptions(rrd=target, layout=layout, picture_hz=picture_hz, draw_all=draw_all)
-        figures = {"picture": str(rrd) if rrd else None} | _draw(recording, at, end, settings)
+        with whole(target) as part:
+            settings = RecorderOptions(rrd=part, layout=layout, picture_hz=picture_hz, draw_all=draw_all)
+            drawn = _draw(recording, at, end, settings)
+        figures = {"picture": str(rrd) if rrd else None} | drawn
         if is_opened:
             _open(target, port, figures, json_file)
         else:

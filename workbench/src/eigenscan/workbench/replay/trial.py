@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.runtime.whole import whole
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.replay.casting import Changes, Instance, cast
@@ -112,7 +113,7 @@ def _beside(reference: Reference, channels: Sequence[Channel], events: Iterable[
 
 
 def _written(path: Path, events: Iterable[Event]) -> Iterator[Event]:
-    with RecordingWriter(path) as writer:
+    with whole(path) as part, RecordingWriter(part) as writer:
         for event in events:
             if event.side is not Side.RECORDED:
                 writer.write(event.envelope, event.time)
