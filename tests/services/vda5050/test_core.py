@@ -460,3 +460,20 @@ def test_the_schemas_here_refuse_what_is_wrong(manager: Manager) -> None:
             check("state", good | change, manager.major)
     with pytest.raises(jsonschema.ValidationError):
         check("state", {**good, "errors": [{"errorType": "x", "errorLevel": "SEVERE"}]}, manager.major)
+
+
+def test_no_long_text_comes_back_in_each_state(manager: Manager) -> None:
+    """Ids of 200 kB stayed in 32 actions: 6 MB in each state."""
+    long = "x" * 200_000
+    major = manager.major
+    for number in range(32):
+        manager.publish(set_position(f"{number}{long}", major=major))
+        manager.publish(set_position(f"a{number}", major=major) | {"actionType": long})
+        manager.publish(set_position(f"b{number}", major=major, lastNodeId=long))
+        manager.publish(topic="order", orderId=long)
+        manager.publish(headerId=long)
+        manager.publish(version=long)
+        manager.publish(set_position(f"c{number}", map_id=long, major=major))
+        manager.publish(set_position(f"d{number}", major=major, x=long))
+    assert max(len(json.dumps(state)) for state in manager.topics["state"]) < 10_000
+    assert not manager.words

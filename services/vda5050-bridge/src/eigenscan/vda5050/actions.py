@@ -17,6 +17,8 @@ from eigenscan.vda5050.position import claims
 SET_POSITION = ("initPosition", "initializePosition")
 """Its name in version 2 and in version 3; both are taken."""
 STATE_REQUEST, FACTSHEET_REQUEST = "stateRequest", "factsheetRequest"
+LONGEST = 256
+"""Characters of an id or a name: the state repeats them."""
 KEPT = 32
 """Finished actions that the state lists; the oldest are dropped first."""
 NEAR_M, NEAR_RAD = 1.0, math.radians(30.0)
@@ -111,10 +113,10 @@ def read_message(data: bytes, major: int, manufacturer: str, serial: str) -> dic
         raise MessageError("is no JSON object")
     number = published.get("headerId")
     if isinstance(number, bool) or not isinstance(number, int):
-        raise MessageError(f"headerId: {number!r} is no integer")
+        raise MessageError(f"headerId: {number!r:.60} is no integer")
     version = published.get("version")
     if not isinstance(version, str) or version.partition(".")[0] != str(major):
-        raise MessageError(f"version: {version!r} is not {major}.x")
+        raise MessageError(f"version: {version!r:.60} is not {major}.x")
     for field, expected in (("manufacturer", manufacturer), ("serialNumber", serial)):
         if published.get(field) != expected:
             raise MessageError(f"{field}: {published.get(field)!r:.60} is not {expected!r}")
@@ -132,6 +134,8 @@ def actions_of(published: dict[str, Any]) -> list[dict[str, Any]]:
         for field in ("actionType", "actionId"):
             if not isinstance(one.get(field), str) or not one[field]:
                 raise MessageError(f"actions[{number}].{field}: is no text")
+            if len(one[field]) > LONGEST:
+                raise MessageError(f"actions[{number}].{field}: is longer than {LONGEST} characters")
     return listed
 
 
@@ -144,11 +148,13 @@ def position_of(action: dict[str, Any]) -> tuple[str, Array, str]:
     for name in ("x", "y", "theta"):
         value = known.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e7:
-            raise MessageError(f"{name}: {value!r} is no number")
+            raise MessageError(f"{name}: {value!r:.60} is no number")
         pose.append(float(value))
     map_id, node = known.get("mapId"), known.get("lastNodeId", "")
     if not isinstance(map_id, str):
-        raise MessageError(f"mapId: {map_id!r} is no text")
+        raise MessageError(f"mapId: {map_id!r:.60} is no text")
+    if len(str(node)) > LONGEST:
+        raise MessageError(f"lastNodeId: is longer than {LONGEST} characters")
     return map_id, np.array([pose[0], pose[1], float(wrap(pose[2]))]), node if isinstance(node, str) else ""
 
 

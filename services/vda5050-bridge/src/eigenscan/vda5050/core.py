@@ -26,6 +26,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, State
 from eigenscan.vda5050 import messages
 from eigenscan.vda5050.actions import (
     FACTSHEET_REQUEST,
+    LONGEST,
     SET_POSITION,
     STATE_REQUEST,
     Action,
@@ -185,7 +186,7 @@ class Vda5050Core:
         self._check_number(topic, published["headerId"])
         if topic == ORDER:
             self._counts["refused_orders"] += 1
-            reference = {"orderId": str(published.get("orderId", ""))}
+            reference = {"orderId": str(published.get("orderId", ""))[:LONGEST]}
             self._refuse("MOBILE_ROBOT_NOT_AVAILABLE", "the localizer takes no orders", **reference)
             return
         self._refusal = None
