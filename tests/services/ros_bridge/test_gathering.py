@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
+from eigenscan.geometry.transforms import MOST_FRAMES, TransformTree
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.core import RosBridgeCore
-from eigenscan.ros_bridge.gathering import LIDAR
+from eigenscan.ros_bridge.gathering import LIDAR, MOST_SENSORS
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -180,3 +181,18 @@ def test_a_robot_that_stands_for_long_keeps_little() -> None:
         look(made, "front", [1.0, 1.0, 1.0], TIME + k * STEP_NS)
     assert made._gathering is not None
     assert sum(map(len, made._gathering._views.values())) <= 2
+
+
+def test_invented_frames_are_bounded() -> None:
+    """Each stayed for ever, and made each scan slower."""
+    made = bridge()
+    assert made._gathering is not None
+    drive(made, (0.0, 0.0, 0.0), TIME)
+    for number in range(100):
+        listen(made, "%tf_static", transform("base_link", f"front{number}", (0.2, 0.0, 0.3), LEVEL))
+        listen(made, "%front%scan", scan(f"front{number}", [1.0, 1.0, 1.0], TIME))
+    assert len(made._gathering._views) == MOST_SENSORS
+    tree = TransformTree()
+    for number in range(MOST_FRAMES + 100):
+        tree.receive("base_link", f"frame{number}", (0.0, 0.0, 0.0), LEVEL)
+    assert len(tree.frames()) == MOST_FRAMES + 1

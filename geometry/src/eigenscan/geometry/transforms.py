@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Matrix = NDArray[np.float64]
 
 FARTHEST = 1e9  # m; map coordinates may be large, damaged bytes are larger
+MOST_FRAMES = 2000
+"""That a robot names; further ones are ignored."""
 HORIZONTAL = 0.94
 """Cosine, 20 deg: a lidar tilted by more does not see the plane that the map shows."""
 
@@ -26,6 +28,8 @@ class TransformTree:
         """`rotation` is x, y, z, w. Invalid values are ignored."""
         turned = rotation_matrix(rotation)
         if turned is None or not is_place(translation) or child in self._parents:
+            return
+        if len(self._parents) >= MOST_FRAMES:
             return
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = turned, translation

@@ -32,6 +32,8 @@ AHEAD_NS = 200_000_000
 """Beyond the newest odometry the last motion goes on so long at most."""
 APART_NS = 45_000_000
 """Between two gathered scans: 20 Hz, with a tenth for jitter."""
+MOST_SENSORS = 32
+"""Of a robot; what the first of more saw is forgotten."""
 FARTHEST_STEP_M = 1.0
 """Between two odometries: a longer one is a jump, and what was seen before it is forgotten."""
 
@@ -115,6 +117,8 @@ class Gathering:
     def _keep(self, raw: RawScan, base: Array) -> None:
         points = points_of(raw)
         views = self._views.setdefault(raw.frame_id, deque())
+        if len(self._views) > MOST_SENSORS:
+            del self._views[next(iter(self._views))]
         if len(views) > 1 and _is_near(views[-2].base, base):
             views.pop()  # it showed no more than the one before and this one do
         views.append(_View(base, transform(base, points), self._progress))
