@@ -94,18 +94,30 @@ def test_ctrl_c_is_130(tmp_path: Path) -> None:
         assert process.wait(240) == 130
 
 
-def test_ctrl_c_while_it_still_loads_is_130_too() -> None:
+def _interrupted_while_it_loads(before: str) -> subprocess.CompletedProcess[str]:
     code = (
         "import os, signal, sys\n"
+        f"{before}\n"
         "class Finder:\n"
         "    def find_spec(self, name, *_):\n"
         "        if name == 'eigenscan.cli.command_group':\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
+        "sys.argv = ['eigenscan', '--version']\n"
         "from eigenscan.cli.entry import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    return subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+
+
+def test_ctrl_c_while_it_still_loads_is_130_too() -> None:
+    done = _interrupted_while_it_loads("")
     assert (done.returncode, done.stderr) == (130, "eigenscan: ended by Ctrl-C\n")
+
+
+def test_a_command_in_a_scripts_background_goes_on_at_ctrl_c() -> None:
+    """A shell has such a command ignore SIGINT, which is for what runs in front."""
+    done = _interrupted_while_it_loads("signal.signal(signal.SIGINT, signal.SIG_IGN)")
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,12 @@ import signal
 
 def main() -> None:
     """Runs the command."""
-    signal.signal(signal.SIGINT, _end)
+    usual = signal.getsignal(signal.SIGINT)
+    if usual is not signal.SIG_IGN:  # as a shell has it in a script's background
+        signal.signal(signal.SIGINT, _end)
     from eigenscan.cli.main import app
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, usual)
     app()
 
 
