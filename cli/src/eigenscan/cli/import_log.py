@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.cli.names import check_names
 from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.printable import printable
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 if TYPE_CHECKING:
     from eigenscan.workbench.logs import Log, Mount
@@ -53,9 +54,7 @@ def import_log(
     from eigenscan.workbench.logs import LogOptions, open_log
     from rich.console import Console
 
-    for name, value in (("--site", site), ("--robot", robot)):
-        if not is_chunk(value):
-            raise UsageError(f"{name} {value!r}: a name has no blanks and none of / * $ # ? @")
+    check_names(robot, site)
     target = out or Path(_stem(log) + ".mcap")
     if is_same(target, log):
         raise UsageError(f"-o {target}: is the log itself: name another file")

@@ -9,9 +9,10 @@ from typing import Annotated, Literal
 import typer
 from eigenscan.cli.figures import JsonFile, events, prepare, wants_words
 from eigenscan.cli.former import positional
+from eigenscan.cli.names import check_names
 from eigenscan.cli.settings import Changes, Method, SettingsFile
 from eigenscan.runtime.errors import UsageError
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 MAP_S = 30.0
 """Longest wait for the robot's own map, s."""
@@ -93,9 +94,7 @@ def run(
       eigenscan run --ros2 rmw_zenoh
       eigenscan run MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
     """  # noqa: D301 - \b keeps the lines apart in --help
-    for name, value in (("--robot", robot), ("--site", site)):
-        if not is_chunk(value):
-            raise UsageError(f"{name} {value!r}: a name has no blanks and none of / * $ # ? @")
+    check_names(robot, site)
     if map_option is not None or (map_or_model is None and ros2 is None):
         map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
     _check_listen(listen or [], insecure, zenoh)

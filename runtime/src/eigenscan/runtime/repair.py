@@ -9,6 +9,7 @@ from typing import IO, cast
 
 from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
 from eigenscan.runtime.recording.files import refuse_bomb
+from eigenscan.runtime.whole import whole
 from mcap.exceptions import EndOfFile, InvalidMagic
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -43,7 +44,6 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
     """
     if target.exists():
         raise RecordingError(f"{target}: exists already: give another file with -o")
-    fresh = target.with_suffix(".part")
     try:
         found = Salvage(damaged.stat().st_size)
         for record in _records(damaged, found, moved):
@@ -52,17 +52,15 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
             elif isinstance(record, Channel):
                 found.channels[record.id] = record
         found.lost_chunks, found.cut = 0, False
-        with fresh.open("wb") as file:
-            _rewrite(damaged, file, found, moved)
-        if not found.messages:
-            raise RecordingError(f"{damaged}: holds no whole chunk: nothing can be saved")
-        if message_count(fresh) != found.messages:
-            raise RecordingError(f"{fresh}: does not hold what was written: is the disk full?")
-        fresh.rename(target)
+        with whole(target) as fresh:
+            with fresh.open("wb") as file:
+                _rewrite(damaged, file, found, moved)
+            if not found.messages:
+                raise RecordingError(f"{damaged}: holds no whole chunk: nothing can be saved")
+            if message_count(fresh) != found.messages:
+                raise RecordingError(f"{fresh}: does not hold what was written: is the disk full?")
     except OSError as error:
         raise RecordingError(f"{error.filename or target}: {error.strerror}: name another place") from error
-    finally:
-        fresh.unlink(missing_ok=True)
     return found
 
 

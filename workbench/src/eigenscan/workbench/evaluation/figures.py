@@ -174,24 +174,22 @@ def kidnap_figures(outcomes: Sequence[Outcome]) -> Figures:
         "noticed_s": summary(outcome.noticed_s for outcome in outcomes),
         "recovered_s": summary(outcome.recovered_s for outcome in outcomes),
         "first_right_s": summary(outcome.first_right_s for outcome in outcomes),
-        "first_right_within_3_s": rate(
-            [o.first_right_s is not None and o.first_right_s <= 3.0 for o in outcomes]
-        ),
+        "first_right_within_3_s": rate([_is_soon(o.first_right_s) for o in outcomes]),
         "recovered_rate": rate([outcome.recovered_s is not None for outcome in outcomes]),
         "kidnaps": len(outcomes),
         "claimed_before": sum(outcome.claimed_before for outcome in outcomes),
         "noticed_within_1_s": rate(
             [o.noticed_s is not None and o.noticed_s <= 1.0 for o in outcomes if o.claimed_before]
         ),
-        "recovered_within_3_s": rate([_soon(o) for o in outcomes]),
+        "recovered_within_3_s": rate([_is_soon(o.recovered_s) for o in outcomes]),
         "decided": sum(outcome.decided is True for outcome in outcomes),
-        "recovered_within_3_s_of_decided": rate([_soon(o) for o in outcomes if o.decided]),
+        "recovered_within_3_s_of_decided": rate([_is_soon(o.recovered_s) for o in outcomes if o.decided]),
         "per_kidnap": [vars(outcome) for outcome in outcomes],
     }
 
 
-def _soon(outcome: Outcome) -> bool:
-    return outcome.recovered_s is not None and outcome.recovered_s <= 3.0
+def _is_soon(seconds: float | None) -> bool:
+    return seconds is not None and seconds <= 3.0
 
 
 def single_figures(rows: Sequence[Figures]) -> Figures:

@@ -16,6 +16,7 @@ from eigenscan.workbench.evaluation.doubt import Walls
 from eigenscan.workbench.evaluation.metrics import elsewhere, errors, right
 from eigenscan.workbench.evaluation.pipeline import Answer
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
+from eigenscan.workbench.evaluation.windows import thin
 from numpy.typing import NDArray
 
 SOON_S = 3.0
@@ -29,8 +30,7 @@ Answers = Callable[[Iterable[Envelope]], Iterable[Answer]]
 def soon_after(received: Iterable[Envelope], start: int) -> list[Envelope]:
     """The raw scans of the 3 s from `start`, ns; of more than 15 as many, evenly chosen."""
     scans = [e for e in received if e.channel == SCAN_RAW and 0 <= e.stamp - start <= SOON_S * NS]
-    chosen = np.unique(np.linspace(0, len(scans) - 1, MOST_SCANS).round().astype(np.int64))
-    return [scans[index] for index in chosen] if len(scans) > MOST_SCANS else scans
+    return thin(scans, MOST_SCANS)
 
 
 def decides(scans: Sequence[Envelope], answers: Answers, reference: Trajectory, walls: Walls) -> bool | None:
@@ -49,9 +49,9 @@ def decides(scans: Sequence[Envelope], answers: Answers, reference: Trajectory, 
     ]
     places = np.concatenate([start[None], *listed])
     shares = [_shares(scan, compose(places, way), walls) for (scan, _), way in zip(seen, ways, strict=True)]
-    fits = np.nanmean(shares, axis=0) if np.isfinite(shares).any() else None
-    if fits is None:
+    if not np.isfinite(shares).any():
         return None
+    fits = np.nanmean(shares, axis=0)
     off, turned = errors(places, np.broadcast_to(start, places.shape))
     others = fits[elsewhere(off, turned)]
     return bool(fits[right(off, turned)].max() > others.max(initial=0.0))

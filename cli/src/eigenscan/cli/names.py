@@ -1,0 +1,13 @@
+"""Names of a site and a robot on a command line."""
+
+from __future__ import annotations
+
+from eigenscan.runtime.errors import UsageError
+from eigenscan.schemas.channels import is_chunk
+
+
+def check_names(robot: str, site: str) -> None:
+    """Raises UsageError for a name that no key can have."""
+    for option, value in (("--robot", robot), ("--site", site)):
+        if not is_chunk(value):
+            raise UsageError(f"{option} {value!r}: a name has no blanks and none of / * $ # ? @")
