@@ -21,7 +21,8 @@ from unittest import mock
 import numpy as np
 from eigenscan.ingest import motion, watch
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.motion import BEAMS, HELD_SUPPORT, NOISE, Motion, Points, Pose, motion_between
+from eigenscan.ingest.laying import NOISE
+from eigenscan.ingest.motion import BEAMS, HELD_SUPPORT, Motion, Points, Pose, motion_between
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.workbench.logs import LogOptions, open_log

@@ -2,7 +2,8 @@
 
 from typing import get_args
 
-import eigenscan.tracker.core  # noqa: F401 - compiled where it is imported
+import eigenscan.ingest.core
+import eigenscan.tracker.core  # noqa: F401 - the same
 from eigenscan.projector.association.kinds import Kind
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up

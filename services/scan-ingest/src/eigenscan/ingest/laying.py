@@ -1,128 +1,158 @@
-"""Laying a scan on an earlier one, compiled; `motion.lay` is the same in numpy.
-
-Complex products are rounded once, as numpy rounds them, so that a motion is the same to its last bit.
-"""
+"""Laying a scan on an earlier one, compiled: points of the one on lines through neighbours of the other."""
 
 from __future__ import annotations
 
-from math import atan2, cos, inf, sin
-from typing import Any
+from math import atan2, cos, inf, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from eigenscan.geometry.circle import TURN
-from eigenscan.ingest.motion import (
-    NEAR,
-    NOISE,
-    ON_LINE,
-    REACH,
-    ROUNDS,
-    SETTLED,
-    STAY,
-    WIDE,
-    WIDE_ROUNDS,
-    Array,
-    Flags,
-    Index,
-    Motion,
-    Points,
-    motions,
-)
-from numba import njit, types
-from numba.extending import intrinsic
+from eigenscan.geometry.inner import inner
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+WIDE, NEAR = 0.6, 0.2
+"""m, how far a point may be off its line: in the first steps, and in the last."""
+NOISE = 0.02
+"""m, sigma of a point on its line: a lidar's noise and the roughness of walls."""
+REACH = 4
+"""Beams to either side that are looked at for the nearest point."""
+ROUNDS, WIDE_ROUNDS = 10, 4
+SETTLED = 1e-3
+"""m and rad: a smaller step is the last."""
+STAY = 0.1
+"""What a motion weighs that the scans do not determine, in points."""
+ON_LINE = 0.06
+"""m off its line up to which a beam is explained: three sigma."""
 
 
-def lay_compiled(before: Points, points: Array, starts: Array) -> list[Motion]:
-    """Points (n, 2) laid on the earlier scan, from each of several motions (k, 3)."""
-    moved = starts.copy()
-    x, y, heading = before.mount
-    lidar = x, y, heading + before.angle_min, before.step
-    rows, weighted = np.empty((len(starts), len(points), 4)), np.empty((len(starts), len(points), 3))
-    counts = np.empty((len(starts), 3), dtype=np.intp)
+class Walls(NamedTuple):
+    """An earlier scan's beams as they are looked up.
+
+    `x`, `y`: where each has its point, infinite without a line; REACH beams before and behind, the ends stand
+    for what would be beyond them. `normals` (B, 2).
+    """
+
+    x: Array
+    y: Array
+    xy: Array
+    normals: Array
+    lidar_x: float
+    lidar_y: float
+    zero: float
+    """Heading of the first beam in the base frame, rad."""
+    step: float
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def walls_of(
+    xy: Array, normals: Array, lined: Flags, lidar_x: float, lidar_y: float, zero: float, step: float
+) -> Walls:
+    """An earlier scan's beams (B,), to lay others on."""
+    last = len(xy) - 1
+    x, y = np.full(last + 1 + 3 * REACH, inf), np.empty(last + 1 + 3 * REACH)
+    for i in range(len(x)):
+        beam = min(max(i - REACH, 0), last)
+        y[i] = xy[beam, 1]
+        if lined[beam]:
+            x[i] = xy[beam, 0]
+    return Walls(x, y, xy, normals, lidar_x, lidar_y, zero, step)
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def lay(walls: Walls, points: Array, moved: Array, information: Array, counts: Index) -> None:
+    """Lays points (n, 2) on the earlier scan from each of several motions `moved` (k, 3), which it corrects.
+
+    Fills `information` (k, 3, 3), in points, and `counts` (k, 3): of points that the earlier scan saw, of
+    those with a line, and on it.
+    """
+    row, sums, step = np.empty(4), np.empty((3, 4)), np.empty(3)
     for number in range(ROUNDS):
         reach = WIDE if number < WIDE_ROUNDS else NEAR
-        earlier = before.xy, before.normals, before.lined
-        _look(*earlier, lidar, points, moved, reach**2, rows, weighted, counts)
-        sums = weighted.transpose(0, 2, 1) @ rows
-        information, pull = sums[..., :3], sums[..., 3:]
-        step = np.linalg.solve(information + STAY, -pull)[..., 0]
-        moved += step
-        if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
+        largest = 0.0
+        for k in range(len(moved)):
+            x, y, turn = moved[k, 0], moved[k, 1], moved[k, 2]
+            along, across = cos(turn), sin(turn)
+            sums[:] = 0.0
+            counts[k] = 0
+            for j in range(len(points)):
+                # as the point lies in the earlier base frame, before the shift and after it
+                turned_x = along * points[j, 0] - across * points[j, 1]
+                turned_y = along * points[j, 1] + across * points[j, 0]
+                line, distance2, seen = _nearest(walls, turned_x + x, turned_y + y)
+                used = seen and distance2 <= reach * reach
+                counts[k, 0] += seen
+                counts[k, 1] += used
+                if not used:
+                    continue
+                # the normal and the error of a beam without a line are zero
+                nx, ny = walls.normals[line, 0], walls.normals[line, 1]
+                off = nx * (turned_x + x - walls.xy[line, 0]) + ny * (turned_y + y - walls.xy[line, 1])
+                row[0], row[1], row[2], row[3] = nx, ny, turned_x * ny - turned_y * nx, off
+                counts[k, 2] += abs(off) <= ON_LINE
+                scaled = off / (2.0 * NOISE)
+                weight = 1.0 / (1.0 + scaled * scaled)
+                for i in range(3):
+                    for column in range(4):
+                        sums[i, column] += weight * row[i] * row[column]
+            information[k] = sums[:, :3]
+            # where the scans determine nothing, the motion stays
+            for i in range(3):
+                sums[i, i] += STAY
+            _solve(sums, step)
+            for i in range(3):
+                moved[k, i] -= step[i]
+                largest = max(largest, abs(step[i]))
+        if number >= WIDE_ROUNDS and largest < SETTLED:
             break
-    return motions(moved, information, *counts.T)
 
 
-def _fuse(_typing: Any, _a: Any, _b: Any, _c: Any) -> Any:  # pragma: no cover - compiled
-    def build(_context: Any, builder: Any, _signature: Any, given: Any) -> Any:
-        return builder.fma(*given)
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _nearest(walls: Walls, x: float, y: float) -> tuple[int, float, bool]:
+    """The beam whose point is nearest of those that look at a place, its distance, m^2; whether any does."""
+    last = len(walls.xy) - 1
+    bearing = atan2(y - walls.lidar_y, x - walls.lidar_x) - walls.zero
+    if not 0.0 <= bearing < TURN:  # a division costs as much as all the rest
+        bearing = bearing + TURN if -TURN < bearing < 0.0 else bearing % TURN
+    centre = int(np.rint(bearing / walls.step))
+    first = min(max(centre, 0), last + REACH)
+    nearest, best = inf, 0
+    for i in range(2 * REACH + 1):
+        dx, dy = walls.x[first + i] - x, walls.y[first + i] - y
+        distance2 = dx * dx + dy * dy
+        if distance2 < nearest:
+            nearest, best = distance2, i
+    return min(max(first + best - REACH, 0), last), nearest, centre <= last + REACH
 
-    return types.float64(types.float64, types.float64, types.float64), build
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _solve(sums: Array, step: Array) -> None:
+    """Solves positive definite equations (3, 4), the right-hand side last, by elimination in place."""
+    for i in range(3):
+        for below in range(i + 1, 3):
+            share = sums[below, i] / sums[i, i]
+            for column in range(i, 4):
+                sums[below, column] -= share * sums[i, column]
+    for i in range(2, -1, -1):
+        left = sums[i, 3]
+        for column in range(i + 1, 3):
+            left -= sums[i, column] * step[column]
+        step[i] = left / sums[i, i]
 
 
-_fused: Any = intrinsic(_fuse)
-"""The sum a * b + c with one rounding."""
-
-
-@njit(  # pragma: no cover - compiled
-    "void(f8[:,::1], f8[:,::1], b1[::1], UniTuple(f8, 4), f8[:,::1], f8[:,::1], f8, f8[:,:,::1], "
-    "f8[:,:,::1], i8[:,::1])",
-    cache=True,
-    nogil=True,
-)
-def _look(
-    walls: Array,
-    normals: Array,
-    lined: Flags,
-    lidar: tuple[float, float, float, float],
-    points: Array,
-    moved: Array,
-    reach2: float,
-    rows: Array,
-    weighted: Array,
-    counts: Index,
-) -> None:
-    """How far points (n, 2) are off the lines of the earlier scan (B, 2) after each motion `moved` (k, 3).
-
-    `lidar`: x, y and heading of its first beam, in the base frame, and rad a beam. `reach2`, m^2: from where
-    a line is another's. Fills `rows` (k, n, 4), derivatives by x, y and turn, and the error; the same
-    `weighted` (k, n, 3); `counts` (k, 3) of points that the lidar saw, of those with a line, and on it.
-    """
-    lidar_x, lidar_y, zero, step = lidar
-    last = len(walls) - 1
-    # the ends stand for what would be beyond them, infinity for beams without a line
-    wall_x, wall_y = np.empty((2, len(walls) + 3 * REACH))
-    for i in range(len(wall_x)):
-        beam = min(max(i - REACH, 0), last)
-        wall_x[i], wall_y[i] = walls[beam, 0] if lined[beam] else inf, walls[beam, 1]
-    for k in range(len(moved)):
-        along, across = cos(moved[k, 2]), sin(moved[k, 2])
-        counts[k] = 0
-        for j in range(len(points)):
-            # as the point lies in the earlier base frame, before the shift and after it
-            turned_x = _fused(along, points[j, 0], -(across * points[j, 1]))
-            turned_y = _fused(along, points[j, 1], across * points[j, 0])
-            x, y = turned_x + moved[k, 0], turned_y + moved[k, 1]
-            bearing = atan2(y - lidar_y, x - lidar_x) - zero
-            if not 0.0 <= bearing < TURN:  # a division costs as much as all the rest
-                bearing = bearing + TURN if -TURN < bearing < 0.0 else bearing % TURN
-            centre = int(np.rint(bearing / step))
-            seen = centre <= last + REACH
-            first = min(max(centre, 0), last + REACH)
-            nearest, best = inf, 0
-            for i in range(2 * REACH + 1):
-                dx, dy = wall_x[first + i] - x, wall_y[first + i] - y
-                distance2 = dx * dx + dy * dy
-                if distance2 < nearest:
-                    nearest, best = distance2, i
-            line = min(max(first + best - REACH, 0), last)
-            used = seen and nearest <= reach2
-            # the normal and the error of a beam without a line are zero
-            nx, ny = normals[line, 0], normals[line, 1]
-            off = _fused(nx, x - walls[line, 0], ny * (y - walls[line, 1]))
-            turn = _fused(turned_x, ny, -(turned_y * nx))
-            scaled = off / (2.0 * NOISE)
-            weight = used / (1.0 + scaled * scaled)
-            rows[k, j, 0], rows[k, j, 1], rows[k, j, 2], rows[k, j, 3] = nx, ny, turn, off
-            weighted[k, j, 0], weighted[k, j, 1], weighted[k, j, 2] = nx * weight, ny * weight, turn * weight
-            counts[k, 0] += seen
-            counts[k, 1] += used
-            counts[k, 2] += used and abs(off) <= ON_LINE
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def eigen(a: float, b: float, c: float) -> tuple[float, float, float, float]:
+    """Eigenvalues of a, b; b, c >= 0, the smaller one first, and its direction x, y: that of LAPACK."""
+    apart, root = a - c, sqrt((a - c) * (a - c) + 4.0 * b * b)
+    larger = 0.5 * (a + c + root)
+    smaller = max(a, c) / larger * min(a, c) - b / larger * b if larger > 0.0 else 0.0
+    if abs(b) <= np.finfo(np.float64).eps * sqrt(a * c):
+        return (smaller, larger, 0.0, 1.0) if apart > 0.0 else (smaller, larger, 1.0, 0.0)
+    slope = 2.0 * b / (abs(apart) + root)
+    length = sqrt(1.0 + slope * slope)
+    if apart > 0.0:
+        return smaller, larger, slope / length, -1.0 / length
+    return smaller, larger, -1.0 / length, slope / length

@@ -2,23 +2,21 @@
 
 Points of the later scan are laid on the lines through neighbouring points of the earlier one (Censi, "An ICP
 variant using a point-to-line metric", ICRA 2008), from a turn that the ranges themselves suggest and from the
-motion so far. Odometry plays no part, so that it can be held against the result.
+motion so far. Odometry plays no part, so that it can be held against the result. Compiled, because a scan
+would need some 300 small calls of numpy; the tests have it in numpy.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from math import inf, pi
+from dataclasses import dataclass
+from math import ceil, cos, hypot, inf, isfinite, pi, sin
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from eigenscan.geometry.inner import inner
+from eigenscan.ingest.laying import NOISE, Array, Flags, Index, Walls, eigen, lay, walls_of
+from numba import njit, types
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad]"""
 
@@ -28,20 +26,10 @@ TURN_BEAMS, MOST_TURN, TURN_STEP = 60, 0.7, 0.02
 """Beams that are compared for the first guess of the turn, rad either way, rad a step."""
 FAR_OFF = 0.5
 """m, difference of two ranges beyond which it does not matter how far."""
-WIDE, NEAR = 0.6, 0.2
-"""m, how far a point may be off its line: in the first steps, and in the last."""
-NOISE = 0.02
-"""m, sigma of a point on its line: a lidar's noise and the roughness of walls."""
 LINE_M, MOST_BEAMS = 0.1, 20
 """m to either side that a beam's line is laid through, and beams at most: noise shall turn it by little.
 
 Chosen on fr079 and a simulated corridor: benchmarks/mechanisms.py."""
-REACH = 4
-"""Beams to either side that are looked at for the nearest point."""
-_WINDOW = np.arange(-REACH, REACH + 1)
-ROUNDS, WIDE_ROUNDS = 10, 4
-SETTLED = 1e-3
-"""m and rad: a smaller step is the last."""
 LEAST_POINTS = 15
 LEAST_SUPPORT = 0.08
 """Share of the points that must fix a direction: fewer, at the ends of a hallway, slide along with it."""
@@ -50,7 +38,7 @@ HELD_SUPPORT = 0.25
 
 Of 2,711 such matches on six logs none ended more than 2 cm elsewhere when started again; of the 2,399 others
 37, of which 13 more than 5 cm (benchmarks/scan_motion.py)."""
-SHIFTS = np.array([-0.3, -0.15, 0.15, 0.3])
+SHIFTS = (-0.3, -0.15, 0.15, 0.3)
 """m along the worst determined direction, from which the match starts again: what a robot drives meanwhile.
 """
 APART_M, AS_WELL = 0.05, 0.12
@@ -58,8 +46,6 @@ APART_M, AS_WELL = 0.05, 0.12
 person who walks ahead of the robot is up to a tenth of what it sees."""
 FITS = 0.4
 """Share of the later scan that the earlier one has to explain."""
-ON_LINE = 0.06
-"""m off its line up to which a beam is explained: three sigma."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +65,6 @@ class Points:
     normals: Array
     ranged: Flags
     lined: Flags
-
-    @cached_property
-    def around(self) -> NDArray[np.complex128]:
-        """Of each beam (B + REACH,) those around it, x + iy; infinite where they have no line.
-
-        A row is fetched faster than nine numbers. Several later scans are laid on one earlier one.
-        """
-        last = len(self.ranges) - 1
-        near = np.minimum(np.maximum(np.arange(last + REACH + 1)[:, None] + _WINDOW, 0), last)
-        return np.asarray(np.where(self.lined, self.xy[:, 0] + 1j * self.xy[:, 1], inf)[near])
 
 
 @dataclass(frozen=True)
@@ -115,166 +91,209 @@ class Motion:
         return np.asarray(np.linalg.inv(self.information + np.eye(3)), dtype=np.float64)
 
 
-STAY = 0.1 * np.eye(3)
-"""What a motion weighs that the scans do not determine, in points."""
 NOTHING_IN_COMMON = Motion((0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0)
 
 
 def points_of(ranges: Array, angle_min: float, step: float, mount: Pose, stamp: int) -> Points:
     """The end points of a canonical scan's beams, without missing ranges (NaN or infinite)."""
-    ranged = np.isfinite(ranges)
-    ranges = np.where(ranged, ranges, np.nan)
-    angles = angle_min + step * np.arange(len(ranges)) + mount[2]
-    reach = np.where(ranged, ranges, 0.0)
-    xy = np.column_stack([mount[0] + reach * np.cos(angles), mount[1] + reach * np.sin(angles)])
-    # a neighbour farther off than a wall seen at a slant would be is on another surface
-    along = np.diff(xy, axis=0)
-    length2 = (along**2).sum(axis=1)
-    joined = ranged[1:] & ranged[:-1]
-    joined &= length2 <= (0.1 + 4.0 * step * np.minimum(reach[1:], reach[:-1])) ** 2
-    # through its nearest neighbours alone a line turns with the noise
-    beams, span = np.arange(len(xy)), np.ceil(LINE_M / np.maximum(step * reach, 1e-3)).astype(np.intp)
-    span = np.minimum(span, MOST_BEAMS)
-    breaks = np.flatnonzero(~joined)
-    run = np.searchsorted(breaks, beams)
-    first = np.append(0, breaks + 1)[run]
-    last = np.append(breaks, len(xy) - 1)[run]
-    tangents = xy[np.minimum(beams + span, last)] - xy[np.maximum(beams - span, first)]
-    length = np.hypot(tangents[:, 0], tangents[:, 1])
-    lined = length > 1e-6
-    safe = np.where(lined, length, 1.0)
-    normals = np.column_stack([-tangents[:, 1] / safe, tangents[:, 0] / safe])
-    return Points(stamp, ranges, angle_min, step, mount, xy, normals, ranged, lined)
+    known = np.where(np.isinf(ranges), np.nan, ranges)
+    return Points(stamp, known, angle_min, step, mount, *_points(known, angle_min, step, *mount))
 
 
 def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
     """Motion from a lidar's earlier scan to a later one; starts from `guess` and from the ranges' turn."""
     if before.ranges.shape != after.ranges.shape or abs(before.angle_min - after.angle_min) > before.step:
         return NOTHING_IN_COMMON
-    chosen = np.flatnonzero(after.ranged)
-    if len(chosen) < LEAST_POINTS:
-        return NOTHING_IN_COMMON
-    points = after.xy[chosen[:: max(len(chosen) // BEAMS, 1)]]
-    turn = _first_turn(before, after)
-    tried = _layer()(before, points, np.array([guess, (0.0, 0.0, turn)]))
-    best = max(tried, key=lambda each: each.explained)
-    return _supported(_held_along(before, points, best) if best.fits else best)
+    x, y, heading = before.mount
+    delta, information, explained, points = _motion(
+        before.ranges, before.xy, before.normals, before.lined, after.ranges, after.xy, after.ranged,
+        (x, y, heading + before.angle_min, before.step), guess, HELD_SUPPORT,
+    )  # fmt: skip
+    return Motion(delta, information, explained, points) if points else NOTHING_IN_COMMON
 
 
-def _held_along(before: Points, points: Array, found: Motion) -> Motion:
+_FLOAT, _ROW, _ROWS = types.float64, types.float64[::1], types.float64[:, ::1]
+_MARKS, _THREE, _FOUR = types.boolean[::1], types.UniTuple(types.float64, 3), types.UniTuple(types.float64, 4)
+
+
+@njit(  # pragma: no cover - compiled
+    types.Tuple((_ROWS, _ROWS, _MARKS, _MARKS))(_ROW, _FLOAT, _FLOAT, _FLOAT, _FLOAT, _FLOAT),
+    cache=True,
+    error_model="numpy",
+    nogil=True,
+)
+def _points(
+    ranges: Array, angle_min: float, step: float, x: float, y: float, heading: float
+) -> tuple[Array, Array, Flags, Flags]:
+    """Points (B, 2), normals (B, 2), and which beams have a range, and a line."""
+    count = len(ranges)
+    xy, normals = np.empty((count, 2)), np.zeros((count, 2))
+    ranged, lined = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
+    first, last = np.empty(count, dtype=np.intp), np.empty(count, dtype=np.intp)
+    for i in range(count):
+        ranged[i] = isfinite(ranges[i])
+        angle, reach = angle_min + step * i + heading, ranges[i] if ranged[i] else 0.0
+        xy[i, 0], xy[i, 1] = x + reach * cos(angle), y + reach * sin(angle)
+        first[i] = i
+        if i and ranged[i] and ranged[i - 1]:
+            # a neighbour farther off than a wall seen at a slant would be is on another surface
+            along, across = xy[i, 0] - xy[i - 1, 0], xy[i, 1] - xy[i - 1, 1]
+            most = 0.1 + 4.0 * step * min(reach, ranges[i - 1])
+            if along * along + across * across <= most * most:
+                first[i] = first[i - 1]
+    for i in range(count - 1, -1, -1):
+        last[i] = last[i + 1] if i + 1 < count and first[i + 1] == first[i] else i
+    for i in range(count):
+        # through its nearest neighbours alone a line turns with the noise
+        reach = ranges[i] if ranged[i] else 0.0
+        span = int(min(ceil(LINE_M / max(step * reach, 1e-3)), MOST_BEAMS))
+        end, start = min(i + span, last[i]), max(i - span, first[i])
+        along, across = xy[end, 0] - xy[start, 0], xy[end, 1] - xy[start, 1]
+        length = hypot(along, across)
+        lined[i] = length > 1e-6
+        if lined[i]:
+            normals[i, 0], normals[i, 1] = -across / length, along / length
+    return xy, normals, ranged, lined
+
+
+class Match(NamedTuple):
+    """Where points came to lie: the motion (3,), its information (3, 3), the share on lines, how many."""
+
+    moved: Array
+    information: Array
+    explained: float
+    points: int
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _laid(walls: Walls, points: Array, moved: Array) -> tuple[Array, Array, Index]:
+    """Corrects motions (k, 3); their information (k, 3, 3), what they explain (k,) and of how many points."""
+    information, counts = np.empty((len(moved), 3, 3)), np.empty((len(moved), 3), dtype=np.intp)
+    lay(walls, points, moved, information, counts)
+    explained, found = np.zeros(len(moved)), np.zeros(len(moved), dtype=np.intp)
+    for k in range(len(moved)):
+        if counts[k, 1] < LEAST_POINTS:
+            moved[k], information[k] = 0.0, 0.0
+            continue
+        information[k] /= NOISE * NOISE
+        explained[k], found[k] = counts[k, 2] / max(counts[k, 0], LEAST_POINTS), counts[k, 1]
+    return information, explained, found
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _held_along(walls: Walls, points: Array, found: Match, held_support: float) -> Match:
     """The motion, or one further along that fits better; if two fit alike, their difference is undetermined.
 
     In a hallway, walls fit at any distance along it, and few beams show the distance. The fit then does not
     leave a wrong minimum.
     """
-    values, directions = np.linalg.eigh(found.information[:2, :2])
-    if values[0] * NOISE**2 >= HELD_SUPPORT * len(points):
+    own = found.information
+    smaller, _, x, y = eigen(own[0, 0], own[1, 0], own[1, 1])
+    if smaller * NOISE * NOISE >= held_support * len(points):
         return found
-    x, y = directions[:, 0].tolist()
-    starts = np.array(found.delta) + SHIFTS[:, None] * np.array([x, y, 0.0])
-    tried = [found, *_layer()(before, points, starts)]
-    best = max(tried, key=lambda each: each.explained)
-    for rival in tried:
-        off = x * (rival.delta[0] - best.delta[0]) + y * (rival.delta[1] - best.delta[1])
-        if abs(off) > APART_M and rival.explained >= best.explained - AS_WELL:
-            kept = np.eye(3)
-            kept[:2, :2] -= np.outer((x, y), (x, y))
-            return replace(best, information=kept @ best.information @ kept)
+    moved = np.empty((len(SHIFTS), 3))
+    for k in range(len(SHIFTS)):
+        moved[k, 0], moved[k, 1] = found.moved[0] + SHIFTS[k] * x, found.moved[1] + SHIFTS[k] * y
+        moved[k, 2] = found.moved[2]
+    information, explained, counts = _laid(walls, points, moved)
+    best = found
+    for k in range(len(moved)):
+        if explained[k] > best.explained:
+            best = Match(moved[k], information[k], explained[k], counts[k])
+    is_rivalled = _is_rival(best, found.moved, found.explained, x, y)
+    for k in range(len(moved)):
+        is_rivalled = is_rivalled or _is_rival(best, moved[k], explained[k], x, y)
+    if is_rivalled:
+        _forget(best.information, x, y)
     return best
 
 
-def _first_turn(before: Points, after: Points) -> float:
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _is_rival(best: Match, moved: Array, explained: float, x: float, y: float) -> bool:
+    """Whether another motion (3,) fits as well as the best, at another distance along x, y."""
+    off = x * (moved[0] - best.moved[0]) + y * (moved[1] - best.moved[1])
+    return abs(off) > APART_M and explained >= best.explained - AS_WELL
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _forget(information: Array, x: float, y: float) -> None:
+    """Takes what is known along a direction out of the information (3, 3)."""
+    known = np.empty(3)
+    for i in range(3):
+        known[i] = x * information[0, i] + y * information[1, i]
+    both = x * known[0] + y * known[1]
+    for i in range(3):
+        at = x if i == 0 else y if i == 1 else 0.0
+        for j in range(3):
+            to = x if j == 0 else y if j == 1 else 0.0
+            information[i, j] += at * both * to - at * known[j] - known[i] * to
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _support(match: Match) -> None:
+    """Takes out the information on directions that too few points support."""
+    own, least = match.information, LEAST_SUPPORT * match.points
+    smaller, larger, x, y = eigen(own[0, 0], own[1, 0], own[1, 1])
+    if smaller * NOISE * NOISE < least:
+        _forget(own, x, y)
+    if larger * NOISE * NOISE < least:
+        _forget(own, -y, x)
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _first_turn(before: Array, after: Array, step: float) -> float:
     """The turn, rad, after which the ranges of two scans are most alike, as if the lidar had not moved."""
-    count = len(after.ranges)
-    stride = max(count // TURN_BEAMS, 1)
-    beams = np.arange(0, count, stride)
-    shift = max(round(TURN_STEP / before.step), 1)
-    most = int(MOST_TURN / before.step / shift)
-    shifts = shift * np.arange(-most, most + 1)
-    found = beams[None, :] + shifts[:, None]
-    if 2.0 * pi - count * before.step < 1.5 * before.step:
-        found %= count
-    inside = (found >= 0) & (found < count)
-    off = np.abs(before.ranges[np.where(inside, found, 0)] - after.ranges[beams])
-    known = inside & np.isfinite(off)
-    alike = known.sum(axis=1)
-    cost = np.where(known, np.minimum(off, FAR_OFF), 0.0).sum(axis=1) / np.maximum(alike, 1)
+    count = len(after)
+    stride, shift = max(count // TURN_BEAMS, 1), max(round(TURN_STEP / step), 1)
+    most = int(MOST_TURN / step / shift)
+    is_closed = 2.0 * pi - count * step < 1.5 * step
+    costs, alike = np.empty(2 * most + 1), np.zeros(2 * most + 1, dtype=np.intp)
+    for number in range(len(costs)):
+        turned, cost = shift * (number - most), 0.0
+        for beam in range(0, count, stride):
+            found = beam + turned
+            if is_closed:
+                found %= count
+            if 0 <= found < count:
+                off = abs(before[found] - after[beam])
+                if isfinite(off):
+                    alike[number] += 1
+                    cost += min(off, FAR_OFF)
+        costs[number] = cost / max(alike[number], 1) + 1e-3 * abs(turned) * step
     # of equally good turns the smallest, and none with little support by beams
-    cost = np.where(2 * alike >= alike.max(), cost + 1e-3 * np.abs(shifts) * before.step, inf)
-    return float(shifts[int(np.argmin(cost))]) * before.step
+    best, least = 0, inf
+    for number in range(len(costs)):
+        if 2 * alike[number] >= alike.max() and costs[number] < least:
+            best, least = number, costs[number]
+    return shift * (best - most) * step
 
 
-def _layer() -> Callable[[Points, Array, Array], list[Motion]]:
-    """The function `lay`: compiled where the process has numba anyway, which alone would take 60 MB."""
-    if "numba" not in sys.modules:
-        return lay
-    from eigenscan.ingest.laying import lay_compiled
-
-    return lay_compiled
-
-
-def lay(before: Points, points: Array, starts: Array) -> list[Motion]:
-    """Points (n, 2) laid on the earlier scan, from each of several motions (k, 3)."""
-    moved = starts.copy()
-    lidar, zero = complex(*before.mount[:2]), before.mount[2] + before.angle_min
-    last = len(before.ranges) - 1
-    # x + iy: numpy takes several times as long for arrays of pairs, and as long for x alone
-    own, walls, normals = (
-        np.ascontiguousarray(each).view(np.complex128)[:, 0] for each in (points, before.xy, before.normals)
-    )
-    around = before.around
-    rows = np.empty((len(starts), len(points), 4))
-    first = _WINDOW.size * np.arange(len(starts) * len(points)).reshape(len(starts), len(points))
-    for number in range(ROUNDS):
-        turned = np.exp(1j * moved[:, 2:]) * own
-        ends = turned + (moved[:, :1] + 1j * moved[:, 1:2])
-        seen = ends - lidar
-        bearing = np.arctan2(seen.imag, seen.real) - zero
-        centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
-        visible = centre <= last + REACH
-        centre = np.minimum(centre, last + REACH)
-        apart = (around.take(centre, axis=0) - ends[..., None]).view(np.float64)
-        apart *= apart
-        distance2 = apart[..., ::2] + apart[..., 1::2]
-        nearest = distance2.argmin(axis=-1)
-        reach = WIDE if number < WIDE_ROUNDS else NEAR
-        used = visible & (distance2.take(nearest + first) <= reach**2)
-        line = np.minimum(np.maximum(centre + nearest - REACH, 0), last)
-        # the normal and the error of a beam without a line are zero
-        normal = normals.take(line)
-        off = (normal.conj() * (ends - walls.take(line))).real
-        weight = used / (1.0 + (off / (2.0 * NOISE)) ** 2)
-        rows[..., :2] = normal.view(np.float64).reshape(*normal.shape, 2)
-        rows[..., 2] = (turned.conj() * normal).imag
-        rows[..., 3] = off
-        sums = (rows[..., :3] * weight[..., None]).transpose(0, 2, 1) @ rows
-        information, pull = sums[..., :3], sums[..., 3:]
-        # where the scans determine nothing, the motion stays
-        step = np.linalg.solve(information + STAY, -pull)[..., 0]
-        moved += step
-        if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
-            break
-    on_line = (used & (np.abs(off) <= ON_LINE)).sum(axis=1)
-    return motions(moved, information, visible.sum(axis=1), used.sum(axis=1), on_line)
-
-
-def motions(moved: Array, information: Array, seen: Index, found: Index, on_line: Index) -> list[Motion]:
-    """What was found from each start: of how many points `seen`, with a line, and on it."""
-    explained = on_line / np.maximum(seen, LEAST_POINTS)
-    return [
-        Motion((x, y, turn), information[k] / NOISE**2, float(explained[k]), int(found[k]))
-        if found[k] >= LEAST_POINTS
-        else NOTHING_IN_COMMON
-        for k, (x, y, turn) in enumerate(moved.tolist())
-    ]
-
-
-def _supported(motion: Motion) -> Motion:
-    """The motion without the information on directions that too few points support."""
-    values, directions = np.linalg.eigh(motion.information[:2, :2])
-    weak = directions[:, values * NOISE**2 < LEAST_SUPPORT * motion.points]
-    if not weak.size:
-        return motion
-    kept = np.eye(3)
-    kept[:2, :2] -= weak @ weak.T
-    return replace(motion, information=kept @ motion.information @ kept)
+@njit(  # pragma: no cover - compiled
+    types.Tuple((_THREE, _ROWS, _FLOAT, types.int64))(
+        _ROW, _ROWS, _ROWS, _MARKS, _ROW, _ROWS, _MARKS, _FOUR, _THREE, _FLOAT
+    ),
+    cache=True,
+    error_model="numpy",
+    nogil=True,
+)
+def _motion(
+    earlier: Array, earlier_xy: Array, normals: Array, lined: Flags, later: Array, later_xy: Array,
+    ranged: Flags, lidar: tuple[float, float, float, float], guess: Pose, held_support: float,
+) -> tuple[Pose, Array, float, int]:  # fmt: skip
+    """The motion, its information (3, 3), the share that it explains, and on how many points; 0: none."""
+    chosen = np.flatnonzero(ranged)
+    if len(chosen) < LEAST_POINTS:
+        return (0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0, 0
+    points = later_xy[chosen[:: max(len(chosen) // BEAMS, 1)]]
+    walls = walls_of(earlier_xy, normals, lined, *lidar)
+    moved = np.zeros((2, 3))
+    moved[0, 0], moved[0, 1], moved[0, 2] = guess
+    moved[1, 2] = _first_turn(earlier, later, walls.step)
+    information, explained, found = _laid(walls, points, moved)
+    best = int(np.argmax(explained))
+    match = Match(moved[best], information[best], explained[best], found[best])
+    if match.explained >= FITS:
+        match = _held_along(walls, points, match, held_support)
+    _support(match)
+    x, y, turn = match.moved
+    return (x, y, turn), match.information, match.explained, match.points

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.envelope import Core
 from eigenscan.schemas.extra import needs
 
 with needs("eigenscan-scan-ingest[node]", SystemExit):
@@ -12,7 +12,14 @@ with needs("eigenscan-scan-ingest[node]", SystemExit):
     from eigenscan.runtime.node import main as run
 
 
-SERVICE = Service("scan-ingest", ScanIngestOptions, ScanIngestCore, quick=True, lives_on=SCAN_RAW)
+def make_core(options: ScanIngestOptions) -> Core:
+    """The core."""
+    from eigenscan.ingest.core import ScanIngestCore  # it takes its time, and neighbours are found meanwhile
+
+    return ScanIngestCore(options)
+
+
+SERVICE = Service("scan-ingest", ScanIngestOptions, make_core, quick=True, lives_on=SCAN_RAW)
 
 
 def main() -> None:
