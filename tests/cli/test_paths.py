@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from eigenscan.cli.figures import prepare
 
 from tests.command import eigenscan
 
@@ -73,6 +74,21 @@ def test_a_device_is_not_replaced_by_a_recording(folder: Path) -> None:
     assert result.returncode == 2
     assert "-o endless: is no file" in result.stderr
     assert (folder / "endless").is_fifo()
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_command_that_ends_early_leaves_no_empty_figures(tmp_path: Path, linked: bool) -> None:
+    """After Ctrl-C an empty file looked like figures."""
+    file, old = tmp_path / "new" / "figures.json", tmp_path / "old.json"
+    old.write_text("{}")
+    if linked:
+        file.parent.mkdir()
+        file.symlink_to("elsewhere.json")
+    prepare(file)
+    prepare(old)
+    assert [one for one in file.parent.iterdir() if not one.is_symlink()] == []
+    assert file.is_symlink() == linked
+    assert old.read_text() == "{}"
 
 
 def test_a_figures_file_may_be_a_device(folder: Path) -> None:

@@ -29,10 +29,16 @@ def wants_words(target: Path | None) -> bool:
 
 
 def prepare(target: Path | None) -> None:
-    """Makes sure that `target` can be written: an error now, not after the work."""
+    """Makes sure that `target` can be written: an error now, not after the work.
+
+    No empty file stays: Ctrl-C may end the work before there is anything to write.
+    """
     if target is not None and wants_words(target):
         target.parent.mkdir(parents=True, exist_ok=True)
+        was_there, place = target.exists(), target.resolve()
         target.touch()
+        if not was_there:
+            place.unlink(missing_ok=True)
 
 
 def write_figures(figures: Any, target: Path | None) -> None:
