@@ -5,13 +5,14 @@ from typing import cast
 
 import pytest
 from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.eigenspace.model import RegionModel
+from eigenscan.eigenspace.model import RegionModel, set_version
 from eigenscan.eigenspace.space_message import space_from_message, space_to_message
 from eigenscan.projector import model_set_assembler, set_aside
 from eigenscan.projector.model_set_assembler import ModelError, ModelSetAssembler, WholeSet
 from eigenscan.schemas import model_pb2
-from eigenscan.schemas.channels import MODEL, SPACE
+from eigenscan.schemas.channels import MODEL, MODEL_SET, SPACE
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
 from tests.services.projector.office import envelopes, ready, site
@@ -101,6 +102,72 @@ def test_eigenspaces_of_unknown_models_are_bounded(monkeypatch: pytest.MonkeyPat
         core.handle(Envelope(SPACE, {"site": "s", "region": "r", "kind": "k"}, message))
     assert len(core._spaces) == 3
     assert core.condition().counters["set_aside_space"] == 7
+
+
+def _announcing(*versions: str) -> model_pb2.ModelSet:
+    """A set with a right hash that names these models."""
+    entries = [
+        model_pb2.ModelSet.Entry(region=f"r{number}", version=one) for number, one in enumerate(versions)
+    ]
+    return model_pb2.ModelSet(version=set_version("", versions), entries=entries)
+
+
+def test_a_set_of_very_many_models_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(set_aside, "MOST_REGIONS", 10)
+    core = ready()
+    core.handle(Envelope(MODEL_SET, {"site": "s"}, _announcing(*map(str, range(11)))))
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert "11 regions, 10 at most" in condition.detail
+    assert condition.counters["refused_model_set"] == 1
+
+
+def test_the_models_of_an_announced_set_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a set named stayed, up to gigabytes, until the set was whole."""
+    core, own = ready(), sum(map(set_aside.size_of_model, site().regions))
+    others = [_other(number) for number in range(10)]
+    one = set_aside.size_of_model(RegionModel.from_message(others[0]))
+    monkeypatch.setattr(set_aside, "MOST_SET_BYTES", own + 5 * one)
+    monkeypatch.setattr(set_aside, "MOST", 3)
+    core.handle(Envelope(MODEL_SET, {"site": "s"}, _announcing(*(other.version for other in others))))
+    for other in others:
+        core.handle(Envelope(MODEL, {"site": "s", "region": other.region}, other))
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert "GB of memory" in condition.detail
+    assert condition.counters["set_aside_model"] == 7
+    assert set(core._assembler._models) == {
+        *(model.version for model in site().regions),
+        *(other.version for other in others[-3:]),
+    }
+
+
+def test_models_that_a_set_names_are_kept_where_those_of_the_last_one_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(set_aside, "MOST", 2)
+    assembler, others = ModelSetAssembler(), [_other(number) for number in range(4)]
+    assembler.put_set(_announcing(*(other.version for other in others[:2])))
+    for other in others:
+        assembler.put_model(other)
+    assembler.put_set(_announcing(*(other.version for other in others[2:])))
+    assert len(assembler._models) == 4
+    assert assembler.set_aside == 0
+
+
+def test_what_is_held_is_not_summed_again_at_each_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    """4,096 models cost 8 million sums."""
+    asked: list[int] = []
+
+    def size(_: RegionModel) -> int:
+        asked.append(1)
+        return 1
+
+    monkeypatch.setattr(model_set_assembler, "size_of_model", size)
+    assembler = ModelSetAssembler()
+    for number in range(10):
+        assembler.put_model(_other(number))
+    assert len(asked) == 10
 
 
 @pytest.mark.parametrize(("field", "value"), [("mean", 3e38), ("mean", -1e20), ("total_variance", 3e38)])

@@ -23,7 +23,7 @@ from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
 from eigenscan.projector.projection import Search, find_candidates, fit_around
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
-from eigenscan.projector.set_aside import beyond, size_of_space
+from eigenscan.projector.set_aside import Sizes, size_of_space
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.projector.tables import Store
@@ -80,6 +80,7 @@ class ProjectorCore:
         self._settings, self._instance, self._search = settings, instance, search
         self._store, self._aside = store, aside
         self._spaces: dict[tuple[str, Analysis], RegionSpace] = {}
+        self._sizes: Sizes[tuple[str, Analysis]] = Sizes()
         self._asked: dict[tuple[str, str], int] = {}
         self._view: SensorView | None = None
         self.forget_robots()
@@ -170,6 +171,7 @@ class ProjectorCore:
             held = {model.version for model in site.models}
             for key in [key for key in self._spaces if key[0] not in held]:
                 del self._spaces[key]
+                self._sizes.take(key)
             self._asked.clear()
             if before is not None:
                 before.abandon()
@@ -186,8 +188,9 @@ class ProjectorCore:
             self._refused = f"region {message.region!r}: space: {error}"
             return
         self._counts["taken_space"] += 1
-        self._spaces[message.model_version, own.analysis] = own
-        for key in beyond({key: size_of_space(one) for key, one in self._spaces.items()}):
+        new = message.model_version, own.analysis
+        self._spaces[new] = own
+        for key in self._sizes.put(new, size_of_space(own)):
             del self._spaces[key]
             self._counts["set_aside_space"] += 1
 

@@ -8,7 +8,8 @@ import numpy as np
 from eigenscan.eigenspace.floors import Floor, usable_floors
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
-from eigenscan.projector.set_aside import beyond, size_of_model
+from eigenscan.projector import set_aside
+from eigenscan.projector.set_aside import Sizes, size_of_model
 from eigenscan.schemas import model_pb2
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
@@ -38,6 +39,12 @@ class ModelSetAssembler:
         self._given: tuple[str, ...] = ()
         """The models of the set that was given last."""
         self._version = ""
+        self._wanted: frozenset[str] = frozenset()
+        """The models of the sets in use and announced."""
+        self._wanted_bytes = 0
+        """What of them is held."""
+        self._others: Sizes[str] = Sizes()
+        """The other models that are held."""
         self.set_aside = 0
         """Models, while no set needed them."""
 
@@ -65,31 +72,61 @@ class ModelSetAssembler:
         """Takes a region's model. Raises ModelError."""
         if message.version not in self._models:
             self._models[message.version] = RegionModel.from_message(message)
-            self._set_aside()
+            self._sort_in(message.version)
+            self._refuse_too_large()
         return self._whole()
 
     def put_set(self, message: model_pb2.ModelSet) -> WholeSet | None:
         """Takes the announcement of a set; the newest one counts. Raises ModelError."""
         if not message.entries:
             raise ModelError(f"model set {message.version[:12]!r}: has no regions")
+        if len(message.entries) > set_aside.MOST_REGIONS:
+            raise ModelError(
+                f"model set {message.version[:12]!r}: {len(message.entries)} regions, "
+                f"{set_aside.MOST_REGIONS} at most: build larger regions"
+            )
         expected = set_version(message.map_version, [entry.version for entry in message.entries])
         if message.version != expected:
             raise ModelError(
                 f"model set {message.version[:12]!r}: its entries make version {expected[:12]!r}: damaged"
             )
-        self._announced = message
+        self._announce(message)
+        self._refuse_too_large()
         return self._whole()
 
-    def _set_aside(self) -> None:
-        """Sets the oldest models aside that are of no set in use or announced, if they are too many."""
-        wanted = {
-            *self._given,
-            *(entry.version for entry in (self._announced or model_pb2.ModelSet()).entries),
-        }
-        others = {name: size_of_model(one) for name, one in self._models.items() if name not in wanted}
-        for version in beyond(others):
-            del self._models[version]
+    def _announce(self, announced: model_pb2.ModelSet | None) -> None:
+        """Wants the models of that set, besides those in use, and sorts what is held again."""
+        self._announced, before = announced, self._wanted
+        entries = announced.entries if announced else ()
+        self._wanted = frozenset((*self._given, *(entry.version for entry in entries)))
+        held = self._models.keys()
+        self._wanted_bytes = sum(size_of_model(self._models[one]) for one in before & self._wanted & held)
+        for version in held & (self._wanted - before):  # first, or the next ones may set them aside
+            self._sort_in(version)
+        for version in [one for one in held if one in before - self._wanted]:
+            self._sort_in(version)
+
+    def _sort_in(self, version: str) -> None:
+        """Counts a model that is held as wanted, or among the others; sets the oldest of these aside."""
+        size = size_of_model(self._models[version])
+        if version in self._wanted:
+            self._others.take(version)
+            self._wanted_bytes += size
+            return
+        for old in self._others.put(version, size):
+            del self._models[old]
             self.set_aside += 1
+
+    def _refuse_too_large(self) -> None:
+        """Raises ModelError, and no longer wants the announced set, where its models take too much memory."""
+        announced = self._announced
+        if announced is None or self._wanted_bytes <= set_aside.MOST_SET_BYTES:
+            return
+        self._announce(None)
+        raise ModelError(
+            f"model set {announced.version[:12]!r}: takes more than "
+            f"{set_aside.MOST_SET_BYTES / 1e9:.1f} GB of memory: build the site again with a larger --spacing"
+        )
 
     def _wanted_grids(self) -> dict[str, GridMap]:
         wanted = self._announced.map_version if self._announced else ""
@@ -107,12 +144,14 @@ class ModelSetAssembler:
         try:
             _fit_together(regions, grid)
         except ModelError:
-            self._announced = None  # it stays refused, however often one of its parts comes again
+            self._announce(None)  # it stays refused, however often one of its parts comes again
             raise
         self._version = announced.version
         self._given = tuple(model.version for model in regions)
         # only models that the next set may share are kept
         self._models = {model.version: model for model in regions}
+        self._others = Sizes()
+        self._announce(announced)
         self._grids = {announced.map_version: grid}
         floors = usable_floors(announced)
         return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2, floors)
