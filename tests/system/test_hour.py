@@ -72,7 +72,8 @@ def test_what_a_robot_publishes_is_received_at_the_site_while_there_is_a_way(pas
 def test_a_full_disk_is_reported_and_what_is_written_stays(passed: dict[str, Any]) -> None:
     disk = passed["disk"]
     assert "No space left" in disk["detail"]
-    assert f"{disk['counters']['mcap_lost']} messages lost" in disk["detail"]
+    assert "messages are lost" in disk["detail"]
+    assert disk["counters"]["mcap_lost"] > 0
     assert len(disk["files"]) == 3  # before the recorder's restart, until the disk was full, after it
     assert min(disk["files"].values()) > 0
 

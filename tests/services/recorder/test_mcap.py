@@ -335,8 +335,10 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     sink.write(pose(1))
     assert "No space left" in sink.problem
     clock.now += int((RETRY_S - 1) * S)
+    before = sink.problem
     sink.write(pose(2))
     assert sink.counters["mcap_lost"] == 2
+    assert sink.problem == before, "each change is a line in the log, four a second"
     clock.now += 2 * S
     sink.write(pose(3))
     assert sink.problem == ""

@@ -67,8 +67,11 @@ class McapSink:
 
     @property
     def problem(self) -> str:
-        """Why nothing is written now, and how much was lost."""
-        return f"{self._problem}; {self._counts['mcap_lost']} messages lost" if self._problem else ""
+        """Why nothing is written now.
+
+        It does not tell how much is lost, as `mcap_lost` does: each change of it is published and logged.
+        """
+        return f"{self._problem}; messages are lost" if self._problem else ""
 
     @property
     def counters(self) -> Mapping[str, int]:
