@@ -197,6 +197,40 @@ def test_a_claim_ends_with_the_poses(manager: Manager, how: str) -> None:
     assert manager.errors == []
 
 
+def test_a_state_of_a_later_release_is_reported_as_unknown(manager: Manager) -> None:
+    """No state was published any more."""
+    manager.pose(99)  # type: ignore[arg-type]
+    assert not manager.is_localized
+    (found,) = manager.state["errors"]
+    assert "unknown" in found["errorDescription"]
+
+
+def test_a_deviation_beyond_all_numbers_is_left_out(manager: Manager) -> None:
+    manager.pose(covariance=Covariance3(xx=1e308, yy=1e308, tt=1.0), protection_radius=None)
+    assert manager.is_localized
+    assert "deviationRange" not in manager.position
+
+
+@pytest.mark.parametrize("key", [[], {}, None, 1])
+def test_a_parameter_without_a_name_is_left_out(manager: Manager, key: object) -> None:
+    manager.pose()
+    action = set_position(major=manager.major)
+    action["actionParameters"].append({"key": key, "value": 1})
+    manager.publish(action)
+    assert len(manager.words) == 1
+
+
+def test_a_message_of_very_many_actions_is_refused(manager: Manager) -> None:
+    """Each of 4,300 was answered by a factsheet."""
+    asked = [{"actionType": "factsheetRequest", "actionId": str(number)} for number in range(33)]
+    before = len(manager.topics["factsheet"])
+    manager.publish(*asked)
+    assert len(manager.topics["factsheet"]) == before
+    assert manager.core.condition().counters["set_aside_instantActions"] == 1
+    manager.publish(*asked[:32])
+    assert len(manager.topics["factsheet"]) == before + 32
+
+
 def test_before_any_pose_none_is_published(manager: Manager) -> None:
     assert "agvPosition" not in manager.state
     assert "mobileRobotPosition" not in manager.state

@@ -128,6 +128,8 @@ def actions_of(published: dict[str, Any]) -> list[dict[str, Any]]:
     listed = published.get("actions", published.get("instantActions"))
     if not isinstance(listed, list):
         raise MessageError("actions: is no array")
+    if len(listed) > KEPT:  # each may be answered by a whole message
+        raise MessageError(f"actions: more than {KEPT}")
     for number, one in enumerate(listed):
         if not isinstance(one, dict):
             raise MessageError(f"actions[{number}]: is no object")
@@ -143,7 +145,11 @@ def position_of(action: dict[str, Any]) -> tuple[str, Array, str]:
     """mapId, pose (3,) on that map, and lastNodeId. Raises MessageError naming the parameter."""
     given = action.get("actionParameters")
     pairs = given if isinstance(given, list) else []
-    known = {pair.get("key"): pair.get("value") for pair in pairs if isinstance(pair, dict)}
+    known = {
+        pair["key"]: pair.get("value")
+        for pair in pairs
+        if isinstance(pair, dict) and isinstance(pair.get("key"), str)
+    }
     pose = []
     for name in ("x", "y", "theta"):
         value = known.get(name)

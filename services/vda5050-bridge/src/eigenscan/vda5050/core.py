@@ -288,7 +288,9 @@ class Vda5050Core:
             return f"no pose arrived for {self._settings.stale_s} s"
         if self._estimate is None:
             return "the pose is not finite"
-        return State.Name(self._estimate.state).removeprefix("STATE_").lower()
+        state = self._estimate.state
+        known = state in State.values()  # a later tracker may have more
+        return State.Name(state).removeprefix("STATE_").lower() if known else "unknown"
 
     def _publish(self, topic: str, body: dict[str, Any]) -> Iterator[Envelope]:
         if self._broker:

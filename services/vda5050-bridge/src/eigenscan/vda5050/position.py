@@ -88,4 +88,5 @@ def deviation_range(estimate: PoseEstimate) -> float | None:
         return None
     greatest = float(np.linalg.eigvalsh(covariance)[-1])
     risk = estimate.protection_risk if 0.0 < estimate.protection_risk < 1.0 else USUAL_RISK
-    return math.sqrt(-2.0 * math.log(risk) * max(greatest, 0.0))
+    bound = math.sqrt(-2.0 * math.log(risk) * max(greatest, 0.0))
+    return bound if math.isfinite(bound) else None
