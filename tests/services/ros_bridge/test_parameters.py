@@ -52,6 +52,16 @@ def test_all_settings_are_listed() -> None:
     assert call(core(), BRIDGE, LIST_PARAMETERS, ["odom", "none_such"], 1).result.names == ["odom"]
 
 
+@pytest.mark.parametrize("kind", [GET_PARAMETERS, DESCRIBE_PARAMETERS, GET_PARAMETER_TYPES])
+def test_a_request_of_very_many_parameters_is_refused(kind: str) -> None:
+    """1.2 MB kept the bridge for half a second, and made 12 MB."""
+    bridge = core()
+    name = {GET_PARAMETERS: "get_parameters", DESCRIBE_PARAMETERS: "describe_parameters"}
+    request = cdr.encode(cdr.make(f"{kind}_Request", ["scan"] * 1001))
+    assert ask(bridge, f"{BRIDGE}%{name.get(kind, 'get_parameter_types')}", request) == (b"", [])
+    assert bridge.condition().counters["set_aside_not_cdr"] == 1
+
+
 def test_each_value_comes_in_its_own_type() -> None:
     bridge = core(scan=["front/scan", "rear/scan"], domain=7, ros_zenoh=Path("robot.json5"))
     names = ("tf_broadcast", "domain", "transform_tolerance", "odom", "ros_zenoh", "scan", "base_frame", "no")

@@ -27,6 +27,8 @@ NOT_SET, BOOL, INTEGER, DOUBLE, STRING, STRINGS = 0, 1, 2, 3, 4, 9
 KINDS = {bool: BOOL, int: INTEGER, float: DOUBLE, str: STRING, list: STRINGS}
 FIELDS = {BOOL: "bool_value", INTEGER: "integer_value", DOUBLE: "double_value", STRING: "string_value"}
 """Of rcl_interfaces/ParameterValue, by type."""
+MOST_ASKED = 1000
+"""Names in a request: the answer is up to ten times as long."""
 READ_ONLY = "read-only: give it to ros-bridge as a setting, and start it again"
 AMCL_NAMES = {
     "base_frame_id": "base_frame",
@@ -94,6 +96,9 @@ class Parameters:
     def answer(self, kind: str, request: bytes) -> bytes:
         """Response to a request of a service's type."""
         asked = cdr.decode(f"{kind}_Request", request)
+        for listed in vars(asked).values():
+            if isinstance(listed, list) and len(listed) > MOST_ASKED:
+                raise cdr.CdrError(f"{kind}: asks for {len(listed)} parameters, {MOST_ASKED} at most")
         answers: dict[str, Callable[[], Any]] = {
             LIST_PARAMETERS: lambda: self._list(asked.prefixes),
             GET_PARAMETERS: lambda: [_message(self._value(name)) for name in asked.names],
