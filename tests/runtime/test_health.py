@@ -55,6 +55,15 @@ def test_the_message_states_who_and_how() -> None:
     assert message.timestamp.seconds > 1_700_000_000
 
 
+def test_what_a_stranger_wrote_is_cut_and_made_printable() -> None:
+    """A frame's name of 5 MB was published once a second."""
+    monitor = Monitor("probe", "0", "1")
+    monitor.turn(Condition(Health.STATUS_OK, "frame \x1b[2J" + "x" * 5_000_000, {}))
+    detail = monitor.message().detail
+    assert detail.startswith("frame ?[2J")
+    assert len(detail) < 3000
+
+
 def test_prometheus_reads_the_metrics() -> None:
     monitor = Monitor("probe", "r7", "1.2.3")
     monitor.turn(OK)

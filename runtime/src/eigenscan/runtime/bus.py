@@ -20,6 +20,7 @@ from eigenscan.runtime.clock import Later, later
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.intake import Intake, digests_in
+from eigenscan.runtime.interruptions import Interruptions
 from eigenscan.runtime.latched_cache import digest
 from eigenscan.runtime.receive_watchdog import ReceiveWatchdog
 from eigenscan.schemas.channels import (
@@ -107,6 +108,12 @@ class Bus:
     def is_deaf(self) -> bool:
         """Whether messages of other services have stopped arriving. Must be read once a second."""
         return self._watchdog is not None and self._watchdog.is_lost(self._session)
+
+    def look_for_links(self, interruptions: Interruptions, since_s: float) -> None:
+        """Tells whom there is a link to, `since_s` after the last time."""
+        with contextlib.suppress(RuntimeError, zenoh.ZError):  # another thread closes it just now
+            info = self._session.info
+            interruptions.look(map(str, info.routers_zid()), map(str, info.peers_zid()), since_s)
 
     def offer(self, channels: Sequence[Channel], address: Mapping[str, str]) -> None:
         """Answers queries for the newest samples of `channels` that are latched."""

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from eigenscan.runtime.clock import Clock
+from eigenscan.runtime.printable import printable
 from eigenscan.runtime.settings import SettingsError
 from eigenscan.schemas.envelope import Condition, stamp
 from eigenscan.schemas.health_pb2 import Health
@@ -63,6 +64,8 @@ class Monitor:
         self._condition = Condition(Health.STATUS_WAITING, "starting")
         self.remark = ""
         """Published in every health message of this process, after the core's own detail."""
+        self.missing = ""
+        """What of others did not arrive; degraded while it says so."""
         self._turned: float | None = None
         self._stalled_after_s = stalled_after_s
         self._duplicate_seen_at = -math.inf
@@ -101,7 +104,7 @@ class Monitor:
         return 0.0 if self._turned is None else self._clock.monotonic() - self._turned
 
     def condition(self) -> Condition:
-        """The core's condition; degraded if it makes no step, or if another process has its name."""
+        """The core's condition; degraded if it makes no step, misses messages, or has another's name."""
         condition = self._condition
         if self._clock.monotonic() - self._duplicate_seen_at < DUPLICATE_FORGOTTEN_S:
             detail = f"another {self.service} has the name {self.instance!r} too: {DUPLICATE_HINT}"
@@ -109,9 +112,10 @@ class Monitor:
         if self.busy_s() > self._stalled_after_s:
             detail = f"no answer from the core for {self.busy_s():.0f} s"
             return Condition(Health.STATUS_DEGRADED, detail, condition.counters)
-        if self.remark:
-            detail = "; ".join(filter(None, (condition.detail, self.remark)))
-            return Condition(condition.status, detail, condition.counters)
+        if self.remark or self.missing:
+            detail = "; ".join(filter(None, (condition.detail, self.remark, self.missing)))
+            status = Health.STATUS_DEGRADED if self.missing else condition.status
+            return Condition(status, detail, condition.counters)
         return condition
 
     def message(self) -> Health:
@@ -122,7 +126,7 @@ class Monitor:
             service=self.service,
             instance=self.instance,
             status=condition.status,
-            detail=condition.detail,
+            detail=printable(condition.detail),  # it may quote what a stranger published
             counters=dict(condition.counters),
             package_version=self.version,
             settings=self._settings,

@@ -28,6 +28,7 @@ from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.interruptions import Interruptions
 from eigenscan.runtime.latched_cache import ASIDE, FAILED_STARTS, LatchedCache
 from eigenscan.runtime.logs import configure, logger
 from eigenscan.runtime.memory import StartMemory
@@ -149,6 +150,7 @@ class Node:
         self.ends: Stopping = ends or stop
         self._reported = (Health.STATUS_UNSPECIFIED, "")
         self._duplicates = 0
+        self._interruptions = Interruptions()
         self._log = (
             logger().bound(service=service.name, instance=settings.instance)
             if shared
@@ -243,12 +245,25 @@ class Node:
             return
         if self._on_trial == set() and self._clock.monotonic() - self._tried_at > PROVEN_S:
             self.end_trial()
+        since_s = self._clock.monotonic() - self._looked
+        if since_s >= HEALTH_PERIOD_S:
+            self._looked += since_s
+            if self.service.whole_site:
+                self._look_for_losses(self._bus, since_s)
         self._report(self._bus)
-        if self._clock.monotonic() - self._looked >= HEALTH_PERIOD_S:
-            self._looked = self._clock.monotonic()
+        if since_s >= HEALTH_PERIOD_S:
             self.is_deaf = self._bus.is_deaf
         if self.is_deaf:
             self._log.error("deaf", hint="no message of the other services arrives: ending, to be restarted")
+
+    def _look_for_losses(self, bus: Bus, since_s: float) -> None:
+        """Lets health report where messages of others are missing."""
+        seen = self._interruptions
+        bus.look_for_links(seen, since_s)
+        self._monitor.missing = seen.problem
+        if seen.count:
+            self._counters.counts["interrupted"] = seen.count
+            self._counters.counts["interrupted_s"] = round(seen.seconds)
 
     def _report(self, bus: Bus) -> None:
         health = self._monitor.message()
