@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 
 import pytest
 from eigenscan.runtime.errors import one_line
@@ -40,3 +42,9 @@ def test_words_of_any_language_stay_as_they_are() -> None:
 
 def test_an_error_that_quotes_a_whole_file_is_cut() -> None:
     assert len(one_line(ValueError("y" * 10**7))) == MOST + 1
+
+
+def test_a_disk_that_cannot_be_written_is_named_with_what_to_do() -> None:
+    """A service began its line with [Errno 30]."""
+    error = OSError(errno.EROFS, os.strerror(errno.EROFS), "recordings/a.mcap")
+    assert one_line(error) == "recordings/a.mcap: Read-only file system: name another place"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 import resource
+import shutil
 import signal
 import struct
 import subprocess
@@ -344,6 +345,32 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     assert sink.problem == ""
     sink.close()
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_file_that_is_gone_is_written_no_longer(tmp_path: Path, moved: bool) -> None:
+    """All went to a file without a name, and health was OK."""
+    clock, folder = Clock(), tmp_path / "out"
+    sink = McapSink(folder / "a.mcap", "s", clock, 0.5, {})
+    for number in (1, 2):
+        clock.now += S
+        sink.write(pose(number))
+    assert not sink.problem
+    if moved:
+        folder.rename(tmp_path / "kept")
+    else:
+        shutil.rmtree(folder)
+    for number in (3, 4, 5):
+        clock.now += S
+        sink.write(pose(number))
+    assert ("moved" if moved else "deleted") in sink.problem
+    assert sink.counters["mcap_lost"] == (0 if moved else 3)
+    clock.now += 61 * S
+    sink.write(pose(6))
+    sink.close()
+    assert not sink.problem
+    kept = [record.publish_time for path in sorted(tmp_path.rglob("*.mcap")) for record in read(path)]
+    assert sorted(kept) == ([1, 2, 3, 4, 5, 6] if moved else [4, 5, 6])
 
 
 def test_a_disk_that_is_full_at_the_start_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from errno import ENOSPC
+from errno import ENOSPC, EROFS
 
 from eigenscan.runtime.printable import printable
 
@@ -30,6 +30,7 @@ def by_users(error: Exception) -> bool:
     return isinstance(error, ValueError) and type(error).__module__.startswith("eigenscan.")
 
 
+_FIXES_BY_NUMBER = {ENOSPC: ": make room, or name another place", EROFS: ": name another place"}
 _FIXES: dict[type[OSError], str] = {
     FileNotFoundError: ": check the path",
     PermissionError: ": change the file's rights, or name another place",
@@ -41,6 +42,6 @@ _FIXES: dict[type[OSError], str] = {
 def one_line(error: Exception) -> str:
     """The error in one line that a terminal can show."""
     if isinstance(error, OSError) and error.filename is not None:
-        fix = ": make room, or name another place" if error.errno == ENOSPC else _FIXES.get(type(error), "")
+        fix = _FIXES_BY_NUMBER.get(error.errno or 0) or _FIXES.get(type(error), "")
         return printable(f"{error.filename}: {error.strerror}{fix}")
     return printable(str(error)) or type(error).__name__

@@ -25,6 +25,7 @@ import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.clock import Clock, Later, later
 from eigenscan.runtime.counters import Counters
+from eigenscan.runtime.errors import one_line
 from eigenscan.runtime.exchange import Exchange
 from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
@@ -106,7 +107,8 @@ def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], in
             settings = read()
             code = run(settings, stop)
         except (SettingsError, ContractError, OSError, ValueError) as error:
-            print(f"eigenscan-{name}: {error}", file=sys.stderr)
+            words = one_line(error) if isinstance(error, OSError) else error
+            print(f"eigenscan-{name}: {words}", file=sys.stderr)
             code = EXIT_SETTINGS
         except BaseException:
             if settings is None:  # --help: nothing more to print

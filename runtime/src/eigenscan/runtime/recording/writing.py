@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
@@ -29,6 +30,7 @@ class RecordingWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._file: IO[bytes] = path.open("wb")
+        self._identity = _identity(path)
         with suppress(OSError):  # the file system has no locks
             fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # protects it from deletion meanwhile
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -77,6 +79,16 @@ class RecordingWriter:
 
     def _measure(self) -> None:
         self.size, self._unmeasured = self._file.tell(), 0
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the file is at its path: nobody has deleted or moved it."""
+        return _identity(self.path) == self._identity
+
+    @property
+    def is_deleted(self) -> bool:
+        """Whether nothing is left of the file once it is closed."""
+        return os.fstat(self._file.fileno()).st_nlink == 0
 
     def has_room(self, key: str) -> bool:
         """Whether a message of `key` can be added: a file holds MOST_CHANNELS keys."""
@@ -130,6 +142,15 @@ class RecordingWriter:
                 },
             )
         return self._channels[key]
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """The same for one file under any name; None where there is none."""
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return found.st_dev, found.st_ino
 
 
 def descriptors(message: type[Message]) -> bytes:

@@ -20,6 +20,9 @@ RETRY_S = 10.0
 SLOW_S = 0.1
 """A write that takes longer is back-pressure of the disk."""
 
+SHOWN_S = 60.0
+"""How long health reports that the file was deleted."""
+
 LATEST = 2**63 - 1
 """Last instant that tools can show, ns since the epoch."""
 
@@ -32,7 +35,7 @@ class McapSink:
     file at its limits is closed and the next one begun; if all take too much, the oldest are deleted. If the
     disk fails, messages count as lost, and a new file is tried every RETRY_S. Each file starts with the
     newest latched messages, so that it is complete, and ends with the services' metadata. A file with as many
-    keys as MCAP can number is closed too.
+    keys as MCAP can number is closed too, and one that somebody has deleted or moved.
     """
 
     def __init__(
@@ -54,7 +57,8 @@ class McapSink:
         self._about = About()
         self._counts: Counter[str] = Counter(mcap_slow=0)
         self._slowest_s = 0.0
-        self._problem = ""
+        self._problem = self._gone = ""
+        self._gone_at = 0
         self._retry_at = 0
         self._pending = 0
         self._now = self._flushed_at = clock()
@@ -71,7 +75,9 @@ class McapSink:
 
         It does not tell how much is lost, as `mcap_lost` does: each change of it is published and logged.
         """
-        return f"{self._problem}; messages are lost" if self._problem else ""
+        if self._problem:
+            return f"{self._problem}; messages are lost"
+        return self._gone if self._now - self._gone_at < SHOWN_S * 1e9 else ""
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -135,6 +141,7 @@ class McapSink:
             self._flushed_at = now
             writer.flush()
             self._settle("mcap_written")
+            self._is_gone = not writer.is_there
 
     def _settle(self, what: str, but: int = 0) -> None:
         """Counts what came since the last flush, `but` the newest: until then a full disk may lose it."""
@@ -158,17 +165,28 @@ class McapSink:
             self._writer = None
 
     def _rotated(self, now: int, key: str) -> RecordingWriter | None:
-        """The file in use, or the next one if it is at its limits or has no number for `key`."""
+        """The file in use, or the next one if it is at its limits, has no number for `key`, or is gone."""
         if self._writer and (
             self._limits.is_full(self._writer.size, self._head, now - self._opened_at)
             or not self._writer.has_room(key)
+            or self._is_gone
         ):
+            if self._is_gone:
+                self._note_gone(self._writer, now)
             self._writer.close(self._about.metadata)
             self._settle("mcap_written", but=1)
             self._writer = None
             self._about.begin_file()
             return self._begin(now)
         return self._writer
+
+    def _note_gone(self, writer: RecordingWriter, now: int) -> None:
+        """Nobody will find what is written to a file that was deleted or moved."""
+        self._gone_at, what = now, "moved"
+        if writer.is_deleted:
+            what = "deleted"
+            self._counts["mcap_lost"] += self._counts["mcap_written"] - self._written_before
+        self._gone = f"mcap: {writer.path}: was {what} while it was written; a new file began"
 
     def _reopen(self, now: int) -> RecordingWriter | None:
         """The next file, with the latched messages; None if it is too early to try."""
@@ -193,7 +211,8 @@ class McapSink:
                 error.filename = str(path)
             raise
         self._writer, self._opened_at, self._problem = writer, now, ""
-        self._head = writer.size
+        self._head, self._written_before = writer.size, self._counts["mcap_written"]
+        self._is_gone = False
         self._counts["mcap_files"] += 1
         return writer
 
