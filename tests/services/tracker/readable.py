@@ -47,7 +47,7 @@ from eigenscan.tracker.observation import (
     poorness,
 )
 from eigenscan.tracker.planar import compose, scaled
-from eigenscan.tracker.prediction import carry, motion_noise
+from eigenscan.tracker.prediction import motion_noise
 from eigenscan.tracker.reckoning import Leg, Motions
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -493,6 +493,16 @@ def independent_share(C: Array, R: Array, progress: float) -> Array:
     return np.clip(1.0 - known, max(progress, 1e-3), 1.0)
 
 
+def carry(x: Array, C: Array, delta: tuple[float, float, float], Q: Array) -> tuple[Array, Array]:
+    """Poses (n, 3) and covariances (n, 3, 3) after an increment, its noise Q (3, 3) in the base frame."""
+    cos, sin = np.cos(x[:, 2]), np.sin(x[:, 2])
+    F, G = np.tile(np.eye(3), (2, len(x), 1, 1))
+    F[:, 0, 2], F[:, 1, 2] = -sin * delta[0] - cos * delta[1], cos * delta[0] - sin * delta[1]
+    G[:, :2, :2] = np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2)
+    moved = np.stack([x[:, 0] + F[:, 1, 2], x[:, 1] - F[:, 0, 2], wrap(x[:, 2] + delta[2])], axis=1)
+    return moved, F @ C @ F.mT + G @ Q @ G.mT
+
+
 def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: TrackerSettings) -> Tracks:
     """The tracks, predicted to `now`, as if odometry had been what it and the scans give together.
 
@@ -513,7 +523,7 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
         if at < begun:
             moved = motions(at, begun)
             fixed_x[these], fixed_covariance[these] = carry(
-                fixed_x[these], fixed_covariance[these], moved.delta, motion_noise(moved, settings)
+                fixed_x[these], fixed_covariance[these], moved.delta, np.diag(motion_noise(moved, settings))
             )
         share = (way.stamp - begun) / (way.stamp - way.since)
         delta = way.delta
@@ -525,6 +535,6 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
     fixed_at[open_] = way.stamp
     rest = motions(way.stamp, now)
     x[open_], C[open_] = carry(
-        fixed_x[open_], fixed_covariance[open_], rest.delta, motion_noise(rest, settings)
+        fixed_x[open_], fixed_covariance[open_], rest.delta, np.diag(motion_noise(rest, settings))
     )
     return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at)

@@ -30,7 +30,7 @@ AWAY = np.array([9.0, 9.0, 1.0])
 
 
 def noise() -> np.ndarray:
-    return motion_noise(Motion((*STEP,), 0.6, 0.2, 0.0, 0.0, 0.0, 0.5), SETTINGS)
+    return np.diag(motion_noise(Motion((*STEP,), 0.6, 0.2, 0.0, 0.0, 0.0, 0.5), SETTINGS))
 
 
 def oracle(before: np.ndarray, C: np.ndarray, seen: np.ndarray) -> float:

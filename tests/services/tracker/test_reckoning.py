@@ -52,7 +52,7 @@ def test_a_leg_is_kalmans_update_of_odometry_by_scan_motion(way: Pose, off: Pose
     seen = compose_one(way, off)
     found = leg(ScanInterval("front", 0, SECOND, seen, (1e-4, 2e-5, 4e-4), 1e-4), reported(way), SETTINGS)
     slow = KalmanFilter(3, 3)
-    slow.x, slow.P, slow.H = np.zeros((3, 1)), motion_noise(reported(way), SETTINGS), np.eye(3)
+    slow.x, slow.P, slow.H = np.zeros((3, 1)), np.diag(motion_noise(reported(way), SETTINGS)), np.eye(3)
     reported_by_fit = np.array([[1e-4, 2e-5, 0.0], [2e-5, 4e-4, 0.0], [0.0, 0.0, 1e-4]])
     slow.R = np.diag(SCAN_SIGMA**2) + reported_by_fit
     slow.update(np.array(off).reshape(3, 1))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.symmetric import MATRICES, inverse, plus, square, triangle
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, State
 from eigenscan.tracker.association import gate
-from eigenscan.tracker.covariance import mahalanobis_squared, residual
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import ROWS, apart
 from eigenscan.tracker.tracks import Tracks
+from numba import njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -54,7 +56,13 @@ class Claim:
         return STATE_LOCALIZED if self._held >= 1.0 else STATE_AMBIGUOUS
 
     def _is_apart(self, x: Array, C: Array) -> bool:
-        off = residual(x, self._x)
-        if float(np.hypot(off[0, 0], off[0, 1])) <= NEAR_M and abs(float(off[0, 2])) <= NEAR_RAD:
-            return False
-        return float(mahalanobis_squared(off, self._C + C)[0]) > self._gate
+        return bool(_are_apart(x, C, self._x, self._C, self._gate))
+
+
+@njit(types.boolean(ROWS, MATRICES, ROWS, MATRICES, types.float64), cache=True)  # pragma: no cover - compiled
+def _are_apart(x: Array, C: Array, y: Array, R: Array, gate: float) -> bool:
+    """Whether two poses (1, 3) are neither near each other nor within the gate of their covariances."""
+    off = apart(x[0], y[0])
+    if np.hypot(off[0], off[1]) <= NEAR_M and abs(off[2]) <= NEAR_RAD:
+        return False
+    return square(inverse(plus(triangle(R[0]), triangle(C[0]))), off) > gate

@@ -277,18 +277,21 @@ def _tracks_message(estimate: Estimate) -> Tracks:
         state=estimate.state,
     )
     tracks = estimate.tracks
-    order = np.argsort(-tracks.log_weight, kind="stable")
-    for id_, parent, (x, y, theta), C, probability, observations, born, nis in zip(
-        tracks.id[order].tolist(),
-        tracks.parent[order].tolist(),
-        tracks.x[order].tolist(),
-        tracks.C[order].tolist(),
-        np.exp(tracks.log_weight[order]).tolist(),
-        tracks.observations[order].tolist(),
-        tracks.born[order].tolist(),
-        tracks.nis[order].tolist(),
-        strict=True,
-    ):
+    rows = list(
+        zip(
+            tracks.id.tolist(),
+            tracks.parent.tolist(),
+            tracks.x.tolist(),
+            tracks.C.tolist(),
+            np.exp(tracks.log_weight).tolist(),
+            tracks.observations.tolist(),
+            tracks.born.tolist(),
+            tracks.nis.tolist(),
+            strict=True,
+        )
+    )
+    for row in np.argsort(-tracks.log_weight, kind="stable").tolist():
+        id_, parent, (x, y, theta), C, probability, observations, born, nis = rows[row]
         # filled in place: messages put together from messages take three times as long
         track = message.tracks.add()
         track.CopyFrom(estimate.histories[id_])

@@ -183,6 +183,8 @@ def widened_each(poses: Array, covariances: Array, log_likelihoods: Array, reach
     for k in range(len(poses)):
         total, moment[:] = 0.0, 0.0
         for i in range(len(poses)):
+            if abs(poses[i, 0] - poses[k, 0]) > reach or abs(poses[i, 1] - poses[k, 1]) > reach:
+                continue  # most are far away
             off = apart(poses[i], poses[k])
             if np.hypot(off[0], off[1]) <= reach and abs(off[2]) <= NEAR_RAD:
                 weight = np.exp(log_likelihoods[i] - log_likelihoods[k])

@@ -20,8 +20,8 @@ SLIP_SHARE = 0.5
 """Sigma of an increment that failed the odometry gate, as a share of its size."""
 
 
-def motion_noise(moved: Motion, settings: TrackerSettings) -> Array:
-    """Covariance (3, 3) of an increment in the base frame.
+def motion_noise(moved: Motion, settings: TrackerSettings) -> Pose:
+    """Variances of an increment in the base frame: ahead, aside, turn.
 
     Time without odometry adds W = T^2 v_max^2 (paper, section 7).
     """
@@ -31,24 +31,16 @@ def motion_noise(moved: Motion, settings: TrackerSettings) -> Array:
     way = slip + (settings.v_max * unknown) ** 2
     turn = slip + (settings.turn_max * unknown) ** 2
     x, y, theta = (creep**2 * seconds for creep in CREEP)
-    return np.array(
-        [[along + x + way, 0.0, 0.0], [0.0, along / 4 + y + way, 0.0], [0.0, 0.0, heading + theta + turn]]
-    )
+    return along + x + way, along / 4 + y + way, heading + theta + turn
 
 
 def predict(x: Array, C: Array, moved: Motion, settings: TrackerSettings) -> tuple[Array, Array]:
     """Poses (n, 3) and covariances (n, 3, 3) after a motion."""
-    return carry(x, C, moved.delta, motion_noise(moved, settings))
-
-
-def carry(x: Array, C: Array, delta: Pose, Q: Array) -> tuple[Array, Array]:
-    """Poses (n, 3) and covariances (n, 3, 3) after an increment whose noise (3, 3) is in the base frame."""
-    moved: tuple[Array, Array] = _carried(x, C, *delta, Q)
-    return moved
+    carried: tuple[Array, Array] = _carried(x, C, moved.delta, motion_noise(moved, settings))
+    return carried
 
 
 _POSES = types.Tuple((types.float64[:, ::1], types.float64[:, :, ::1]))
-_NUMBER = types.float64
 
 
 @inner()  # pragma: no cover - compiled
@@ -69,12 +61,13 @@ def carried(x: Array, C: Triangle, delta: Column, Q: Triangle) -> tuple[Column, 
 
 
 @njit(  # pragma: no cover - compiled
-    _POSES(ROWS, MATRICES, _NUMBER, _NUMBER, _NUMBER, types.float64[:, ::1]), cache=True
+    _POSES(ROWS, MATRICES, types.UniTuple(types.float64, 3), types.UniTuple(types.float64, 3)), cache=True
 )
-def _carried(x: Array, C: Array, ahead: float, left: float, turn: float, Q: Array) -> tuple[Array, Array]:
+def _carried(x: Array, C: Array, delta: Pose, noise: Pose) -> tuple[Array, Array]:
     moved, out = np.empty((len(x), 3)), np.empty((len(x), 3, 3))
+    Q = (noise[0], 0.0, 0.0, noise[1], 0.0, noise[2])
     for i in range(len(x)):
-        pose, covariance = carried(x[i], triangle(C[i]), (ahead, left, turn), triangle(Q))
+        pose, covariance = carried(x[i], triangle(C[i]), delta, Q)
         moved[i, 0], moved[i, 1], moved[i, 2] = pose
         put(covariance, out[i])
     return moved, out

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.symmetric import MATRICES, inverse, plus, put, square, times, triangle
-from eigenscan.tracker.agreement import ScanInterval
+from eigenscan.tracker.agreement import ScanInterval, Spread
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import Pose, between, compose, scaled
 from eigenscan.tracker.prediction import carried, motion_noise
@@ -54,29 +54,28 @@ def leg(interval: ScanInterval, driven: Motion, settings: TrackerSettings) -> Le
     assert interval.moved is not None
     off = between(driven.delta, interval.moved)
     correction, noise = _updated(
-        motion_noise(driven, settings), *interval.spread, interval.turn_variance, *off, SLIPPED
+        motion_noise(driven, settings), interval.spread, interval.turn_variance, off, SLIPPED
     )
     return Leg(interval.since, interval.stamp, compose(driven.delta, correction), noise, correction)
 
 
-_NUMBER, _MATRIX = types.float64, types.float64[:, ::1]
+_NUMBER, _MATRIX, _THREE = types.float64, types.float64[:, ::1], types.UniTuple(types.float64, 3)
 
 
 @njit(  # pragma: no cover - compiled
-    types.Tuple((types.UniTuple(_NUMBER, 3), _MATRIX))(_MATRIX, *[_NUMBER] * 8), cache=True
+    types.Tuple((_THREE, _MATRIX))(_THREE, _THREE, _NUMBER, _THREE, _NUMBER), cache=True
 )
 def _updated(
-    Q: Array, xx: float, xy: float, yy: float, turn_variance: float, x: float, y: float, turn: float,
-    slipped: float,
-) -> tuple[Pose, Array]:  # fmt: skip
-    """Kalman's update of odometry, noise Q (3, 3), by a scan motion that is off by x, y, turn.
+    variances: Pose, spread: Spread, turn_variance: float, off: Pose, slipped: float
+) -> tuple[Pose, Array]:
+    """Kalman's update of odometry, its noise Q of these variances, by a scan motion that is off by a pose.
 
     gain = Q (Q + R)^-1; gives the correction and (I - gain) Q. Where odometry has slipped, how far it is off
     is its noise, too.
     """
-    off = (x, y, turn)
+    (xx, xy, yy), (x, y, turn) = spread, off
     R = (xx + SCAN_SIGMA[0] ** 2, xy, 0.0, yy + SCAN_SIGMA[1] ** 2, 0.0, turn_variance + SCAN_SIGMA[2] ** 2)
-    own = triangle(Q)
+    own = (variances[0], 0.0, 0.0, variances[1], 0.0, variances[2])
     if square(inverse(plus(own, R)), off) > slipped:
         own = plus(own, (x * x, x * y, x * turn, y * y, y * turn, turn * turn))
     certain, noise = inverse(plus(own, R)), np.empty((3, 3))
@@ -104,7 +103,7 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
         begun = max(at, way.since)
         if at < begun:
             moved = motions(at, begun)
-            row[0:3], row[3:6] = moved.delta, motion_noise(moved, settings).diagonal()
+            row[0:3], row[3:6] = moved.delta, motion_noise(moved, settings)
         share = (way.stamp - begun) / (way.stamp - way.since)
         delta = way.delta
         if begun > way.since:
@@ -113,7 +112,7 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
     rest = motions(way.stamp, now)
     x, C, fixed_x, fixed_covariance, fixed_at = _corrected(
         tracks.x, tracks.C, tracks.fixed_x, tracks.fixed_covariance, tracks.fixed_at, way.stamp,
-        np.array(fixed), legs, way.noise, *rest.delta, motion_noise(rest, settings),
+        np.array(fixed), legs, way.noise, rest.delta, motion_noise(rest, settings),
     )  # fmt: skip
     return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at)
 
@@ -127,18 +126,18 @@ _STAMPS = types.Array(types.int64, 1, "A", readonly=True)
 
 @njit(  # pragma: no cover - compiled
     types.Tuple((_POSES, _COVARIANCES, _POSES, _COVARIANCES, types.int64[::1]))(
-        ROWS, MATRICES, ROWS, MATRICES, _STAMPS, types.int64, types.int64[::1], _MATRIX, _MATRIX,
-        _NUMBER, _NUMBER, _NUMBER, _MATRIX,
+        ROWS, MATRICES, ROWS, MATRICES, _STAMPS, types.int64, types.int64[::1], _MATRIX, _MATRIX, _THREE,
+        _THREE,
     ),
     cache=True,
 )  # fmt: skip
 def _corrected(
     now_x: Array, now_C: Array, old_x: Array, old_covariance: Array, old_at: Index, stamp: int, fixed: Index,
-    legs: Array, noise: Array, ahead: float, left: float, turn: float, rest: Array,
+    legs: Array, noise: Array, rest: Pose, rest_noise: Pose,
 ) -> tuple[Array, Array, Array, Array, Index]:  # fmt: skip
     """Tracks that were `fixed` before `stamp`: `legs` lead them there, then odometry and its noise."""
     x, C, fixed_x, fixed_covariance = now_x.copy(), now_C.copy(), old_x.copy(), old_covariance.copy()
-    fixed_at = old_at.copy()
+    fixed_at, of_rest = old_at.copy(), (rest_noise[0], 0.0, 0.0, rest_noise[1], 0.0, rest_noise[2])
     for i in range(len(x)):
         if fixed_at[i] >= stamp:
             continue
@@ -150,7 +149,7 @@ def _corrected(
         pose, covariance = carried(fixed_x[i], covariance, (way[6], way[7], way[8]), part)
         fixed_x[i, 0], fixed_x[i, 1], fixed_x[i, 2] = pose
         put(covariance, fixed_covariance[i])
-        pose, covariance = carried(fixed_x[i], covariance, (ahead, left, turn), triangle(rest))
+        pose, covariance = carried(fixed_x[i], covariance, rest, of_rest)
         x[i, 0], x[i, 1], x[i, 2] = pose
         put(covariance, C[i])
         fixed_at[i] = stamp

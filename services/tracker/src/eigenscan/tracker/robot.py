@@ -9,7 +9,6 @@ from math import exp
 
 import numpy as np
 from eigenscan.geometry.circle import TURN
-from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
@@ -146,6 +145,8 @@ class RobotTracker:
         self.belief = kind(self._settings)
         self.state: State = STATE_LOST
         self._histories: dict[int, Track] = {}
+        self._ends: dict[int, Pose | None] = {}
+        """By id: the last pose of its history."""
         self._sources: dict[str, _Source] = {}
         self._anchor: Pose | None = None
         self._claim = Claim(self._settings)
@@ -216,6 +217,8 @@ class RobotTracker:
 
     def _ready(self) -> Iterator[Estimate]:
         """One step after another: an estimate holds until the next one is asked for."""
+        if not self._timeline.waits:
+            return iter(())
         return (self._step(seen) for seen in self._timeline.ready(self._trail.reaches))
 
     @property
@@ -317,8 +320,11 @@ class RobotTracker:
         return replace(seen, stamp=stamp, poses=poses, covariances=limit_sigma(covariances))
 
     def _source_of(self, seen: Observation) -> _Source:
-        shows = seen.lidar, seen.frame
-        return self._sources.setdefault(seen.source, _Source(seen.stamp, shows, seen.stamp))
+        source = self._sources.get(seen.source)
+        if source is None:
+            shows = seen.lidar, seen.frame
+            source = self._sources[seen.source] = _Source(seen.stamp, shows, seen.stamp)
+        return source
 
     def _follow(self, seen: Observation) -> None:
         """Brings the tracks to the poses of a list that was made around one of them."""
@@ -379,21 +385,21 @@ class RobotTracker:
     def _remember(self) -> None:
         """Lengthens each living track's trajectory; a fork goes on from its parent's."""
         tracks, kept = self.belief.tracks, self._settings.history
-        before, self._histories = self._histories, {}
+        before, ends, self._histories, self._ends = self._histories, self._ends, {}, {}
         for id_, parent, pose in zip(
             tracks.id.tolist(), tracks.parent.tolist(), tracks.x.tolist(), strict=True
         ):
-            past = before.get(id_)
+            past, end = before.get(id_), ends.get(id_)
             if past is None:
-                past = Track()
+                past, end = Track(), ends.get(parent)
                 past.CopyFrom(before.get(parent, past))
-            history = past.history
-            if kept and (not history or _is_a_step(history[-1], pose)):
-                if len(history) == kept:
-                    del history[0]
-                x, y, theta = pose
-                history.add(x=x, y=y, theta=theta)
+            if kept and (end is None or _is_a_step(end, pose)):
+                if len(past.history) == kept:
+                    del past.history[0]
+                end = x, y, theta = pose
+                past.history.add(x=x, y=y, theta=theta)
             self._histories[id_] = past
+            self._ends[id_] = ends[id_] = end  # a fork copies its parent with what this step added
 
     def _conclude(self, seen: Observation) -> Estimate:
         belief = self.belief
@@ -495,6 +501,6 @@ def _backwards(moved: Motion) -> Motion:
     return moved._replace(delta=(-x, -y, turn))
 
 
-def _is_a_step(last: Pose2, pose: Pose) -> bool:
+def _is_a_step(last: Pose, pose: Pose) -> bool:
     x, y, theta = HISTORY_STEP
-    return abs(pose[0] - last.x) > x or abs(pose[1] - last.y) > y or abs(pose[2] - last.theta) > theta
+    return abs(pose[0] - last[0]) > x or abs(pose[1] - last[1]) > y or abs(pose[2] - last[2]) > theta

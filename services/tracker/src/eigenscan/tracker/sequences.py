@@ -49,7 +49,7 @@ class Sequences(Belief):
     def predict(self, moved: Motion) -> None:
         """C*_{t+T} = C_t + W: W = T^2 v_max^2 without odometry, odometry's own covariance with it."""
         self.seconds += max(moved.seconds, 0.0)
-        W = motion_noise(moved, self.settings)
+        W = np.diag(motion_noise(moved, self.settings))
         x, C = self.tracks.x.copy(), self.tracks.C.copy()
         kalman = _filter()
         for i in range(len(x)):

@@ -86,6 +86,11 @@ class Timeline:
         return Outcome.TAKEN
 
     @property
+    def waits(self) -> bool:
+        """Whether an observation waits."""
+        return bool(self._waiting)
+
+    @property
     def newest(self) -> int | None:
         """Newest stamp, ns, that is believed."""
         return self._received
