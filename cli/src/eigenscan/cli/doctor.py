@@ -38,7 +38,11 @@ def doctor(
       eigenscan doctor --site hospital --zenoh deploy/site.json5
       eigenscan doctor --site hospital --robot r1 --robot r2 --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
-    found = [*_of_this_machine(), *_of_the_site(site, zenoh, tuple(robot or ()), seconds)]
+    found = [
+        *_of_this_machine(),
+        *_of_certificates(zenoh),
+        *_of_the_site(site, zenoh, tuple(robot or ()), seconds),
+    ]
     if wants_words(json_file):
         for finding in found:
             typer.echo(f"{printable(finding.where)}: {printable(finding.what)}")
@@ -62,6 +66,16 @@ def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds
     with FleetView(session, site) as view:
         view.until(lambda: False, seconds)
         return diagnose(view, robots)
+
+
+def _of_certificates(zenoh: Path | None) -> list[Finding]:
+    if zenoh is None:
+        return []
+    try:
+        from eigenscan.fleet.expiry import of_certificates
+    except ModuleNotFoundError:  # eigenscan[fleet] is not installed
+        return []
+    return list(of_certificates(zenoh))
 
 
 def _of_this_machine() -> list[Finding]:
