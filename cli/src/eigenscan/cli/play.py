@@ -94,8 +94,8 @@ def play(
       eigenscan play drive.mcap --robots 50 --stamps now
     """  # noqa: D301 - \b keeps the lines apart in --help
     prepare(json_file)
+    from eigenscan.fleet.view import connect
     from eigenscan.runtime.bus import Bus
-    from eigenscan.runtime.session import open_session
     from eigenscan.schemas.channels import CHANNELS
     from eigenscan.workbench.playback.cast import Cast
     from eigenscan.workbench.playback.controls import controls
@@ -114,7 +114,7 @@ def play(
     )
     first = next(score.messages(score.begin)).envelope
     clock = time.time_ns if stamps is Stamps.NOW else None
-    with Bus(open_session(zenoh)) as bus:
+    with Bus(connect(zenoh)) as bus:
         bus.offer(selection.latched, first.address)
         received = bus.wait_for_listener(first.key, wait)
         if wait and not received:

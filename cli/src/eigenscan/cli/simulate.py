@@ -232,11 +232,11 @@ def _watched(fleet: Fleet) -> Iterator[Timed]:
 
 
 def _publish(fleet: Fleet, seconds: float, zenoh: Path | None, speed: float) -> None:
+    from eigenscan.fleet.view import connect
     from eigenscan.runtime.bus import Bus
-    from eigenscan.runtime.session import open_session
     from eigenscan.workbench.simulation.live import publish
 
-    with Bus(open_session(zenoh)) as bus:
+    with Bus(connect(zenoh)) as bus:
         typer.echo(f"publishing for {seconds:.0f} s; Ctrl-C ends it", err=True)
         fleet.begin(time.time_ns())
         publish(fleet.messages(), bus.publish, speed)

@@ -13,7 +13,7 @@ from eigenscan.cli.figures import Events
 from eigenscan.cli.launch.screen import StatusLine, state_name
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
-from eigenscan.fleet.view import FleetView
+from eigenscan.fleet.view import FleetView, connect
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.session import MEETING, open_session
 from eigenscan.runtime.stop_event import StopEvent
@@ -40,6 +40,7 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
     """
     stop = StopEvent()
     with ExitStack() as stack:
+        stack.callback(stop.close)
         stack.enter_context(stop.on_signals())
         line = stack.enter_context(StatusLine(to_stderr))
         session = _open(pipeline)
@@ -77,7 +78,7 @@ def _open(pipeline: Pipeline) -> zenoh.Session:
     """The session of this command; a router for the others where other machines may join."""
     if pipeline.listen:
         return open_session(None, "router", pipeline.listen)
-    return open_session(pipeline.zenoh)
+    return connect(pipeline.zenoh)
 
 
 def _where(pipeline: Pipeline) -> str:

@@ -1,0 +1,37 @@
+"""A router that nobody reaches: its end is a line, where Ctrl-C had no effect and nothing was said."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from eigenscan.fleet import view
+
+from tests.command import eigenscan
+from tests.network import free_port
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A service's: it waits for its router without end."""
+    connect = {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], "timeout_ms": -1, "exit_on_failure": False}
+    alone = {"multicast": {"enabled": False}}
+    path = tmp_path / "client.json5"
+    path.write_text(json.dumps({"mode": "client", "connect": connect, "scouting": alone}))
+    return path
+
+
+@pytest.mark.parametrize(
+    "typed",
+    ["run map.yaml --no-viewer -o out", "play drive.mcap", "simulate --live --seconds 1"],
+)
+def test_a_person_does_not_wait_for_a_router_without_end(
+    tmp_path: Path, config: Path, typed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = eigenscan("simulate", "-o", "drive.mcap", "--save-map", "map.yaml", "--seconds", 1, cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    monkeypatch.setattr(view, "OPEN_S", 0.2)
+    result = eigenscan(*shlex.split(typed), "--zenoh", config, cwd=tmp_path)
+    assert result.returncode == 1, result.stderr
+    assert "nobody answers" in result.stderr
+    assert str(config) in result.stderr
