@@ -22,12 +22,23 @@ from eigenscan.projector.observation import by_reach, observe
 from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.subspaces import SeenPart
 from eigenscan.projector.verification import overshot, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.services.projector.office import Array, free_poses, office, ready, scan_at, site
+from tests.services.projector.office import (
+    Array,
+    free_poses,
+    is_right,
+    office,
+    poses_of,
+    ready,
+    receive,
+    scan_at,
+    site,
+)
 
 # written out, not taken from what is tested: a change there must show here
 SHORT = 0.5
@@ -58,6 +69,53 @@ def test_the_sweep_finds_the_nearest_of_all_regions(seed: int, regions: int, cou
     assert len(rows) == len(nearest)
     assert np.allclose(square, nearest, rtol=1e-4)
     assert np.allclose(direct[rows], nearest, rtol=1e-4)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**16), st.integers(1, 3), st.integers(1, 40), st.integers(3, 12))
+def test_the_sweep_finds_those_nearest_in_the_beams_seen(
+    seed: int, regions: int, count: int, beams: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    tables = [
+        rng.integers(-127, 128, size=(int(rng.integers(1, 90)), 4)).astype(np.float32) for _ in range(regions)
+    ]
+    tables[0][0] = 127.0
+    # four orthonormal vectors over twelve beams, of which some are seen
+    vectors = [np.linalg.qr(rng.normal(size=(12, 4)))[0][:beams] for _ in range(regions)]
+    scans = rng.normal(0, 60, size=(regions, beams))
+    part = SeenPart(
+        np.array([s @ s for s in scans]),
+        np.array([v.T @ s for v, s in zip(vectors, scans, strict=True)]),
+        np.array([v.T @ v for v in vectors]),
+    )
+    searched = rng.random(regions) < 0.7
+    searched[0] = True
+    lacking = 1.0 - beams / 12.0
+    sheets = [Sheets(t[:, None], np.zeros((len(t), 2)), np.zeros((len(t), 2), int)) for t in tables]
+    found = SweepTable.of(sheets).nearest_to_part(part, searched, lacking, count).best(count)
+    direct = np.concatenate(
+        [
+            ((s - t @ v.T) ** 2).sum(axis=1) if of else np.full(len(t), np.inf)
+            for t, v, s, of in zip(tables, vectors, scans, searched, strict=True)
+        ]
+    )
+    nearest = np.sort(direct[np.isfinite(direct)])[:count]
+    assert len(found.rows) == len(nearest)
+    # what holds coefficients that no beam shows is small against what a beam shows
+    assert np.allclose(direct[found.rows], nearest, rtol=1e-2, atol=20.0)
+    assert np.allclose(found.squares * (1.0 - lacking), direct[found.rows], rtol=1e-2, atol=20.0)
+
+
+def test_a_scan_that_reaches_only_near_walls_is_found() -> None:
+    core, listed = ready(), 0
+    for i, truth in enumerate(free_poses(24, 12)):
+        scan = scan_at(truth, seed=i)
+        near = [r if r < 2.5 else np.inf for r in scan.ranges]
+        scan.ranges[:] = near
+        message, _ = receive(core, scan)
+        listed += bool(is_right(poses_of(message), truth).any())
+    assert listed >= 20
 
 
 def test_opening_the_nearest_blocks_loses_few_of_the_nearest_poses() -> None:

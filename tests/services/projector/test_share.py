@@ -7,6 +7,7 @@ from eigenscan.projector.options import ProjectorOptions
 from eigenscan.projector.publishing import reported_regions
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share
+from eigenscan.projector.subspaces import SeenPart
 from eigenscan.schemas.health_pb2 import Health
 from pydantic import ValidationError
 
@@ -82,8 +83,10 @@ def test_the_lists_of_all_parts_are_as_good_as_one_list() -> None:
 def test_a_message_does_not_grow_with_the_site() -> None:
     rng = np.random.default_rng(0)
     count, region = 3000, rng.integers(0, 3000, 30)
+    part = SeenPart(np.zeros(count), np.zeros((count, 4)), np.zeros((count, 4, 4)))
+    every = np.ones(count, bool)
     projected = Projected(
-        rng.normal(size=(count, 4)), rng.uniform(0, 1, count), np.ones(count, bool), np.ones(count, bool)
+        rng.normal(size=(count, 4)), rng.uniform(0, 1, count), every, every, part, lacking=0.0
     )
     none = np.empty(30)
     reported = reported_regions(

@@ -18,7 +18,7 @@ def test_projection_without_the_missing_beams_is_regularised_least_squares(seed:
     scan = rng.normal(size=(2, 12)).astype(np.float32)
     seen = np.ones(12, dtype=bool)
     seen[rng.choice(12, missing, replace=False)] = False
-    alpha, square = Subspaces.of(spaces).project(scan, seen)
+    alpha, square, part = Subspaces.of(spaces).project(scan, seen)
     for r, space in enumerate(spaces):
         basis = space.vectors[:, :, seen].reshape(5, -1).T
         target = (scan[:, seen] - space.mean[:, None]).ravel()
@@ -27,3 +27,6 @@ def test_projection_without_the_missing_beams_is_regularised_least_squares(seed:
         # the vectors are in single precision
         assert np.allclose(alpha[r], direct, atol=1e-4)
         assert square[r] == pytest.approx(np.mean((target - basis @ direct) ** 2), abs=1e-5)
+        other = rng.normal(size=5)
+        error = part.energy[r] - 2.0 * other @ part.target[r] + other @ part.gram[r] @ other
+        assert error == pytest.approx(np.sum((target - basis @ other) ** 2), abs=1e-4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.projector.subspaces import SeenPart
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -22,6 +23,9 @@ class Projected:
     error_energy: Array
     explained: NDArray[np.bool_]
     searched: NDArray[np.bool_]
+    part: SeenPart
+    """Of the scan, what its beams show, `lacking` the share of those that show nothing."""
+    lacking: float
 
 
 @dataclass(frozen=True)

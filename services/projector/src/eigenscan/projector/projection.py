@@ -44,6 +44,9 @@ POLISHED = 48
 """Slid poses that are polished and weighed."""
 FOREGROUND_SHARE = 0.1
 """Share of beams on free-standing things from which the scan is also searched without them."""
+LACKING_SHARE = 0.1
+"""Share of beams that show nothing from which a scan is compared by the others alone: its coefficients then
+are those of the mean where these do not fix them."""
 CLIMBING = 300
 """Candidates that also look at the model's finer positions around them."""
 SURELY_LARGER = 2.0
@@ -163,9 +166,10 @@ def project(view: SensorView, seen: Observation, used: NDArray[np.bool_], scope:
     if not tables.is_known:
         among = tables.ready if among is None else tables.ready & among
     channels = view.embedding(np.where(used, seen.coarse, np.float32(0)))
-    coefficients, square = view.spaces.project(channels, used, among)
+    coefficients, square, part = view.spaces.project(channels, used, among)
     explained = explaining(square, view.usual_error)
-    return Projected(coefficients, np.sqrt(square), explained, explained & tables.ready)
+    lacking = 1.0 - np.count_nonzero(used) / len(used)
+    return Projected(coefficients, np.sqrt(square), explained, explained & tables.ready, part, lacking)
 
 
 def explaining(square: Array, usual: Array) -> NDArray[np.bool_]:
@@ -179,6 +183,8 @@ def explaining(square: Array, usual: Array) -> NDArray[np.bool_]:
 
 
 def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> Matches:
+    if view.tables.sweep is not None and projected.lacking > LACKING_SHARE:
+        return view.tables.sweep.nearest_to_part(projected.part, projected.searched, projected.lacking, count)
     square = projected.error_energy**2 * (view.embedding.channels * beams)
     square[~projected.searched] = np.inf
     found = view.association.nearest(projected.coefficients, square, count)

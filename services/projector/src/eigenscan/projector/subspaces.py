@@ -11,6 +11,18 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
+class SeenPart:
+    """||S - V a||^2 of a scan S in each of R spaces V, m^2, over the beams seen, for any coefficients a.
+
+    It is energy - 2 a'target + a'gram a: `energy` (R,), `target` (R, M), `gram` (R, M, M).
+    """
+
+    energy: NDArray[np.float64]
+    target: NDArray[np.float64]
+    gram: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Subspaces:
     """The eigenspaces of R regions: mean (R, F), vectors (R, M, F, J), prior (R, M) = noise / eigenvalue."""
 
@@ -46,16 +58,25 @@ class Subspaces:
         channels: NDArray[np.float32],
         seen: NDArray[np.bool_],
         among: NDArray[np.bool_] | None = None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coefficients (R, M) of a scan (F, J), and its error's mean square (R,) over the beams `seen` (J,).
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], SeenPart]:
+        """Coefficients (R, M) of a scan (F, J), its error's mean square (R,) over the beams `seen` (J,).
+
+        Then what the error is for other coefficients.
 
         Beams that are not seen take no part: least squares on the others, held by the coefficients' own
         variances where these do not fix them. A region that is not `among` (R,) gets 0 and +inf.
         """
-        alpha, square = np.zeros(self.prior.shape), np.full(len(self.prior), np.inf)
-        which = np.arange(len(self.prior)) if among is None else np.flatnonzero(among)
-        _project(which, self.mean, self.vectors, self.prior, channels, seen, alpha, square)
-        return alpha, square
+        regions, components = self.prior.shape
+        alpha, square = np.zeros(self.prior.shape), np.full(regions, np.inf)
+        which = np.arange(regions) if among is None else np.flatnonzero(among)
+        part = SeenPart(
+            np.zeros(regions), np.zeros(self.prior.shape), np.zeros((regions, components, components))
+        )
+        _project(
+            which, self.mean, self.vectors, self.prior, channels, seen, alpha, square,
+            part.energy, part.target, part.gram,
+        )  # fmt: skip
+        return alpha, square, part
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
@@ -68,18 +89,21 @@ def _project(
     seen: NDArray[np.bool_],
     alpha: NDArray[np.float64],
     square: NDArray[np.float64],
+    energies: NDArray[np.float64],
+    targets: NDArray[np.float64],
+    grams: NDArray[np.float64],
 ) -> None:
     _, components, many, beams = vectors.shape
     lacking = np.flatnonzero(~seen)
     scan = np.empty(many * beams, dtype=np.float32)
     hidden = np.empty((components, many * len(lacking)), dtype=np.float32)
-    gram, normal = np.empty((components, components)), np.empty((components, components))
-    target = np.empty(components)
+    normal = np.empty((components, components))
     for r in which:
+        gram, target = grams[r], targets[r]
         for f in range(many):
             for j in range(beams):
                 scan[f * beams + j] = (channels[f, j] - mean[r, f]) if seen[j] else np.float32(0.0)
-        energy = _dot(scan, scan)
+        energies[r] = energy = _dot(scan, scan)
         for m in range(components):
             target[m] = _dot(vectors[r, m].reshape(-1), scan)
             for f in range(many):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.projector.association.manifold import Array, Association, Index, Matches, Sheets
+from eigenscan.projector.subspaces import SeenPart
 from numba import njit
 from numpy.typing import NDArray
 
@@ -18,6 +19,8 @@ BLOCK = 32
 """Poses that lie together: two vectors of single numbers."""
 OPENED = 1.5
 """Blocks opened, in geometric means of all blocks and those that the poses looked for would fill."""
+HELD = 1e-4
+"""Of coefficients that no beam shows, how much they count all the same, for there must be one least."""
 ALWAYS = 64
 """Blocks that are opened in addition to those that the wanted poses would fill."""
 _STEPS = 127
@@ -95,6 +98,25 @@ class SweepTable(Association):
         """The `count` nearest poses of the blocks opened; see Association."""
         query = np.zeros((len(alphas), len(self.centres)), dtype=np.float32)
         query[:, : alphas.shape[1]] = alphas / self.unit
+        return self._search(query, residuals, count, _ALL_SEEN)
+
+    def nearest_to_part(
+        self, part: SeenPart, searched: NDArray[np.bool_], lacking: float, count: int
+    ) -> Matches:
+        """The same by the beams that are seen alone, of the regions `searched` (R,); squares as of all beams.
+
+        Where beams are `lacking`, this share of all, coefficients go together: ||alpha - alpha'||^2 says
+        little. What is compared is L'alpha, with the Gram matrix L L' of the eigenvectors' beams seen.
+        """
+        regions, size = len(part.energy), len(self.centres)
+        axes = np.zeros((regions, size, size), dtype=np.float32)
+        query, residuals = np.zeros((regions, size), dtype=np.float32), np.full(regions, np.inf)
+        _turn(np.flatnonzero(searched), part.gram, part.target, part.energy, axes, query, residuals)
+        found = self._search(query / np.float32(self.unit), residuals, count, axes)
+        return Matches(found.rows, found.squares / np.float32(1.0 - lacking))
+
+    def _search(self, query: Singles, residuals: Array, count: int, axes: Singles) -> Matches:
+        """The `count` nearest to `query` (R, M), in units; `axes` (R, M, M) turn the poses' coefficients."""
         searched = np.flatnonzero(np.isfinite(residuals))
         beside = (residuals / self.unit**2).astype(np.float32)
         filled, blocks = -(-count // BLOCK), int(np.diff(self.bounds)[searched].sum())
@@ -102,12 +124,44 @@ class SweepTable(Association):
             return Matches(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.float32))
         opened = max(round(self.opened * np.sqrt(blocks * filled)), filled + ALWAYS)
         rows, squares = _nearest(
-            self.blocks, self.centres, self.rows, self.bounds, searched, query, beside, opened, count
+            self.blocks, self.centres, self.rows, self.bounds, searched, query, beside, axes, opened, count
         )
         if count < len(rows):
             few = np.argpartition(squares, count - 1)[:count]
             rows, squares = rows[few], squares[few]
         return Matches(rows, (squares * self.unit**2).astype(np.float32))
+
+
+_ALL_SEEN: Singles = np.empty((0, 0, 0), dtype=np.float32)
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _turn(
+    which: Index, gram: Array, target: Array, energy: Array, axes: Singles, query: Singles, residuals: Array
+) -> None:
+    """Per region L' with L L' = gram, what L'alpha of the scan is, and the error that is left.
+
+    The factor is that of Cholesky, and L q = target gives q = L'alpha without alpha itself.
+    """
+    size = target.shape[1]
+    lower, q = np.zeros((size, size)), np.empty(size)
+    for r in which:
+        left = energy[r]
+        for k in range(size):
+            for m in range(k + 1):
+                total = gram[r, k, m] + (HELD if m == k else 0.0)
+                for j in range(m):
+                    total -= lower[k, j] * lower[m, j]
+                lower[k, m] = total / lower[m, m] if m < k else np.sqrt(max(total, HELD))
+            total = target[r, k]
+            for j in range(k):
+                total -= lower[k, j] * q[j]
+            q[k] = total / lower[k, k]
+            left -= q[k] * q[k]
+            query[r, k] = q[k]
+            for m in range(k + 1):
+                axes[r, m, k] = lower[k, m]
+        residuals[r] = max(left, 0.0)
 
 
 # loops here and below: to assign a slice costs seconds of compilation, for the words of its error
@@ -182,15 +236,17 @@ def _nearest(
     searched: Index,
     query: Singles,
     beside: Singles,
+    axes: Singles,
     opened: int,
     count: int,
 ) -> tuple[Index, Singles]:
-    near, away = _to_centres(centres, bounds, searched, query, beside)
+    near, away = _to_centres(centres, bounds, searched, query, beside, axes)
     chosen = near[away <= _limit_of_sample(away, opened)]
     squares = np.empty((len(chosen), BLOCK), dtype=np.float32)
     # no views within the loop: each is counted
     flat, coefficients, part = blocks.reshape(-1), query.reshape(-1), np.empty(BLOCK, dtype=np.float32)
     components, size, r = query.shape[1], blocks.shape[1] * BLOCK, 0
+    turns, wide = axes.reshape(-1), np.empty(size, dtype=np.float32)
     for k in range(len(chosen)):
         b = chosen[k]
         while b >= bounds[r + 1]:
@@ -198,8 +254,14 @@ def _nearest(
         error = beside[r]
         for i in range(BLOCK):
             part[i] = error
-        for m in range(0, components, _AT_ONCE):
-            _add(flat, np.uint64(b * size + m * BLOCK), coefficients, r * components + m, part)
+        if len(axes):
+            start = np.uint64(b * size)
+            for i in range(size):
+                wide[i] = flat[start + np.uint64(i)]
+            _add_turned(wide, turns, r * components * components, coefficients, r * components, part)
+        else:
+            for m in range(0, components, _AT_ONCE):
+                _add(flat, np.uint64(b * size + m * BLOCK), coefficients, r * components + m, part)
         for i in range(BLOCK):
             squares[k, i] = part[i]
         if b + 1 == bounds[r + 1]:
@@ -211,22 +273,34 @@ def _nearest(
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
 def _to_centres(
-    centres: Bytes, bounds: Index, searched: Index, query: Singles, beside: Singles
+    centres: Bytes, bounds: Index, searched: Index, query: Singles, beside: Singles, axes: Singles
 ) -> tuple[Index, Singles]:
     """The blocks (b,) of the regions searched, and the squared distances (b,) of their centres."""
     count = 0
     for r in searched:
         count += bounds[r + 1] - bounds[r]
     which, away = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.float32)
-    done = 0
+    components, done = len(centres), 0
+    turns, coefficients = axes.reshape(-1), query.reshape(-1)
+    wide, turned = np.zeros(components * BLOCK, dtype=np.float32), np.empty(BLOCK, dtype=np.float32)
     for r in searched:
-        for start in range(bounds[r], bounds[r + 1], _CHUNK):
-            size = min(_CHUNK, bounds[r + 1] - start)
+        for start in range(bounds[r], bounds[r + 1], BLOCK if len(axes) else _CHUNK):
+            size = min(BLOCK if len(axes) else _CHUNK, bounds[r + 1] - start)
             part = away[done : done + size]
             for i in range(size):
                 which[done + i] = start + i
                 part[i] = beside[r]
-            for m in range(len(centres)):
+            if len(axes):
+                for m in range(components):
+                    for i in range(size):
+                        wide[m * BLOCK + i] = centres[m, start + i]
+                turned[:] = 0.0
+                _add_turned(wide, turns, r * components * components, coefficients, r * components, turned)
+                for i in range(size):
+                    part[i] += turned[i]
+                done += size
+                continue
+            for m in range(components):
                 q, centre = query[r, m], centres[m, start:]
                 for i in range(size):
                     d = np.float32(centre[i]) - q
@@ -267,6 +341,32 @@ def _add(flat: Bytes, at: np.uint64, query: Singles, m: int, out: Singles) -> No
         d4, d5 = np.float32(flat[i + _O4]) - q4, np.float32(flat[i + _O5]) - q5
         d6, d7 = np.float32(flat[i + _O6]) - q6, np.float32(flat[i + _O7]) - q7
         out[n] += d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 + d4 * d4 + d5 * d5 + d6 * d6 + d7 * d7
+
+
+@njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
+def _add_turned(wide: Singles, axes: Singles, row: int, query: Singles, first: int, out: Singles) -> None:
+    """The same of coefficients `wide` (M, BLOCK) after they are turned by `axes` (M, M) from `row` on.
+
+    Those are zero below the diagonal.
+    """
+    components = len(wide) // BLOCK
+    turned = np.empty(BLOCK, dtype=np.float32)
+    for k in range(components):
+        q = query[first + k]
+        for n in range(BLOCK):
+            turned[n] = -q
+        for m in range(k - k % _AT_ONCE, components, _AT_ONCE):
+            a = row + k * components + m
+            a0, a1, a2, a3 = axes[a], axes[a + 1], axes[a + 2], axes[a + 3]
+            a4, a5, a6, a7 = axes[a + 4], axes[a + 5], axes[a + 6], axes[a + 7]
+            for n in range(BLOCK):
+                i = np.uint64(m * BLOCK + n)
+                turned[n] += (
+                    a0 * wide[i] + a1 * wide[i + _O1] + a2 * wide[i + _O2] + a3 * wide[i + _O3]
+                    + a4 * wide[i + _O4] + a5 * wide[i + _O5] + a6 * wide[i + _O6] + a7 * wide[i + _O7]
+                )  # fmt: skip
+        for n in range(BLOCK):
+            out[n] += turned[n] * turned[n]
 
 
 @njit(cache=True, nogil=True, fastmath=True)  # pragma: no cover - compiled
