@@ -22,13 +22,14 @@ def cloud(
     frame: str = "os_lidar",
     *,
     kind: str = "<f4",
-    width: int = 0,
+    width: int | None = None,
     padding: int = 0,
     **changed: Any,
 ) -> bytes:
     """PointCloud2 of points (N, 3): coordinates behind an intensity, `padding` bytes at each row's end."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    width = width or max(len(points), 1)
+    columns = width or max(len(points), 1)
+    width = columns if width is None else width
     size = np.dtype(kind).itemsize
     layout = np.dtype(
         {
@@ -41,7 +42,7 @@ def cloud(
     packed = np.zeros(len(points), dtype=layout)
     for axis, name in enumerate("xyz"):
         packed[name] = points[:, axis]
-    rows = packed.reshape(-1, width).view(np.uint8).reshape(-1, width * layout.itemsize)
+    rows = packed.reshape(-1, columns).view(np.uint8).reshape(-1, columns * layout.itemsize)
     data = np.pad(rows, ((0, 0), (0, padding)))
     number = {"f4": 7, "f8": 8}[kind[1:]]
     fields = [
@@ -132,6 +133,7 @@ BEHIND = [cdr.make(FIELD, name, 4 * at + 6, 7, 1) for at, name in enumerate("xyz
         (cloud(WALL, width=4, row_step=60), "not_a_cloud", "64 bytes for 1 rows of 60"),
         (cloud(WALL, height=2**31, row_step=2**31), "not_a_cloud", "64 bytes for"),
         (cloud(WALL, point_step=0), "not_a_cloud", "points of 0 bytes"),
+        (cloud(WALL, width=0, point_step=2**32 - 1), "not_a_cloud", "0 points of 4294967295 bytes"),
         (cloud([]), "not_a_cloud", "0 bytes"),
         (cloud([(np.nan, 1.0, 0.0)]), "cloud_without_points", "set slice_low and slice_high"),
         (cloud([(1.0, 1.0, 5.0)]), "cloud_without_points", "0.1 to 0.6 m above the base"),

@@ -78,7 +78,8 @@ def coordinates(body: Any) -> Array:
     offsets = [int(fields[axis].offset) for axis in "xyz"]
     ends = [offset + np.dtype(kind).itemsize for offset, kind in zip(offsets, kinds, strict=True)]
     data = np.asarray(body.data, dtype=np.uint8)
-    if max(ends) > step or width * step > row or data.size != row * height or data.size == 0:
+    fits = width > 0 and max(ends) <= step and width * step <= row  # else a point may be as long as no row
+    if not fits or data.size != row * height or data.size == 0:
         raise CloudError(
             "not_a_cloud",
             f"{data.size} bytes for {height} rows of {row} bytes, {width} points of {step} bytes each",
