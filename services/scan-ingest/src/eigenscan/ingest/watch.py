@@ -7,6 +7,7 @@ from math import hypot
 
 import numpy as np
 from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, points_of
+from numba import njit, types
 from numpy.typing import NDArray
 
 Ranges = NDArray[np.float32]
@@ -79,7 +80,7 @@ class Watch:
         None if it is too early; no motion if the scan repeats the one before.
         """
         last, self._last = self._last, ranges
-        if last is not None and np.array_equal(last, ranges, equal_nan=True):
+        if last is not None and last.shape == ranges.shape and _are_identical(last, ranges):
             self.repeats += 1
             since, self._newest = self._newest, stamp
             return since, None
@@ -128,13 +129,27 @@ def alike(before: Ranges, after: Ranges, turned: int) -> float:
 
     A much cheaper look than a match, for a lidar that hardly moves in between.
     """
-    if before.shape != after.shape:
-        return 0.0
-    beams = np.arange(max(-turned, 0), len(after) - max(turned, 0), max(len(after) // BEAMS, 1))
-    earlier, later = before[beams + turned], after[beams]
-    seen = int(np.count_nonzero(np.isfinite(earlier) | np.isfinite(later)))
-    with np.errstate(invalid="ignore"):
-        near = int(np.count_nonzero(np.abs(later - earlier) <= ALIKE_M))
+    return float(_alike(before, after, turned)) if before.shape == after.shape else 0.0
+
+
+_RANGES = types.Array(types.float32, 1, "A", readonly=True)
+
+
+@njit(types.boolean(_RANGES, _RANGES), cache=True)  # pragma: no cover - compiled
+def _are_identical(before: Ranges, after: Ranges) -> bool:
+    for one, other in zip(before, after):  # noqa: B905 - not known to numba
+        if one != other and not (np.isnan(one) and np.isnan(other)):
+            return False
+    return True
+
+
+@njit(types.float64(_RANGES, _RANGES, types.int64), cache=True)  # pragma: no cover - compiled
+def _alike(before: Ranges, after: Ranges, turned: int) -> float:
+    seen, near = 0, 0
+    for beam in range(max(-turned, 0), len(after) - max(turned, 0), max(len(after) // BEAMS, 1)):
+        earlier, later = before[beam + turned], after[beam]
+        seen += np.isfinite(earlier) or np.isfinite(later)
+        near += abs(later - earlier) <= np.float32(ALIKE_M)
     return near / max(seen, 1)
 
 
