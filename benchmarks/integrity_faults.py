@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.geometry.pose import compose, from_pose3, to_pose3
+from eigenscan.geometry.pose import compose, from_pose3, inverse, to_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -149,6 +149,39 @@ def mount_off(degrees: float) -> Fault:
     return scans_changed(change)
 
 
+def mount_away(metres: float) -> Fault:
+    def change(message: RawScan, _: int, __: Stretch) -> None:
+        message.mount.x += metres
+
+    return scans_changed(change)
+
+
+def ranges_changed(change: Callable[[Array], Array]) -> Fault:
+    def fault(message: RawScan, _: int, __: Stretch) -> None:
+        put(message, change(np.asarray(message.ranges)))
+
+    return scans_changed(fault)
+
+
+def late_by_chance(most_s: float) -> Fault:
+    """Each scan is stamped as much too late as a busy computer happens to take."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        received, last = list[Envelope](), max(e.stamp for e in stretch.received)
+        for original in stretch.received:
+            envelope = original
+            if envelope.channel is SCAN_RAW:
+                message = RawScan()
+                message.CopyFrom(envelope.open(RawScan))
+                late = min(envelope.stamp + round(most_s * stretch.random.random() * NS), last)
+                message.timestamp.CopyFrom(stamp(late))
+                envelope = Envelope(SCAN_RAW, envelope.address, message)
+            received.append(envelope)
+        return stretch.publishing(received)
+
+    return fault
+
+
 def two_robots(stretch: Stretch) -> Stretch:
     """Both stretches at once, as long as both last: no pose is that of the one robot they are taken for."""
     shift = min(e.stamp for e in stretch.received) - min(e.stamp for e in stretch.other) + 20_000_000
@@ -237,6 +270,20 @@ def odometry_frozen() -> Fault:
     return odometry_changed(change)
 
 
+def odometry_scaled(by: float) -> Fault:
+    """Wheels of another radius: the way is `by` times as long, turns are right."""
+    state: list[Array] = []
+
+    def change(pose: Array, seconds: float, _: Stretch) -> Array:
+        if seconds == 0.0 or not state:
+            state[:] = [pose, pose]
+        step = compose(inverse(state[0]), pose) * np.array([by, by, 1.0])
+        state[:] = [pose, compose(state[1], step)]
+        return state[1]
+
+    return odometry_changed(change)
+
+
 def _runs_away(pose: Array, seconds: float, _: Stretch) -> Array:
     return compose(pose, np.array([RUNS_AWAY * seconds, 0.0, 0.0]))
 
@@ -273,6 +320,13 @@ FAULTS: dict[str, Fault] = {
     "mirrored": scans_changed(mirror),
     "mount off by 90 deg": mount_off(90.0),
     "mount off by 180 deg": mount_off(180.0),
+    "mount off by 10 deg": mount_off(10.0),
+    "mount off by 0.8 m": mount_away(0.8),
+    "no returns beyond 3 m": ranges_changed(lambda ranges: np.where(ranges > 3.0, np.inf, ranges)),
+    "ranges 10 % too short": ranges_changed(lambda ranges: 0.9 * ranges),
+    "ranges 0.3 m too long": ranges_changed(lambda ranges: ranges + 0.3),
+    "late by up to 0.4 s by chance": late_by_chance(0.4),
+    "odometry 1.5 times too far": odometry_scaled(1.5),
     "odometry backwards": odometry_changed(_reversed),
     "two robots, one name": two_robots,
     "half of the beams from elsewhere": from_elsewhere(0.5),

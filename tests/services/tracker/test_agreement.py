@@ -44,8 +44,9 @@ def drive(
     scans: Callable[[int], Step],
     count: int = 60,
     stands: int = 0,
+    step: Callable[[int], Step] = lambda _: STEP,
 ) -> list[PoseEstimate]:
-    """A robot that drives by STEP and is seen there; gives odometry and scan motion of each step.
+    """A robot that drives by `step` and is seen there; gives odometry and scan motion of each step.
 
     The first `stands` scans it stands.
     """
@@ -58,9 +59,17 @@ def drive(
             seen = np.zeros(3)
         output += poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
         if scan >= stands:
-            truth, reported = compose(truth, np.array(STEP)), compose(reported, np.array(odometry(scan)))
+            truth, reported = (
+                compose(truth, np.array(step(scan))),
+                compose(reported, np.array(odometry(scan))),
+            )
             seen = compose(seen, np.array(scans(scan)))
     return output
+
+
+def weaving(scan: int) -> Step:
+    """To the left and to the right by turns: on one circle, a turned mount is like one that is displaced."""
+    return STEP[0], 0.0, STEP[2] if scan // 9 % 2 else -STEP[2]
 
 
 def turned(angle: float) -> Step:
@@ -71,7 +80,7 @@ def test_what_agrees_is_claimed_and_stays_healthy(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     core = make_core()
-    output = drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP, stands=6)
+    output = drive(core, speaker, poses_of, weaving, weaving, stands=6, step=weaving)
     assert output[-1].state == STATE_LOCALIZED
     assert output[-1].confidence > 0.99
     assert core.condition().status == Health.STATUS_OK

@@ -99,8 +99,8 @@ class Agreement:
         if self.two_robots:
             return "odometry jumps again and again: do two robots use this name?"
         for lidar, faults in self._faults.items():
-            if faults.trust < 0.5:
-                return faults.cause if len(self._faults) == 1 else f"{lidar}: {faults.cause}"
+            if fault := faults.fault:
+                return fault if len(self._faults) == 1 else f"{lidar}: {fault}"
         if self._jumps and self._was_lately(self._jumps[-1]):
             return "odometry jumped: was it reset, or do two robots use this name?"
         return WITHOUT_SIGN if any(each.without_sign for each in self._faults.values()) else ""

@@ -13,10 +13,12 @@ from itertools import pairwise
 from math import degrees, log, radians
 
 import numpy as np
+from eigenscan.tracker.calibration import TURNED as TURNED_BY
+from eigenscan.tracker.calibration import Calibration
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.past import Past
-from eigenscan.tracker.planar import Pose, wrap
+from eigenscan.tracker.planar import IDENTITY, Pose, wrap
 from eigenscan.tracker.scan_motion import (
     EXACT,
     ODD,
@@ -27,7 +29,7 @@ from eigenscan.tracker.scan_motion import (
     log_gaussian,
     unpredicted,
 )
-from eigenscan.tracker.set_up import SetUp
+from eigenscan.tracker.set_up import WRONG, SetUp, right_share
 from numba import njit
 from numpy.typing import NDArray
 
@@ -109,7 +111,7 @@ _KINDS = (
     ),
     _Kind(
         len(TURNED), FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
-        "scans move {}° off odometry's way: is the lidar's mount turned by as much?",
+        TURNED_BY,
     ),
     _Kind(
         len(LATE_BY), FAULTY, BEGINS, ENDS,
@@ -161,6 +163,7 @@ class Faults:
     def __init__(self) -> None:
         self.probability, self._change = _start()
         self._set_up = SetUp(len(WRONG_SET_UPS), len(EXACT))
+        self._calibration = Calibration()
         self.without_sign = False
         """Whether the robot was seen to drive backwards while odometry counted on."""
         self._past = Past(LATEST_S, LATE_STEP_S)
@@ -171,7 +174,11 @@ class Faults:
 
     @property
     def trust(self) -> float:
-        """Probability that odometry and scans show the same motion."""
+        """Probability that odometry and scans show the same motion, of a lidar that is mounted as stated."""
+        return self._agrees * (self._calibration.within if self._calibration.fault else 1.0)
+
+    @property
+    def _agrees(self) -> float:
         forwards, backwards = self._ways
         known = self.without_sign and backwards < forwards  # else the mount is rather turned
         return float(self.probability[AGREE] + known * self.probability[BACKWARDS])
@@ -179,7 +186,13 @@ class Faults:
     @property
     def proven(self) -> float:
         """Probability that the set-up is right, of the least that motion leaves of it: see `set_up`."""
-        return self._set_up.proven
+        proven = min(self._set_up.proven, right_share(self._calibration.wrong))
+        return min(proven, 1.0 - WRONG) if self._calibration.fault else proven
+
+    @property
+    def fault(self) -> str:
+        """What is rather wrong, in words for the person who can mend it; empty: nothing that shows."""
+        return self.cause if self._agrees < 0.5 else self._calibration.fault
 
     @property
     def backwards(self) -> bool:
@@ -193,7 +206,7 @@ class Faults:
 
     @property
     def cause(self) -> str:
-        """The likeliest kind of fault, in words for the person who can mend it."""
+        """The likeliest kind of fault, in such words."""
         if self._no_fit > 0.5:
             return DISJOINED
         sums = [float(self.probability[a:b].sum()) for a, b in pairwise(_FIRST)]
@@ -241,6 +254,9 @@ class Faults:
         self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
+        # a repeated scan shows no motion of the lidar
+        if scans != IDENTITY and not _stands(predicted[AGREE]):
+            self._calibration.take(scans, spread, driven.delta, driven.way)
         if self.backwards and not self.without_sign:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN

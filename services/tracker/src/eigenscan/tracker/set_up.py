@@ -59,13 +59,13 @@ class SetUp:
         """
         wrong = self._wrong[:, matters]
         worst = float(wrong.max()) - float(np.logaddexp.reduce(self._right)) + log(len(self._right))
-        right = _right_share(worst)
+        right = right_share(worst)
         if right >= PROVEN:
             return right
         usual = float(np.logaddexp.reduce(wrong[0])) - log(len(wrong[0])) - float(self._right[0])
-        return min(_right_share(usual), 1.0 - WRONG)
+        return min(right_share(usual), 1.0 - WRONG)
 
 
-def _right_share(against: float) -> float:
+def right_share(against: float) -> float:
     """Probability of a right set-up of which wrong ones have such a log-likelihood ratio."""
     return 1.0 / (1.0 + WRONG / (1.0 - WRONG) * exp(min(against, FARTHEST)))

@@ -1,0 +1,115 @@
+"""Where a lidar is mounted, by its motion: against filterpy, and from motions with known mounts."""
+
+from __future__ import annotations
+
+from math import cos, hypot, pi, radians, sin
+
+import numpy as np
+import pytest
+from eigenscan.geometry.pose import compose, inverse
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.tracker.calibration import Calibration, _update
+from filterpy.kalman import update
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
+from tests.services.tracker.test_agreement import Step, drive, weaving
+
+Array = NDArray[np.float64]
+
+SPREAD = (1e-5, 0.0, 1e-5)
+
+
+def seen_from(moved: Array, mount: Array, scale: float = 1.0) -> Array:
+    """How a base seems to move whose lidar is at `mount` (3,), and stated at the base's origin."""
+    found = compose(compose(inverse(mount), moved), mount)
+    return np.array([scale * found[0], scale * found[1], found[2]])
+
+
+def calibrated(mount: Array, scale: float = 1.0, noise: float = 0.01, back: bool = False) -> Calibration:
+    """After 60 motions of 0.2 m ahead or back, with turns to both sides."""
+    rng, calibration = np.random.default_rng(5), Calibration()
+    for number in range(60):
+        moved = np.array([-0.2 if back and number > 30 else 0.2, 0.0, 0.15 * sin(0.5 * number)])
+        x, y, turn = seen_from(moved, mount, scale) + noise * rng.standard_normal(3) * [1.0, 1.0, 0.2]
+        stated = (abs(moved[0]), 0.0, moved[2])
+        calibration.take((x, y, turn), SPREAD, stated, 0.2)
+    return calibration
+
+
+@given(st.integers(0, 2**16))
+def test_an_update_is_that_of_a_kalman_filter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found, root = np.array([1.0, 0.0, 0.0, 0.0]), rng.normal(size=(4, 4))
+    P = root @ root.T + 0.1 * np.eye(4)
+    x, y, turn = rng.uniform(0.05, 0.3), rng.uniform(-0.02, 0.02), rng.uniform(-0.5, 0.5)
+    H = np.array([[x, -y, cos(turn) - 1.0, -sin(turn)], [y, x, sin(turn), cos(turn) - 1.0]])
+    scans = H @ found + 0.01 * rng.normal(size=2)
+    R = np.array([[0.002, 0.0005], [0.0005, 0.003]]) + 0.01 * np.eye(2)
+    direct, C = update(found[:, None], P, scans[:, None], R, H)
+    # no tails: each innovation counts as what is usual
+    _update(found, P, (scans[0], scans[1], turn), (0.002, 0.0005, 0.003), 0.01, x, y, 1.0, 1e12)
+    assert found == pytest.approx(direct.ravel(), abs=1e-9)
+    assert pytest.approx(C, abs=1e-9) == P
+
+
+@pytest.mark.parametrize("angle", [12.0, -12.0])
+def test_a_turned_mount_is_measured_and_named(angle: float) -> None:
+    found = calibrated(np.array([0.0, 0.0, -radians(angle)]))
+    assert found.yaw == pytest.approx(radians(angle), abs=4.0 * found.sigmas[0])
+    assert f"{angle:.0f}°" in found.fault
+    assert found.within < 0.1
+
+
+@pytest.mark.parametrize("mount", [(0.7, 0.0, 0.0), (-0.3, 0.6, 0.0)])
+def test_a_displaced_mount_is_measured_and_named(mount: tuple[float, float, float]) -> None:
+    found = calibrated(np.array(mount))
+    assert found.lever == pytest.approx(hypot(*mount[:2]), abs=4.0 * found.sigmas[1])
+    assert "0.7 m" in found.fault
+    assert found.within < 0.1
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.4])
+def test_another_scale_is_named_and_the_mount_is_right(scale: float) -> None:
+    found = calibrated(np.zeros(3), scale)
+    assert found.scale == pytest.approx(scale, abs=0.02)
+    assert f"{found.scale:.2f} times" in found.fault
+    assert found.within > 0.99
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_right_mount_is_proven_also_where_encoders_have_no_sign(back: bool) -> None:
+    found = calibrated(np.array([0.05, 0.0, radians(1.0)]), back=back)
+    assert not found.fault
+    assert found.within > 0.99
+
+
+def test_a_straight_way_shows_the_angle_and_not_the_place() -> None:
+    found = Calibration()
+    for _ in range(60):
+        found.take((0.2, 0.0, 0.0), SPREAD, (0.2, 0.0, 0.0), 0.2)
+    yaw, lever, _ = found.sigmas
+    assert yaw < radians(2.0)
+    assert lever > 0.5
+    assert found.within < 0.9
+    assert not found.fault
+
+
+@pytest.mark.parametrize(
+    ("mount", "words"), [((0.0, 0.0, -pi / 15.0), "12° off"), ((0.8, 0.0, 0.0), "0.8 m away")]
+)
+def test_a_wrong_mount_is_named_and_never_claimed_above_nine_in_ten(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, mount: Step, words: str
+) -> None:
+    def scans(scan: int) -> Step:
+        x, y, turn = seen_from(np.array(weaving(scan)), np.array(mount)).tolist()
+        return x, y, turn
+
+    core = make_core()
+    output = drive(core, speaker, poses_of, weaving, scans, count=160, step=weaving)
+    assert max(pose.confidence for pose in output) <= 0.9 + 1e-9
+    assert core.condition().status == Health.STATUS_DEGRADED
+    assert words in core.condition().detail
+    assert output[-1].confidence < 0.5
