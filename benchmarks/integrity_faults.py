@@ -164,7 +164,7 @@ def ranges_changed(change: Callable[[Array], Array]) -> Fault:
 
 
 def late_by_chance(most_s: float) -> Fault:
-    """Each scan is stamped as much too late as a busy computer happens to take."""
+    """Each scan is stamped too late, by as much as a busy computer happens to take."""
 
     def fault(stretch: Stretch) -> Stretch:
         received, last = list[Envelope](), max(e.stamp for e in stretch.received)
@@ -259,6 +259,10 @@ def invented_room(stretch: Stretch) -> Stretch:
     return stretch.publishing(received, truth)
 
 
+def without_odometry(stretch: Stretch) -> Stretch:
+    return stretch.publishing([each for each in stretch.received if each.channel is not ODOMETRY])
+
+
 def odometry_frozen() -> Fault:
     held: list[Array] = []
 
@@ -332,6 +336,7 @@ FAULTS: dict[str, Fault] = {
     "half of the beams from elsewhere": from_elsewhere(0.5),
     "70 % of the beams from elsewhere": from_elsewhere(0.7),
     "an invented room": invented_room,
+    "no odometry": without_odometry,
     "odometry frozen": odometry_frozen(),
     "odometry runs away": odometry_changed(_runs_away),
     "odometry jumps": odometry_changed(_jumps),

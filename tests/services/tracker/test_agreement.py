@@ -86,6 +86,21 @@ def test_what_agrees_is_claimed_and_stays_healthy(
     assert core.condition().status == Health.STATUS_OK
 
 
+@pytest.mark.parametrize("period_s", [0.02, 0.04, 0.1])
+def test_without_odometry_scan_motion_is_held_against_nothing(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, period_s: float
+) -> None:
+    core, truth, output = make_core(), np.array([2.0, 3.0, 0.0]), list[PoseEstimate]()
+    for scan in range(150):
+        time = 10.0 + period_s * scan
+        if scan:
+            list(core.handle(motion(time, time - period_s, STEP)))
+        output += poses_of(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        truth = compose(truth, np.array(STEP))
+    assert core.condition().status == Health.STATUS_OK
+    assert output[-1].state == STATE_LOCALIZED
+
+
 @pytest.mark.parametrize(
     ("odometry", "scans", "words"),
     [

@@ -27,7 +27,7 @@ sigma.
 FITTING_M = 0.3
 """The same for two scans that do not fit each other: farther apart, they need not."""
 UNKNOWN_S = 0.05
-"""Of an interval that odometry does not cover, above which the interval is not compared."""
+"""Of an interval that odometry does not cover, above which the interval is not compared; half at most."""
 COARSE_NS = 700_000_000
 """Between messages of odometry farther apart than this a robot may stop or start unseen, by a(t/2)^2 = 12 cm
 at 1 m/s^2: far more than right motions differ by. Then nothing is compared.
@@ -174,7 +174,8 @@ class Agreement:
                 found.append((interval, driven))
             ends = interval.since, interval.stamp
             coarse = max(map(trail.spacing, ends)) > COARSE_NS
-            if driven.breaks <= 0 and abs(driven.unknown) <= UNKNOWN_S and not coarse:
+            known = abs(driven.unknown) <= min(UNKNOWN_S, driven.seconds / 2.0)
+            if driven.breaks <= 0 and known and not coarse:
                 self._take(_widened(interval, map(trail.leeway, ends)), driven, trail)
                 self._note(interval, agrees=not self.disagreed)
         return found
