@@ -90,7 +90,7 @@ def test_a_late_lidar_does_no_harm_to_a_robot_that_stands() -> None:
     """Over the last 8 s it stood: whatever the delay, the scans are of here."""
 
     def turned_and_stood(time: float) -> tuple[float, float]:
-        return (0.5, 0.0) if 1.0 < time < 3.0 else (0.0, 0.4 if 3.0 < time < 3.5 else 0.0)
+        return (0.5, 0.0) if 1.0 < time < 3.0 else (0.0, 0.5 if 3.0 < time < 5.0 else 0.0)
 
     assert played(turned_and_stood, 14.0)[-1] > PROVEN
 

@@ -14,18 +14,20 @@ from math import atan2, degrees, erf, hypot, sqrt
 import numpy as np
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, TAIL, surprise
 from eigenscan.tracker.planar import Pose
-from eigenscan.tracker.scan_motion import SIGMA_M, SIGMA_SHARE
+from eigenscan.tracker.scan_motion import SIGMA_M, SIGMA_RAD, SIGMA_SHARE
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-START = np.array([0.5, 1.0, 3.0, 3.0])
+START = np.array([0.5, 1.0, 1.0, 1.0])
 """Sigma of scale cos(yaw), scale sin(yaw) and the lever, m, m, before any motion: wide."""
-FIRST = 2.0
+FIRST = 5.0
 """Intervals that the noise assumed in `scan_motion` counts as, before their own noise is learned."""
 YAW_RAD, LEVER_M, SCALE = float(np.radians(0.5)), 0.02, 0.01
 """Sigmas that remain however far the robot drives: errors of scan motion that do not average out."""
+LEAST_TURN = 2.0 * SIGMA_RAD
+"""rad between two scans: less may be noise, which would seem to show that a turn displaces nothing."""
 SIGMAS = 4.0
 """So many sigmas beyond half of what a claim allows, a mount is reported.
 
@@ -61,6 +63,8 @@ class Calibration:
         """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long."""
         x, y, _ = driven
         noise = (SIGMA_M + SIGMA_SHARE * way) ** 2
+        if abs(scans[2]) < LEAST_TURN:
+            scans = scans[0], scans[1], 0.0
         squares = _update(self._x, self._P, scans, spread, noise, x, y, self._squares / self._intervals, TAIL)
         self._intervals += 1.0
         self._squares += 0.5 * squares
@@ -84,7 +88,9 @@ class Calibration:
     @property
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of yaw, rad, lever, m, and scale."""
-        variances = np.diag(self._P) * (self._squares / self._intervals)
+        # the noise scales what motion has shown, and not what was assumed before any
+        shown = (1.0 / np.diag(self._P) - 1.0 / START**2) * (self._intervals / self._squares)
+        variances = 1.0 / (shown + 1.0 / START**2)
         along, aside, x, y = variances.tolist()
         return sqrt(aside + YAW_RAD**2), sqrt(max(x, y) + LEVER_M**2), sqrt(along + SCALE**2)
 
