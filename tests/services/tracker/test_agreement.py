@@ -143,7 +143,7 @@ def test_late_scans_are_named_with_their_delay(
     assert "1.0 s" in detail
 
 
-@pytest.mark.parametrize(("parts", "least", "most"), [(False, 0.9, 1.0), (True, 0.0, 0.2)])
+@pytest.mark.parametrize(("parts", "least", "most"), [(False, 0.89, 1.0), (True, 0.0, 0.2)])
 def test_a_list_without_anything_of_the_last_one_takes_a_claim_away_only_where_the_scans_part(
     make_core: MakeCore, poses_of: PosesOf, parts: bool, least: float, most: float
 ) -> None:

@@ -88,16 +88,22 @@ class Calibration:
     @property
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of yaw, rad, lever, m, and scale."""
-        # the noise scales what motion has shown, and not what was assumed before any
-        shown = (1.0 / np.diag(self._P) - 1.0 / START**2) * (self._intervals / self._squares)
-        variances = 1.0 / (shown + 1.0 / START**2)
-        along, aside, x, y = variances.tolist()
+        along, aside, x, y = (1.0 / (self._shown + 1.0 / START**2)).tolist()
         return sqrt(aside + YAW_RAD**2), sqrt(max(x, y) + LEVER_M**2), sqrt(along + SCALE**2)
+
+    @property
+    def _shown(self) -> Array:
+        """Information (4,) that motion has shown: its noise scales this, and not what was assumed before."""
+        return np.asarray((1.0 / np.diag(self._P) - 1.0 / START**2) * (self._intervals / self._squares))
 
     def _judge(self) -> None:
         yaw, lever, scale = self.sigmas
         self.within = _below(NEAR_RAD, abs(self.yaw), yaw) * _below(NEAR_M, self.lever, lever)
-        self.wrong = max(_ratio(NEAR_RAD, abs(self.yaw), yaw), _ratio(NEAR_M, self.lever, lever))
+        _, turned, *away = self._shown.tolist()
+        self.wrong = max(
+            _ratio(NEAR_RAD, abs(self.yaw), turned, START[1], YAW_RAD),
+            _ratio(NEAR_M, self.lever, min(away), START[2], LEVER_M),
+        )
         if abs(self.yaw) > NEAR_RAD / 2.0 + SIGMAS * yaw:
             self.fault = TURNED.format(round(degrees(self.yaw)))
         elif self.lever > NEAR_M / 2.0 + SIGMAS * lever:
@@ -113,9 +119,13 @@ def _below(limit: float, value: float, sigma: float) -> float:
     return 0.5 * (1.0 + erf((limit - value) / (sqrt(2.0) * sigma)))
 
 
-def _ratio(wrong: float, value: float, sigma: float) -> float:
-    """Log-likelihood of what is normal around `wrong`, against the same around 0, of `value`."""
-    return 0.5 * wrong * (2.0 * value - wrong) / (sigma * sigma)
+def _ratio(wrong: float, value: float, shown: float, start: float, least: float) -> float:
+    """Log-likelihood of `wrong` against 0, by the information `shown`; with that of `start`, `value` was found.
+
+    Errors of `least` do not average out.
+    """
+    pull, shown = (shown + start**-2) * value, max(shown, 0.0)
+    return wrong * (pull - 0.5 * wrong * shown) / (1.0 + least * least * shown)
 
 
 @njit(  # pragma: no cover - compiled
