@@ -120,9 +120,9 @@ def _below(limit: float, value: float, sigma: float) -> float:
 
 
 def _ratio(wrong: float, value: float, shown: float, start: float, least: float) -> float:
-    """Log-likelihood of `wrong` against 0, by the information `shown`; with that of `start`, `value` was found.
+    """Log-likelihood of `wrong` against 0, by the information `shown` alone.
 
-    Errors of `least` do not average out.
+    `value` was found with a prior of sigma `start` too. Errors of `least` do not average out.
     """
     pull, shown = (shown + start**-2) * value, max(shown, 0.0)
     return wrong * (pull - 0.5 * wrong * shown) / (1.0 + least * least * shown)
