@@ -47,15 +47,15 @@ FROM lean AS router
 COPY --from=own /own/router /opt/own
 ENTRYPOINT ["eigenscan-router"]
 
-FROM lean AS scan-ingest
-COPY --from=own /own/scan-ingest /opt/own
-ENTRYPOINT ["eigenscan-scan-ingest"]
-
 # --- layer: numeric ---
 FROM lean-files AS numeric-files
 RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --require-hashes -r /requirements/numeric.lock
 FROM shell AS numeric
 COPY --from=numeric-files /opt/eigenscan /opt/eigenscan
+
+FROM numeric AS scan-ingest
+COPY --from=own /own/scan-ingest /opt/own
+ENTRYPOINT ["eigenscan-scan-ingest"]
 
 FROM numeric AS projector
 COPY --from=own /own/projector /opt/own
