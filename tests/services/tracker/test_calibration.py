@@ -79,6 +79,16 @@ def test_another_scale_is_named_and_the_mount_is_right(scale: float) -> None:
     assert found.within > 0.99
 
 
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_ranges_a_tenth_off_are_never_proven(scale: float) -> None:
+    assert calibrated(np.zeros(3), scale).proven == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("scale", [0.96, 1.0, 1.04])
+def test_wheels_a_little_off_prove_the_ranges_all_the_same(scale: float) -> None:
+    assert calibrated(np.zeros(3), scale).proven > 0.99
+
+
 @pytest.mark.parametrize("back", [False, True])
 def test_a_right_mount_is_proven_also_where_encoders_have_no_sign(back: bool) -> None:
     found = calibrated(np.array([0.05, 0.0, radians(1.0)]), back=back)

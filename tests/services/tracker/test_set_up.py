@@ -57,7 +57,7 @@ def test_of_a_robot_that_has_not_moved_nothing_is_proven() -> None:
 
 
 def test_a_robot_that_starts_and_turns_proves_its_set_up() -> None:
-    proven = played(lambda time: (min(0.5 * time, 0.5), 0.3 if time > 2.0 else 0.0), 6.0)
+    proven = played(lambda time: (min(0.5 * time, 0.5), 0.3 if time > 5.0 else 0.0), 8.0)
     assert proven[3] <= 1.0 - WRONG
     assert proven[-1] > PROVEN
 
@@ -90,9 +90,9 @@ def test_a_late_lidar_does_no_harm_to_a_robot_that_stands() -> None:
     """Over the last 8 s it stood: whatever the delay, the scans are of here."""
 
     def turned_and_stood(time: float) -> tuple[float, float]:
-        return (0.5, 0.0) if 1.0 < time < 3.0 else (0.0, 0.5 if 3.0 < time < 5.0 else 0.0)
+        return (0.5, 0.0) if 1.0 < time < 5.0 else (0.0, 0.5 if 5.0 < time < 7.0 else 0.0)
 
-    assert played(turned_and_stood, 14.0)[-1] > PROVEN
+    assert played(turned_and_stood, 16.0)[-1] > PROVEN
 
 
 def test_the_worst_way_counts_and_chance_proves_nothing() -> None:
@@ -170,15 +170,15 @@ def test_a_robot_without_a_sign_of_its_encoders_backs_out_without_losing_its_pro
     """As far back as ahead: odometry counts on."""
     faults, trail, pose, since = Faults(), OdometryTrail(VelocityGate(2.0, 3.0)), (0.0, 0.0, 0.0), 100 * NS
     trail.take(since, pose)
-    for number in range(28):
+    for number in range(52):
         before, way = pose, 0.0 if number < 4 else 0.1
         pose, until = compose(pose, (way, 0.0, 0.1 * (number % 3 == 0))), since + round(EVERY_S * NS)
         trail.take(until, pose)
         x, y, turn = between(before, pose)
-        back = -1.0 if number >= 16 else 1.0
+        back = -1.0 if number >= 28 else 1.0
         driven = trail.between(since, until)
         faults.take((back * x, back * y, turn), (1e-5, 0.0, 1e-5), 4e-6, driven, since, trail)
-        assert faults.proven > PROVEN or number < 16
+        assert faults.proven > PROVEN or number < 28
         since = until
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, TAIL, surprise
 from eigenscan.tracker.planar import Pose
 from eigenscan.tracker.scan_motion import SIGMA_M, SIGMA_RAD, SIGMA_SHARE
+from eigenscan.tracker.set_up import WRONG, right_share
 from numba import njit
 from numpy.typing import NDArray
 
@@ -34,8 +35,8 @@ SIGMAS = 4.0
 The robots of ten logs are off by up to 1.7 degrees, 10 cm and 5 %, which never came to these many
 (benchmarks/integrity.py: no alarm without a fault).
 """
-SCALE_OFF = 0.1
-"""The same of the way, as a share."""
+SCALE_OFF = 0.12
+"""What a claim allows of the ranges' scale, as a share: a wall 4 m away is seen NEAR_M too near."""
 
 TURNED = "scans move {}° off odometry's way: is the lidar's mount turned by as much?"
 AWAY = (
@@ -55,9 +56,12 @@ class Calibration:
         """What is wrong with the mount or the scale, in words for the person who can mend it; or empty."""
         self.within = 0.0
         """Probability that the mount turns and displaces poses by less than a claim allows."""
-        self.wrong = 0.0
-        """Log-likelihood of a mount that does so by as much as a claim allows, the likelier way, against that
-        of the mount as it is stated."""
+        self.proven = 1.0 - WRONG
+        """Probability that mount and ranges are right, of the least that motion leaves of it.
+
+        Each against one that is wrong by as much as a claim allows. Another scale leaves 0.9: it may be that
+        of the wheels.
+        """
 
     def take(self, scans: Pose, spread: tuple[float, float, float], driven: Pose, way: float) -> None:
         """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long."""
@@ -99,19 +103,23 @@ class Calibration:
     def _judge(self) -> None:
         yaw, lever, scale = self.sigmas
         self.within = _below(NEAR_RAD, abs(self.yaw), yaw) * _below(NEAR_M, self.lever, lever)
-        _, turned, *away = self._shown.tolist()
-        self.wrong = max(
+        along, turned, *away = self._shown.tolist()
+        mount = max(
             _ratio(NEAR_RAD, abs(self.yaw), turned, START[1], YAW_RAD),
             _ratio(NEAR_M, self.lever, min(away), START[2], LEVER_M),
         )
+        scaled = _ratio(SCALE_OFF, abs(self.scale - 1.0), along, START[0], SCALE)
+        self.proven = min(right_share(mount), max(right_share(scaled), 1.0 - WRONG))
         if abs(self.yaw) > NEAR_RAD / 2.0 + SIGMAS * yaw:
             self.fault = TURNED.format(round(degrees(self.yaw)))
         elif self.lever > NEAR_M / 2.0 + SIGMAS * lever:
             self.fault = AWAY.format(self.lever)
-        elif abs(self.scale - 1.0) > SCALE_OFF + SIGMAS * scale:
+        elif abs(self.scale - 1.0) > SCALE_OFF / 2.0 + SIGMAS * scale:
             self.fault = SCALED.format(self.scale)
         else:
             self.fault = ""
+            return
+        self.proven = min(self.proven, 1.0 - WRONG)
 
 
 def _below(limit: float, value: float, sigma: float) -> float:
@@ -120,7 +128,7 @@ def _below(limit: float, value: float, sigma: float) -> float:
 
 
 def _ratio(wrong: float, value: float, shown: float, start: float, least: float) -> float:
-    """Log-likelihood of `wrong` against 0, by the information `shown` alone.
+    """Log-likelihood ratio of `wrong` against 0, by the information `shown` alone.
 
     `value` was found with a prior of sigma `start` too. Errors of `least` do not average out.
     """

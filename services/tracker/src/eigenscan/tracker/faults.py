@@ -29,7 +29,7 @@ from eigenscan.tracker.scan_motion import (
     log_gaussian,
     unpredicted,
 )
-from eigenscan.tracker.set_up import WRONG, SetUp, right_share
+from eigenscan.tracker.set_up import SetUp
 from numba import njit
 from numpy.typing import NDArray
 
@@ -186,8 +186,7 @@ class Faults:
     @property
     def proven(self) -> float:
         """Probability that the set-up is right, of the least that motion leaves of it: see `set_up`."""
-        proven = min(self._set_up.proven, right_share(self._calibration.wrong))
-        return min(proven, 1.0 - WRONG) if self._calibration.fault else proven
+        return min(self._set_up.proven, self._calibration.proven)
 
     @property
     def fault(self) -> str:
