@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from eigenscan.cli.figures import prepare
+from eigenscan.runtime.recording import RecordingWriter
 
 from tests.command import eigenscan
 
@@ -151,6 +152,16 @@ def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
         ("import drive.mcap -o a.mcap --site a/b", "--site 'a/b': a name has no blanks"),
         ("import drive.mcap -o a.mcap --robot 'r 1'", "--robot 'r 1': a name has no blanks"),
         ("simtest --robots 100000", "less than or equal to 100"),
+        ("simulate -o a.mcap --seconds inf", "--seconds"),
+        ("simulate -o a.mcap --seconds 1e300", "--seconds"),
+        ("simulate -o a.mcap --seconds 1 --people 1000000000", "--people"),
+        ("simulate -o a.mcap --seconds 1 --robots 100000", "--robots"),
+        ("simulate -o a.mcap --seconds 1 --beams 1000000000", "--beams"),
+        ("simulate -o a.mcap --seconds 1 --drift inf", "--drift"),
+        ("simulate -o a.mcap --seconds 1 --noise 1e308", "--noise"),
+        ("simulate -o a.mcap --seconds 1 --save-map new.pgm", "--save-map new.pgm: the image goes there"),
+        ("simulate map.yaml --seconds 1 --save-map map.pgm", "--save-map map.pgm: the image goes there"),
+        ("simulate -o map.pgm --seconds 1 --save-map map.yml", "map.pgm would overwrite map.pgm"),
     ],
 )
 def test_what_cannot_be_is_refused_before_the_work(folder: Path, typed: str, words: str) -> None:
@@ -167,3 +178,40 @@ def test_a_map_replaces_none_of_its_four_files_unasked(folder: Path, name: str) 
     assert result.returncode == 2, result.stderr
     assert f"{name} is there already: name another file, or add --force" in result.stderr
     assert (folder / name).read_text() == "mine"
+
+
+def test_a_saved_map_replaces_no_image_of_something_else(folder: Path) -> None:
+    (folder / "plan.pgm").write_text("mine")
+    result = eigenscan("simulate", "--seconds", 1, "--save-map", "plan.yaml")
+    assert result.returncode == 2, result.stderr
+    assert "--save-map plan.yaml: plan.pgm is there already: name another file" in result.stderr
+    assert (folder / "plan.pgm").read_text() == "mine"
+    assert eigenscan("simulate", "--seconds", 1, "--save-map", "map.yaml").returncode == 0
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize(
+    ("typed", "option"),
+    [
+        ("simulate --seconds 1 -o night.mcap", "--out night.mcap"),
+        ("replay drive.mcap --service scan-ingest --out night.mcap", "--out night.mcap"),
+        ("view drive.mcap --no-open --rrd night.mcap", "--rrd night.mcap"),
+        ("simulate --seconds 1 --truth night.mcap", "--truth night.mcap"),
+    ],
+)
+def test_what_a_recorder_wrote_is_not_replaced(folder: Path, typed: str, option: str, cut: bool) -> None:
+    night = folder / "night.mcap"
+    with RecordingWriter(night, {"recorder": {"settings": "{}"}}):
+        pass
+    if cut:
+        night.write_bytes(night.read_bytes()[:100])
+    before = night.read_bytes()
+    result = eigenscan(*shlex.split(typed))
+    assert result.returncode == 2, result.stderr
+    assert f"{option}: is a recorder's file: name another one" in result.stderr
+    assert night.read_bytes() == before
+
+
+def test_what_a_simulation_wrote_may_be_written_again(folder: Path) -> None:
+    assert eigenscan("simulate", "--seconds", 1, "-o", "drive.mcap").returncode == 0
+    assert (folder / "drive.mcap").exists()

@@ -213,3 +213,19 @@ def test_a_service_answers_its_flags_without_a_trace(flag: str, code: int, out: 
     assert out in done.stdout
     assert err in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("seconds", ["1e300", "inf"])
+def test_a_stop_that_no_clock_can_count_is_refused(seconds: str) -> None:
+    """It ended a service with a trace at SIGTERM."""
+    with pytest.raises(SettingsError, match="--stop-s = "):
+        load(ServiceSettings, "tracker", ["--stop-s", seconds])
+
+
+def test_a_service_shows_no_more_than_a_terminal_may_see(tmp_path: Path) -> None:
+    odd = tmp_path / "\x1b[31m.json5"
+    program = Path(sys.executable).parent / "eigenscan-scan-ingest"
+    ended = subprocess.run([program, "--zenoh", odd], capture_output=True, text=True, check=False)
+    assert ended.returncode == 2
+    assert "?[31m.json5: no such Zenoh configuration" in ended.stderr
+    assert "\x1b" not in ended.stderr

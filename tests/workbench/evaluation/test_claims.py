@@ -71,6 +71,11 @@ def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
     assert second.is_localized
 
 
+def test_a_spreadsheets_byte_order_mark_is_no_column(tmp_path: Path) -> None:
+    (tmp_path / "c.csv").write_text("stamp,x,y,heading\n1,2,3,0\n", encoding="utf-8-sig")
+    assert [claim.stamp for claim in read_claims(tmp_path / "c.csv")] == [NS]
+
+
 def test_a_tum_file_claims_each_of_its_poses(tmp_path: Path) -> None:
     file = tmp_path / "claims.tum"
     file.write_text("# t x y z qx qy qz qw\n1.5 2 3 0 0 0 1 0\n")

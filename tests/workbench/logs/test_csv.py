@@ -116,3 +116,10 @@ def test_a_lidar_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(WIDE.replace("time_s", "time_s,lidar") + "1,front,0,1,4,5\n")
     with pytest.raises(LogError, match="there are front"):
         _scans(tmp_path / "a.csv", LogOptions(lidars=("rear",)))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_range_above_all_that_a_message_holds_is_no_return(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(WIDE + "1,0,1,1e300,5\n")
+    (scan,) = _scans(tmp_path / "a.csv")
+    assert list(scan.ranges) == [math.inf, 5.0]

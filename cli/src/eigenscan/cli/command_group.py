@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 from eigenscan.cli import paths
+from eigenscan.cli.entry import STDOUT
 from eigenscan.cli.former import current
 from eigenscan.runtime.errors import FailedError, by_users, one_line
 from eigenscan.runtime.settings import nearest, plain
@@ -225,6 +226,8 @@ def lazy_group(
                 if isinstance(error, KeyboardInterrupt):
                     typer.echo(f"{command}: ended by Ctrl-C{': ' if str(error) else ''}{error}", err=True)
                     raise typer.Exit(EXIT_STOPPED) from None
+                if isinstance(error, BrokenPipeError) and error.filename == STDOUT:
+                    raise typer.Exit(EXIT_FAILED) from None  # its reader, such as head, has what it wanted
                 described = _described(error, command, ctx.invoked_subcommand in commands)
                 if described is None:
                     raise

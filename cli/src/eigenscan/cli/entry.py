@@ -1,9 +1,15 @@
-"""The entry point of `eigenscan`: Ctrl-C while it still loads ends it as it does later."""
+"""The entry point of `eigenscan`: Ctrl-C while it still loads, and errors of standard output."""
 
 from __future__ import annotations
 
+import io
 import os
 import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+STDOUT = "standard output"
 
 
 def main() -> None:
@@ -14,12 +20,47 @@ def main() -> None:
     from eigenscan.cli.main import app
 
     signal.signal(signal.SIGINT, usual)
-    app()
+    with named_output():
+        app()
 
 
 def _end(*_: object) -> None:
     os.write(2, b"eigenscan: ended by Ctrl-C\n")
     os._exit(130)  # an exception in the midst of an import would show where
+
+
+class _Named(io.FileIO):
+    """Standard output whose errors name it: else nobody knows which of all outputs is full or closed."""
+
+    def write(self, data: object) -> int:
+        try:
+            return super().write(data)  # type: ignore[arg-type]
+        except OSError as error:
+            error.filename = STDOUT
+            raise
+
+
+@contextmanager
+def named_output() -> Iterator[None]:
+    """Lets errors of standard output name it, also the last one, at the end of the process."""
+    usual = sys.stdout
+    if usual is None or not isinstance(usual, io.TextIOWrapper):
+        yield
+        return
+    usual.flush()
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(_Named(usual.fileno(), "wb", closefd=False)),
+        encoding=usual.encoding,
+        errors=usual.errors,
+        line_buffering=usual.line_buffering,
+    )
+    try:
+        yield
+    finally:
+        try:
+            sys.stdout.flush()
+        except OSError:  # reported already; the interpreter would try again, and show a trace
+            os.dup2(os.open(os.devnull, os.O_WRONLY), usual.fileno())
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, combinations, product
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ WRITTEN = frozenset(
 
 FILES = WRITTEN - {"out"}
 """Those that are never a folder."""
+
+_MCAP = b"\x89MCAP0\r\n"
 
 Named = tuple[str, Path]
 """A path, and how the user gave it."""
@@ -39,6 +41,34 @@ def check(parameters: list[Any], values: Mapping[str, Any]) -> None:
             continue  # such as /dev/null
         if is_same(path, there):
             raise UsageError(f"{shown}: would overwrite {other}: name another file")
+    for shown, path in written:
+        if not values.get("force") and path.is_file() and _is_recorded(path):
+            raise UsageError(f"{shown}: is a recorder's file: name another one")
+
+
+def check_map_output(shown: str, path: Path, others: Iterable[Path]) -> None:
+    """Raises UsageError where the image beside the map `path` would replace what is no image of that map."""
+    image = path.with_suffix(".pgm")
+    if path.suffix == ".pgm":
+        raise UsageError(f"{shown} {path}: the image goes there: name a .yaml")
+    for other in others:
+        if is_same(image, other):
+            raise UsageError(f"{shown} {path}: {image.name} would overwrite {other}: name another file")
+    if image.exists() and not path.exists():
+        raise UsageError(f"{shown} {path}: {image.name} is there already: name another file")
+
+
+def _is_recorded(path: Path) -> bool:
+    """Whether `path` is a recording of what really was: what commands make can be made again."""
+    with path.open("rb") as file:
+        if file.read(len(_MCAP)) != _MCAP:
+            return False
+    from eigenscan.runtime.recording import RecordingError, read_metadata
+
+    try:
+        return "recorder" in read_metadata(path)
+    except RecordingError:  # cut: only a recorder leaves such files
+        return True
 
 
 def is_same(one: Path, other: Path) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.former import optional
+from eigenscan.cli.paths import check_map_output
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
@@ -31,22 +32,31 @@ def simulate(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="MCAP to write")] = None,
     truth: Annotated[Path | None, typer.Option(help="true path to write, TUM: t x y z qx qy qz qw")] = None,
     save_map: Annotated[Path | None, typer.Option(help="yaml to write the map to, with its pgm")] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, help="length of the drive, s")] = 60.0,
+    seconds: Annotated[float, typer.Option(min=0.1, max=100_000.0, help="length of the drive, s")] = 60.0,
     kidnap: Annotated[float | None, typer.Option(help="carry the robot elsewhere at this second")] = None,
     seed: Annotated[int, typer.Option(min=0, help="the same seed gives the same bytes")] = 1,
-    people: Annotated[int, typer.Option(min=0, help="people who walk about")] = 3,
+    people: Annotated[int, typer.Option(min=0, max=1000, help="people who walk about")] = 3,
     boxes: Annotated[int, typer.Option(min=0, help="boxes that stand about and are not in the map")] = 0,
-    robots: Annotated[int, typer.Option(min=1, help="robots; several are named ROBOT1, ROBOT2, ...")] = 1,
+    robots: Annotated[
+        int, typer.Option(min=1, max=1000, help="robots; several are named ROBOT1, ROBOT2, ...")
+    ] = 1,
     drift: Annotated[
         float,
-        typer.Option(min=0.0, help="times the usual noise of odometry", rich_help_panel="Lidar and odometry"),
+        typer.Option(
+            min=0.0,
+            max=1000.0,
+            help="times the usual noise of odometry",
+            rich_help_panel="Lidar and odometry",
+        ),
     ] = 1.0,
     lidar: Annotated[
         str, typer.Option(metavar="MODEL", help="such as rplidar-a2; a wrong one names all")
     ] = "generic",
     beams: Annotated[
         int | None,
-        typer.Option(min=2, help="beams, instead of the model's", rich_help_panel="Lidar and odometry"),
+        typer.Option(
+            min=2, max=100_000, help="beams, instead of the model's", rich_help_panel="Lidar and odometry"
+        ),
     ] = None,
     fov: Annotated[
         float | None,
@@ -62,12 +72,17 @@ def simulate(
     ] = None,
     range_max: Annotated[
         float | None,
-        typer.Option(min=0.5, help="m of reach, instead of its", rich_help_panel="Lidar and odometry"),
+        typer.Option(
+            min=0.5, max=1000.0, help="m of reach, instead of its", rich_help_panel="Lidar and odometry"
+        ),
     ] = None,
     noise: Annotated[
         float | None,
         typer.Option(
-            min=0.0, help="m, deviation of a range, instead of its", rich_help_panel="Lidar and odometry"
+            min=0.0,
+            max=10.0,
+            help="m, deviation of a range, instead of its",
+            rich_help_panel="Lidar and odometry",
         ),
     ] = None,
     missing: Annotated[
@@ -115,6 +130,8 @@ def simulate(
         raise UsageError("nothing to do: give -o FILE.mcap, --truth FILE.tum, --save-map FILE.yaml or --live")
     if kidnap is not None and not 0 < kidnap < seconds:
         raise UsageError(f"--kidnap {kidnap:g}: give a second between 0 and --seconds {seconds:g}")
+    if save_map:
+        check_map_output("--save-map", save_map, [path for path in (map_file, out, truth, json_file) if path])
     from eigenscan.geometry.gridmap import write_map
     from eigenscan.workbench.simulation.robot import OdometryNoise
     from eigenscan.workbench.simulation.stage import Fleet, Scenario

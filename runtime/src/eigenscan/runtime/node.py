@@ -107,8 +107,7 @@ def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], in
             settings = read()
             code = run(settings, stop)
         except (SettingsError, ContractError, OSError, ValueError) as error:
-            words = one_line(error) if isinstance(error, OSError) else error
-            print(f"eigenscan-{name}: {words}", file=sys.stderr)
+            print(f"eigenscan-{name}: {one_line(error)}", file=sys.stderr)
             code = EXIT_SETTINGS
         except BaseException:
             if settings is None:  # --help: nothing more to print

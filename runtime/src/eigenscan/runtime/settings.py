@@ -95,6 +95,7 @@ class ServiceSettings(BaseModel):
     stop_s: float = Field(
         2.0,
         gt=0.0,
+        le=86_400.0,
         description="seconds that the service may take to stop; give more on a very busy machine or disk",
     )
 

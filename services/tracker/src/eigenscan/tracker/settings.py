@@ -17,8 +17,8 @@ class TrackerSettings(BaseModel):
         description="mixture (default) allows for 'none of these places'; paper follows section 7 of the "
         "paper and assumes that one hypothesis is right",
     )
-    v_max: float = Field(2.0, gt=0, description="m/s, the robot's greatest speed")
-    turn_max: float = Field(3.0, gt=0, description="rad/s, the robot's greatest turn rate")
+    v_max: float = Field(2.0, gt=0, le=1000, description="m/s, the robot's greatest speed")
+    turn_max: float = Field(3.0, gt=0, le=1000, description="rad/s, the robot's greatest turn rate")
     grid_spacing: float = Field(
         0.25, gt=0, description="m, sigma of x and y for a hypothesis whose covariance cannot be used"
     )
@@ -26,23 +26,26 @@ class TrackerSettings(BaseModel):
         0.0175, gt=0, description="rad, sigma of heading for a hypothesis whose covariance cannot be used"
     )
     odometry_slip: float = Field(
-        0.1, ge=0, description="m per sqrt(m), random error of odometry along the path; sideways half of it"
+        0.1,
+        ge=0,
+        le=1000,
+        description="m per sqrt(m), random error of odometry along the path; sideways half of it",
     )
     odometry_turn: float = Field(
-        0.1, ge=0, description="rad per sqrt(rad), random heading error of odometry while turning"
+        0.1, ge=0, le=1000, description="rad per sqrt(rad), random heading error of odometry while turning"
     )
     odometry_veer: float = Field(
-        0.05, ge=0, description="rad per sqrt(m), random heading error of odometry while driving"
+        0.05, ge=0, le=1000, description="rad per sqrt(m), random heading error of odometry while driving"
     )
     patience: float = Field(
-        0.2, ge=0, description="s, by stamps, that hypotheses wait for odometry of the same time"
+        0.2, ge=0, le=3600, description="s, by stamps, that hypotheses wait for odometry of the same time"
     )
     at_once: bool = Field(True, description="publish poses before odometry of their time comes")
     local_fits: bool = Field(
         False,
         description="while localized, fit most scans around the pose",
     )
-    late: float = Field(0.5, ge=0, description="s; hypotheses that come later are rejected")
+    late: float = Field(0.5, ge=0, le=3600, description="s; hypotheses that come later are rejected")
     independence_m: float = Field(
         0.5, gt=0, description="m driven after which a scan counts as independent evidence"
     )

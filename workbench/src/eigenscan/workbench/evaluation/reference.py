@@ -129,7 +129,7 @@ def read_trajectory(path: Path, offset_s: float = 0.0) -> Trajectory:
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file. Raises EvaluationError."""
     try:
-        return path.read_text(encoding="utf-8").splitlines()
+        return path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise EvaluationError(f"{path}: cannot be read: {error.strerror}: check the path") from error
     except UnicodeDecodeError as error:

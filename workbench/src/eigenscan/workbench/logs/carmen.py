@@ -29,7 +29,7 @@ from eigenscan.workbench.logs.carmen_lines import (
     LineError,
     read_line,
 )
-from eigenscan.workbench.logs.log import LogError, LogOptions, in_order, odometry, raw_scan
+from eigenscan.workbench.logs.log import LogError, LogOptions, in_order, odometry, raw_scan, single
 from eigenscan.workbench.logs.stamps import repair_stamps
 from numpy.typing import NDArray
 
@@ -201,7 +201,7 @@ class CarmenLog:
             angle_min=geometry.angle_min,
             angle_increment=geometry.angle_increment,
             range_max=range_max,
-            ranges=ranges.astype(np.float32).tolist(),
+            ranges=single(ranges),
         )
 
     def _kinds(self, survey: _Survey) -> dict[str, str]:

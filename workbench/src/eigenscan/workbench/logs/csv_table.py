@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 from eigenscan.schemas.envelope import Envelope
-from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogError, LogOptions, in_order, odometry, raw_scan
+from eigenscan.workbench.logs.log import (
+    RECORDER_LAG_NS,
+    LogError,
+    LogOptions,
+    in_order,
+    odometry,
+    raw_scan,
+    single,
+)
 from numpy.typing import NDArray
 
 TIME, LIDAR = "time_s", "lidar"
@@ -178,7 +186,7 @@ class CsvLog:
             angle_increment=float(step),
             range_min=low,
             range_max=high,
-            ranges=ranges.astype(np.float32).tolist(),
+            ranges=single(ranges),
         )
 
     def _lines(self) -> Iterator[_Line]:

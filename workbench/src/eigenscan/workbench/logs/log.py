@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 from eigenscan.geometry.pose import to_message, to_pose3
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 ODOMETRY_FRAME = "odom"
 BASE_FRAME = "base_link"
@@ -76,6 +77,13 @@ def raw_scan(options: LogOptions, lidar: str, time: int, mount: ArrayLike, **fie
     message = RawScan(timestamp=stamp(time), mount=to_message(mount), **fields)
     place(options, lidar, message)
     return Envelope(SCAN_RAW, {"site": options.site, "robot": options.robot, "lidar": lidar}, message)
+
+
+def single(ranges: NDArray[np.float64]) -> list[float]:
+    """Ranges as a message holds them; a range above all that it can hold is infinite, so no return."""
+    with np.errstate(over="ignore"):
+        held: list[float] = ranges.astype(np.float32).tolist()
+    return held
 
 
 def place(options: LogOptions, lidar: str, message: RawScan) -> None:
