@@ -1,5 +1,6 @@
 """What a clumsy user names: an output that is an input too, a file without an end, a disk that is full."""
 
+import io
 import json
 import os
 import shlex
@@ -7,7 +8,11 @@ from pathlib import Path
 
 import pytest
 from eigenscan.cli.figures import prepare
+from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.runtime.session import open_session
+from eigenscan.schemas.channels import ContractError
+from eigenscan.workbench.playback.controls import Script
 
 from tests.command import eigenscan
 
@@ -153,6 +158,15 @@ def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
         ("import drive.mcap -o a.mcap --robot 'r 1'", "--robot 'r 1': a name has no blanks"),
         ("simtest --robots 100000", "less than or equal to 100"),
         ("simulate -o a.mcap --seconds inf", "--seconds"),
+        ("play drive.mcap --wait 0 --from 1e308", "--from"),
+        ("play drive.mcap --wait 0 --robots 1000000000", "--robots"),
+        ("view drive.mcap --no-open --rrd a.mcap --at 1e308", "--at"),
+        ("doctor --seconds inf", "--seconds"),
+        ("fleet status --once --seconds inf", "--seconds"),
+        ("fleet fetch r1 --from 1m --seconds inf", "--seconds"),
+        ("fleet fetch r1 --from 1m --out map.yaml", "--out map.yaml: is no folder: name one"),
+        (f"fleet fetch r1 --from {'9' * 400}h", "--from"),
+        ("fleet relocate r1 --search --seconds 1e308", "--seconds"),
         ("simulate -o a.mcap --seconds 1e300", "--seconds"),
         ("simulate -o a.mcap --seconds 1 --people 1000000000", "--people"),
         ("simulate -o a.mcap --seconds 1 --robots 100000", "--robots"),
@@ -215,3 +229,22 @@ def test_what_a_recorder_wrote_is_not_replaced(folder: Path, typed: str, option:
 def test_what_a_simulation_wrote_may_be_written_again(folder: Path) -> None:
     assert eigenscan("simulate", "--seconds", 1, "-o", "drive.mcap").returncode == 0
     assert (folder / "drive.mcap").exists()
+
+
+def test_a_recording_cut_before_its_first_chunk_holds_nothing_to_play(folder: Path) -> None:
+    """It was said to last -18446744073.7 s."""
+    (folder / "cut.mcap").write_bytes((folder / "drive.mcap").read_bytes()[:2000])
+    result = eigenscan("play", "cut.mcap", "--wait", 0)
+    assert result.returncode == 2, result.stderr
+    assert "cut.mcap: holds no message: it ends before the first whole chunk" in result.stderr
+
+
+@pytest.mark.parametrize("line", ["seek 1e308", "skip -1e308", "seek nan", "skip inf"])
+def test_a_seek_that_no_stamp_can_count_is_no_command(line: str) -> None:
+    with pytest.raises(UsageError, match="is no command"):
+        Script(io.StringIO(line)).wait(5.0)
+
+
+def test_an_endpoint_that_is_none_is_named() -> None:
+    with pytest.raises(ContractError, match=r"^--listen nonsense: .*<protocol>/<address>"):
+        open_session(None, listen=["nonsense"])

@@ -75,12 +75,12 @@ def conform(
             places["map"] = str(vectors.folder() / vectors.MAP_FILE)
         trial = Trial(session, others, seen, Terms(start, speed=speed, patience=patience))
         trial.prepare()
-        with Candidate(command, places, Path(place) / "log.txt") as candidate:
+        with Candidate(command, places) as candidate:
             trial.run(candidate)
         if profile.records:
             seen.kept = judge_whole(Path(place) / "ended", seen.published)
             again = places | {"recording": str(Path(place) / "killed")}
-            with Candidate(command, again, Path(place) / "killed.txt") as candidate:
+            with Candidate(command, again) as candidate:
                 killed = trial.kill(candidate)
             seen.kept.append(judge_killed(Path(place) / "killed", seen.published, killed, patience))
     checks = judge(seen, latency, patience)

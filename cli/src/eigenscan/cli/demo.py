@@ -27,10 +27,12 @@ def demo(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="folder for all files; out/demo-<time> without it")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=10.0, help="length; the kidnap is halfway, s")] = 60.0,
+    seconds: Annotated[
+        float, typer.Option(min=10.0, max=100_000.0, help="length; the kidnap is halfway, s")
+    ] = 60.0,
     speed: Annotated[float, typer.Option(min=0.1, max=20.0, help="times faster than real time")] = 1.0,
     seed: Annotated[int, typer.Option(min=0, help="of route, noise and people")] = 1,
-    people: Annotated[int, typer.Option(min=0, help="people who walk about")] = 3,
+    people: Annotated[int, typer.Option(min=0, max=1000, help="people who walk about")] = 3,
     json_file: JsonFile = None,
     map_option: Annotated[Path | None, typer.Option("--map", hidden=True)] = None,
 ) -> None:

@@ -26,7 +26,7 @@ def doctor(
     robot: Annotated[
         list[str] | None, typer.Option(help="a robot that must be there; repeat for more")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="listening time, s")] = 5.0,
+    seconds: Annotated[float, typer.Option(min=1.0, max=86_400.0, help="listening time, s")] = 5.0,
     json_file: JsonFile = None,
 ) -> None:
     """Find what is wrong with a deployment: one line for each fault, and one with its fix.

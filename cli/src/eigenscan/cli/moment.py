@@ -11,6 +11,8 @@ import typer
 from eigenscan.runtime.errors import UsageError
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
+MOST_S = 1e9
+"""Thirty years: more seconds than a recording has, fewer than a stamp can count."""
 METAVAR = "<s or hh:mm[:ss]>"
 
 
@@ -52,7 +54,7 @@ def moment(text: str | Moment) -> Moment:
         seconds = float(text)
     except ValueError:
         seconds = math.nan
-    if not 0.0 <= seconds < math.inf:
+    if not 0.0 <= seconds <= MOST_S:
         raise typer.BadParameter(f"{text!r}: give s from the recording's start, or UTC as 03:12 or 03:12:30")
     return Moment(seconds)
 
@@ -76,9 +78,9 @@ def instant(option: str, text: str, now: int) -> int:
     """
     if text == "now":
         return now
-    if ago := _AGO.fullmatch(text):
-        return now - int(float(ago[1]) * _UNITS_S[ago[2]] * 1e9)
     try:
+        if ago := _AGO.fullmatch(text):
+            return max(0, now - int(float(ago[1]) * _UNITS_S[ago[2]] * 1e9))
         if _CLOCK.fullmatch(text):
             today = datetime.fromtimestamp(now * 1e-9, UTC)
             midnight = today.replace(hour=0, minute=0, second=0, microsecond=0)

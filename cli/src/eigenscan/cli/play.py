@@ -61,7 +61,8 @@ def play(
         typer.Option(help="play this robot alone; of a recording that holds one: play it under this name"),
     ] = None,
     robots: Annotated[
-        int | None, typer.Option(min=1, help="play its one robot as so many: r-001, r-002, and so on")
+        int | None,
+        typer.Option(min=1, max=1000, help="play its one robot as so many: r-001, r-002, and so on"),
     ] = None,
     stamps: Annotated[
         Stamps, typer.Option(help="as recorded, or shifted to the present, without ever going back")

@@ -54,7 +54,8 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     try:
         config = zenoh.Config.from_file(str(path)) if path else _this_machine(mode, listen)
     except zenoh.ZError as error:
-        raise ContractError(f"{path}: is no Zenoh configuration (JSON5): {_reason(error)}") from error
+        what = f"{path}: is no Zenoh configuration (JSON5)" if path else f"--listen {' '.join(listen)}"
+        raise ContractError(f"{what}: {_reason(error)}") from error
     _deepen_urgent_queues(config)
     _leave_shared_memory(config)
     try:

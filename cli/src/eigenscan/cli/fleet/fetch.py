@@ -29,7 +29,7 @@ def fetch(
     ] = None,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="s to wait for each answer")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=1.0, max=86_400.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,
 ) -> None:
     """Fetch a robot's recordings of a period.
@@ -57,6 +57,8 @@ def fetch(
 
     prepare(json_file)
     folder = out or Path("out/fetched") / robot
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder}: is no folder: name one")
     with connect(zenoh) as session:
         ask = asker(session, site, robot, seconds)
         parts = parts_within(ask, robot, begin_ns, end_ns)

@@ -31,7 +31,7 @@ def relocate(
     sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
-    seconds: Annotated[float, typer.Option(min=1.0, help="s to wait for each answer")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=1.0, max=86_400.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,
     former_search: Annotated[bool, typer.Option("--anew", hidden=True)] = False,
 ) -> None:

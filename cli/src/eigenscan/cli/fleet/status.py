@@ -24,7 +24,9 @@ def status(
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     once: Annotated[bool, typer.Option("--once", help="print the table once and end")] = False,
-    seconds: Annotated[float, typer.Option(min=0.1, help="with --once or --json: listening time, s")] = 3.0,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=86_400.0, help="with --once or --json: listening time, s")
+    ] = 3.0,
     json_file: JsonFile = None,
 ) -> None:
     """Show each robot of a site: state, confidence, pose, map, and its age. Ctrl-C ends it.

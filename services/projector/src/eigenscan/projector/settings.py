@@ -40,10 +40,13 @@ class ProjectorSettings(BaseModel):
     obstacles: Literal["walls", "reconstruction"] = Field(
         "walls", description="what beams are compared with: walls, or the scan's reconstruction (paper, 6)"
     )
-    candidates: int = Field(3000, ge=1, description="nearest poses in the eigenspace that are verified")
+    candidates: int = Field(
+        3000, ge=1, le=1_000_000, description="nearest poses in the eigenspace that are verified"
+    )
     refined: int = Field(
         200,
         ge=2,
+        le=1_000_000,
         description="candidates refined below the grid on 1,000 m2; grows with the square root of the area",
     )
     published: int = Field(30, ge=1, le=300, description="most hypotheses published for a scan")

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 STEP_S, LEAP_S = 5.0, 60.0
 
 
+MOST_S = 1e9
+"""Thirty years: farther than any recording goes."""
+
+
 class Do(Enum):
     """Commands of a playback."""
 
@@ -122,6 +126,8 @@ def _command(line: str) -> Command:
     try:
         do = Do(word)
         (seconds,) = map(float, rest) if do in {Do.SKIP, Do.SEEK} else [0.0]
+        if not abs(seconds) <= MOST_S:
+            raise ValueError
     except ValueError:
         known = ", ".join(f"{do.value} S" if do in {Do.SKIP, Do.SEEK} else do.value for do in Do)
         raise UsageError(f"standard input: {line.strip()!r} is no command; choose one of {known}") from None

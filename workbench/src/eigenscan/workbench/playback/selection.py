@@ -63,6 +63,9 @@ def select(
     if end_s is not None and end_s <= begin_s:
         raise UsageError(f"--to {end_s:g}: must be after --from {begin_s:g}")
     found = contents(file)
+    if not found.messages:
+        cut = "" if found.complete else ": it ends before the first whole chunk"
+        raise UsageError(f"{file}: holds no message{cut}")
     keys = frozenset(_keys(found, only))
     robots = _robots(keys)
     chosen = robot if robot in robots else None
