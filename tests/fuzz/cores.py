@@ -254,7 +254,7 @@ def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
             service.contracts.add("1")
         for finding in diagnose(view):
             assert "\x1b" not in finding.where
-        rows(view)
+        json.dumps(rows(view), allow_nan=False)
         Console(file=io.StringIO()).print(table(view))
         collector = SiteCollector(view)
         generate_latest(collector)

@@ -46,6 +46,9 @@ FORGOTTEN_S = 24 * 3600.0
 MOST_SETTINGS = 20_000
 """Longest settings of a service, in characters: ten times our longest."""
 
+FARTHEST_M = 1e7
+"""m from the map frame's origin, at most: as far as maps may lie from it."""
+
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
 
@@ -79,6 +82,14 @@ def settings_in(text: str) -> Mapping[str, str]:
     except (ValueError, RecursionError):
         return {}
     return found
+
+
+def _is_sound(pose: PoseEstimate) -> bool:
+    """Whether a pose is one that can be shown: finite, in a world of a fair size, its confidence a share."""
+    places = pose.pose, pose.floor_pose
+    return 0 <= pose.confidence <= 1 and all(
+        abs(value) <= FARTHEST_M for at in places for value in (at.x, at.y, at.theta)
+    )
 
 
 @dataclass
@@ -225,6 +236,8 @@ class FleetView:
         if isinstance(message, ModelSet):
             self.model_version = message.version
         elif isinstance(message, PoseEstimate):
+            if not _is_sound(message):
+                return []  # anyone may publish one; no tracker of ours does
             robot = self.robots.setdefault(address["robot"], Robot(address["robot"]))
             robot.pose, robot.received_at = message, now
             return [message]
