@@ -16,7 +16,6 @@ Array = NDArray[np.float64]
 NS = 1_000_000_000
 NOISE_M = 0.01
 """Sigma of a range's noise: a lidar's of today."""
-DELAY_S = 5.0
 ROOM_M = (6.0, 4.0)
 """Sides of the invented room."""
 ROOM_TURN = 0.5
@@ -121,20 +120,25 @@ def frozen(noise: float, after_s: float = 0.0) -> Fault:
     return fault
 
 
-def delayed(stretch: Stretch) -> Stretch:
-    by, received = round(DELAY_S * NS), list[Envelope]()
-    last = max(e.stamp for e in stretch.received)
-    for original in stretch.received:
-        envelope = original
-        if envelope.channel is SCAN_RAW:
-            if envelope.stamp + by > last:
-                continue
-            message = RawScan()
-            message.CopyFrom(envelope.open(RawScan))
-            message.timestamp.CopyFrom(stamp(envelope.stamp + by))
-            envelope = Envelope(SCAN_RAW, envelope.address, message)
-        received.append(envelope)
-    return stretch.publishing(received)
+def late(seconds: float) -> Fault:
+    """Each scan is stamped so much after it was taken; before it, if that is negative."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        by, received = round(seconds * NS), list[Envelope]()
+        stamps = [e.stamp for e in stretch.received]
+        for original in stretch.received:
+            envelope = original
+            if envelope.channel is SCAN_RAW:
+                if not min(stamps) <= envelope.stamp + by <= max(stamps):
+                    continue
+                message = RawScan()
+                message.CopyFrom(envelope.open(RawScan))
+                message.timestamp.CopyFrom(stamp(envelope.stamp + by))
+                envelope = Envelope(SCAN_RAW, envelope.address, message)
+            received.append(envelope)
+        return stretch.publishing(received)
+
+    return fault
 
 
 def mirror(message: RawScan, _: int, __: Stretch) -> None:
@@ -320,7 +324,8 @@ FAULTS: dict[str, Fault] = {
     "frozen, noise": frozen(NOISE_M),
     "frozen after 10 s": frozen(0.0, 10.0),
     "frozen after 10 s, noise": frozen(NOISE_M, 10.0),
-    "delayed by 5 s": delayed,
+    "delayed by 5 s": late(5.0),
+    "clock 1.5 s behind": late(-1.5),
     "mirrored": scans_changed(mirror),
     "mount off by 90 deg": mount_off(90.0),
     "mount off by 180 deg": mount_off(180.0),

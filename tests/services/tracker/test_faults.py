@@ -81,7 +81,8 @@ def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(rows: list[
 def test_each_fault_predicts_its_motion(moved: Pose, since: float) -> None:
     passed = np.column_stack([np.arange(-9.0, 4.0, 0.1), np.zeros((130, 2)), np.zeros(130)])
     passed[:, 1] = 0.5 * passed[:, 0] ** 2
-    got = model._predicted(moved, passed, since, since + 0.2)
+    scans, seen = (0.1, 0.02, -0.03), passed * [1.0, 2.0, 0.0, 0.0]
+    got = model._predicted(moved, passed, scans, seen, since, since + 0.2)
     x, y, turn = moved
     assert got[model.AGREE] == pytest.approx(moved)
     assert got[model.FROZEN] == pytest.approx((0, 0, 0))
@@ -93,7 +94,10 @@ def test_each_fault_predicts_its_motion(moved: Pose, since: float) -> None:
         )
     for state, late in enumerate(model.LATE_BY, model.LATE):
         at = since - late
-        assert got[state] == pytest.approx((0.5 * (at + 0.2) ** 2 - 0.5 * at**2, 0, 0), abs=0.002)
+        way = 0.5 * (at + 0.2) ** 2 - 0.5 * at**2
+        assert got[state] == pytest.approx((way, 0, 0), abs=0.002)
+        off = np.array(scans) - got[model.EARLY + state - model.LATE]
+        assert off == pytest.approx((x - 2.0 * way, y, turn), abs=0.004)
 
 
 def test_what_agrees_is_trusted_and_a_delay_of_seconds_is_named(trail: OdometryTrail) -> None:
@@ -103,6 +107,17 @@ def test_what_agrees_is_trusted_and_a_delay_of_seconds_is_named(trail: OdometryT
     assert right.trust > 0.99
     assert late.trust < 0.01
     assert "2.0 s after" in late.cause
+
+
+def test_scans_of_a_clock_that_is_behind_are_named() -> None:
+    trail, early = OdometryTrail(VelocityGate(2.0, 3.0)), Faults()
+    pose: Pose = (0.0, 0.0, 0.0)
+    for step in range(1500):
+        trail.take(10 * NS + step * 20_000_000, pose)
+        pose = compose(pose, (0.01, 0.0, 0.012 * np.sin(2e-4 * step**2)))  # never the same again
+    play(early, trail, range(30, 90), late_s=-2.0, noise=1.0)
+    assert early.trust < 0.01
+    assert "2.0 s before odometry" in early.cause
 
 
 def drive(turns: Sequence[float], seen: Sequence[Pose], ahead2: float) -> list[tuple[float, str]]:

@@ -155,7 +155,8 @@ def test_however_exact_a_robot_is_its_mirrored_lidar_is_rarely_taken_as_right(
         set_up, only, proven = SetUp(1, len(EXACT)), np.ones(1, dtype=np.bool_), False
         for _ in range(50):
             turn = radians(0.5) * float(rng.standard_normal())
-            predicted = _predicted((0.1, 0.0, turn), past, 50.0, 50.6)
+            moved = 0.1, 0.0, turn
+            predicted = _predicted(moved, past, moved, past, 50.0, 50.6)
             sigma = np.array([SIGMA_M, SIGMA_M, SIGMA_RAD]) + SIGMA_SHARE * np.array([0.1, 0.1, abs(turn)])
             off = rng.standard_normal(3) * sigma * [way_share, way_share, turn_share]
             x, y, turned = off + np.array([0.1, 0.0, -turn])

@@ -1,8 +1,8 @@
 """Which fault, if any, explains how the scans of a lidar moved: a hidden Markov model of usual faults.
 
 Each state predicts the motion between two scans from odometry's: as odometry says, not at all from a frozen
-lidar, sideways from one whose mount is turned, as odometry was some seconds ago from one that is late. What
-the scans show then tells the states apart (forward algorithm; Rabiner, "A tutorial on hidden Markov models",
+lidar, sideways from one whose mount is turned, as odometry was some seconds ago from one that is late. From
+one that is early, odometry moves as the scans did. What the scans show then tells the states apart (forward algorithm; Rabiner, "A tutorial on hidden Markov models",
 Proc. IEEE 1989). A motion that two states predict alike decides nothing between them.
 """
 
@@ -17,7 +17,7 @@ from eigenscan.tracker.calibration import TURNED as TURNED_BY
 from eigenscan.tracker.calibration import Calibration
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.odometry import Motion, OdometryTrail
-from eigenscan.tracker.past import Past
+from eigenscan.tracker.past import PastOdometry, PastScans
 from eigenscan.tracker.planar import IDENTITY, Pose, wrap
 from eigenscan.tracker.scan_motion import (
     EXACT,
@@ -61,9 +61,9 @@ BACKS, BACKS_KNOWN, FORWARDS = 1e-5, 0.01, 0.2
 """Chances, an interval, that a robot begins to drive backwards, its encoders without a sign: before it was
 seen to, and after; and that it ceases to."""
 LATE_S, LATEST_S, LATE_STEP_S = 0.5, 8.0, 0.25
-"""s: scans are tried as so much late, in such steps (less is learned: `lateness`)."""
+"""s: scans are tried as so much late, and early, in such steps (less is learned: `lateness`)."""
 GOES_ON = 0.9
-"""How probably a late scan, from before the first odometry, shows a robot that moved as it then did."""
+"""How probably a robot moved before the first odometry, or scan, as it then did."""
 TURNED = np.array([radians(angle) for angle in range(30, 345, 15) if abs(angle - 180) > 20])
 """rad, angles by which a mount may be turned."""
 QUIET_M, QUIET_RAD = 0.005, 0.005
@@ -117,9 +117,13 @@ _KINDS = (
         len(LATE_BY), FAULTY, BEGINS, ENDS,
         "scans come {} s after odometry of the same stamp: are they delayed?",
     ),
+    _Kind(
+        len(LATE_BY), FAULTY, BEGINS, ENDS,
+        "scans show each motion {} s before odometry does: are their clocks apart, or is odometry delayed?",
+    ),
 )  # fmt: skip
 _FIRST = np.cumsum([1, *(kind.count for kind in _KINDS)])
-FROZEN, UNRELATED, ODOMETRY_STANDS, REVERSED, MIRRORED, MOUNT_TURNED, LATE = _FIRST[2:-1].tolist()
+FROZEN, UNRELATED, ODOMETRY_STANDS, REVERSED, MIRRORED, MOUNT_TURNED, LATE, EARLY = _FIRST[2:-1].tolist()
 ALIKE = UNRELATED + 1
 RIGHT = np.array([AGREE, SLIPPING, BACKWARDS])
 """States of a set-up that is right."""
@@ -166,7 +170,7 @@ class Faults:
         self._calibration = Calibration()
         self.without_sign = False
         """Whether the robot was seen to drive backwards while odometry counted on."""
-        self._past = Past(LATEST_S, LATE_STEP_S)
+        self._past, self._seen = PastOdometry(LATEST_S, LATE_STEP_S), PastScans(LATEST_S, LATE_STEP_S)
         self._no_fit = 0.0
         """How often scans did not fit each other lately."""
         self._ways = [0.0, 0.0]
@@ -213,11 +217,11 @@ class Faults:
         at = int(np.argmax(self.probability[_FIRST[kind] : _FIRST[kind + 1]]))
         if _FIRST[kind] == MOUNT_TURNED:
             return _KINDS[kind].name.format(round(degrees(wrap(float(TURNED[at])))))
-        return _KINDS[kind].name.format(float(LATE_BY[at]) if _FIRST[kind] == LATE else 0.0)
+        return _KINDS[kind].name.format(float(LATE_BY[at]) if _FIRST[kind] >= LATE else 0.0)
 
     def restart(self) -> None:
         """Odometry's stamps begin again."""
-        self._past = Past(LATEST_S, LATE_STEP_S)
+        self._past, self._seen = PastOdometry(LATEST_S, LATE_STEP_S), PastScans(LATEST_S, LATE_STEP_S)
 
     def take_apart(self) -> None:
         """Two scans that must have much in common do not fit each other."""
@@ -236,12 +240,16 @@ class Faults:
         """
         self._no_fit *= 1.0 - NEWEST
         self._past.take(since, driven.seconds, trail)
+        if scans != IDENTITY:  # a repeated scan shows no motion of the lidar
+            self._seen.take(since, driven.seconds, scans)
         begun = since * 1e-9
-        predicted = _predicted(driven.delta, self._past.poses, begun, begun + driven.seconds)
+        stretch = begun, begun + driven.seconds
+        predicted = _predicted(driven.delta, self._past.poses, scans, self._seen.poses, *stretch)
         by_exactness = _log_likelihoods(scans, spread, turn_variance, predicted)
-        late = np.arange(LATE, _STATES)[begun - LATE_BY < self._past.known_since]
+        known_since = np.repeat([self._past.known_since, self._seen.known_since], len(LATE_BY))
+        guessed = np.arange(LATE, _STATES)[begun - np.tile(LATE_BY, 2) < known_since]
         anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
-        by_exactness[:, late] = np.logaddexp(by_exactness[:, late] + log(GOES_ON), anyhow)
+        by_exactness[:, guessed] = np.logaddexp(by_exactness[:, guessed] + log(GOES_ON), anyhow)
         # an interval may turn as exactly as any: one that is less exact is no fault. The way counts by its
         # whole sigma, for in a bare hallway a fit may find that the robot stood
         turns = by_exactness[: len(SHARES)].copy()
@@ -253,7 +261,6 @@ class Faults:
         self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
-        # a repeated scan shows no motion of the lidar
         if scans != IDENTITY and not _stands(predicted[AGREE]):
             self._calibration.take(scans, spread, driven.delta, driven.way)
         if self.backwards and not self.without_sign:
@@ -263,10 +270,11 @@ class Faults:
         return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
 
     def _is_wrong(self) -> Flags:
-        """In which states (n,) a pose of now is wrong: late scans do no harm to a robot that hardly moved."""
+        """In which states (n,) a pose of now is wrong: wrong stamps do no harm to a robot that hardly moved."""
         wrong = np.ones(_STATES, dtype=np.bool_)
-        way, turn = self._past.moved(LATE_BY)
-        wrong[LATE:] = (way > NEAR_M / 2.0) | (turn > NEAR_RAD / 2.0)
+        for first, past in ((LATE, self._past), (EARLY, self._seen)):
+            way, turn = past.moved(LATE_BY)
+            wrong[first : first + len(LATE_BY)] = (way > NEAR_M / 2.0) | (turn > NEAR_RAD / 2.0)
         return wrong
 
     def _weigh(self, log_likelihood: Array) -> Array:
@@ -285,11 +293,25 @@ def _at(passed: Array, stamp: float) -> Pose:
     return a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]), a[3] + share * (b[3] - a[3])
 
 
-@njit("f8[:,::1](UniTuple(f8, 3), f8[:,:], f8, f8)", cache=True)  # pragma: no cover - compiled
-def _predicted(moved: Pose, passed: Array, since: float, until: float) -> Array:
+@njit("UniTuple(f8, 3)(f8[:,:], f8, f8)", cache=True)  # pragma: no cover - compiled
+def _moved(passed: Array, since: float, until: float) -> Pose:
+    """Motion between two stamps, s; NaN before the first."""
+    if not len(passed) or since < passed[0, 0]:
+        return np.nan, np.nan, np.nan
+    start, end = _at(passed, since), _at(passed, until)
+    c, s = np.cos(start[2]), np.sin(start[2])
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    return c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
+
+
+@njit(  # pragma: no cover - compiled
+    "f8[:,::1](UniTuple(f8, 3), f8[:,:], UniTuple(f8, 3), f8[:,:], f8, f8)", cache=True
+)
+def _predicted(moved: Pose, passed: Array, scans: Pose, seen: Array, since: float, until: float) -> Array:
     """Motion of the scans (n, 3) that each state predicts from odometry's; NaN where one predicts none.
 
-    `passed` (m, 4) is where odometry was: s, m, m, rad.
+    `passed` and `seen` (m, 4) are where odometry and scans were: s, m, m, rad. Of early scans, what is
+    predicted is odometry's motion: it counts by how far it is off.
     """
     x, y, turn = moved
     result = np.empty((_STATES, 3))
@@ -303,15 +325,11 @@ def _predicted(moved: Pose, passed: Array, since: float, until: float) -> Array:
         result[MOUNT_TURNED + i, 0], result[MOUNT_TURNED + i, 1] = c * x - s * y, s * x + c * y
     result[UNRELATED] = result[ODOMETRY_STANDS] = np.nan
     for i in range(len(LATE_BY)):
-        a, b = since - LATE_BY[i], until - LATE_BY[i]
-        if not len(passed) or a < passed[0, 0]:
-            result[LATE + i] = np.nan
-            continue
-        start, end = _at(passed, a), _at(passed, b)
-        c, s = np.cos(start[2]), np.sin(start[2])
-        dx, dy = end[0] - start[0], end[1] - start[1]
-        result[LATE + i, 0], result[LATE + i, 1] = c * dx + s * dy, c * dy - s * dx
-        result[LATE + i, 2] = end[2] - start[2]
+        result[LATE + i] = _moved(passed, since - LATE_BY[i], until - LATE_BY[i])
+        early = _moved(seen, since - LATE_BY[i], until - LATE_BY[i])
+        result[EARLY + i] = (
+            scans[0] + early[0] - x, scans[1] + early[1] - y, scans[2] + early[2] - turn
+        )  # fmt: skip
     return result
 
 

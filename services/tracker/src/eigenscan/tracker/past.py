@@ -1,4 +1,4 @@
-"""Where odometry was in the last seconds: what scans that come late would show."""
+"""Where odometry and scans were in the last seconds: what the other shows if its stamps are late."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 from eigenscan.tracker.odometry import OdometryTrail
-from eigenscan.tracker.planar import Pose, compose, inverse, scaled, wrap
+from eigenscan.tracker.planar import IDENTITY, Pose, compose, inverse, scaled, wrap
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -15,8 +15,8 @@ KEPT = 256
 """Samples that are kept, at least half of them."""
 
 
-class Past:
-    """Poses of odometry at steps of some tenths of a second."""
+class _Past:
+    """Poses at steps of some tenths of a second; before the first one, as if the robot had moved as it then did."""
 
     def __init__(self, longest_s: float, step_s: float) -> None:
         self._longest, self._step = round(1e9 * longest_s), round(1e9 * step_s)
@@ -30,13 +30,41 @@ class Past:
         return self._kept[: self._count]
 
     def moved(self, seconds: Array) -> tuple[Array, Array]:
-        """How far odometry has come over the last `seconds` (n,): m and rad, none where it has not come."""
+        """How far the robot has come over the last `seconds` (n,): m and rad, none where nothing is known."""
         poses = self.poses
         if not len(poses):
             return np.zeros(len(seconds)), np.zeros(len(seconds))
         then = poses[np.searchsorted(poses[:, 0], poses[-1, 0] - seconds)]
         off = np.abs(poses[-1, 1:] - then[:, 1:])
         return np.hypot(off[:, 0], off[:, 1]), off[:, 2]
+
+    def _guess(self, pose: Pose, moved: Pose, begin: int, earliest: int) -> None:
+        """Keeps where the robot was before `begin`, ns, if each step moved it so to the pose it had there."""
+        back, guessed = inverse(moved), list[tuple[int, Pose]]()
+        for stamp in range(begin - self._step, earliest - self._step, -self._step):
+            pose = compose(pose, back)
+            guessed.append((stamp, pose))
+        for stamp, where in reversed(guessed):
+            self._keep(stamp, where)
+        self.known_since = begin * 1e-9
+
+    def _keep(self, stamp: int, pose: Pose) -> None:
+        """Keeps where odometry was at a stamp, ns, that is newer than the last."""
+        before = self._kept[self._count - 1] if self._count else None
+        x, y, heading = pose
+        if before is not None:
+            if stamp * 1e-9 <= before[0]:
+                return
+            heading = before[3] + wrap(heading - before[3])
+        if self._count == len(self._kept):
+            self._count //= 2
+            self._kept[: self._count] = self._kept[self._count :]
+        self._kept[self._count] = stamp * 1e-9, x, y, heading
+        self._count += 1
+
+
+class PastOdometry(_Past):
+    """Poses of odometry."""
 
     def take(self, since: int, seconds: float, trail: OdometryTrail) -> None:
         """Keeps where odometry was at steps of an interval."""
@@ -59,25 +87,22 @@ class Past:
             (stamp, sample.chained) for stamp in range(begin, since, step) if (sample := trail.at(stamp))
         ]
         until = min(begin + step, since + round(1e9 * seconds))
-        back = inverse(scaled(trail.between(begin, until).delta, step / max(until - begin, 1)))
-        pose, guessed = known[0][1] if known else oldest.chained, list[tuple[int, Pose]]()
-        for stamp in range(begin - step, earliest - step, -step):
-            pose = compose(pose, back)
-            guessed.append((stamp, pose))
-        for stamp, where in (*reversed(guessed), *known):
+        moved = scaled(trail.between(begin, until).delta, step / max(until - begin, 1))
+        self._guess(known[0][1] if known else oldest.chained, moved, begin, earliest)
+        for stamp, where in known:
             self._keep(stamp, where)
-        self.known_since = begin * 1e-9
 
-    def _keep(self, stamp: int, pose: Pose) -> None:
-        """Keeps where odometry was at a stamp, ns, that is newer than the last."""
-        before = self._kept[self._count - 1] if self._count else None
-        x, y, heading = pose
-        if before is not None:
-            if stamp * 1e-9 <= before[0]:
-                return
-            heading = before[3] + wrap(heading - before[3])
-        if self._count == len(self._kept):
-            self._count //= 2
-            self._kept[: self._count] = self._kept[self._count :]
-        self._kept[self._count] = stamp * 1e-9, x, y, heading
-        self._count += 1
+
+class PastScans(_Past):
+    """Poses by scan motion alone."""
+
+    def take(self, since: int, seconds: float, moved: Pose) -> None:
+        """Keeps the end of an interval; one that does not begin where the last one ended begins anew."""
+        until = since + round(1e9 * seconds)
+        if not self._count or abs(self.poses[-1, 0] - since * 1e-9) > 1e-3:
+            self._count = 0
+            step = scaled(moved, self._step / max(until - since, 1))
+            self._guess(IDENTITY, step, since, since - self._longest)
+            self._keep(since, IDENTITY)
+        x, y, heading = self.poses[-1, 1:].tolist()
+        self._keep(until, compose((x, y, heading), moved))
