@@ -153,6 +153,26 @@ def mount_off(degrees: float) -> Fault:
     return scans_changed(change)
 
 
+def knocked(degrees: float, after_s: float) -> Fault:
+    """Someone knocks the lidar: from some time on it looks so much farther left than is stated."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        begins = min(e.stamp for e in stretch.received) + round(after_s * NS)
+
+        def change(message: RawScan, _: int, __: Stretch) -> None:
+            if message.timestamp.seconds * NS + message.timestamp.nanos < begins:
+                return
+            beams, ranges = round(np.radians(degrees) / message.angle_increment), np.asarray(message.ranges)
+            turned = np.roll(ranges, -beams)
+            if len(ranges) * message.angle_increment < 2.0 * np.pi - 0.05:
+                turned[len(ranges) - beams :] = np.nan  # what it now sees there was not seen before
+            put(message, turned)
+
+        return scans_changed(change)(stretch)
+
+    return fault
+
+
 def mount_away(metres: float) -> Fault:
     def change(message: RawScan, _: int, __: Stretch) -> None:
         message.mount.x += metres
@@ -331,6 +351,7 @@ FAULTS: dict[str, Fault] = {
     "mount off by 180 deg": mount_off(180.0),
     "mount off by 10 deg": mount_off(10.0),
     "mount off by 0.8 m": mount_away(0.8),
+    "knocked by 15 deg after 10 s": knocked(15.0, 10.0),
     "no returns beyond 3 m": ranges_changed(lambda ranges: np.where(ranges > 3.0, np.inf, ranges)),
     "ranges 10 % too short": ranges_changed(lambda ranges: 0.9 * ranges),
     "ranges 0.3 m too long": ranges_changed(lambda ranges: ranges + 0.3),

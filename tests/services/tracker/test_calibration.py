@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import cos, hypot, pi, radians, sin
 
 import numpy as np
@@ -87,6 +88,45 @@ def test_ranges_a_tenth_off_are_never_proven(scale: float) -> None:
 @pytest.mark.parametrize("scale", [0.96, 1.0, 1.04])
 def test_wheels_a_little_off_prove_the_ranges_all_the_same(scale: float) -> None:
     assert calibrated(np.zeros(3), scale).proven > 0.99
+
+
+def straight_on(found: Calibration, yaw: Callable[[int], float], intervals: int) -> None:
+    """Takes motions straight on, seen by a lidar whose mount is turned."""
+    for number in range(intervals):
+        seen = (0.2 * cos(yaw(number)), 0.2 * sin(yaw(number)), 0.0)
+        found.take(seen, SPREAD, (0.2, 0.0, 0.0), 0.2)
+
+
+def test_a_knocked_mount_is_not_proven_until_motion_has_measured_it_again() -> None:
+    found = calibrated(np.zeros(3))
+    assert found.proven > 0.99
+    found.suspect_turn(radians(15.0), 0.0)
+    assert found.proven <= 0.9
+    straight_on(found, lambda _: radians(15.0), 4)
+    assert found.yaw == pytest.approx(radians(15.0), abs=radians(3.0))
+    assert found.proven < 0.5
+
+
+def test_a_turn_that_was_the_robots_costs_the_proof_only_for_a_while() -> None:
+    found = calibrated(np.zeros(3))
+    found.suspect_any()
+    assert found.proven <= 0.9
+    straight_on(found, lambda _: 0.0, 20)
+    assert found.proven > 0.99
+
+
+def test_turns_that_odometry_shows_too_are_no_knocks() -> None:
+    found = calibrated(np.zeros(3))
+    found.suspect_turn(radians(15.0), radians(13.0))
+    assert found.proven > 0.99
+
+
+def test_a_mount_that_works_loose_is_found_however_long_it_was_right() -> None:
+    found = calibrated(np.zeros(3))
+    straight_on(found, lambda _: 0.0, 2000)
+    straight_on(found, lambda number: radians(min(0.2 * number, 12.0)), 100)
+    assert found.proven <= 0.9
+    assert found.yaw == pytest.approx(radians(12.0), abs=radians(3.0))
 
 
 @pytest.mark.parametrize("back", [False, True])

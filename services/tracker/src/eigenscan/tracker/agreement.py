@@ -169,6 +169,8 @@ class Agreement:
             driven = trail.between(interval.since, interval.stamp)
             if _is_far(driven, interval):
                 self._note(interval, agrees=False)
+                if interval.moved is not None and driven.breaks <= 0:
+                    self._of(interval.lidar).take_far(interval.moved, driven)
                 continue
             if interval.moved is not None and not interval.repeats:
                 found.append((interval, driven))
@@ -186,9 +188,7 @@ class Agreement:
             self._differed[interval.lidar] = before if agrees else interval.stamp
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
-        faults = self._faults.get(interval.lidar)
-        if faults is None:
-            faults = self._faults[interval.lidar] = Faults()
+        faults = self._of(interval.lidar)
         if interval.moved is None:
             faults.take_apart()
             self.disagreed = True
@@ -199,6 +199,11 @@ class Agreement:
             if not interval.repeats and faults.trust > 0.5:
                 self._lateness.take(interval.since, interval.stamp, interval.moved, trail)
                 trail.delay(self._lateness.delay)
+
+    def _of(self, lidar: str) -> Faults:
+        if lidar not in self._faults:
+            self._faults[lidar] = Faults()
+        return self._faults[lidar]
 
     def change(self) -> float:
         """How much scans change as odometry predicts, 0..1."""

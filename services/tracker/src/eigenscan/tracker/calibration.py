@@ -13,9 +13,9 @@ from math import atan2, degrees, erf, hypot, sqrt
 
 import numpy as np
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, TAIL, surprise
-from eigenscan.tracker.planar import Pose
+from eigenscan.tracker.planar import Pose, wrap
 from eigenscan.tracker.scan_motion import SIGMA_M, SIGMA_RAD, SIGMA_SHARE
-from eigenscan.tracker.set_up import WRONG, right_share
+from eigenscan.tracker.set_up import PROVEN, WRONG, right_share
 from numba import njit
 from numpy.typing import NDArray
 
@@ -37,6 +37,9 @@ The robots of ten logs are off by up to 1.7 degrees, 10 cm and 5 %, which never 
 """
 SCALE_OFF = 0.12
 """What a claim allows of the ranges' scale, as a share: a wall 4 m away is seen NEAR_M too near."""
+
+DRIFT_RAD = float(np.radians(0.2))
+"""From one interval to the next a loose mount turns by as much: what motion showed long ago counts less."""
 
 TURNED = "scans move {}° off odometry's way: is the lidar's mount turned by as much?"
 AWAY = (
@@ -65,6 +68,7 @@ class Calibration:
 
     def take(self, scans: Pose, spread: tuple[float, float, float], driven: Pose, way: float) -> None:
         """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long."""
+        self._loosen(DRIFT_RAD**2)
         x, y, _ = driven
         noise = (SIGMA_M + SIGMA_SHARE * way) ** 2
         if abs(scans[2]) < LEAST_TURN:
@@ -73,6 +77,22 @@ class Calibration:
         self._intervals += 1.0
         self._squares += 0.5 * squares
         self._judge()
+
+    def suspect_turn(self, seen: float, driven: float) -> None:
+        """The mount may have been turned where scans turn and odometry does not, rad."""
+        turned = wrap(seen - driven)
+        if abs(turned) > SIGMAS * (SIGMA_RAD + SIGMA_SHARE * abs(driven)):
+            self._loosen(turned * turned)
+            self._judge()
+
+    def suspect_any(self) -> None:
+        """Two scans that should fit each other do not: the mount may have been turned by any angle."""
+        self._loosen(START[1] ** 2)
+        self._judge()
+
+    def _loosen(self, variance: float) -> None:
+        loose = self._P[1, 1] + variance * self._intervals / self._squares
+        self._P[1, 1] = min(loose, START[1] ** 2)
 
     @property
     def yaw(self) -> float:
@@ -110,6 +130,8 @@ class Calibration:
         )
         scaled = _ratio(SCALE_OFF, abs(self.scale - 1.0), along, START[0], SCALE)
         self.proven = min(right_share(mount), max(right_share(scaled), 1.0 - WRONG))
+        if self.proven < PROVEN:  # what happens to agree by chance is no proof
+            self.proven = min(self.proven, 1.0 - WRONG)
         if abs(self.yaw) > NEAR_RAD / 2.0 + SIGMAS * yaw:
             self.fault = TURNED.format(round(degrees(self.yaw)))
         elif self.lever > NEAR_M / 2.0 + SIGMAS * lever:

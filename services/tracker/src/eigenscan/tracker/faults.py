@@ -1,9 +1,10 @@
 """Which fault, if any, explains how the scans of a lidar moved: a hidden Markov model of usual faults.
 
 Each state predicts the motion between two scans from odometry's: as odometry says, not at all from a frozen
-lidar, sideways from one whose mount is turned, as odometry was some seconds ago from one that is late. From
-one that is early, odometry moves as the scans did. What the scans show then tells the states apart (forward algorithm; Rabiner, "A tutorial on hidden Markov models",
-Proc. IEEE 1989). A motion that two states predict alike decides nothing between them.
+lidar, sideways from one whose mount is turned, as odometry was some seconds ago from one that is late. Where
+scans are early, odometry moves as they did. What the scans show then tells the states apart (forward
+algorithm; Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 1989). A motion that two states predict
+alike decides nothing between them.
 """
 
 from __future__ import annotations
@@ -113,12 +114,12 @@ _KINDS = (
         len(TURNED), FAULTY, SET_UP_BEGINS, SET_UP_ENDS,
         TURNED_BY,
     ),
-    _Kind(
-        len(LATE_BY), FAULTY, BEGINS, ENDS,
+    _Kind(  # as many clocks are behind as ahead
+        len(LATE_BY), FAULTY / 2.0, BEGINS / 2.0, ENDS,
         "scans come {} s after odometry of the same stamp: are they delayed?",
     ),
     _Kind(
-        len(LATE_BY), FAULTY, BEGINS, ENDS,
+        len(LATE_BY), FAULTY / 2.0, BEGINS / 2.0, ENDS,
         "scans show each motion {} s before odometry does: are their clocks apart, or is odometry delayed?",
     ),
 )  # fmt: skip
@@ -229,6 +230,11 @@ class Faults:
         likelihood[UNRELATED] = NO_FIT_UNRELATED
         self._weigh(np.log(likelihood))
         self._no_fit += NEWEST * (1.0 - self._no_fit)
+        self._calibration.suspect_any()
+
+    def take_far(self, scans: Pose, driven: Motion) -> None:
+        """The motion between two scans is too large to be found surely."""
+        self._calibration.suspect_turn(scans[2], driven.delta[2])
 
     def take(
         self, scans: Pose, spread: tuple[float, float, float], turn_variance: float, driven: Motion,
@@ -261,6 +267,8 @@ class Faults:
         self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
+        if scans != IDENTITY:
+            self._calibration.suspect_turn(scans[2], driven.delta[2])
         if scans != IDENTITY and not _stands(predicted[AGREE]):
             self._calibration.take(scans, spread, driven.delta, driven.way)
         if self.backwards and not self.without_sign:
@@ -270,7 +278,7 @@ class Faults:
         return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
 
     def _is_wrong(self) -> Flags:
-        """In which states (n,) a pose of now is wrong: wrong stamps do no harm to a robot that hardly moved."""
+        """In which states (n,) a pose of now is wrong: wrong stamps do no harm where a robot hardly moved."""
         wrong = np.ones(_STATES, dtype=np.bool_)
         for first, past in ((LATE, self._past), (EARLY, self._seen)):
             way, turn = past.moved(LATE_BY)

@@ -16,7 +16,7 @@ KEPT = 256
 
 
 class _Past:
-    """Poses at steps of some tenths of a second; before the first one, as if the robot had moved as it then did."""
+    """Poses at steps of some tenths of a second; those before the first are guessed from how it moved."""
 
     def __init__(self, longest_s: float, step_s: float) -> None:
         self._longest, self._step = round(1e9 * longest_s), round(1e9 * step_s)
