@@ -2,6 +2,7 @@
 
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,3 +44,42 @@ def test_a_full_standard_output_is_not_taken_for_what_is_written(tmp_path: Path)
 @pytest.mark.parametrize("typed", COMMANDS)
 def test_closed_outputs_are_no_failure(tmp_path: Path, typed: str) -> None:
     assert _run(typed, ">&- 2>&-", tmp_path).returncode == 0
+
+
+STILL_OPENING = """
+import sys, threading, time
+from eigenscan.cli import entry, main
+
+class Slow:
+    def __del__(self, sleep=time.sleep):
+        sleep(1.5)
+
+def app():
+    import zenoh
+    config = zenoh.Config()
+    config.insert_json5("mode", "'client'")
+    config.insert_json5("connect/endpoints", "['tcp/127.0.0.1:1']")
+    config.insert_json5("connect/timeout_ms", "700")
+    threading.Thread(target=zenoh.open, args=(config,), daemon=True).start()
+    time.sleep(0.1)
+    print("done")
+    sys.exit(int(sys.argv[1]))
+
+keep = Slow()
+main.app = app
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1, 130])
+def test_a_session_that_still_opens_does_not_abort_the_end(code: int) -> None:
+    """Ctrl-C in `eigenscan play` gave 'FATAL: exception not rethrown' and a core file in one of 15."""
+    ended = subprocess.run(
+        [sys.executable, "-c", STILL_OPENING, str(code)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (ended.returncode, ended.stdout) == (code, "done\n")
+    assert "FATAL" not in ended.stderr

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import io
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 STDOUT = "standard output"
+CTRL_C = 130
+"""Exit code, as shells have it."""
 
 
 def main() -> None:
@@ -20,13 +24,33 @@ def main() -> None:
     from eigenscan.cli.main import app
 
     signal.signal(signal.SIGINT, usual)
-    with named_output():
-        app()
+    try:
+        with named_output():
+            app()
+    except SystemExit as ended:
+        if not isinstance(ended.code, int | None):
+            raise
+        _leave(ended.code or 0)
+
+
+def _leave(code: int) -> None:
+    """Ends the process without the interpreter's own end, which a thread that opens a session would abort."""
+    signal.signal(signal.SIGINT, _end)
+    if code != CTRL_C:
+        for thread in threading.enumerate():
+            if thread is not threading.current_thread() and not thread.daemon:
+                thread.join()
+    atexit._run_exitfuncs()
+    with suppress(AttributeError, OSError):  # None where it is closed
+        sys.stdout.flush()
+    with suppress(AttributeError, OSError):
+        sys.stderr.flush()
+    os._exit(code)
 
 
 def _end(*_: object) -> None:
     os.write(2, b"eigenscan: ended by Ctrl-C\n")
-    os._exit(130)  # an exception in the midst of an import would show where
+    os._exit(CTRL_C)  # an exception in the midst of an import would show where
 
 
 class _Named(io.FileIO):
