@@ -1,9 +1,12 @@
 """The folder that `eigenscan fleet certify` makes: complete, private, never overwritten; faults in a line."""
 
 import json
+import resource
 import stat
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -195,3 +198,40 @@ def test_the_settings_it_writes_are_those_of_the_services_and_stay_their_owners(
     robot.write_text(robot.read_text() + "\n[tracker]\n")
     assert run("configure", "-o", folder).exit_code == 0
     assert robot.read_text().endswith("[tracker]\n")
+
+
+@contextmanager
+def _room_for(size: int) -> Iterator[None]:
+    """No file may become larger, bytes: as on a disk that becomes full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("size", [0, 300, 515])
+def test_a_full_disk_leaves_no_half_of_a_robot(folder: Path, size: int) -> None:
+    """An empty certificate counted as one, and an empty key as a key that nothing may replace."""
+    with _room_for(size):
+        failed = run("certify", "--robot", "r18", "-o", folder)
+    assert failed.exit_code == 2, failed.stderr
+    assert "robots/r18/" in failed.stderr
+    assert "fault of ours" not in failed.stderr
+    assert not [*(folder / "robots/r18").glob("robot.*")]
+    done = run("certify", "--robot", "r18", "-o", folder)
+    assert done.exit_code == 0, done.stderr
+
+
+def test_a_robot_that_a_full_disk_did_not_let_be_shut_out_is_named(folder: Path) -> None:
+    """It looked shut out: the same command again stated that it has no certificate."""
+    router = folder / "site/router.json5"
+    with _room_for(2000):
+        failed = run("revoke", "r17", "-o", folder)
+    assert failed.exit_code == 1, failed.stderr
+    assert "r17 is NOT shut out yet" in failed.stderr
+    assert f"then run: eigenscan fleet configure -o {folder}" in failed.stderr
+    assert "r17" in router.read_text()
+    assert run("configure", "-o", folder).exit_code == 0
+    assert "r17" not in router.read_text()

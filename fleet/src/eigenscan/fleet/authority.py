@@ -6,6 +6,7 @@ clients: a robot's cannot pass itself off as the site's router.
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import os
 import secrets
@@ -87,8 +88,9 @@ class Authority:
         if serves:
             names = x509.SubjectAlternativeName([_served(host) for host in serves])
             builder = builder.add_extension(names, critical=False)
-        write_pair(folder, name, builder.sign(self.key, hashes.SHA256()), key)
+        folder.mkdir(parents=True, exist_ok=True)
         _write(folder / "ca.crt", _pem(self.certificate), 0o644)
+        write_pair(folder, name, builder.sign(self.key, hashes.SHA256()), key)
 
 
 def read_certificate(path: Path) -> x509.Certificate:
@@ -108,13 +110,20 @@ def common_name(path: Path) -> str:
 def write_pair(
     folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
 ) -> None:
-    """Writes name.crt, and name.key readable by its owner only. Raises FileExistsError if one exists."""
+    """Writes name.crt, and name.key readable by its owner only: both or none.
+
+    Raises FileExistsError if one exists.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     _write(folder / f"{name}.key", private, 0o600)
-    _write(folder / f"{name}.crt", _pem(certificate), 0o644)
+    try:
+        _write(folder / f"{name}.crt", _pem(certificate), 0o644)
+    except OSError:
+        (folder / f"{name}.key").unlink()
+        raise
 
 
 def _pem(certificate: x509.Certificate) -> bytes:
@@ -122,10 +131,19 @@ def _pem(certificate: x509.Certificate) -> bytes:
 
 
 def _write(path: Path, content: bytes, mode: int) -> None:
-    # no moment in which others could read it, and no old file that is replaced
-    flags = os.O_WRONLY | os.O_CREAT | (os.O_EXCL if path.name != "ca.crt" else os.O_TRUNC)
-    with os.fdopen(os.open(path, flags, mode), "wb") as file:
-        file.write(content)
+    if path.name != "ca.crt" and path.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    # whole or not at all: an empty certificate on a full disk would count as one; nobody else ever reads it
+    new = path.with_name(f"{path.name}.new")
+    new.unlink(missing_ok=True)
+    try:
+        with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(content)
+        new.replace(path)
+    except OSError as error:
+        new.unlink(missing_ok=True)
+        error.filename = str(path)
+        raise
 
 
 def _name(text: str) -> x509.Name:

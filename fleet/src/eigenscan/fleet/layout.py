@@ -23,13 +23,23 @@ from eigenscan.fleet import access, configuration
 from eigenscan.fleet.access import Air
 from eigenscan.fleet.authority import common_name
 from eigenscan.fleet.configuration import INSTALLED
-from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.errors import FailedError, UsageError, one_line
 from eigenscan.runtime.settings import parse_toml
 from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
 from eigenscan.schemas.group import holds, patterns
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-__all__ = ["INSTALLED", "begin", "checked", "configure", "read", "revoke", "robots", "services"]
+__all__ = [
+    "INSTALLED",
+    "begin",
+    "checked",
+    "configure",
+    "configure_after",
+    "read",
+    "revoke",
+    "robots",
+    "services",
+]
 
 HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 
@@ -230,8 +240,18 @@ def revoke(folder: Path, name: str) -> Path:
         held.with_suffix(".json5").unlink(missing_ok=True)
     else:
         shutil.rmtree(held.parent)
-    configure(folder)
+    configure_after(folder, f"{name} is NOT shut out yet")
     return kept
+
+
+def configure_after(folder: Path, otherwise: str) -> None:
+    """Writes the configuration after a change of certificates; a disk that is full leaves it to be done."""
+    try:
+        configure(folder)
+    except OSError as error:
+        raise FailedError(
+            f"{otherwise}: {one_line(error)}; then run: eigenscan fleet configure -o {folder}"
+        ) from error
 
 
 def _begin(path: Path, content: str) -> None:
@@ -243,5 +263,10 @@ def _begin(path: Path, content: str) -> None:
 def _write(path: Path, content: dict[str, Any]) -> None:
     """Writes in one step, so a router never reads half a file."""
     new = path.with_suffix(".new")
-    new.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    new.replace(path)
+    try:
+        new.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        new.replace(path)
+    except OSError as error:
+        new.unlink(missing_ok=True)
+        error.filename = str(path)
+        raise

@@ -52,7 +52,7 @@ def certify(
             authority.issue(folder / "groups" / name, "projector", f"group.{name}", days)
     for name in names:
         authority.issue(folder / "robots" / name, "robot", f"robot.{name}", days)
-    layout.configure(folder)
+    layout.configure_after(folder, "certificates are made, their configuration is not")
     typer.echo(f"{folder / 'authority'}: signs certificates; keep it away from robots and servers")
     typer.echo(f"{folder / 'site'}: copy it to {layout.INSTALLED} on the site's server")
     typer.echo(f"{folder / 'operator'}: copy it to {layout.INSTALLED} where the fleet is looked after")
