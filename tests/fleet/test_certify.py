@@ -235,3 +235,11 @@ def test_a_robot_that_a_full_disk_did_not_let_be_shut_out_is_named(folder: Path)
     assert "r17" in router.read_text()
     assert run("configure", "-o", folder).exit_code == 0
     assert "r17" not in router.read_text()
+
+
+def test_what_a_fleet_lacks_and_what_it_cannot_have_has_our_words(folder: Path) -> None:
+    (folder / "fleet.toml").write_text("site = 5\nx = 1\n")
+    failed = run("configure", "-o", folder)
+    assert failed.exit_code == 2
+    for words in ("site = 5: must be a valid string", "addresses: must be given", "x: unknown"):
+        assert words in failed.stderr

@@ -24,10 +24,11 @@ from eigenscan.fleet.access import Air
 from eigenscan.fleet.authority import common_name
 from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import FailedError, UsageError, one_line
-from eigenscan.runtime.settings import parse_toml
+from eigenscan.runtime.settings import parse_toml, plain
 from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
 from eigenscan.schemas.group import holds, patterns
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 __all__ = [
     "INSTALLED",
@@ -145,12 +146,15 @@ def checked(content: Mapping[str, Any], source: str) -> Fleet:
     try:
         return Fleet.model_validate(content)
     except ValidationError as error:
-        faults = [
-            f"{'.'.join(map(str, one['loc'])).removesuffix('.[key]')} = {repr(one['input'])[:200]}: "
-            f"{one['msg'].removeprefix('Value error, ')}"
-            for one in error.errors()
-        ]
-        raise UsageError(f"{source}: {'; '.join(faults)}") from error
+        faults = "; ".join(map(_explained, error.errors()))
+        raise UsageError(f"{source}: {faults}") from error
+
+
+def _explained(fault: ErrorDetails) -> str:
+    place = ".".join(map(str, fault["loc"])).removesuffix(".[key]")
+    if words := {"missing": "must be given", "extra_forbidden": "unknown"}.get(fault["type"]):
+        return f"{place}: {words}"
+    return f"{place} = {repr(fault['input'])[:200]}: {plain(fault['msg'])}"
 
 
 def begin(folder: Path, site: str, addresses: Sequence[str]) -> None:
