@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from eigenscan.tracker.confidence import PLACE_M, PLACE_RAD, Protection, judge, protect, share_within
+from eigenscan.tracker.confidence import (
+    PLACE_M,
+    PLACE_RAD,
+    TAILS,
+    Protection,
+    judge,
+    protect,
+    share_within,
+)
 from eigenscan.tracker.covariance import residual
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.tracks import Tracks, begin
@@ -38,8 +46,8 @@ def readable(tracks: Tracks, best: int, risk: float) -> Protection | None:
     order = np.flatnonzero(here)[np.argsort(weight[here], kind="stable")]
     kept = order[np.cumsum(weight[order]) > 0.25 * left]
     share = 0.375 * left
-    radius = off[kept] + np.sqrt(-2.0 * np.log(share) * wide(tracks.C[kept]))
-    angle = turn[kept] - ndtri(share / 2.0) * np.sqrt(tracks.C[kept, 2, 2])
+    radius = off[kept] + TAILS * np.sqrt(-2.0 * np.log(share) * wide(tracks.C[kept]))
+    angle = turn[kept] - TAILS * ndtri(share / 2.0) * np.sqrt(tracks.C[kept, 2, 2])
     return Protection(float(radius.max()), float(angle.max()))
 
 
