@@ -76,6 +76,12 @@ def test_nobody_needs_what_a_mapbuilder_that_is_gone_had_published() -> None:
     assert run(7350009, real=True).broken == ()
 
 
+@pytest.mark.timeout(60)
+def test_a_story_ends_whose_last_second_is_no_whole_number_of_nanoseconds() -> None:
+    """It went on for ever: 147.64800000000002 s were never reached."""
+    assert run(7360800).broken == ()
+
+
 def test_a_seed_repeats_itself_exactly() -> None:
     first, again, other = run(3, 1), run(3, 1), run(4, 1)
     assert (first.trace, first.notes) == (again.trace, again.notes)

@@ -60,7 +60,7 @@ def run(
         last = max([plan.first_s, *(fault.end for fault in chosen)])
         end = last + SETTLE_S / min(1.0, plan.scan_hz)
         well_since = last
-        while site.agenda.now < end and not judge.broken:
+        while site.agenda.now_ns < round(end * 1e9) and not judge.broken:  # now is a sum, rounded otherwise
             site.agenda.run(min(end, site.agenda.now + 1.0))
             if plan.is_short and site.agenda.now >= last:
                 if not judge.all_is_well(last):
