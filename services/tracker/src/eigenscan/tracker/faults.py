@@ -59,8 +59,8 @@ BEGINS, ENDS = 5e-4, 0.002
 SET_UP_BEGINS, SET_UP_ENDS = 1e-6, 1e-4
 """The same for a set-up: nobody turns a mount while the robot drives."""
 EARLY_PRIOR = 1e-4
-"""Prior of scans that come early. More, and a robot without a sign of its encoders that first backs out is taken
-for one: fr079 lost a window of 25 (benchmarks/mechanisms.py)."""
+"""Prior of scans that come early. With more, a robot whose encoders have no sign is taken for one as it first
+backs out: fr079 lost a window of 25 (benchmarks/mechanisms.py)."""
 BACKS, BACKS_KNOWN, FORWARDS = 1e-5, 0.01, 0.2
 """Chances, an interval, that a robot begins to drive backwards, its encoders without a sign: before it was
 seen to, and after; and that it ceases to."""
