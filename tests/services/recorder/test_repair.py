@@ -156,7 +156,7 @@ def test_whole_files_get_none_and_nothing_is_overwritten(whole: Path, tmp_path: 
     shutil.copy(whole, tmp_path / "there.mcap")
     done = eigenscan("repair", cut, "-o", tmp_path / "there.mcap")
     assert done.returncode == 2
-    assert "exists already: give another file" in done.stderr
+    assert "is a recorder's file: name another one" in done.stderr
     assert (tmp_path / "there.mcap").read_bytes() == whole.read_bytes()
 
 

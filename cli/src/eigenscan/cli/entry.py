@@ -24,13 +24,16 @@ def main() -> None:
     from eigenscan.cli.main import app
 
     signal.signal(signal.SIGINT, usual)
+    code = 0
     try:
         with named_output():
             app()
     except SystemExit as ended:
         if not isinstance(ended.code, int | None):
             raise
-        _leave(ended.code or 0)
+        code = ended.code or 0
+    # not in the except: the error would hold what a command had open, a session's threads among it
+    _leave(code)
 
 
 def _leave(code: int) -> None:
