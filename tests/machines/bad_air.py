@@ -16,7 +16,8 @@ WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
 AIR_PERIOD_S = 0.16
 """Twice the contract's shortest time between poses that cross the air: what comes sooner may be held back."""
 SETTLE_S = 3.0
-LEAST = 20
+LEAST = 60
+"""Poses: of 20, one that two processes time differently would be a twentieth."""
 LATE_S = 5.0
 """After a measurement, for what is still under way."""
 

@@ -81,8 +81,7 @@ def test_a_full_disk_is_reported_and_what_is_written_stays(passed: dict[str, Any
 def test_a_bad_link_delays_what_the_site_receives_and_nothing_else(passed: dict[str, Any]) -> None:
     air = passed["bad_air"]
     assert air["said"] > 15
-    # TCP brings again what the link loses, and all of it counts; of some 20, the last may still be on its way
-    assert air["said"] * (1.0 - air["arrived"]) <= max(UNDELIVERED * air["said"], 1.0) + 1e-9
+    assert air["arrived"] > 1.0 - UNDELIVERED  # TCP brings again what the link loses, and all of it counts
     assert air["longest_silence_s"] < LATE_S
     assert air["median_ms"] > air["delay_ms"] * 0.9
     assert max(air["unlocalized_s"].values()) < UNLOCALIZED_S
