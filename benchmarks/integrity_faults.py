@@ -1,12 +1,12 @@
 """Faults of sensors and of set-ups, put into a stretch of a log: what benchmarks/integrity.py tries."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.geometry.pose import compose, from_pose3, inverse, to_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
@@ -123,20 +123,16 @@ def frozen(noise: float, after_s: float = 0.0) -> Fault:
 def late(seconds: float) -> Fault:
     """Each scan is stamped so much after it was taken; before it, if that is negative."""
 
+    by = round(seconds * NS)
+
+    def change(message: RawScan, _: int, __: Stretch) -> None:
+        message.timestamp.CopyFrom(stamp(nanoseconds(message.timestamp) + by))
+
     def fault(stretch: Stretch) -> Stretch:
-        by, received = round(seconds * NS), list[Envelope]()
         stamps = [e.stamp for e in stretch.received]
-        for original in stretch.received:
-            envelope = original
-            if envelope.channel is SCAN_RAW:
-                if not min(stamps) <= envelope.stamp + by <= max(stamps):
-                    continue
-                message = RawScan()
-                message.CopyFrom(envelope.open(RawScan))
-                message.timestamp.CopyFrom(stamp(envelope.stamp + by))
-                envelope = Envelope(SCAN_RAW, envelope.address, message)
-            received.append(envelope)
-        return stretch.publishing(received)
+        first, last = min(stamps), max(stamps)
+        within = [e for e in stretch.received if e.channel is not SCAN_RAW or first <= e.stamp + by <= last]
+        return scans_changed(change)(replace(stretch, received=within))
 
     return fault
 
@@ -160,7 +156,7 @@ def knocked(degrees: float, after_s: float) -> Fault:
         begins = min(e.stamp for e in stretch.received) + round(after_s * NS)
 
         def change(message: RawScan, _: int, __: Stretch) -> None:
-            if message.timestamp.seconds * NS + message.timestamp.nanos < begins:
+            if nanoseconds(message.timestamp) < begins:
                 return
             beams, ranges = round(np.radians(degrees) / message.angle_increment), np.asarray(message.ranges)
             turned = np.roll(ranges, -beams)
@@ -191,17 +187,13 @@ def late_by_chance(most_s: float) -> Fault:
     """Each scan is stamped too late, by as much as a busy computer happens to take."""
 
     def fault(stretch: Stretch) -> Stretch:
-        received, last = list[Envelope](), max(e.stamp for e in stretch.received)
-        for original in stretch.received:
-            envelope = original
-            if envelope.channel is SCAN_RAW:
-                message = RawScan()
-                message.CopyFrom(envelope.open(RawScan))
-                late = min(envelope.stamp + round(most_s * stretch.random.random() * NS), last)
-                message.timestamp.CopyFrom(stamp(late))
-                envelope = Envelope(SCAN_RAW, envelope.address, message)
-            received.append(envelope)
-        return stretch.publishing(received)
+        last = max(e.stamp for e in stretch.received)
+
+        def change(message: RawScan, _: int, stretch: Stretch) -> None:
+            by = round(most_s * stretch.random.random() * NS)
+            message.timestamp.CopyFrom(stamp(min(nanoseconds(message.timestamp) + by, last)))
+
+        return scans_changed(change)(stretch)
 
     return fault
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 from eigenscan.cli import paths
-from eigenscan.cli.entry import STDOUT
+from eigenscan.cli.entry import EXIT_STOPPED, STDOUT
 from eigenscan.cli.former import current
 from eigenscan.runtime.errors import FailedError, by_users, one_line
 from eigenscan.runtime.settings import nearest, plain
@@ -22,10 +22,6 @@ EXIT_FAILED = 1
 
 EXIT_USAGE = 2
 """Wrong usage, or bad input."""
-
-EXIT_STOPPED = 130
-"""Ended by Ctrl-C, as shells have it."""
-
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STDOUT = "standard output"
-CTRL_C = 130
-"""Exit code, as shells have it."""
+EXIT_STOPPED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 
 def main() -> None:
@@ -39,7 +39,7 @@ def main() -> None:
 def _leave(code: int) -> None:
     """Ends the process without the interpreter's own end, which a thread that opens a session would abort."""
     signal.signal(signal.SIGINT, _end)
-    if code != CTRL_C:
+    if code != EXIT_STOPPED:
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and not thread.daemon:
                 thread.join()
@@ -53,7 +53,7 @@ def _leave(code: int) -> None:
 
 def _end(*_: object) -> None:
     os.write(2, b"eigenscan: ended by Ctrl-C\n")
-    os._exit(CTRL_C)  # an exception in the midst of an import would show where
+    os._exit(EXIT_STOPPED)  # an exception in the midst of an import would show where
 
 
 class _Named(io.FileIO):

@@ -89,7 +89,7 @@ class Authority:
             names = x509.SubjectAlternativeName([_served(host) for host in serves])
             builder = builder.add_extension(names, critical=False)
         folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / "ca.crt", _pem(self.certificate), 0o644)
+        write_whole(folder / "ca.crt", _pem(self.certificate), 0o644)
         write_pair(folder, name, builder.sign(self.key, hashes.SHA256()), key)
 
 
@@ -118,9 +118,9 @@ def write_pair(
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    _write(folder / f"{name}.key", private, 0o600)
+    _write_new(folder / f"{name}.key", private, 0o600)
     try:
-        _write(folder / f"{name}.crt", _pem(certificate), 0o644)
+        _write_new(folder / f"{name}.crt", _pem(certificate), 0o644)
     except OSError:
         (folder / f"{name}.key").unlink()
         raise
@@ -130,10 +130,18 @@ def _pem(certificate: x509.Certificate) -> bytes:
     return certificate.public_bytes(serialization.Encoding.PEM)
 
 
-def _write(path: Path, content: bytes, mode: int) -> None:
+def _write_new(path: Path, content: bytes, mode: int) -> None:
     if path.name != "ca.crt" and path.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    # whole or not at all: an empty certificate on a full disk would count as one; nobody else ever reads it
+    write_whole(path, content, mode)
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
+    """Writes a file whole or not at all; errors name it.
+
+    An empty certificate on a full disk would count as one, and a router could read half a configuration. Whom
+    `mode` shuts out never reads any of it.
+    """
     new = path.with_name(f"{path.name}.new")
     new.unlink(missing_ok=True)
     try:

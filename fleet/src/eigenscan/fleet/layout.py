@@ -21,7 +21,7 @@ from typing import Annotated, Any
 
 from eigenscan.fleet import access, configuration
 from eigenscan.fleet.access import Air
-from eigenscan.fleet.authority import common_name
+from eigenscan.fleet.authority import common_name, write_whole
 from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import FailedError, UsageError, one_line
 from eigenscan.runtime.settings import parse_toml, plain
@@ -266,11 +266,4 @@ def _begin(path: Path, content: str) -> None:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     """Writes in one step, so a router never reads half a file."""
-    new = path.with_suffix(".new")
-    try:
-        new.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-        new.replace(path)
-    except OSError as error:
-        new.unlink(missing_ok=True)
-        error.filename = str(path)
-        raise
+    write_whole(path, f"{json.dumps(content, indent=2, ensure_ascii=False)}\n".encode())

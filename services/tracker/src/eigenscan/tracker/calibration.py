@@ -129,9 +129,6 @@ class Calibration:
             _ratio(NEAR_M, self.lever, min(away), START[2], LEVER_M),
         )
         scaled = _ratio(SCALE_OFF, abs(self.scale - 1.0), along, START[0], SCALE)
-        self.proven = min(right_share(mount), max(right_share(scaled), 1.0 - WRONG))
-        if self.proven < PROVEN:  # what happens to agree by chance is no proof
-            self.proven = min(self.proven, 1.0 - WRONG)
         if abs(self.yaw) > NEAR_RAD / 2.0 + SIGMAS * yaw:
             self.fault = TURNED.format(round(degrees(self.yaw)))
         elif self.lever > NEAR_M / 2.0 + SIGMAS * lever:
@@ -140,8 +137,9 @@ class Calibration:
             self.fault = SCALED.format(self.scale)
         else:
             self.fault = ""
-            return
-        self.proven = min(self.proven, 1.0 - WRONG)
+        self.proven = min(right_share(mount), max(right_share(scaled), 1.0 - WRONG))
+        if self.fault or self.proven < PROVEN:  # what happens to agree by chance is no proof
+            self.proven = min(self.proven, 1.0 - WRONG)
 
 
 def _below(limit: float, value: float, sigma: float) -> float:

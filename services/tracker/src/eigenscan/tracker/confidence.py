@@ -122,7 +122,7 @@ PLACE_M, PLACE_RAD = 1.0, 0.35
 TAILS = 1.5
 """How much farther than a normal distribution's the tails of errors may reach.
 
-Without it 73 of 42,000 levels were exceeded, on intel and fr079, where it was chosen, by up to 1.4 times
+Without it 73 of 35,600 levels were exceeded, on intel and fr079, where it was chosen, by up to 1.4 times
 (benchmarks/integrity.py --fault none).
 """
 

@@ -57,7 +57,7 @@ the robot's own motion has excluded each.
 BEGINS, ENDS = 5e-4, 0.002
 """Chances, an interval, that each kind of sensor fault begins, and that it ends."""
 SET_UP_BEGINS, SET_UP_ENDS = 1e-6, 1e-4
-"""The same for a set-up: nobody turns a mount while the robot drives."""
+"""The same for a set-up, which hardly ever changes while the robot drives."""
 EARLY_PRIOR = 1e-4
 """Prior of scans that come early. With more, a robot whose encoders have no sign is taken for one as it first
 backs out: fr079 lost a window of 25 (benchmarks/mechanisms.py)."""
@@ -255,10 +255,10 @@ class Faults:
         stretch = begun, begun + driven.seconds
         predicted = _predicted(driven.delta, self._past.poses, scans, self._seen.poses, *stretch)
         by_exactness = _log_likelihoods(scans, spread, turn_variance, predicted)
-        known_since = np.repeat([self._past.known_since, self._seen.known_since], len(LATE_BY))
-        guessed = np.arange(LATE, _STATES)[begun - np.tile(LATE_BY, 2) < known_since]
         anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
-        by_exactness[:, guessed] = np.logaddexp(by_exactness[:, guessed] + log(GOES_ON), anyhow)
+        for first, past in self._off_time:
+            guessed = first + np.flatnonzero(begun - LATE_BY < past.known_since)
+            by_exactness[:, guessed] = np.logaddexp(by_exactness[:, guessed] + log(GOES_ON), anyhow)
         # an interval may turn as exactly as any: one that is less exact is no fault. The way counts by its
         # whole sigma, for in a bare hallway a fit may find that the robot stood
         turns = by_exactness[: len(SHARES)].copy()
@@ -272,18 +272,23 @@ class Faults:
             self._ways[way] += driven.way * float(self.probability[state])
         if scans != IDENTITY:
             self._calibration.suspect_turn(scans[2], driven.delta[2])
-        if scans != IDENTITY and not _stands(predicted[AGREE]):
-            self._calibration.take(scans, spread, driven.delta, driven.way)
+            if not _stands(predicted[AGREE]):
+                self._calibration.take(scans, spread, driven.delta, driven.way)
         if self.backwards and not self.without_sign:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
             self._change[AGREE, BACKWARDS] = BACKS_KNOWN
         return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
 
+    @property
+    def _off_time(self) -> tuple[tuple[int, PastOdometry | PastScans], ...]:
+        """First state of late scans, and of early ones, with the past that they are held against."""
+        return (LATE, self._past), (EARLY, self._seen)
+
     def _is_wrong(self) -> Flags:
         """In which states (n,) a pose of now is wrong: wrong stamps do no harm where a robot hardly moved."""
         wrong = np.ones(_STATES, dtype=np.bool_)
-        for first, past in ((LATE, self._past), (EARLY, self._seen)):
+        for first, past in self._off_time:
             way, turn = past.moved(LATE_BY)
             wrong[first : first + len(LATE_BY)] = (way > NEAR_M / 2.0) | (turn > NEAR_RAD / 2.0)
         return wrong

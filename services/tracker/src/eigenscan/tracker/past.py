@@ -49,7 +49,7 @@ class _Past:
         self.known_since = begin * 1e-9
 
     def _keep(self, stamp: int, pose: Pose) -> None:
-        """Keeps where odometry was at a stamp, ns, that is newer than the last."""
+        """Keeps the pose at a stamp, ns, that is newer than the last."""
         before = self._kept[self._count - 1] if self._count else None
         x, y, heading = pose
         if before is not None:
