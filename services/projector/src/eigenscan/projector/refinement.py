@@ -20,6 +20,8 @@ Singles = NDArray[np.float32]
 Words = NDArray[np.uint32]
 Flat = tuple[Words, int, int, float, float, float, float]
 """A field as compiled code takes it: cells row by row, rows, columns, cell, and its grid's pose."""
+Room = tuple[Words, Singles, Singles, Singles, Singles]
+"""For each point what `_sum` finds on its way: the cell, the place from the sensor, and that in the field."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def fit_poses(
     x, y, weight = _in_cells(ends, cell)
     count = max(len(ends), 1)
     sums = np.empty(10, dtype=np.float32)
+    room = np.empty(len(x), np.uint32), np.empty_like(x), np.empty_like(x), np.empty_like(x), np.empty_like(x)
     cos0, sin0 = np.cos(turned), np.sin(turned)
     ahead, aside = np.cos(start[:, 2] - turned), np.sin(start[:, 2] - turned)
     for i in range(len(poses)):
@@ -152,7 +155,7 @@ def fit_poses(
     for step in range(len(scales) - 1):
         for i in range(len(poses)):
             at = poses[i, 0], poses[i, 1], ahead[i], aside[i]
-            _sum(cells, height, width, cell, at, x, y, weight, scales[step], sums)
+            _sum(cells, height, width, cell, at, x, y, weight, scales[step], room, sums)
             x_step, y_step, turn = _step(sums, count)
             poses[i, 0] += x_step / cell
             poses[i, 1] += y_step / cell
@@ -163,7 +166,7 @@ def fit_poses(
             ahead[i], aside[i] = ahead[i] * cos - aside[i] * sin, aside[i] * cos + ahead[i] * sin
     for i in range(len(poses)):
         at = poses[i, 0], poses[i, 1], ahead[i], aside[i]
-        _sum(cells, height, width, cell, at, x, y, weight, scales[-1], sums)
+        _sum(cells, height, width, cell, at, x, y, weight, scales[-1], room, sums)
         cost[i] = sums[0] / count
         _turn(sums, cos0, sin0, information[i])
         dx, dy = (poses[i, 0] - 1.0) * cell, (poses[i, 1] - 1.0) * cell
@@ -202,11 +205,13 @@ def _sum(
     py: Singles,
     weight: Singles,
     scale2: float,
+    room: Room,
     sums: Singles,
 ) -> None:
     """Cost, upper triangle of J'WJ row by row, and J'Wd. Single precision, so that it fits vector units.
 
     `at`: x and y in cells, cosine and sine of the heading.
+    `room`, (B,) each, is filled.
     """
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     columns = np.int32(width)
@@ -214,12 +219,19 @@ def _sum(
     x, y, cos, sin = np.float32(at[0]), np.float32(at[1]), np.float32(at[2]), np.float32(at[3])
     s2, unit = np.float32(scale2), np.float32(cell)
     total = h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = zero
+    words, ahead, aside, u, v = room
+    # the words in a loop of their own: not every processor's vector units look up
     for j in range(len(px)):
-        rx, ry = cos * px[j] - sin * py[j], sin * px[j] + cos * py[j]
-        u, v = min(max(x + rx, zero), right), min(max(y + ry, zero), top)
-        column, row = np.int32(u), np.int32(v)
-        centre, gx, gy = unpack(flat[np.uint32(np.int32(row * columns) + column)])
-        d = centre + (gx * (u - np.float32(column) - half) + gy * (v - np.float32(row) - half)) * unit
+        ahead[j], aside[j] = cos * px[j] - sin * py[j], sin * px[j] + cos * py[j]
+        u[j], v[j] = min(max(x + ahead[j], zero), right), min(max(y + aside[j], zero), top)
+        words[j] = np.uint32(np.int32(np.int32(v[j]) * columns) + np.int32(u[j]))
+    for j in range(len(px)):
+        words[j] = flat[np.uint64(words[j])]
+    for j in range(len(px)):
+        rx, ry = ahead[j], aside[j]
+        column, row = np.int32(u[j]), np.int32(v[j])
+        centre, gx, gy = unpack(words[j])
+        d = centre + (gx * (u[j] - np.float32(column) - half) + gy * (v[j] - np.float32(row) - half)) * unit
         q = s2 / (s2 + d * d)
         w = q * q * weight[j]
         gt = (gy * rx - gx * ry) * unit
