@@ -86,7 +86,9 @@ def verify(
     best_heading, cost = np.empty_like(heading), np.empty(len(position), dtype=np.int32)
     _turn(windows, leaves, position, heading, scan, weight, best_heading, cost)
     if lattice.finer:
-        position, better = position.copy(), np.argsort(cost)[:climbing]
+        position, better = position.copy(), np.arange(len(cost))
+        if climbing < len(cost):
+            better = np.argpartition(cost, climbing)[:climbing]
         _climb(windows, leaves, lattice.neighbours, better, position, best_heading, scan, weight, cost)
     return position, best_heading, (cost / unit).astype(np.float32)
 
