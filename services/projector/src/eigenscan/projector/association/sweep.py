@@ -365,7 +365,8 @@ def _add_turned(wide: Singles, axes: Singles, row: int, query: Singles, first: i
                     a0 * wide[i] + a1 * wide[i + _O1] + a2 * wide[i + _O2] + a3 * wide[i + _O3]
                     + a4 * wide[i + _O4] + a5 * wide[i + _O5] + a6 * wide[i + _O6] + a7 * wide[i + _O7]
                 )  # fmt: skip
-        for n in range(BLOCK):
+        # of a number that the compiler does not know, or it writes the steps out one by one
+        for n in range(len(out)):
             out[n] += turned[n] * turned[n]
 
 
