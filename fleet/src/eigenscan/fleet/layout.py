@@ -24,7 +24,7 @@ from eigenscan.fleet.access import Air
 from eigenscan.fleet.authority import common_name, write_whole
 from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import FailedError, UsageError, one_line
-from eigenscan.runtime.settings import parse_toml, plain
+from eigenscan.runtime.settings import explained, parse_toml
 from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
 from eigenscan.schemas.group import holds, patterns
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -146,15 +146,12 @@ def checked(content: Mapping[str, Any], source: str) -> Fleet:
     try:
         return Fleet.model_validate(content)
     except ValidationError as error:
-        faults = "; ".join(map(_explained, error.errors()))
+        faults = "; ".join(explained(fault, _place(fault)) for fault in error.errors())
         raise UsageError(f"{source}: {faults}") from error
 
 
-def _explained(fault: ErrorDetails) -> str:
-    place = ".".join(map(str, fault["loc"])).removesuffix(".[key]")
-    if words := {"missing": "must be given", "extra_forbidden": "unknown"}.get(fault["type"]):
-        return f"{place}: {words}"
-    return f"{place} = {repr(fault['input'])[:200]}: {plain(fault['msg'])}"
+def _place(fault: ErrorDetails) -> str:
+    return ".".join(map(str, fault["loc"])).removesuffix(".[key]")
 
 
 def begin(folder: Path, site: str, addresses: Sequence[str]) -> None:

@@ -170,9 +170,13 @@ def validated(kind: type[M], given: Mapping[str, Given]) -> M:
 
 def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
     field, *inner = [str(part) for part in problem["loc"]] or ["settings"]
-    place = ".".join([given[field].place if field in given else field, *inner])
-    if problem["type"] == "missing":
-        return f"{place}: must be given"
+    return explained(problem, ".".join([given[field].place if field in given else field, *inner]))
+
+
+def explained(problem: ErrorDetails, place: str) -> str:
+    """A fault that pydantic found at a place, in our words."""
+    if words := {"missing": "must be given", "extra_forbidden": "unknown"}.get(problem["type"]):
+        return f"{place}: {words}"
     message = plain(problem["msg"])
     if problem["type"] in {"list_type", "dict_type", "tuple_type", "set_type"}:
         message += ', written as JSON such as ["a", "b"]'

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from eigenscan.runtime.errors import UsageError
-from eigenscan.runtime.settings import ServiceSettings, nearest, plain
+from eigenscan.runtime.settings import ServiceSettings, explained, nearest
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.group import EVERY, holds
@@ -132,6 +132,6 @@ def _settings(service: Service, values: Mapping[str, object]) -> ServiceSettings
     try:
         return service.options.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or service.name
-        raise UsageError(f"{service.name}: {place} = {first['input']!r}: {plain(first['msg'])}") from error
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"])) or "settings"
+        raise UsageError(f"{service.name}: {explained(fault, place)}") from error
