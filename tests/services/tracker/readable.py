@@ -46,7 +46,7 @@ from eigenscan.tracker.observation import (
     Observation,
     poorness,
 )
-from eigenscan.tracker.planar import compose, scaled
+from eigenscan.tracker.planar import Pose, between, compose, scaled
 from eigenscan.tracker.prediction import motion_noise
 from eigenscan.tracker.reckoning import Leg, Motions
 from eigenscan.tracker.settings import TrackerSettings
@@ -162,7 +162,7 @@ def settle(belief: Belief) -> None:
     belief.tracks = tracks.pick(order[tracks.log_weight[order] > np.log(limits.prune_below)])
     normalise(belief)
     groups = places(belief.tracks)
-    belief.tracks = join([merged(belief.tracks.pick(group), belief.stamp or 0) for group in groups])
+    belief.tracks = join([merged(belief.tracks.pick(group)) for group in groups])
     unnamed = np.flatnonzero(belief.tracks.id == 0)
     belief.tracks.id[unnamed] = np.arange(belief.next_id, belief.next_id + len(unnamed))
     belief.next_id += len(unnamed)
@@ -181,13 +181,17 @@ def places(tracks: Tracks) -> list[Index]:
     return groups or [np.zeros(0, dtype=np.intp)]
 
 
-def merged(group: Tracks, stamp: int) -> Tracks:
-    """One track with the moments of all, under the name of the heaviest that has one."""
+def merged(group: Tracks) -> Tracks:
+    """One track with the moments of all, under the name of the heaviest that has one.
+
+    So it is where a scan last fixed the heaviest: there, too, it has the moments of all.
+    """
     if len(group) < 2:
         return group
     weight = np.exp(group.log_weight - group.log_weight[0])
     shown = weight[:, None] * (1.0 - group.hidden)
     x, C = moments(group.x, group.C, weight)
+    fixed_x, fixed_covariance = moments(*where_fixed(group), weight)
     known = shown.sum(axis=0)
     mean = (shown * group.evidence).sum(axis=0) / np.where(known > 0.0, known, 1.0)
     evidence = np.where(known > 0.0, mean, group.evidence[0])
@@ -204,10 +208,26 @@ def merged(group: Tracks, stamp: int) -> Tracks:
         hidden=(weight @ group.hidden / weight.sum())[None],
         alias=np.array([group.alias.sum()]),
         evidence=evidence[None],
-        fixed_x=x[None],
-        fixed_covariance=C[None],
-        fixed_at=np.array([stamp]),
+        fixed_x=fixed_x[None],
+        fixed_covariance=fixed_covariance[None],
     )
+
+
+def where_fixed(group: Tracks) -> tuple[Array, Array]:
+    """Poses and covariances of all when a scan last fixed the first; others go back by its motion since."""
+    since = between(pose_of(group.x[0]), pose_of(group.fixed_x[0]))
+    back, C = carry(group.x, group.C, since, np.zeros((3, 3)))
+    same = group.fixed_at == group.fixed_at[0]
+    return (
+        np.where(same[:, None], group.fixed_x, back),
+        np.where(same[:, None, None], group.fixed_covariance, C),
+    )
+
+
+def pose_of(row: Array) -> Pose:
+    """A row (3,) as plain numbers."""
+    x, y, theta = row.tolist()
+    return x, y, theta
 
 
 def ahead(seen: Observation) -> Array:

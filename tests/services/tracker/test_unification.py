@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import moments
+from eigenscan.tracker.odometry import Motion
+from eigenscan.tracker.reckoning import Leg, correct
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
 from eigenscan.tracker.unification import settle
 
-from tests.services.tracker.readable import places
+from tests.services.tracker.readable import places, where_fixed
 
 HERE = np.array([[2.0, 3.0, 0.5]])
 SURE = np.diag([0.01, 0.01, 0.001])[None]
+FIXED = "fixed_x", "fixed_covariance"
 
 
 def _track(mass: float, frame: int = 0, off: float = 0.0) -> Tracks:
@@ -52,6 +55,27 @@ def test_tracks_that_are_apart_stay_apart() -> None:
     assert len(_unified(_track(0.6), _track(0.3, off=1.0))) == 2
 
 
+def test_scan_motion_still_corrects_a_track_that_a_fork_joined() -> None:
+    """Else what odometry may be off by since the last fix would stay, with each fork a little more."""
+    vague = SURE + np.diag([0.02, 0.02, 0.02])
+    main = replace(
+        _track(0.9),
+        fixed_x=HERE - [0.5 * np.cos(0.5), 0.5 * np.sin(0.5), 0.0],
+        C=vague,
+        fixed_at=np.array([10]),
+    )
+    joined = _unified(main, replace(_track(0.05, off=0.02), fixed_at=np.array([99])))
+    way = Leg(10, 99, (0.45, 0.0, 0.0), 1e-6 * np.eye(3), (-0.05, 0.0, 0.0))
+    stood = Motion((0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    corrected = correct(joined, way, 99, lambda *_: stood, TrackerSettings())
+    assert len(joined) == 1
+    assert joined.C[0, 2, 2] > 0.01
+    assert corrected.C[0, 2, 2] == pytest.approx(0.001, rel=0.01)
+    assert corrected.x[0, :2] == pytest.approx(
+        HERE[0, :2] - 0.05 * np.array([np.cos(0.5), np.sin(0.5)]), abs=0.01
+    )
+
+
 def _crowd(rng: np.random.Generator, count: int) -> Tracks:
     """Tracks around few places, heaviest first, some of them without a name."""
     spots = rng.uniform(-1.0, 1.0, (4, 3))
@@ -73,6 +97,9 @@ def _crowd(rng: np.random.Generator, count: int) -> Tracks:
         parent=rng.integers(9, size=count),
         born=rng.integers(9, size=count),
         observations=rng.integers(9, size=count),
+        fixed_x=tracks.x + rng.normal(size=(count, 3)) * 0.2,
+        fixed_covariance=tracks.C + np.eye(3) * 1e-3,
+        fixed_at=rng.integers(3, size=count),
     )
 
 
@@ -92,11 +119,13 @@ def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
             "alias": tracks.alias[group].sum(),
             "evidence": (shown * tracks.evidence[group]).sum(axis=0) / shown.sum(axis=0),
             "frame": tracks.frame[group[0]],
-            "fixed_at": 99 if len(group) > 1 else tracks.fixed_at[group[0]],
+            "fixed_at": tracks.fixed_at[group[0]],
         }
         expected["x"], expected["C"] = moments(tracks.x[group], tracks.C[group], weight)
+        fixed = where_fixed(tracks.pick(group))
+        expected["fixed_x"], expected["fixed_covariance"] = moments(*fixed, weight)
         if len(group) == 1:
-            expected["x"], expected["C"] = tracks.x[group[0]], tracks.C[group[0]]
+            expected |= {name: getattr(tracks, name)[group[0]] for name in ("x", "C", *FIXED)}
         named = group[tracks.id[group] > 0]
         heaviest = named[0] if len(named) else group[0]
         for name in ("id", "parent", "born"):
