@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate
 from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.odometry import Motion, OdometryTrail
@@ -107,3 +108,21 @@ def test_a_claim_that_no_list_confirms_any_more_ends_where_other_places_are_like
             doubtful.append(estimate)
     assert doubtful
     assert all(estimate.state != STATE_LOCALIZED for estimate in doubtful)
+
+
+@pytest.mark.parametrize(("inexactness", "likely"), [(0.0, False), (0.15, True)])
+def test_fits_as_poor_as_the_walls_are_believed_where_the_map_says_so(
+    make_core: MakeCore, poses_of: PosesOf, inexactness: float, likely: bool
+) -> None:
+    """On an exact map such fits, hardly ahead of others, are those of a place that the map does not show."""
+    core, speaker = make_core(), Speaker(inexactness=inexactness, clutter=0)
+    believed, elsewhere = [], np.random.default_rng(1)
+    for scan in range(60):
+        pose = [0.1 * scan, 0.0, 0.0]
+        others = elsewhere.uniform([-9.0, 2.0, -3.0], [9.0, 9.0, 3.0], (4, 3))
+        for message in (
+            speaker.odometry(0.1 * scan, pose),
+            speaker.hypotheses(0.1 * scan, [pose, *others], [9.5, 9.0, 9.0, 9.0, 9.0]),
+        ):
+            believed += [each.confidence for each in poses_of(core.handle(message))]
+    assert believed[-1] > 0.8 if likely else believed[-1] < 0.1

@@ -12,7 +12,7 @@ from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.association import Pairs, associate
-from eigenscan.tracker.evidence import learned, likelihood_at
+from eigenscan.tracker.evidence import first_even, learned, likelihood_at
 from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.robot import _Source
@@ -264,6 +264,18 @@ def test_a_map_counts_as_between_poor_and_exact(even: float, likelihood: float, 
     assert (after - even) * (likelihood - EVEN_BELOW - even) >= 0.0
 
 
+@given(st.floats(0.0, 1e6), st.floats(0.0, 1e6))
+def test_the_less_exact_a_map_is_the_less_is_asked_of_a_scan(one: float, other: float) -> None:
+    low, high = sorted((one, other))
+    assert EVEN_POOR <= first_even(high) <= first_even(low) <= EVEN_EXACT
+
+
+def test_walls_as_exact_as_a_lidar_leave_half_of_what_a_scan_shows() -> None:
+    assert first_even(0.0) == EVEN_EXACT
+    assert first_even(0.05) == pytest.approx((EVEN_POOR + EVEN_EXACT) / 2.0)
+    assert first_even(10.0) == pytest.approx(EVEN_POOR, abs=1e-3)
+
+
 @pytest.mark.parametrize(("likelihood", "expected"), [(25.0, EVEN_EXACT), (16.0, 10.0), (3.0, EVEN_POOR)])
 def test_what_a_map_is_worth_follows_the_mean_of_right_tracks(likelihood: float, expected: float) -> None:
     even = EVEN_EXACT
@@ -313,12 +325,12 @@ def moved(way: float, turn: float) -> Motion:
 
 @given(st.lists(st.floats(0.0, 2.0), max_size=40))
 def test_turns_at_one_place_count_up_to_one(turns: list[float]) -> None:
-    source = _Source(0, ("front", "map"))
+    source = _Source(0, ("front", "map"), 13.0)
     counted = sum(source.new_turn(moved(0.0, turn), 0.5) for turn in turns)
     assert counted == pytest.approx(min(sum(turns), TURN))
 
 
 def test_a_new_place_is_to_be_seen_all_around_again() -> None:
-    source = _Source(0, ("front", "map"))
+    source = _Source(0, ("front", "map"), 13.0)
     source.new_turn(moved(0.0, 10.0), 0.5)
     assert source.new_turn(moved(5.0, 10.0), 0.5) == pytest.approx(TURN, rel=1e-3)

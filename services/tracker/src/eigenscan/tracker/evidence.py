@@ -39,10 +39,23 @@ Chosen on intel, guardian 3, aces and fr079 with benchmarks/mechanisms.py.
 """
 
 
+LIDAR_M = 0.05
+"""m, error of a beam's end about an exact map's walls, as the projector assumes it."""
+
+
+def first_even(inexactness: float) -> float:
+    """`even` before any claim, where surfaces are off by `inexactness`, m, on the mean.
+
+    From that of an exact map to that of a poor one by how little such walls leave of what a scan shows.
+    """
+    left = LIDAR_M**2 / (LIDAR_M**2 + inexactness**2)
+    return EVEN_POOR + left * (EVEN_EXACT - EVEN_POOR)
+
+
 def learned(even: float, likelihood: float, share: float) -> float:
     """`even` after a scan at a claimed pose had a hypothesis of this log-likelihood there; 0: it had none.
 
-    A map counts as exact until the robot's own scans show otherwise: then less is asked of each. `share` is
+    A map counts as what it says of itself until the robot's own scans show otherwise. `share` is
     what this scan is of all that were learned from.
     """
     shown = min(max(likelihood - EVEN_BELOW, EVEN_POOR), EVEN_EXACT)

@@ -23,7 +23,7 @@ from eigenscan.tracker.confidence import (
     share_within,
 )
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
-from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_MOST, EVEN_STEPS, learned, likelihood_at
+from eigenscan.tracker.evidence import EVEN_MOST, EVEN_STEPS, first_even, learned, likelihood_at
 from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -88,15 +88,15 @@ class _Source:
     last: int
     shows: tuple[str, str]
     """Lidar and map frame: sources of the same speak of the same, and share its evidence."""
+    even: float
+    """Log-likelihood that speaks neither for nor against a track, as far as it is learned."""
     fixed: int = 0
     """Stamp of its last list, also a local one."""
     scans: int = 0
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
-    even: float = EVEN_EXACT
-    """Log-likelihood that speaks neither for nor against a track, as far as it is learned."""
     shown: float = EVEN_STEPS
-    """New scans that it was learned from, the exact map before them included."""
+    """New scans that `even` was learned from, what the map says of itself included."""
     turned: float = 0.0
     """rad turned at the present place: after a whole turn it has shown all that there is to see."""
 
@@ -323,7 +323,8 @@ class RobotTracker:
         source = self._sources.get(seen.source)
         if source is None:
             shows = seen.lidar, seen.frame
-            source = self._sources[seen.source] = _Source(seen.stamp, shows, seen.stamp)
+            even = first_even(seen.inexactness)
+            source = self._sources[seen.source] = _Source(seen.stamp, shows, even, seen.stamp)
         return source
 
     def _follow(self, seen: Observation) -> None:
