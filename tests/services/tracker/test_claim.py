@@ -111,7 +111,7 @@ def test_a_claim_that_no_list_confirms_any_more_ends_where_other_places_are_like
 
 
 @pytest.mark.parametrize(("inexactness", "likely"), [(0.0, False), (0.15, True)])
-def test_fits_as_poor_as_the_walls_are_believed_where_the_map_says_so(
+def test_fits_as_poor_as_the_walls_are_believed_where_the_map_states_it(
     make_core: MakeCore, poses_of: PosesOf, inexactness: float, likely: bool
 ) -> None:
     """On an exact map such fits, hardly ahead of others, are those of a place that the map does not show."""

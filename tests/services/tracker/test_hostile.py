@@ -138,8 +138,8 @@ def test_a_map_of_no_number_counts_as_exact(
     make_core: MakeCore, poses_of: PosesOf, inexactness: float
 ) -> None:
     published = []
-    for given in (0.0, inexactness):
-        core, speaker = make_core(), Speaker(inexactness=given)
+    for walls in (0.0, inexactness):
+        core, speaker = make_core(), Speaker(inexactness=walls)
         poses = [
             pose.confidence
             for scan in range(5)

@@ -55,7 +55,7 @@ def first_even(inexactness: float) -> float:
 def learned(even: float, likelihood: float, share: float) -> float:
     """`even` after a scan at a claimed pose had a hypothesis of this log-likelihood there; 0: it had none.
 
-    A map counts as what it says of itself until the robot's own scans show otherwise. `share` is
+    A map counts as what it states of its walls until the robot's own scans show otherwise. `share` is
     what this scan is of all that were learned from.
     """
     shown = min(max(likelihood - EVEN_BELOW, EVEN_POOR), EVEN_EXACT)

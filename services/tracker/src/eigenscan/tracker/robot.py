@@ -96,7 +96,7 @@ class _Source:
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
     shown: float = EVEN_STEPS
-    """New scans that `even` was learned from, what the map says of itself included."""
+    """New scans that `even` was learned from, what the map states included."""
     turned: float = 0.0
     """rad turned at the present place: after a whole turn it has shown all that there is to see."""
 

@@ -120,9 +120,7 @@ def _unified(t: Columns, near: float) -> Columns:
     cache=True,
     error_model="numpy",
 )
-def _settled(
-    arrays: Arrays, rest: Array, order: Index, least: float, near: float, next_id: int
-) -> Columns:
+def _settled(arrays: Arrays, rest: Array, order: Index, least: float, near: float, next_id: int) -> Columns:
     given = Columns(*arrays)
     t = taken(given, order[given.log_weight[order] > np.log(least)])
     normalise(t.log_weight, rest)
