@@ -118,7 +118,7 @@ def test_fits_as_poor_as_the_walls_are_believed_where_the_map_states_it(
     core, speaker = make_core(), Speaker(inexactness=inexactness, clutter=0)
     believed, elsewhere = [], np.random.default_rng(1)
     for scan in range(60):
-        pose = [0.1 * scan, 0.0, 0.0]
+        pose = np.array([0.1 * scan, 0.0, 0.0])
         others = elsewhere.uniform([-9.0, 2.0, -3.0], [9.0, 9.0, 3.0], (4, 3))
         for message in (
             speaker.odometry(0.1 * scan, pose),

@@ -144,7 +144,7 @@ def test_a_map_of_no_number_counts_as_exact(
             pose.confidence
             for scan in range(5)
             for message in (
-                speaker.odometry(float(scan), [0.5 * scan, 0.0, 0.0]),
+                speaker.odometry(float(scan), np.array([0.5 * scan, 0.0, 0.0])),
                 speaker.hypotheses(float(scan), [[0.5 * scan, 0.0, 0.0]], [10.0]),
             )
             for pose in poses_of(core.handle(message))
