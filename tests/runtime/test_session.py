@@ -8,6 +8,7 @@ import psutil
 import pytest
 import zenoh
 from eigenscan.runtime.session import ONE_RECEIVER, URGENT_BATCHES, open_session
+from eigenscan.schemas.channels import ContractError
 
 from tests.runtime.conftest import PATIENCE_S
 
@@ -41,6 +42,25 @@ def test_urgent_messages_find_room_unless_the_file_shows_otherwise(
     assert opened[0]["interactive_high"] == URGENT_BATCHES
     assert opened[1]["interactive_high"] < URGENT_BATCHES
     assert opened[0]["data"] == opened[1]["data"]
+
+
+@pytest.mark.parametrize("content", ["[]", "null", '"peer"', "// {\n[]", "/* { */ 7", ""])
+def test_a_file_that_is_no_object_is_refused(tmp_path: Path, content: str) -> None:
+    """Zenoh would take some of them for its own defaults, which find every neighbour."""
+    path = tmp_path / "zenoh.json5"
+    path.write_text(content)
+    with pytest.raises(ContractError, match="zenoh.json5: is no Zenoh configuration"):
+        open_session(path)
+
+
+def test_a_file_may_begin_with_comments(tmp_path: Path) -> None:
+    path = tmp_path / "zenoh.json5"
+    path.write_text("// robots [r1]\n/* of\n a site */ { scouting: { multicast: { enabled: false } } }")
+    session = open_session(path)
+    try:
+        assert not session.is_closed()
+    finally:
+        session.close()
 
 
 def test_without_a_file_nobody_else_can_join() -> None:

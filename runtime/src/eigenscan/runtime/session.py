@@ -37,6 +37,8 @@ both, because one that waits for a slow link must not stop the others."""
 _SHARED_MEMORY = "transport/shared_memory"
 _QUEUE_SIZE = "transport/link/tx/queue/size"
 
+_OBJECT = re.compile(r"(?:\s|//[^\n]*\n|/\*.*?\*/)*\{", re.DOTALL)
+"""How a JSON5 object begins, after comments."""
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
 
@@ -51,6 +53,8 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     zenoh.init_log_from_env_or(LOG_FILTER)
     if path and not path.exists():
         raise ContractError(f"{path}: no such Zenoh configuration: check --zenoh")
+    if path and _is_another_json(path):
+        raise ContractError(f"{path}: is no Zenoh configuration (JSON5): it must begin with {{")
     try:
         config = zenoh.Config.from_file(str(path)) if path else _this_machine(mode, listen)
     except zenoh.ZError as error:
@@ -65,6 +69,13 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
             f"{path or f'{mode} of this machine'}: no Zenoh session: {_reason(error)}: "
             "check its listen and connect endpoints"
         ) from error
+
+
+def _is_another_json(path: Path) -> bool:
+    """Whether a JSON5 file holds no object: Zenoh takes a list for its own defaults, which find anybody."""
+    if path.suffix not in {".json", ".json5"}:
+        return False
+    return _OBJECT.match(path.read_text(encoding="utf-8", errors="replace")) is None
 
 
 def _this_machine(mode: str, listen: Sequence[str]) -> zenoh.Config:
