@@ -481,7 +481,9 @@ class RobotTracker:
             return None
         if self._rivals.since is not None:  # mass that another frame may still get is risk
             return None
-        return protect(self.belief.tracks, verdict.track, self._settings.protection_risk)
+        # a set-up that may be wrong is risk as well
+        left = self._settings.protection_risk - (1.0 - verdict.proven)
+        return protect(self.belief.tracks, verdict.track, left) if left > 0.0 else None
 
     def _near_odometry(self, stamp: int) -> bool:
         newest = self._trail.newest
