@@ -49,7 +49,7 @@ def test_a_file_that_is_no_object_is_refused(tmp_path: Path, content: str) -> No
     """Zenoh would take some of them for its own defaults, which find every neighbour."""
     path = tmp_path / "zenoh.json5"
     path.write_text(content)
-    with pytest.raises(ContractError, match="zenoh.json5: is no Zenoh configuration"):
+    with pytest.raises(ContractError, match=r"zenoh\.json5: is no Zenoh configuration"):
         open_session(path)
 
 

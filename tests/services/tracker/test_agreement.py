@@ -7,7 +7,7 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from eigenscan.geometry.pose import between, compose, from_message, inverse, to_message
+from eigenscan.geometry.pose import between, compose, from_message, to_message
 from eigenscan.schemas.channels import SCAN_MOTION, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health

@@ -26,6 +26,7 @@ from eigenscan.tracker.covariance import log_density, mahalanobis_squared, resid
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import motion_noise
+from eigenscan.tracker.reckoning import Leg, Motions
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.tracks import Tracks, begin, join
 from numpy.typing import NDArray
@@ -59,6 +60,9 @@ class Sequences(Belief):
             # poses are no vectors: the state moves as poses do, the covariance by the derivatives
             x[i], C[i] = compose(x[i], np.array(moved.delta)), kalman.P
         self.tracks = replace(self.tracks, x=x, C=C)
+
+    def correct(self, way: Leg, now: int, motions: Motions) -> None:
+        """Leaves the tracks as odometry alone has predicted them, as the paper does."""
 
     def observe(self, seen: Observation, share: Share) -> None:
         """Each hypothesis goes on with the track that makes it most probable, or starts one.
