@@ -16,7 +16,6 @@ from tests.services.tracker.readable import places, where_fixed
 
 HERE = np.array([[2.0, 3.0, 0.5]])
 SURE = np.diag([0.01, 0.01, 0.001])[None]
-FIXED = "fixed_x", "fixed_covariance"
 
 
 def _track(mass: float, frame: int = 0, off: float = 0.0) -> Tracks:
@@ -31,9 +30,9 @@ def _unified(*tracks: Tracks) -> Tracks:
 
 
 def _settled(tracks: Tracks) -> Belief:
-    """After a scan at 99 ns; what no track holds is all mass that there is beside them."""
+    """What no track holds is all mass that there is beside them."""
     none = 1.0 - np.exp(tracks.log_weight).sum()
-    belief = Belief(TrackerSettings(), tracks, stamp=99, next_id=100)
+    belief = Belief(TrackerSettings(), tracks, next_id=100)
     belief.elsewhere.log_weight[:] = np.log(none)
     settle(belief)
     return belief
@@ -125,7 +124,8 @@ def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
         fixed = where_fixed(tracks.pick(group))
         expected["fixed_x"], expected["fixed_covariance"] = moments(*fixed, weight)
         if len(group) == 1:
-            expected |= {name: getattr(tracks, name)[group[0]] for name in ("x", "C", *FIXED)}
+            names = ("x", "C", "fixed_x", "fixed_covariance")
+            expected |= {name: getattr(tracks, name)[group[0]] for name in names}
         named = group[tracks.id[group] > 0]
         heaviest = named[0] if len(named) else group[0]
         for name in ("id", "parent", "born"):
