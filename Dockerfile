@@ -34,7 +34,7 @@ ENV PATH=/opt/own/bin:/opt/eigenscan/bin:$PATH PYTHONPATH=/opt/own PYTHONUNBUFFE
 USER 10001:10001
 WORKDIR /tmp
 EXPOSE 9100
-HEALTHCHECK --interval=5s --timeout=4s --start-period=300s --retries=3 CMD ["python", "-IS", "-c", \
+HEALTHCHECK --interval=5s --timeout=4s --start-period=1200s --retries=3 CMD ["python", "-IS", "-c", \
   "import os, urllib.request as r; r.urlopen('http://127.0.0.1:%s/healthz' % os.environ['EIGENSCAN_METRICS_PORT'], timeout=3)"]
 
 # --- layer: lean ---
