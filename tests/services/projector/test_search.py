@@ -17,7 +17,7 @@ from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.intervals import clearance, leaving
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.likelihood import beyond_walls, support
+from eigenscan.projector.likelihood import beyond_walls, support, sure_of_walls
 from eigenscan.projector.observation import by_reach, observe
 from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
@@ -286,6 +286,11 @@ def test_support_counts_walls_and_beams_through_them() -> None:
     # something in front of every other beam takes its support; a wall that is not there speaks against
     assert 0.4 < shorter < 0.75
     assert longer < shorter - 0.2
+
+
+@pytest.mark.parametrize(("inexactness", "sure"), [(0.0, 1.0), (0.05, 0.5), (0.15, 0.1)])
+def test_a_map_is_as_sure_of_its_walls_as_they_are_exact(inexactness: float, sure: float) -> None:
+    assert sure_of_walls(inexactness) == pytest.approx(sure)
 
 
 def test_many_beams_on_one_near_thing_show_little_more_than_one() -> None:

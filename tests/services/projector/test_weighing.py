@@ -30,8 +30,11 @@ def office() -> Site:
     return Site(whole, ProjectorSettings())
 
 
+@pytest.mark.parametrize("sure", [0.2, 1.0])
 @pytest.mark.parametrize("field_of_view", [np.pi, 2.0 * np.pi])
-def test_weighing_is_fitting_casting_clearing_and_supporting(office: Site, field_of_view: float) -> None:
+def test_weighing_is_fitting_casting_clearing_and_supporting(
+    office: Site, field_of_view: float, sure: float
+) -> None:
     rng = np.random.default_rng(5)
     for number, truth in enumerate(free_poses(12, 31)):
         seen = observe(scan_at(truth, field_of_view=field_of_view, seed=number))
@@ -40,13 +43,13 @@ def test_weighing_is_fitting_casting_clearing_and_supporting(office: Site, field
         reading = office.readings[0]
         bearings, ranges = seen.weighed
         found, supported, explained = weigh(
-            reading.walls, reading.caster, office.drawn, slid, seen.points, seen.weighed
+            reading.walls, reading.caster, office.drawn, slid, seen.points, seen.weighed, sure
         )
 
         polished = fit(reading.walls, slid, seen.points, POLISH)
         entered = reading.caster.cast(polished.poses, bearings, ranges)
         clear = clearance(office.drawn, polished.poses, bearings, entered, ranges)
-        mean, share = support(reading.walls, polished.poses, bearings, ranges, beyond_walls(clear))
+        mean, share = support(reading.walls, polished.poses, bearings, ranges, sure * beyond_walls(clear))
         assert np.allclose(difference(found.poses[:, 2], polished.poses[:, 2]), 0.0, atol=1e-6)
         assert np.allclose(found.poses[:, :2], polished.poses[:, :2], atol=1e-6)
         assert np.allclose(found.cost, polished.cost, atol=1e-6)

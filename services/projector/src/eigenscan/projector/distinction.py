@@ -86,7 +86,17 @@ def odds(site: Site, lidars: Sequence[Lidar], moved: Array) -> Array:
         sensors = compose(moved, lidar.mount)
         bearings = lidar.bearings
         full = FULL_BEAMS * len(bearings) / coarse_sensor(lidar.sensor).beams
-        _odds(surface, walls_of(site), rays_of(site), sensors, bearings, lidar.reach, full, out)
+        _odds(
+            surface,
+            walls_of(site),
+            rays_of(site),
+            sensors,
+            bearings,
+            lidar.reach,
+            full,
+            site.sure_of_walls,
+            out,
+        )
         total += out
     return total
 
@@ -108,7 +118,9 @@ def fitted_odds(site: Site, lidars: Sequence[Lidar], places: Array) -> Array:
             beams = bearings[back], np.ascontiguousarray(seen[back])
             points = np.column_stack([beams[1] * np.cos(beams[0]), beams[1] * np.sin(beams[0])])
             reading = site.readings[0]
-            _, support, _ = weigh(reading.walls, reading.caster, site.drawn, sensors, points, beams)
+            _, support, _ = weigh(
+                reading.walls, reading.caster, site.drawn, sensors, points, beams, site.sure_of_walls
+            )
             worth = NATS * SUPPOSED * min(1.0, int(back.sum()) / full)
             total[a] += worth * np.maximum(support[a] - support - UNSURE, 0.0)
     np.fill_diagonal(total, 0.0)
@@ -131,6 +143,7 @@ def _odds(
     bearings: Array,
     reach: float,
     full: float,
+    sure: float,
     out: Array,
 ) -> None:
     leap, map_in_grid, resolution, turned = rays
@@ -160,7 +173,7 @@ def _odds(
             find_clearance(cells, cell, cells_of(map_in_field, cell, poses), along, there, seen, through)
             for b in range(places):
                 for j in range(count):
-                    through[b, j] = sure_beyond(through[b, j])
+                    through[b, j] = sure_beyond(through[b, j]) * sure
             cells, cell, map_in_field = surface
             support = np.empty((2, places))
             find_support(

@@ -8,6 +8,7 @@ merely look similar.
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.projector.covariance import POINT_SIGMA
 from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import WallField, unpack
 from numba import njit
@@ -72,6 +73,15 @@ def sure_beyond(clear: np.float32) -> np.float32:
     """For compiled code: `beyond_walls` of one beam."""
     square = clear * clear
     return np.float32(square / (square + np.float32(WALL_SCALE**2)))
+
+
+def sure_of_walls(inexactness: float) -> float:
+    """How surely a wall is there, 0 to 1, in a map whose surfaces are off by `inexactness`, m.
+
+    Such a map draws walls that are not there, and a beam from the right pose goes through them. What is left is
+    the share of a scan's information that such walls leave (benchmarks/maps.py --way smeared --way fatter).
+    """
+    return POINT_SIGMA**2 / (POINT_SIGMA**2 + inexactness**2)
 
 
 def ordinary_support(supports: Array, parts: int = 1) -> float:

@@ -229,7 +229,9 @@ def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, hom
 
 def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
     """Slid poses polished on a reading's surfaces, with their support and the share of explained beams."""
-    return weigh(reading.walls, reading.caster, site.drawn, slid, seen.points, seen.weighed)
+    return weigh(
+        reading.walls, reading.caster, site.drawn, slid, seen.points, seen.weighed, site.sure_of_walls
+    )
 
 
 def _weigh(

@@ -18,6 +18,7 @@ from eigenscan.projector.association.manifold import Association
 from eigenscan.projector.association.ratios import Ratios
 from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.likelihood import sure_of_walls
 from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
@@ -163,7 +164,7 @@ class Site:
 
     `readings`: where the walls' surfaces may be, in their middle and, where they are thick, at their faces;
     each scan shows which. `caster` is the first one's, `drawn` of the walls as the map draws them.
-    `inexactness`, m: how far surfaces may be from there.
+    `inexactness`, m: how far surfaces may be from there; `sure_of_walls`: how surely walls are there.
     `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
     """
@@ -182,6 +183,7 @@ class Site:
         self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
         found = Surfaces.of(whole.grid)
         surfaces, self.inexactness = found.grid, found.inexactness
+        self.sure_of_walls = sure_of_walls(self.inexactness)
         field = DistanceField.of(whole.grid)
         self.drawn = WallField.of(field)
         as_drawn = Reading(self.drawn, RayCaster.of(whole.grid))

@@ -38,11 +38,12 @@ def weigh(
     slid: Array,
     points: Array,
     beams: tuple[Array, Singles],
+    sure: float,
 ) -> tuple[Fit, Array, Array]:
     """Poses `slid` (n, 3) polished on `walls`, with their support (n,) and share of explained beams (n,).
 
     `caster` shows where beams enter these walls, `drawn` when they are beyond them. `points` (B, 2) of the
-    whole scan are fitted; `beams`, bearings (b,) and finite ranges (b,), are weighed.
+    whole scan are fitted; `beams`, bearings (b,) and finite ranges (b,), are weighed. `sure`: of the walls.
     """
     count = len(slid)
     found = Fit(np.empty((count, 3)), np.empty(count), np.empty((count, 3, 3)))
@@ -57,6 +58,7 @@ def weigh(
         POLISH.squares,
         beams[0],
         beams[1],
+        sure,
         (found.poses, found.cost, found.information),
         out,
     )
@@ -83,6 +85,7 @@ def doubts(site: Site, view: SensorView, seen: Observation, slid: Array, home: I
         bearings,
         ranges,
         share_of(ranges),
+        site.sure_of_walls,
         out,
     )
     return out
@@ -102,10 +105,12 @@ def _doubt(
     bearings: Array,
     seen: Singles,
     share: Array,
+    sure: float,
     out: Array,
 ) -> None:
     through = np.empty((len(slid), len(beams)), dtype=np.float32)
     find_overshot(leaves, lattice, home, slid, angle_min, beams, seen, most, through)
+    through *= np.float32(sure)
     cells, cell, map_in_field = drawn
     found = np.empty((2, len(slid)))
     find_support(cells, cell, cells_of(map_in_field, cell, slid), bearings, seen, share, through, found)
@@ -127,6 +132,7 @@ def _weigh(
     scales: Array,
     bearings: Array,
     seen: Singles,
+    sure: float,
     fitted: tuple[Array, Array, Array],
     out: Array,
 ) -> None:
@@ -150,7 +156,7 @@ def _weigh(
     find_clearance(cells, cell, cells_of(map_in_field, cell, poses), bearings, entered, seen, through)
     for i in range(len(poses)):
         for j in range(len(seen)):
-            through[i, j] = sure_beyond(through[i, j])
+            through[i, j] = sure_beyond(through[i, j]) * sure
     cells, cell, map_in_field = walls
     find_support(cells, cell, cells_of(map_in_field, cell, poses), bearings, seen, share, through, out)
     stops = stop_at(leap, ground)
