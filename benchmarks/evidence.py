@@ -44,7 +44,7 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
-from eigenscan.tracker.evidence import ALIASES, ENDS, EVEN_EXACT, EVEN_POOR, HIDES, MOST_AHEAD, SHOWS, SLOPE
+from eigenscan.tracker.evidence import ALIASES, ENDS, EVEN, HIDES, LEAD, LEVEL, MOST, SHOWS
 from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.log import read_log
@@ -73,7 +73,7 @@ GOES_ON = (1, 2, 4, 6)
 AWAY_M = 3.0
 """A place nearer than this is none that a robot was carried to."""
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
-AHEAD = np.array([-np.inf, 0.0, 1.0, 3.0, 5.0, np.inf])
+AHEAD = np.array([-np.inf, -8.0, -5.0, -3.0, -1.0, 0.0, 1.0, 3.0, 5.0, np.inf])
 NEAREST_M, NEAREST_RAD, CAPPED = 1.0, np.radians(25.0), 60.0
 """Of the true pose, and the squared error, beyond which a hypothesis is of another place."""
 
@@ -199,7 +199,7 @@ def looks_right(scan: Answer, pose: np.ndarray) -> bool:
         return False
     best = scan.likelihoods[there].max()
     lead = best - scan.likelihoods[~there].max(initial=0.0)
-    return bool(SLOPE * (best - EVEN_EXACT) + np.clip(lead, 0.0, MOST_AHEAD) >= LOOKS_RIGHT)
+    return bool(np.clip(LEAD * lead + LEVEL * (best - EVEN), -MOST, MOST) >= LOOKS_RIGHT)
 
 
 def hiding(windows: list[list[Answer]]) -> dict[str, float]:
@@ -331,10 +331,7 @@ def main() -> None:
     parser.add_argument("--way", default="exact", choices=list(WAYS), help="in which the map is made worse")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    print(
-        f"the tracker: {SLOPE} (L - {EVEN_EXACT}, on poor maps {EVEN_POOR}) + how far ahead, "
-        f"0 to {MOST_AHEAD:g}"
-    )
+    print(f"the tracker: {LEAD} for each nat ahead + {LEVEL} (L - {EVEN:g}), at most {MOST:g} either way")
     rows = []
     for case in CASES:
         if options.only in case:

@@ -199,10 +199,9 @@ Patches = Sequence[tuple[Any, str, Any]]
 
 MECHANISMS: Mapping[str, Patches] = {
     "as it is": (),
-    "lead over the next place": ((evidence, "MOST_AHEAD", 0.0),),
+    "how far ahead, or behind": ((evidence, "LEAD", 0.0),),
+    "how likely": ((evidence, "LEVEL", 0.0),),
     "aliases": ((evidence, "ALIASES", 1e-12),),
-    "what the map is worth, learned": ((robot, "learned", lambda *_: evidence.EVEN_EXACT),),
-    "what the map states of its walls": ((robot, "first_even", lambda _: evidence.EVEN_EXACT),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, __: moved.turn),),
     "places alike along a hallway": ((evidence, "ALIKE_M", 0.0),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),

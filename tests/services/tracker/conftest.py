@@ -31,8 +31,6 @@ class Speaker:
     area: float = 400.0
     unlisted: float = 0.0
     clutter: int = 8
-    inexactness: float = 0.0
-    """m, of the map's walls."""
     covariance: np.ndarray = field(default_factory=lambda: np.diag(SIGMA**2))
 
     def address(self, lidar: str = "front", projector: str = "0") -> dict[str, str]:
@@ -59,7 +57,6 @@ class Speaker:
             status=status,
             unlisted_log_likelihood=self.unlisted / TRUST,
             searched_area_m2=self.area,
-            map_inexactness=self.inexactness,
             hypotheses=[
                 Hypothesis(
                     pose=to_message(pose),

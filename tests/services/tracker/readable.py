@@ -23,10 +23,12 @@ from eigenscan.tracker.evidence import (
     ALIASES,
     ALIKE_M,
     ENDS,
-    EVEN_EXACT,
+    EVEN,
     HIDES,
+    LEAD,
     LEAST_MASS,
-    MOST_AHEAD,
+    LEVEL,
+    MOST,
     NEAR_M,
     NEAR_RAD,
     SHOWN_YET_MISSED,
@@ -35,7 +37,6 @@ from eigenscan.tracker.evidence import (
     SLIP_RAD,
     SLIP_SHARE,
     SLIPS,
-    SLOPE,
     TAIL,
 )
 from eigenscan.tracker.observation import (
@@ -100,7 +101,7 @@ class Readable(Belief):
             tracks = replace(tracks, evidence=shown, hidden=hidden, alias=alias)
         mine = tracks.frame == frame
         old, others = tracks.pick(mine), tracks.pick(~mine)
-        merit = Merit.of(seen, share.even)
+        merit = Merit.of(seen)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
         emerging = rest.searched[frame, source] * -np.expm1(-SHOWS * share.progress)
         findable = 1.0 - rest.searched[frame, source] + emerging
@@ -230,14 +231,14 @@ def pose_of(row: Array) -> Pose:
     return x, y, theta
 
 
-def ahead(seen: Observation) -> Array:
-    """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
+def leads(seen: Observation) -> Array:
+    """By how many nats (k,) hypotheses are ahead of the next place; those of other places behind the best."""
     if not len(seen.poses):
         return np.zeros(0)
     off = residual(seen.poses, seen.poses[np.argmax(seen.log_likelihoods)])
     there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (np.abs(off[:, 2]) <= NEAR_RAD)
     next_place = seen.log_likelihoods[~there].max(initial=seen.unlisted)
-    lead: Array = np.where(there, (seen.log_likelihoods - next_place).clip(0.0, MOST_AHEAD), 0.0)
+    lead: Array = seen.log_likelihoods - np.where(there, next_place, seen.log_likelihoods.max())
     return lead
 
 
@@ -254,12 +255,13 @@ class Merit:
     predicted: Array
 
     @classmethod
-    def of(cls, seen: Observation, even: float = EVEN_EXACT) -> Merit:
+    def of(cls, seen: Observation) -> Merit:
         """Both follow from likelihoods, and from how far the best is ahead of other places."""
-        lead = ahead(seen)
+        lead = leads(seen)
         # that a poor fit may be of more poses makes the place no likelier
         spread = 1.5 * poorness(seen.log_likelihoods)
-        return cls(seen.log_likelihoods + lead - spread, SLOPE * (seen.log_likelihoods - even) + lead)
+        predicted = LEAD * lead + LEVEL * (seen.log_likelihoods - EVEN)
+        return cls(seen.log_likelihoods + lead.clip(0.0, MOST) - spread, predicted.clip(-MOST, MOST))
 
     def of_pairs(self, pairs: Pairs) -> Array:
         """What each pair (p,) of a track and a hypothesis in its gate is worth.

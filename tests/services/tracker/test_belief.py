@@ -404,7 +404,7 @@ def test_between_sparse_scans_wheels_slip_and_the_next_list_shows(
             odometry = compose(odometry, np.array([0.4 * metres, 0.4, 0.1]))
         core.handle(speaker.odometry(time, odometry))
         poses = [truth + rng.normal(size=3) * [0.03, 0.03, 0.01], *others(rng, 4)]
-        message = poses_of(core.handle(speaker.hypotheses(time, poses, [14.0, 9.0, 9.0, 8.0, 8.0])))[0]
+        message = poses_of(core.handle(speaker.hypotheses(time, poses, [18.0, 9.0, 9.0, 8.0, 8.0])))[0]
         assert message.state != STATE_LOCALIZED or is_right(message, truth)
         assert message.state == STATE_LOCALIZED or scan < 3 or scan == 10
 

@@ -133,27 +133,6 @@ def is_right(message: PoseEstimate) -> bool:
     return bool(np.hypot(message.pose.x - TRUTH[0], message.pose.y - TRUTH[1]) < 0.1)
 
 
-@pytest.mark.parametrize("inexactness", [math.nan, math.inf, -1.0, 1e300])
-def test_a_map_of_no_number_counts_as_exact(
-    make_core: MakeCore, poses_of: PosesOf, inexactness: float
-) -> None:
-    published = []
-    for walls in (0.0, inexactness):
-        core, speaker = make_core(), Speaker(inexactness=walls)
-        poses = [
-            pose.confidence
-            for scan in range(5)
-            for message in (
-                speaker.odometry(float(scan), np.array([0.5 * scan, 0.0, 0.0])),
-                speaker.hypotheses(float(scan), [[0.5 * scan, 0.0, 0.0]], [10.0]),
-            )
-            for pose in poses_of(core.handle(message))
-        ]
-        published.append(poses)
-    assert published[0] == published[1]
-    assert len(published[0]) == 5
-
-
 @pytest.mark.parametrize("pose", [[math.nan, 0, 0], [math.inf, 1, 1], [1, 1, math.nan]])
 def test_odometry_that_is_no_number_is_set_aside(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, pose: ArrayLike

@@ -13,7 +13,6 @@ from eigenscan.schemas.tracking_pb2 import Tracks as TracksMessage
 from eigenscan.tracker import observation, robot, unification
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.evidence import EVEN_EXACT, EVEN_POOR
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.reckoning import Leg, correct
@@ -135,17 +134,16 @@ def test_what_a_message_lists_is_checked_the_same(
     carried=st.floats(0.0, 0.5) | st.just(0.0),
     broken=st.booleans(),
     in_part=st.booleans(),
-    even=st.floats(EVEN_POOR, EVEN_EXACT),
 )
 def test_a_list_does_the_same_to_a_belief(
     seed: int, tracks: int, hypotheses: int, sources: int, frames: int, weight: float, progress: float,
-    precision: float, carried: float, broken: bool, in_part: bool, even: float,
+    precision: float, carried: float, broken: bool, in_part: bool,
 ) -> None:  # fmt: skip
     found = some_belief(np.random.default_rng(seed), Belief, tracks, sources, frames)
     expected = some_belief(np.random.default_rng(seed), Readable, tracks, sources, frames)
     before = deepcopy(found.tracks)
     seen = some_list(np.random.default_rng(seed + 1), hypotheses, sources - 1)
-    share = Share(weight, progress, precision, carried, broken, in_part, even)
+    share = Share(weight, progress, precision, carried, broken, in_part)
     given_tracks = found.tracks
     found.observe(seen, share)
     expected.observe(seen, share)

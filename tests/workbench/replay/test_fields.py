@@ -98,7 +98,6 @@ def test_the_table_names_fields_that_exist() -> None:
         "range_min",
         "range_max",
         "searched_area_m2",
-        "map_inexactness",
         "protection_risk",
         "longest_step",
     }

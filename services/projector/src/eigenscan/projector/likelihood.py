@@ -78,7 +78,7 @@ def sure_beyond(clear: np.float32) -> np.float32:
 def sure_of_walls(inexactness: float) -> float:
     """How surely a wall is there, 0 to 1, in a map whose surfaces are off by `inexactness`, m.
 
-    Such a map draws walls that are not there, and a beam from the right pose goes through them. What is left is
+    Such a map draws walls that are not there, and beams from the right pose go through them. What is left is
     the share of a scan's information that such walls leave (benchmarks/maps.py --way smeared --way fatter).
     """
     return POINT_SIGMA**2 / (POINT_SIGMA**2 + inexactness**2)

@@ -157,7 +157,7 @@ class Belief:
         made = observed(
             arrays_of(self.tracks), *self.elsewhere.parts(), seen.poses, seen.covariances,
             seen.log_likelihoods, seen.unlisted, frame, source, seen.stamp, self.gate, share.weight,
-            share.progress, share.precision, share.carried, share.even, share.broken, share.in_part,
+            share.progress, share.precision, share.carried, share.broken, share.in_part,
             _constants(),
         )  # fmt: skip
         self.tracks = tracks_of(made)
@@ -177,8 +177,9 @@ def happened(expected: float) -> float:
 def _constants() -> Constants:
     """As they are now: a benchmark may have changed one."""
     return Constants(
-        evidence.SLOPE,
-        evidence.MOST_AHEAD,
+        evidence.LEAD,
+        evidence.MOST,
+        evidence.LEVEL,
         evidence.SHOWN_YET_MISSED,
         evidence.HIDES,
         evidence.SHOWS,

@@ -23,43 +23,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-SLOPE, MOST_AHEAD = 0.35, 5.0
-"""ln of that ratio is SLOPE (L - even), and as many nats as the list's best is ahead of the next place.
+LEAD, MOST = 0.8, 5.0
+"""ln of that ratio is LEAD for each nat that a hypothesis is ahead of the next place, or behind the best.
 
-Rounded from what three buildings have in common: benchmarks/evidence.py.
+So it is on exact, thick and smeared maps alike: what makes one place likely makes others likely, too. At most
+MOST either way. Rounded from what five buildings have in common: benchmarks/evidence.py --way.
 """
-EVEN_EXACT, EVEN_POOR = 13.0, 8.0
-"""The L that speaks neither for nor against a track: on an exact map, and on one of thick or smeared walls
-(benchmarks/evidence.py --way)."""
-EVEN_BELOW, EVEN_STEPS, EVEN_MOST = 6.0, 10.0, 60.0
-"""How far it lies below the mean L of right tracks, and the new scans over which that mean is learned, first
-and at most, for a map that lacks one place is not poor everywhere.
+LEVEL, EVEN = 0.2, 13.0
+"""To this comes LEVEL (L - EVEN): off the map, too, one place is ahead, but with a low likelihood.
 
-Chosen on intel, guardian 3, aces and fr079 with benchmarks/mechanisms.py.
+Chosen on intel, fr079 and aces with benchmarks/mechanisms.py.
 """
-
-
-LIDAR_M = 0.05
-"""m, error of a beam's end about an exact map's walls, as the projector assumes it."""
-
-
-def first_even(inexactness: float) -> float:
-    """`even` before any claim, where surfaces are off by `inexactness`, m, on the mean.
-
-    From that of an exact map to that of a poor one by how little such walls leave of what a scan shows.
-    """
-    left = LIDAR_M**2 / (LIDAR_M**2 + inexactness**2)
-    return EVEN_POOR + left * (EVEN_EXACT - EVEN_POOR)
-
-
-def learned(even: float, likelihood: float, share: float) -> float:
-    """`even` after a scan at a claimed pose had a hypothesis of this log-likelihood there; 0: it had none.
-
-    A map counts as what it states of its walls until the robot's own scans show otherwise. `share` is
-    what this scan is of all that were learned from.
-    """
-    shown = min(max(likelihood - EVEN_BELOW, EVEN_POOR), EVEN_EXACT)
-    return even + share * (shown - even)
 
 
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
@@ -96,8 +70,9 @@ LEAST_MASS = float(np.log(1e-4))
 class Constants(NamedTuple):
     """What compiled code is given of the constants, so that a benchmark can leave a mechanism out."""
 
-    slope: float
-    most_ahead: float
+    lead: float
+    most: float
+    level: float
     shown_yet_missed: float
     hides: float
     shows: float
@@ -121,7 +96,6 @@ class Scan(NamedTuple):
     progress: float
     precision: float
     carried: float
-    even: float
     broken: bool
     in_part: bool
     source: int
@@ -167,19 +141,18 @@ def _likelihood_at(pose: Array, poses: Array, log_likelihoods: Array) -> float:
 
 
 @inner()  # pragma: no cover - compiled
-def listed(
-    poses: Array, covariances: Array, log_likelihoods: Array, unlisted: float, even: float, c: Constants
-) -> Listed:
+def listed(poses: Array, covariances: Array, log_likelihoods: Array, unlisted: float, c: Constants) -> Listed:
     """What hypotheses are worth; those that are no likelier than an unlisted pose are left out.
 
-    alone = L + lead - ln(how much larger a poor fit's volume is): that it may be of more poses makes the
-    place no likelier. predicted = SLOPE (L - even) + lead. Aliases follow from their share by Bayes' rule.
+    alone = L + lead, where ahead, - ln(how much larger a poor fit's volume is): that it may be of more poses
+    makes the place no likelier. predicted = LEAD lead + LEVEL (L - EVEN). Aliases follow from their share by
+    Bayes' rule.
     """
     kept = np.flatnonzero(log_likelihoods > unlisted + 1e-9)
     y, R, L = poses[kept], covariances[kept], log_likelihoods[kept]
-    lead = ahead(y, L, unlisted, c.most_ahead)
-    alone = L + lead - 1.5 * poorness_each(L, c.poorer)
-    predicted = c.slope * (L - even) + lead
+    lead = leads(y, L, unlisted)
+    alone = L + np.minimum(np.maximum(lead, 0.0), c.most) - 1.5 * poorness_each(L, c.poorer)
+    predicted = np.minimum(np.maximum(c.lead * lead + c.level * (L - EVEN), -c.most), c.most)
     alias = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
     return Listed(y, R, widened_each(y, R, L, c.alike_m), alone, predicted, alias)
 
@@ -212,20 +185,18 @@ def widened_each(poses: Array, covariances: Array, log_likelihoods: Array, reach
 
 
 @inner()  # pragma: no cover - compiled
-def ahead(poses: Array, log_likelihoods: Array, unlisted: float, most: float) -> Array:
-    """By how many nats (k,) the list's best is ahead of the next place; 0 for hypotheses of other places."""
-    there = np.zeros(len(poses), dtype=np.bool_)
-    lead, next_place = np.zeros(len(poses)), unlisted
+def leads(poses: Array, log_likelihoods: Array, unlisted: float) -> Array:
+    """By how many nats (k,) hypotheses are ahead of the next place; those of other places behind the best."""
+    there, lead = np.zeros(len(poses), dtype=np.bool_), np.zeros(len(poses))
     if not len(poses):
         return lead
-    best = poses[np.argmax(log_likelihoods)]
+    first, next_place = np.argmax(log_likelihoods), unlisted
     for k in range(len(poses)):
-        there[k] = is_near(poses[k], best)
+        there[k] = is_near(poses[k], poses[first])
         if not there[k]:
             next_place = max(next_place, log_likelihoods[k])
     for k in range(len(poses)):
-        if there[k]:
-            lead[k] = min(max(log_likelihoods[k] - next_place, 0.0), most)
+        lead[k] = log_likelihoods[k] - (next_place if there[k] else log_likelihoods[first])
     return lead
 
 

@@ -55,8 +55,6 @@ class Observation:
     """Hypotheses in the message, also those that are no numbers."""
     local: bool = False
     """Whether only the place around the tracker's own pose was looked at."""
-    inexactness: float = 0.0
-    """m, how far the building's surfaces are from the map's: standard deviation."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -89,7 +87,6 @@ def observe(
         counts["covariance_replaced"] += replaced
     unlisted = message.unlisted_log_likelihood
     unlisted = min(max(unlisted, -LOG_LIKELIHOOD_LIMIT), LOG_LIKELIHOOD_LIMIT) if isfinite(unlisted) else 0.0
-    inexactness = message.map_inexactness
     return Observation(
         nanoseconds(message.timestamp),
         f"{address['lidar']}/{address['projector']}",
@@ -104,7 +101,6 @@ def observe(
         message.model_version,
         len(rows),
         message.search == SEARCH_LOCAL,
-        inexactness if 0.0 <= inexactness < FARTHEST else 0.0,
     )
 
 

@@ -23,7 +23,6 @@ from eigenscan.tracker.confidence import (
     share_within,
 )
 from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
-from eigenscan.tracker.evidence import EVEN_MOST, EVEN_STEPS, first_even, learned, likelihood_at
 from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -88,15 +87,11 @@ class _Source:
     last: int
     shows: tuple[str, str]
     """Lidar and map frame: sources of the same speak of the same, and share its evidence."""
-    even: float
-    """Log-likelihood that speaks neither for nor against a track, as far as it is learned."""
     fixed: int = 0
     """Stamp of its last list, also a local one."""
     scans: int = 0
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
-    shown: float = EVEN_STEPS
-    """New scans that `even` was learned from, what the map states included."""
     turned: float = 0.0
     """rad turned at the present place: after a whole turn it has shown all that there is to see."""
 
@@ -265,7 +260,7 @@ class RobotTracker:
             self._correct(seen.stamp)
         belief.stamp = seen.stamp
         belief.forget_innovations()
-        share, repeated = None, self._agreement.is_repeated(seen.lidar, seen.stamp)
+        repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
         if repeated:
             self._counts["scan_repeated"] += 1
         elif seen.usable and seen.local:
@@ -282,11 +277,6 @@ class RobotTracker:
             self._counts["scan_unusable"] += 1
         self._remember()
         estimate = self._conclude(seen)
-        if share is not None and estimate.state == STATE_LOCALIZED:
-            source = self._sources[seen.source]
-            there = likelihood_at(estimate.tracks.x[estimate.verdict.track], seen)
-            source.shown = min(source.shown + share.weight, EVEN_MOST)
-            source.even = learned(source.even, there, share.weight / source.shown)
         self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
         return estimate
 
@@ -323,8 +313,7 @@ class RobotTracker:
         source = self._sources.get(seen.source)
         if source is None:
             shows = seen.lidar, seen.frame
-            even = first_even(seen.inexactness)
-            source = self._sources[seen.source] = _Source(seen.stamp, shows, even, seen.stamp)
+            source = self._sources[seen.source] = _Source(seen.stamp, shows, seen.stamp)
         return source
 
     def _follow(self, seen: Observation) -> None:
@@ -341,7 +330,7 @@ class RobotTracker:
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
         before, source.poses = source.poses, seen.poses
         if source.scans == 1:
-            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1, even=source.even)
+            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1)
         moved = self._motion(source.last, seen.stamp)
         last, fixed, source.fixed = source.last, source.fixed, max(source.fixed, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
@@ -364,9 +353,7 @@ class RobotTracker:
         carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
         precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else progress)
-        return Share(
-            weight / peers, progress / peers, precision / peers, carried, broken, peers > 1, source.even
-        )
+        return Share(weight / peers, progress / peers, precision / peers, carried, broken, peers > 1)
 
     def _news(self, moved: Motion) -> float:
         """How far scans are new evidence after a motion: also where the robot stands, for people pass."""

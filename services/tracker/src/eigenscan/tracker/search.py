@@ -13,7 +13,7 @@ import numpy as np
 from eigenscan.tracker.association import associate
 from eigenscan.tracker.branching import fused
 from eigenscan.tracker.continuity import are_neighbours
-from eigenscan.tracker.evidence import EVEN_EXACT, likelihood_at
+from eigenscan.tracker.evidence import EVEN, likelihood_at
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import IDENTITY, Pose, scaled
@@ -126,7 +126,7 @@ class Searches:
         predicts = SHORTEST_NS <= round(moved.seconds * 1e9) <= LONGEST_NS and moved.unknown <= UNKNOWN_S
         whole = Request(seen.lidar, seen.stamp, seen.frame)
         # on an inexact map, and where it lacks something, a fit alone has too often taken a wrong heading
-        fits = known.there >= EVEN_EXACT
+        fits = known.there >= EVEN
         if due or not (predicts and moved.breaks == 0 and sure and fits):
             return whole
         if not np.isfinite(tracks.nis[best]):  # the list does not have the pose

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from eigenscan.tracker.evidence import EVEN_EXACT
-
 
 @dataclass(frozen=True)
 class Share:
@@ -16,7 +14,7 @@ class Share:
     covariance's information is independent of earlier scans. `carried`: probability that the robot was
     carried away since the source's last scan. `broken`: nothing of the source's last list goes on in this
     one. `in_part`: other projectors answer for the same lidar, so that this one may have searched a part of
-    the site. `even`: log-likelihood that speaks neither for nor against a track on this map, see evidence.py.
+    the site.
     """
 
     weight: float
@@ -25,4 +23,3 @@ class Share:
     carried: float = 0.0
     broken: bool = False
     in_part: bool = False
-    even: float = EVEN_EXACT
