@@ -117,7 +117,7 @@ def test_the_place_that_is_ahead_again_and_again_is_claimed_however_poor_the_fit
     core, speaker = make_core(), Speaker(clutter=0)
     believed, elsewhere = [], np.random.default_rng(1)
     for scan in range(60):
-        pose = [0.1 * scan, 0.0, 0.0]
+        pose = np.array([0.1 * scan, 0.0, 0.0])
         others = elsewhere.uniform([-9.0, 2.0, -3.0], [9.0, 9.0, 3.0], (4, 3))
         for message in (
             speaker.odometry(0.1 * scan, pose),
