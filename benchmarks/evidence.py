@@ -22,6 +22,8 @@ covariance that the projector publishes, three of them; the mean of errors of at
 makes poor fits' covariances larger by that (services/tracker, observation.py). `--way`: on a map made worse
 (benchmarks/worse_maps.py).
 
+And how likely the best is that scans of another building get on this map: so it is off the map.
+
 The datasets are not part of the project; by default they are looked for beside it.
 """
 
@@ -47,12 +49,12 @@ from eigenscan.tracker.covariance import mahalanobis_squared, residual
 from eigenscan.tracker.evidence import ALIASES, ENDS, EVEN, HIDES, LEAD, LEVEL, MOST, SHOWS
 from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
-from eigenscan.workbench.evaluation.log import read_log
+from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.metrics import errors, right
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Pipeline
-from eigenscan.workbench.evaluation.reference import read_trajectory
-from eigenscan.workbench.evaluation.windows import plan_windows, read_windows
+from eigenscan.workbench.evaluation.reference import Trajectory, read_trajectory
+from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_windows
 from eigenscan.workbench.logs import LogOptions
 from worse_maps import WAYS, Worse, stays
 
@@ -67,6 +69,8 @@ CASES = {
 WORTH = 8.0
 """Log-likelihood from which on a hypothesis begins a track here."""
 STEP_M, STEP_RAD = 0.5, 0.5
+STRANGERS = 100
+"""Scans of another building."""
 LOOKS_RIGHT = 2.0
 """Nats by which a hypothesis speaks for its track, from which on the track looks right."""
 GOES_ON = (1, 2, 4, 6)
@@ -96,19 +100,43 @@ class Answer:
         return right(*errors(self.poses, np.broadcast_to(pose, self.poses.shape)))
 
 
-def answers(datasets: Path, case: str, way: str) -> Iterator[list[Answer]]:
-    """The lists of each window of a log that have a true pose, on its map made worse in this way."""
+def opened(datasets: Path, case: str) -> tuple[Log, Trajectory, list[Window]]:
+    """A log, its reference and its windows."""
     folder, log_name, truth_name = CASES[case]
-    place = datasets / folder
-    log = read_log(place / log_name, LogOptions(), lambda _: None)
-    reference = read_trajectory(place / truth_name).restamped(log.logged)
-    listed = place / "windows.csv"
-    windows = read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference)
-    worse = WAYS[way](Worse(read_map(place / "map.yaml"), stays), reference.poses, zlib.crc32(way.encode()))
+    log = read_log(datasets / folder / log_name, LogOptions(), lambda _: None)
+    reference = read_trajectory(datasets / folder / truth_name).restamped(log.logged)
+    listed = datasets / folder / "windows.csv"
+    return (
+        log,
+        reference,
+        read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference),
+    )
+
+
+def worsened(datasets: Path, case: str, way: str, path: np.ndarray) -> tuple[Pipeline, Worse]:
+    """A log's map made worse in this way, and the projector on it."""
+    grid = read_map(datasets / CASES[case][0] / "map.yaml")
+    worse = WAYS[way](Worse(grid, stays), path, zlib.crc32(way.encode()))
     with tempfile.TemporaryDirectory() as scratch:
         write_map(worse.grid, Path(scratch) / "map.yaml")
-        built = build(Path(scratch) / "map.yaml", MapbuilderSettings(), lambda _: None)
-    pipeline = Pipeline(built.models)
+        return Pipeline(build(Path(scratch) / "map.yaml", MapbuilderSettings(), lambda _: None).models), worse
+
+
+def strangers(datasets: Path, case: str, way: str) -> list[float]:
+    """Of scans of the next building's log, the likelihoods of their lists' best on this map."""
+    names = list(CASES)
+    other = names[(names.index(case) + 1) % len(names)]
+    pipeline, _ = worsened(datasets, case, way, opened(datasets, case)[1].poses)
+    log, _, windows = opened(datasets, other)
+    raw = [each for window in windows for each in log.between(window) if each.channel == SCAN_RAW]
+    lists = [pipeline.answer(each).log_likelihoods for each in raw[:: max(1, len(raw) // STRANGERS)]]
+    return [float(found.max(initial=0.0)) for found in lists]
+
+
+def answers(datasets: Path, case: str, way: str) -> Iterator[list[Answer]]:
+    """The lists of each window of a log that have a true pose, on its map made worse in this way."""
+    log, reference, windows = opened(datasets, case)
+    pipeline, worse = worsened(datasets, case, way, reference.poses)
     for window in windows:
         raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
         stamps = [envelope.stamp for envelope in raw]
@@ -318,6 +346,8 @@ def show(row: dict[str, Any]) -> None:
             cells = "".join("         -" if np.isnan(r) else f"{r:>+10.1f}" for r in ratios)
             print(f"{low:>9g}..          {cells}")
         print(f"   missed {row['ratio'][name]['missed']:+.1f}")
+    quantiles = ", ".join(f"{each:.1f}" for each in np.percentile(row["strangers"], [10, 50, 90]))
+    print(f"scans of another building, their best: 10, 50, 90 % are below {quantiles}")
     tracker = np.exp(poorness((LIKELIHOODS[:-1] + LIKELIHOODS[1:]) / 2.0))
     print("squared error, 3 were right; what the tracker divides it by")
     for low, error, less in zip(LIKELIHOODS[:-1], row["squared_errors"], tracker, strict=True):
@@ -335,7 +365,8 @@ def main() -> None:
     rows = []
     for case in CASES:
         if options.only in case:
-            rows.append(judge(case, list(answers(options.datasets, case, options.way))))
+            found = judge(case, list(answers(options.datasets, case, options.way)))
+            rows.append(found | {"strangers": strangers(options.datasets, case, options.way)})
             show(rows[-1])
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
