@@ -123,9 +123,8 @@ def worsened(datasets: Path, case: str, way: str, path: np.ndarray) -> tuple[Pip
 
 
 def strangers(datasets: Path, case: str, way: str) -> list[float]:
-    """Of scans of the next building's log, the likelihoods of their lists' best on this map."""
-    names = list(CASES)
-    other = names[(names.index(case) + 1) % len(names)]
+    """Of scans of another building's log, the likelihoods of their lists' best on this map."""
+    other = next(name for name in ("intel", "fr079") if CASES[name][0] != CASES[case][0])
     pipeline, _ = worsened(datasets, case, way, opened(datasets, case)[1].poses)
     log, _, windows = opened(datasets, other)
     raw = [each for window in windows for each in log.between(window) if each.channel == SCAN_RAW]
