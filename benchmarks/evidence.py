@@ -22,7 +22,7 @@ covariance that the projector publishes, three of them; the mean of errors of at
 makes poor fits' covariances larger by that (services/tracker, observation.py). `--way`: on a map made worse
 (benchmarks/worse_maps.py).
 
-And how likely the best is that scans of another building get on this map: so it is off the map.
+And how likely the best is that scans of another building get on this map: a robot off the map gets the like.
 
 The datasets are not part of the project; by default they are looked for beside it.
 """
@@ -106,11 +106,8 @@ def opened(datasets: Path, case: str) -> tuple[Log, Trajectory, list[Window]]:
     log = read_log(datasets / folder / log_name, LogOptions(), lambda _: None)
     reference = read_trajectory(datasets / folder / truth_name).restamped(log.logged)
     listed = datasets / folder / "windows.csv"
-    return (
-        log,
-        reference,
-        read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference),
-    )
+    windows = read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference)
+    return log, reference, windows
 
 
 def worsened(datasets: Path, case: str, way: str, path: np.ndarray) -> tuple[Pipeline, Worse]:
@@ -122,20 +119,19 @@ def worsened(datasets: Path, case: str, way: str, path: np.ndarray) -> tuple[Pip
         return Pipeline(build(Path(scratch) / "map.yaml", MapbuilderSettings(), lambda _: None).models), worse
 
 
-def strangers(datasets: Path, case: str, way: str) -> list[float]:
+def strangers(pipeline: Pipeline, datasets: Path, case: str) -> list[float]:
     """Of scans of another building's log, the likelihoods of their lists' best on this map."""
     other = next(name for name in ("intel", "fr079") if CASES[name][0] != CASES[case][0])
-    pipeline, _ = worsened(datasets, case, way, opened(datasets, case)[1].poses)
     log, _, windows = opened(datasets, other)
     raw = [each for window in windows for each in log.between(window) if each.channel == SCAN_RAW]
     lists = [pipeline.answer(each).log_likelihoods for each in raw[:: max(1, len(raw) // STRANGERS)]]
     return [float(found.max(initial=0.0)) for found in lists]
 
 
-def answers(datasets: Path, case: str, way: str) -> Iterator[list[Answer]]:
-    """The lists of each window of a log that have a true pose, on its map made worse in this way."""
-    log, reference, windows = opened(datasets, case)
-    pipeline, worse = worsened(datasets, case, way, reference.poses)
+def answers(
+    pipeline: Pipeline, worse: Worse, log: Log, reference: Trajectory, windows: list[Window]
+) -> Iterator[list[Answer]]:
+    """The lists of each window of a log that have a true pose, on its map made worse."""
     for window in windows:
         raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
         stamps = [envelope.stamp for envelope in raw]
@@ -364,8 +360,10 @@ def main() -> None:
     rows = []
     for case in CASES:
         if options.only in case:
-            found = judge(case, list(answers(options.datasets, case, options.way)))
-            rows.append(found | {"strangers": strangers(options.datasets, case, options.way)})
+            log, reference, windows = opened(options.datasets, case)
+            pipeline, worse = worsened(options.datasets, case, options.way, reference.poses)
+            found = judge(case, list(answers(pipeline, worse, log, reference, windows)))
+            rows.append(found | {"strangers": strangers(pipeline, options.datasets, case)})
             show(rows[-1])
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
