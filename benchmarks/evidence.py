@@ -12,6 +12,8 @@ similar place may well be ahead. The tracker's own figures (services/tracker, ev
 Then how many of a list's ten likeliest go on in the next list, and how many where the robot was carried to
 another place in between: what shows that it was (services/tracker, continuity.py).
 
+And the rates of hiding and showing that make what the true pose meets most likely, by these figures.
+
 And how often one list leaves out what the lists before and after it have (services/tracker, belief.py).
 
 And aliases: of the wrong tracks those that look right, by this table; and how many of these still do so 1, 2,
@@ -46,7 +48,17 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
-from eigenscan.tracker.evidence import ALIASES, ENDS, EVEN, HIDES, LEAD, LEVEL, MOST, SHOWS
+from eigenscan.tracker.evidence import (
+    ALIASES,
+    ENDS,
+    EVEN,
+    HIDES,
+    LEAD,
+    LEVEL,
+    MOST,
+    SHOWN_YET_MISSED,
+    SHOWS,
+)
 from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.log import Log, read_log
@@ -56,6 +68,7 @@ from eigenscan.workbench.evaluation.pipeline import Pipeline
 from eigenscan.workbench.evaluation.reference import Trajectory, read_trajectory
 from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_windows
 from eigenscan.workbench.logs import LogOptions
+from scipy.optimize import minimize
 from worse_maps import WAYS, Worse, stays
 
 DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
@@ -217,29 +230,53 @@ def aliases(windows: list[list[Answer]]) -> dict[str, Any]:
 
 def looks_right(scan: Answer, pose: np.ndarray) -> bool:
     """Whether a scan has a hypothesis at a pose that speaks for it."""
+    return worth(scan, pose) >= LOOKS_RIGHT
+
+
+def worth(scan: Answer, pose: np.ndarray) -> float:
+    """What the tracker takes a scan's hypothesis at a pose for, in nats; or that it has none there."""
     there = scan.near(pose) if len(scan.poses) else np.zeros(0, dtype=bool)
     if not there.any():
-        return False
+        return SHOWN_YET_MISSED
     best = scan.likelihoods[there].max()
     lead = best - scan.likelihoods[~there].max(initial=0.0)
-    return bool(np.clip(LEAD * lead + LEVEL * (best - EVEN), -MOST, MOST) >= LOOKS_RIGHT)
+    return float(np.clip(LEAD * lead + LEVEL * (best - EVEN), -MOST, MOST))
 
 
 def hiding(windows: list[list[Answer]]) -> dict[str, float]:
-    """How often, a step, the true pose leaves the list, and comes back to it."""
-    left = came = shown = hidden = 0.0
-    for scans in windows:
-        listed = np.array([bool((scan.near(scan.truth) & (scan.likelihoods > 3.0)).any()) for scan in scans])
-        steps = np.diff(independent_way(scans))
-        left += float(np.count_nonzero(listed[:-1] & ~listed[1:]))
-        came += float(np.count_nonzero(~listed[:-1] & listed[1:]))
-        shown += float(steps[listed[:-1]].sum())
-        hidden += float(steps[~listed[:-1]].sum())
+    """The rates, a step, of hiding and showing that make what the true pose met most likely; nats a step."""
+    met = [each for scans in windows if len(scans) > 1 for each in at_steps(scans)]
+    found = minimize(
+        lambda rates: -explained(met, *np.exp(rates)), np.log([HIDES, SHOWS]), method="Nelder-Mead"
+    )
+    hides, shows = np.exp(found.x).tolist()
+    steps = max(sum(len(each) for each in met), 1)
     return {
-        "hides": left / max(shown, 1e-9),
-        "shows": came / max(hidden, 1e-9),
-        "hidden": hidden / (shown + hidden),
+        "hides": hides,
+        "shows": shows,
+        "hiding_nats": -float(found.fun) / steps,
+        "hiding_nats_of_the_tracker": explained(met, HIDES, SHOWS) / steps,
     }
+
+
+def at_steps(scans: list[Answer]) -> Iterator[np.ndarray]:
+    """What the true pose's hypothesis is worth in nats at every step; twice, the second time half a step on."""
+    way = independent_way(scans)
+    for begin in (0.0, 0.5):
+        at = np.unique(np.searchsorted(way, np.arange(begin, way[-1], 1.0)))
+        yield np.array([worth(scans[k], scans[k].truth) for k in at])
+
+
+def explained(met: list[np.ndarray], hides: float, shows: float) -> float:
+    """How much likelier tracks that hide and show at these rates, a step, make what was met, in nats."""
+    hide, show, total = -np.expm1(-hides), -np.expm1(-shows), 0.0
+    for nats in met:
+        hidden = 0.0
+        for ratio in np.exp(nats).tolist():
+            hidden = hidden * (1.0 - show) + (1.0 - hidden) * hide
+            total += float(np.log(likelier := hidden + (1.0 - hidden) * ratio))
+            hidden /= likelier
+    return total
 
 
 def missing(windows: list[list[Answer]]) -> dict[str, float]:
@@ -325,7 +362,8 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
 
 def show(row: dict[str, Any]) -> None:
     print(f"\n{row['case']}: {row['right_tracks']:.0f} right tracks")
-    print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS})")
+    print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS}), ", end="")
+    print(f"{row['hiding_nats']:.3f} nats a step ({row['hiding_nats_of_the_tracker']:.3f})")
     print(f"left out between two lists that have it: {row['missing']:.1%} (tracker {MISSES:.1%})")
     for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
         print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))

@@ -71,7 +71,7 @@ class TrackerSettings(BaseModel):
         0.9, gt=0, le=1, description="confidence from which a pose is claimed as localized"
     )
     released_below: float = Field(
-        0.7, ge=0, le=1, description="confidence below which the claim is withdrawn"
+        0.5, ge=0, le=1, description="confidence below which the claim is withdrawn"
     )
     protection_risk: float = Field(
         1e-3, gt=0, lt=0.5, description="probability with which a claim's protection level may be exceeded"
