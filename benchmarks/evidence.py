@@ -260,7 +260,7 @@ def hiding(windows: list[list[Answer]]) -> dict[str, float]:
 
 
 def at_steps(scans: list[Answer]) -> Iterator[np.ndarray]:
-    """What the true pose's hypothesis is worth in nats at every step; twice, the second time half a step on."""
+    """The true pose's worth in nats at every step; twice, the second time half a step on."""
     way = independent_way(scans)
     for begin in (0.0, 0.5):
         at = np.unique(np.searchsorted(way, np.arange(begin, way[-1], 1.0)))
