@@ -68,6 +68,7 @@ from eigenscan.workbench.evaluation.pipeline import Pipeline
 from eigenscan.workbench.evaluation.reference import Trajectory, read_trajectory
 from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_windows
 from eigenscan.workbench.logs import LogOptions
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 from worse_maps import WAYS, Worse, stays
 
@@ -246,9 +247,12 @@ def worth(scan: Answer, pose: np.ndarray) -> float:
 def hiding(windows: list[list[Answer]]) -> dict[str, float]:
     """The rates, a step, of hiding and showing that make what the true pose met most likely; nats a step."""
     met = [each for scans in windows if len(scans) > 1 for each in at_steps(scans)]
-    found = minimize(
-        lambda rates: -explained(met, *np.exp(rates)), np.log([HIDES, SHOWS]), method="Nelder-Mead"
-    )
+
+    def against(logarithms: NDArray[np.float64]) -> float:
+        hides, shows = np.exp(logarithms).tolist()
+        return -explained(met, hides, shows)
+
+    found = minimize(against, np.log(np.array([HIDES, SHOWS])), method="Nelder-Mead")
     hides, shows = np.exp(found.x).tolist()
     steps = max(sum(len(each) for each in met), 1)
     return {
