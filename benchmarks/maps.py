@@ -34,6 +34,7 @@ from eigenscan.workbench.evaluation.metrics import Judged, errors, judge, right
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.reference import Trajectory, read_trajectory
 from eigenscan.workbench.evaluation.windows import (
+    Window,
     plan_scans,
     plan_windows,
     read_times,
@@ -128,6 +129,12 @@ def read_case(name: str, folder: Path, log_name: str, reference_name: str) -> Ca
     return Case(name, read_map(folder / "map.yaml"), log, reference, folder)
 
 
+def windows_of(case: Case) -> list[Window]:
+    """The windows of a log: those of its own list, else planned."""
+    listed = case.folder / "windows.csv"
+    return read_windows(listed) if listed.exists() else plan_windows(case.log.scans, case.reference)
+
+
 def worsened(case: Case, way: str, seed: int) -> tuple[Worse, Trajectory]:
     """The log's map made worse in this way, and the reference that goes along with it."""
     own = zlib.crc32(f"{case.name} {way} {seed}".encode())
@@ -138,8 +145,7 @@ def worsened(case: Case, way: str, seed: int) -> tuple[Worse, Trajectory]:
 def _judge(case: Case, way: str, options: argparse.Namespace) -> dict[str, Any]:
     # the parts that are tried are those of the true way: the same on every map
     worse, reference = worsened(case, way, options.seed)
-    listed, times = case.folder / "windows.csv", case.folder / "single_scans.csv"
-    windows = read_windows(listed) if listed.exists() else plan_windows(case.log.scans, case.reference)
+    windows, times = windows_of(case), case.folder / "single_scans.csv"
     stamps = read_times(times) if times.exists() else plan_scans(case.log.scans, case.reference)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "map.yaml"

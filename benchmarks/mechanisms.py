@@ -1,7 +1,7 @@
 """What each mechanism of the tracker contributes: the same recorded hypotheses, with it and without it.
 
     .venv/bin/python benchmarks/mechanisms.py --keep FOLDER [--only intel] [--way exact]
-        [--fault "an invented room"] [--without "aliases"] [--windows 8] [--json OUT]
+        [--fault "an invented room"] [--without "aliases"] [--windows 8] [--seed 1] [--json OUT]
 
 A story is a log on its map, on one that is wrong in some way (worse_maps.py), or with a fault of the sensors
 (integrity_faults.py). What the tracker receives is recorded once and kept in FOLDER. Then the tracker runs
@@ -26,7 +26,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from eigenscan.geometry.gridmap import read_map, write_map
+from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import from_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
@@ -41,19 +41,15 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker import agreement, belief, branching, claim, evidence, observation, robot, unification
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.workbench.evaluation.log import read_log
 from eigenscan.workbench.evaluation.metrics import LAST_SHARE, errors, right, sustained
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Packed, pack, unpack
-from eigenscan.workbench.evaluation.reference import read_trajectory
-from eigenscan.workbench.evaluation.windows import plan_windows, read_windows, thin
-from eigenscan.workbench.logs import LogOptions
-from evaluate import CASES, DATASETS, buildings
+from eigenscan.workbench.evaluation.windows import thin
+from evaluate import DATASETS, buildings
 from evaluate import Case as Listed
 from integrity_faults import FAULTS, Stretch
-from worse_maps import WAYS, Worse, stays
-
-LOGS = (*CASES, Listed("aces", "aces", "log.clf.gz", "log.tum"))
+from maps import LOGS, read_case, windows_of, worsened
+from worse_maps import WAYS
 
 
 @dataclass(frozen=True)
@@ -94,15 +90,10 @@ class Tap:
         return Condition(Health.STATUS_OK, "", {})
 
 
-def record(listed: Listed, way: str, fault: str, datasets: Path, count: int) -> Story:
+def record(listed: Listed, way: str, fault: str, datasets: Path, count: int, seed: int) -> Story:
     """Ingest and projector over a log's windows, as `maps.py` and `integrity.py` run them."""
-    folder = datasets / listed.folder
-    log = read_log(folder / listed.log, LogOptions(), lambda _: None)
-    reference = read_trajectory(folder / listed.reference).restamped(log.logged)
-    windows = folder / "windows.csv"
-    chosen = thin(read_windows(windows) if windows.exists() else plan_windows(log.scans, reference), count)
-    seed = zlib.crc32(f"{listed.name} {way} 1".encode())
-    worse = WAYS[way](Worse(read_map(folder / "map.yaml"), stays), reference.poses, seed)
+    case = read_case(listed.name, datasets / listed.folder, listed.log, listed.reference)
+    chosen, (worse, truths) = thin(windows_of(case), count), worsened(case, way, seed)
     with tempfile.TemporaryDirectory() as scratch:
         write_map(worse.grid, Path(scratch) / "map.yaml")
         models = build(Path(scratch) / "map.yaml", MapbuilderSettings(spacing=0.5), lambda _: None).models
@@ -110,11 +101,10 @@ def record(listed: Listed, way: str, fault: str, datasets: Path, count: int) -> 
     for model in models:
         if model.channel in projector.inputs:
             list(projector.handle(model))
-    moved, taped = worse.move(reference.poses), list[Window]()
-    truths = type(reference)(reference.stamps, moved)
+    taped = list[Window]()
     for number, window in enumerate(chosen):
-        received = list(log.between(window))
-        other = list(log.between(chosen[(number + len(chosen) // 2) % len(chosen)]))
+        received = list(case.log.between(window))
+        other = list(case.log.between(chosen[(number + len(chosen) // 2) % len(chosen)]))
         random = np.random.default_rng(zlib.crc32(f"{fault} {number}".encode()))
         stretch = FAULTS[fault](Stretch(received, other, random))
         tap = Tap()
@@ -139,12 +129,13 @@ def record(listed: Listed, way: str, fault: str, datasets: Path, count: int) -> 
 
 def kept(listed: Listed, way: str, fault: str, options: argparse.Namespace) -> Story:
     """A story from the folder, recorded first where it is not there."""
-    name = f"{listed.name}-{way}-{fault}-{options.windows}"
+    name = f"{listed.name}-{way}-{fault}-{options.windows}-{options.seed}"
     for own, other in ((" ", "_"), ("%", "pc"), (",", ""), ("/", "-")):
         name = name.replace(own, other)
     path = options.keep / f"{name}.pickle.gz"
     if not path.exists():
-        story = record(listed, way, fault, options.buildings or options.datasets, options.windows)
+        root = options.buildings or options.datasets
+        story = record(listed, way, fault, root, options.windows, options.seed)
         path.parent.mkdir(parents=True, exist_ok=True)
         with gzip.open(path, "wb", compresslevel=1) as out:
             pickle.dump(story, out)
@@ -257,6 +248,7 @@ def main() -> None:
     )
     parser.add_argument("--without", action="append", choices=list(MECHANISMS), help="default: each in turn")
     parser.add_argument("--windows", type=int, default=8, help="of each log, at most")
+    parser.add_argument("--seed", type=int, default=1, help="of the map made worse")
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
     logs = buildings(options.buildings) if options.buildings else LOGS

@@ -197,7 +197,7 @@ def _missed(spec: dict[str, Any], figures: Any) -> Iterator[str]:
         values = [(key.strip(), place(entry, where)) for key, entry in _entries(spec, figures).items()]
         wrong = [f"{key} {written(v, unit)}".strip() for key, v in values if not reached(v, unit, goal)]
         if wrong:
-            reported = f"{', '.join(wrong)}; goal {_goal(goal, unit)}."
+            reported = f"{', '.join(wrong)}. Goal: {_goal(goal, unit)}."
             yield f"- [{spec['title']}](#{anchor}). {what[0].upper()}{what[1:]}: {reported}"
 
 

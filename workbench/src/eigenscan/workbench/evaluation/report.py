@@ -125,14 +125,14 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         kidnap = f["kidnap"]
         lines += [
             (
-                "kidnaps: right within 3 s and from then on",
+                "kidnaps: right for good within 3 s",
                 f"{_percent(kidnap['recovered_within_3_s'])} of {kidnap['kidnaps']}",
             ),
             *_decided(kidnap),
             ("kidnaps: a first right claim within 3 s", _percent(kidnap["first_right_within_3_s"])),
             ("kidnaps: right from some scan on", _percent(kidnap["recovered_rate"])),
             ("noticed, s", _pair(kidnap["noticed_s"], "p95")),
-            ("right from then on, s", _pair(kidnap["recovered_s"], "p95")),
+            ("right for good, s", _pair(kidnap["recovered_s"], "p95")),
             ("first right claim, s", _pair(kidnap["first_right_s"], "p95")),
         ]
     if f["single_scan"]:
