@@ -200,7 +200,7 @@ def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
         tested = figures[square]["consistency"]
         assert tested["n"] > 5
         assert f"of {tested['n']} scans 0.5 m apart" in out.stdout
-    assert "right within 3 s" in out.stdout
+    assert "right for good within 3 s" in out.stdout
 
 
 def test_what_is_not_asked_for_is_null(drive: Drive) -> None:
