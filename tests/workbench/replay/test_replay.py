@@ -86,7 +86,7 @@ def test_local_fits_replay_to_the_same_bits(
 ) -> None:
     messages = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(local_fits=True))
     listed = [one.envelope.open(Hypotheses) for one in only(messages, HYPOTHESES)]
-    assert 0.25 < np.mean([one.search == SEARCH_LOCAL for one in listed]) < 1.0  # both kinds are in it
+    assert 0.1 < np.mean([one.search == SEARCH_LOCAL for one in listed]) < 1.0  # both kinds are in it
     settings = {"tracker": json.dumps({"robot": "*", "local_fits": True})}
     settings |= dict.fromkeys(("scan-ingest", "projector"), json.dumps({"robot": "*"}))
     path = run.write(tmp_path / "local.mcap", messages, settings)
