@@ -36,12 +36,13 @@ import tempfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from eigenscan.geometry.circle import difference
-from eigenscan.geometry.gridmap import read_map, write_map
+from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import between, compose
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import SCAN_RAW
@@ -61,25 +62,17 @@ from eigenscan.tracker.evidence import (
 )
 from eigenscan.tracker.observation import poorness
 from eigenscan.tracker.odometry import Motion
-from eigenscan.workbench.evaluation.log import Log, read_log
 from eigenscan.workbench.evaluation.metrics import errors, right
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Pipeline
-from eigenscan.workbench.evaluation.reference import Trajectory, read_trajectory
-from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_windows
-from eigenscan.workbench.logs import LogOptions
+from evaluate import DATASETS
+from maps import LOGS, Case, read_case, windows_of
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from worse_maps import WAYS, Worse, stays
 
-DATASETS = Path(__file__).parents[1].parent / "shared/datasets"
-CASES = {
-    "intel": ("intel", "log.clf.gz", "log.tum"),
-    "fr079": ("fr079", "log.clf.gz", "log.tum"),
-    "guardian 3": ("guardian", "guardian_3.bag", "guardian_3.tum"),
-    "guardian 2": ("guardian", "guardian_controller_2.bag", "guardian_controller_2.tum"),
-    "aces": ("aces", "log.clf.gz", "log.tum"),
-}
+CASES = {one.name: one for one in LOGS if one.name not in ("jarvis", "olin")}
+"""Logs that choices were made on; the others only judge."""
 WORTH = 8.0
 """Log-likelihood from which on a hypothesis begins a track here."""
 STEP_M, STEP_RAD = 0.5, 0.5
@@ -113,43 +106,44 @@ class Answer:
         """Which hypotheses are within 0.5 m and 10 degrees of a pose, (k,)."""
         return right(*errors(self.poses, np.broadcast_to(pose, self.poses.shape)))
 
-
-def opened(datasets: Path, case: str) -> tuple[Log, Trajectory, list[Window]]:
-    """A log, its reference and its windows."""
-    folder, log_name, truth_name = CASES[case]
-    log = read_log(datasets / folder / log_name, LogOptions(), lambda _: None)
-    reference = read_trajectory(datasets / folder / truth_name).restamped(log.logged)
-    listed = datasets / folder / "windows.csv"
-    windows = read_windows(listed, 0.0) if listed.exists() else plan_windows(log.scans, reference)
-    return log, reference, windows
+    def at(self, pose: np.ndarray) -> tuple[float, float] | None:
+        """Log-likelihood of the likeliest hypothesis at a pose, and how far ahead it is; None without one."""
+        there = self.near(pose) if len(self.poses) else np.zeros(0, dtype=bool)
+        if not there.any():
+            return None
+        best = self.likelihoods[there].max()
+        return float(best), float(best - self.likelihoods[~there].max(initial=0.0))
 
 
-def worsened(datasets: Path, case: str, way: str, path: np.ndarray) -> tuple[Pipeline, Worse]:
+@cache
+def opened(datasets: Path, name: str) -> Case:
+    """A log, its reference and its map."""
+    listed = CASES[name]
+    return read_case(name, datasets / listed.folder, listed.log, listed.reference)
+
+
+def worsened(case: Case, way: str) -> tuple[Pipeline, Worse]:
     """A log's map made worse in this way, and the projector on it."""
-    grid = read_map(datasets / CASES[case][0] / "map.yaml")
-    worse = WAYS[way](Worse(grid, stays), path, zlib.crc32(way.encode()))
+    worse = WAYS[way](Worse(case.map, stays), case.reference.poses, zlib.crc32(way.encode()))
     with tempfile.TemporaryDirectory() as scratch:
         write_map(worse.grid, Path(scratch) / "map.yaml")
         return Pipeline(build(Path(scratch) / "map.yaml", MapbuilderSettings(), lambda _: None).models), worse
 
 
-def strangers(pipeline: Pipeline, datasets: Path, case: str) -> list[float]:
+def strangers(pipeline: Pipeline, datasets: Path, name: str) -> list[float]:
     """Of scans of another building's log, the likelihoods of their lists' best on this map."""
-    other = next(name for name in ("intel", "fr079") if CASES[name][0] != CASES[case][0])
-    log, _, windows = opened(datasets, other)
-    raw = [each for window in windows for each in log.between(window) if each.channel == SCAN_RAW]
+    other = opened(datasets, next(one for one in ("intel", "fr079") if one != name))
+    raw = [each for own in windows_of(other) for each in other.log.between(own) if each.channel == SCAN_RAW]
     lists = [pipeline.answer(each).log_likelihoods for each in raw[:: max(1, len(raw) // STRANGERS)]]
     return [float(found.max(initial=0.0)) for found in lists]
 
 
-def answers(
-    pipeline: Pipeline, worse: Worse, log: Log, reference: Trajectory, windows: list[Window]
-) -> Iterator[list[Answer]]:
+def answers(pipeline: Pipeline, worse: Worse, case: Case) -> Iterator[list[Answer]]:
     """The lists of each window of a log that have a true pose, on its map made worse."""
-    for window in windows:
-        raw = [envelope for envelope in log.between(window) if envelope.channel == SCAN_RAW]
+    for window in windows_of(case):
+        raw = [envelope for envelope in case.log.between(window) if envelope.channel == SCAN_RAW]
         stamps = [envelope.stamp for envelope in raw]
-        truths, known = reference.at(stamps)
+        truths, known = case.reference.at(stamps)
         truths = worse.move(truths)
         published = [
             (e.address["lidar"], pipeline.answer(e), truth)
@@ -196,12 +190,11 @@ def follow(scans: list[Answer], right_tracks: Counts, beside: Counts, alone: Cou
         wrong_tracks = beside if seen.near(seen.truth).any() else alone
         for k in np.flatnonzero(begun.likelihoods >= WORTH):
             counts = right_tracks if is_right[k] else wrong_tracks
-            there = seen.near(compose(begun.poses[k], motion))
-            if not there.any():
+            found = seen.at(compose(begun.poses[k], motion))
+            if found is None:
                 counts.missed += 1
                 continue
-            best = seen.likelihoods[there].max()
-            lead = best - seen.likelihoods[~there].max(initial=0.0)
+            best, lead = found
             row = np.searchsorted(LIKELIHOODS, best, side="right") - 1
             counts.listed[row, np.searchsorted(AHEAD, lead, side="right") - 1] += 1
 
@@ -236,11 +229,10 @@ def looks_right(scan: Answer, pose: np.ndarray) -> bool:
 
 def worth(scan: Answer, pose: np.ndarray) -> float:
     """What the tracker takes a scan's hypothesis at a pose for, in nats; or that it has none there."""
-    there = scan.near(pose) if len(scan.poses) else np.zeros(0, dtype=bool)
-    if not there.any():
+    found = scan.at(pose)
+    if found is None:
         return SHOWN_YET_MISSED
-    best = scan.likelihoods[there].max()
-    lead = best - scan.likelihoods[~there].max(initial=0.0)
+    best, lead = found
     return float(np.clip(LEAD * lead + LEVEL * (best - EVEN), -MOST, MOST))
 
 
@@ -400,12 +392,12 @@ def main() -> None:
     options = parser.parse_args()
     print(f"the tracker: {LEAD} for each nat ahead + {LEVEL} (L - {EVEN:g}), at most {MOST:g} either way")
     rows = []
-    for case in CASES:
-        if options.only in case:
-            log, reference, windows = opened(options.datasets, case)
-            pipeline, worse = worsened(options.datasets, case, options.way, reference.poses)
-            found = judge(case, list(answers(pipeline, worse, log, reference, windows)))
-            rows.append(found | {"strangers": strangers(pipeline, options.datasets, case)})
+    for name in CASES:
+        if options.only in name:
+            case = opened(options.datasets, name)
+            pipeline, worse = worsened(case, options.way)
+            found = judge(name, list(answers(pipeline, worse, case)))
+            rows.append(found | {"strangers": strangers(pipeline, options.datasets, name)})
             show(rows[-1])
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
