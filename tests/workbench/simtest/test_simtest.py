@@ -42,6 +42,13 @@ def test_nothing_breaks(seed: int) -> None:
     assert outcome.counts["recorded"] > 0
 
 
+def test_a_recorder_that_is_killed_as_the_site_ends_may_lose_its_last_second() -> None:
+    # seed 42309 of 10,000: killed in a write while it stopped, as nobody had tried before
+    outcome = run(42309)
+    assert outcome.broken == ()
+    assert (outcome.site_s, "recorder of r1: killed") in outcome.notes
+
+
 def test_the_real_projector_localizes_in_the_hall_though_it_and_the_builder_are_killed() -> None:
     killed = [Fault(12.0, "kill", "r1", 2, 0.0, 0.0), Fault(13.0, "new map", "site", 0, 0.0, 0.0)]
     outcome, again = (run(1, 1, killed, real=True) for _ in range(2))

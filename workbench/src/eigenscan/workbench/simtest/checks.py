@@ -288,9 +288,8 @@ class Judge:
             missing = [at for at, message in wanted if not _take(found, message)]
             lost = life.counters.get("mcap_lost", 0)
             # what a recorder that was stopped had written may still be lost with the power
-            ended = math.inf if life.how in ("stopped", "deaf") else life.ended - KILL_S
             off = [at for at in self.site.machines[process.machine].lost_power if at >= life.ended]
-            safe = min([ended, *(at - WRITTEN_BACK_S for at in off)])
+            safe = min([_kept_until(life), *(at - WRITTEN_BACK_S for at in off)])
             missing = [at for at in missing if at <= safe]
             unexplained = len(missing) - lost
             if unexplained > 0:
@@ -306,6 +305,7 @@ class Judge:
         held = [(_take(found, message), at) for at, message in reversed(wanted)]
         oldest = min((at for is_held, at in held if is_held), default=math.inf)
         gone = [at for is_held, at in held if not is_held and (at > oldest or oldest == math.inf)]
+        gone = [at for at in gone if at <= _kept_until(life)]
         unexplained = len(gone) - life.counters.get("mcap_lost", 0)
         if unexplained > 0:
             self.fail(
@@ -313,6 +313,12 @@ class Judge:
                 f"{process.name}: {len(gone)} messages are missing, the last of second {gone[0]:.2f}, though "
                 f"older ones are kept from second {oldest:.2f} on",
             )
+
+
+def _kept_until(life: Life) -> float:
+    """Second until which a recorder must have kept what it handled: the last before a kill may be lost."""
+    assert life.ended is not None
+    return math.inf if life.how in ("stopped", "deaf") else life.ended - KILL_S
 
 
 def _take(found: Counter[tuple[str, int]], message: tuple[str, int]) -> bool:
