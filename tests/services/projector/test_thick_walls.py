@@ -8,6 +8,12 @@ from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.covariance import pose_covariances
+from eigenscan.schemas.hypotheses_pb2 import (
+    SURFACES_FACES,
+    SURFACES_MIDDLE,
+    SURFACES_UNSPECIFIED,
+    Surfaces,
+)
 from scipy.ndimage import distance_transform_edt
 
 from tests.services.projector.office import free_poses, is_right, office, poses_of, ready, receive, scan_at
@@ -44,6 +50,20 @@ def test_on_a_blurred_map_scans_are_found(by: float) -> None:
 @pytest.mark.parametrize("by", [0.1, 0.2])
 def test_where_walls_are_as_fat_as_they_are_drawn_scans_are_found_too(by: float) -> None:
     assert first_right(by, fat(by)) >= 0.7
+
+
+@pytest.mark.parametrize(
+    ("by", "seen_in", "wanted"),
+    [(0.0, 0.0, SURFACES_UNSPECIFIED), (0.2, 0.0, SURFACES_MIDDLE), (0.2, 0.2, SURFACES_FACES)],
+)
+def test_a_list_states_which_surfaces_of_thick_walls_its_poses_fit(
+    by: float, seen_in: float, wanted: Surfaces
+) -> None:
+    lists = [
+        receive(projector(by), scan_at(truth, seed=i, grid=fat(seen_in)))[0]
+        for i, truth in enumerate(free_poses(SCANS, 21, fat(0.2)))
+    ]
+    assert np.mean([each.surfaces == wanted for each in lists]) > 0.8
 
 
 def test_a_thick_wall_makes_its_pose_less_sure() -> None:

@@ -11,6 +11,7 @@ from eigenscan.geometry.pose import between, compose, from_message, to_message
 from eigenscan.schemas.channels import SCAN_MOTION, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import SURFACES_FACES, SURFACES_MIDDLE, Hypotheses, Surfaces
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.agreement import Agreement, ScanInterval
@@ -165,6 +166,25 @@ def test_a_list_without_anything_of_the_last_one_takes_a_claim_away_only_where_t
         truth, reported = compose(truth, np.array(STEP)), compose(reported, np.array(STEP))
     assert core.condition().counters.get("continuity_broken", 0) == parts
     assert least <= output[-1].confidence <= most
+
+
+@pytest.mark.parametrize("surfaces", [SURFACES_MIDDLE, SURFACES_FACES])
+def test_poses_that_move_since_they_fit_other_surfaces_of_thick_walls_show_no_kidnap(
+    make_core: MakeCore, surfaces: Surfaces
+) -> None:
+    core, odd, thick = make_core(), 30, (0.0, 0.4, 0.0)
+    truth, reported = np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    for scan in range(odd + 1):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(Speaker().odometry(time, reported)))
+        if scan:
+            list(core.handle(motion(time, time - 0.1, None if scan == odd else STEP)))
+        at = compose(truth, np.array(thick)) if scan == odd else truth
+        seen = Speaker(clutter=0).hypotheses(time, np.tile(at, (10, 1)), np.full(10, 17.0))
+        seen.open(Hypotheses).surfaces = surfaces if scan == odd else SURFACES_MIDDLE
+        list(core.handle(seen))
+        truth, reported = compose(truth, np.array(STEP)), compose(reported, np.array(STEP))
+    assert core.condition().counters.get("continuity_broken", 0) == (surfaces == SURFACES_MIDDLE)
 
 
 def test_a_robot_in_a_room_that_the_map_lacks_is_still_where_odometry_and_scans_put_it(

@@ -17,9 +17,18 @@ class Search(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     SEARCH_UNSPECIFIED: _ClassVar[Search]
     SEARCH_WHOLE: _ClassVar[Search]
     SEARCH_LOCAL: _ClassVar[Search]
+
+class Surfaces(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SURFACES_UNSPECIFIED: _ClassVar[Surfaces]
+    SURFACES_MIDDLE: _ClassVar[Surfaces]
+    SURFACES_FACES: _ClassVar[Surfaces]
 SEARCH_UNSPECIFIED: Search
 SEARCH_WHOLE: Search
 SEARCH_LOCAL: Search
+SURFACES_UNSPECIFIED: Surfaces
+SURFACES_MIDDLE: Surfaces
+SURFACES_FACES: Surfaces
 
 class Hypothesis(_message.Message):
     __slots__ = ("pose", "covariance", "log_likelihood", "region", "error_energy", "explained", "coefficients")
@@ -70,7 +79,7 @@ class SearchRequest(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., search: _Optional[_Union[Search, str]] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., velocity: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., least_log_likelihood: _Optional[float] = ...) -> None: ...
 
 class Hypotheses(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search")
+    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search", "surfaces")
     class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATUS_UNSPECIFIED: _ClassVar[Hypotheses.Status]
@@ -90,6 +99,7 @@ class Hypotheses(_message.Message):
     PROJECTIONS_FIELD_NUMBER: _ClassVar[int]
     MOTION_FIELD_NUMBER: _ClassVar[int]
     SEARCH_FIELD_NUMBER: _ClassVar[int]
+    SURFACES_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     status: Hypotheses.Status
@@ -101,7 +111,8 @@ class Hypotheses(_message.Message):
     projections: _containers.RepeatedCompositeFieldContainer[Projection]
     motion: _scan_pb2.ScanMotion
     search: Search
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ...) -> None: ...
+    surfaces: Surfaces
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ..., surfaces: _Optional[_Union[Surfaces, str]] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("timestamp", "frame_id", "pose", "mask", "error", "error_energy", "confidence", "sensor_x", "sensor_y", "map_x", "map_y", "model_version")

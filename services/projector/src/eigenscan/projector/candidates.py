@@ -56,3 +56,5 @@ class Candidates:
     unlisted_log_likelihood: float
     ordinary: float
     waiting: NDArray[np.bool_] | None = None
+    reading: int = 0
+    """Which of the site's readings of its walls the poses fit."""

@@ -246,13 +246,13 @@ def _weigh(
 ) -> Candidates:
     weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
     found = []
-    for polished, supported, explained in weighed:
+    for reading, (polished, supported, explained) in enumerate(weighed):
         order = np.argsort(-supported)
         kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
         ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
-        found.append((polished, supported, explained, kept, ordinary))
+        found.append((polished, supported, explained, kept, ordinary, reading))
     # whether walls are as thick as they are drawn is the same for all beams: the whole scan shows
-    polished, supported, explained, kept, ordinary = max(
+    polished, supported, explained, kept, ordinary, reading = max(
         found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum())
     )
     trace("polished", polished.poses)
@@ -273,6 +273,7 @@ def _weigh(
         # of what was not searched nothing is known
         float(likelihood.min(initial=0.0)) if site.parts == 1 and scope.regions is None else 0.0,
         ordinary,
+        reading=reading,
     )
 
 

@@ -55,6 +55,8 @@ class Observation:
     """Hypotheses in the message, also those that are no numbers."""
     local: bool = False
     """Whether only the place around the tracker's own pose was looked at."""
+    surfaces: int = 0
+    """Which surfaces of thick walls the poses fit."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -101,6 +103,7 @@ def observe(
         message.model_version,
         len(rows),
         message.search == SEARCH_LOCAL,
+        message.surfaces,
     )
 
 

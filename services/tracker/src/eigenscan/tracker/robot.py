@@ -92,6 +92,8 @@ class _Source:
     scans: int = 0
     poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Its last list, likeliest first."""
+    surfaces: int = 0
+    """Of thick walls, those that this list fits."""
     turned: float = 0.0
     """rad turned at the present place: after a whole turn it has shown all that there is to see."""
 
@@ -328,7 +330,9 @@ class RobotTracker:
         source = self._source_of(seen)
         source.scans += 1
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
-        before, source.poses = source.poses, seen.poses
+        # between lists of other surfaces all poses move
+        before = source.poses if source.surfaces == seen.surfaces else np.zeros((0, 3))
+        source.poses, source.surfaces = seen.poses, seen.surfaces
         if source.scans == 1:
             return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1)
         moved = self._motion(source.last, seen.stamp)

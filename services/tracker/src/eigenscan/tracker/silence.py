@@ -14,7 +14,7 @@ SILENT_LISTS = 20
 """The same where stamps do not go on: 2 s of a lidar of 10 Hz."""
 GONE_NS = 10_000_000_000
 """A source without a list for so long sends none any more: the time after which health misses an input."""
-RESTARTS_WITHIN = 40
+RESTARTS_WITHIN = 30
 """Lists between two set-backs of the clock, up to which they are two clocks."""
 
 

@@ -18,7 +18,7 @@ CHANNELS = {
 """Those of its recording."""
 LACKED: dict[str, tuple[str, ...]] = {
     "eigenscan.Scan": ("motion",),
-    "eigenscan.Hypotheses": ("motion", "search"),
+    "eigenscan.Hypotheses": ("motion", "search", "surfaces"),
     "eigenscan.RegionModel": ("space",),
     "eigenscan.ModelSet": ("floors",),
     "eigenscan.PoseEstimate": (
