@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.projector.subspaces import SeenPart
+from eigenscan.schemas.hypotheses_pb2 import SURFACES_UNSPECIFIED, Surfaces
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -56,5 +57,5 @@ class Candidates:
     unlisted_log_likelihood: float
     ordinary: float
     waiting: NDArray[np.bool_] | None = None
-    reading: int = 0
-    """Which of the site's readings of its walls the poses fit."""
+    surfaces: Surfaces = SURFACES_UNSPECIFIED
+    """Of thick walls, those that the poses fit."""

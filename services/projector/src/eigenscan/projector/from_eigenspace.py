@@ -48,4 +48,5 @@ def answer(
         projected,
         0.0,
         0.0,
+        surfaces=site.readings[0].surfaces,
     )

@@ -246,7 +246,7 @@ def _weigh(
 ) -> Candidates:
     weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
     found = []
-    for reading, (polished, supported, explained) in enumerate(weighed):
+    for reading, (polished, supported, explained) in zip(site.readings, weighed, strict=True):
         order = np.argsort(-supported)
         kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
         ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
@@ -273,7 +273,7 @@ def _weigh(
         # of what was not searched nothing is known
         float(likelihood.min(initial=0.0)) if site.parts == 1 and scope.regions is None else 0.0,
         ordinary,
-        reading=reading,
+        surfaces=reading.surfaces,
     )
 
 

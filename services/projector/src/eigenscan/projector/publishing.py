@@ -22,9 +22,6 @@ from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.hypotheses_pb2 import (
     SEARCH_LOCAL,
     SEARCH_WHOLE,
-    SURFACES_FACES,
-    SURFACES_MIDDLE,
-    SURFACES_UNSPECIFIED,
     Hypotheses,
     Hypothesis,
     Obstacles,
@@ -76,10 +73,6 @@ def _blanks(components: int) -> _Blanks:
     )
 
 
-_SURFACES = SURFACES_MIDDLE, SURFACES_FACES
-"""By the site's readings of thick walls."""
-
-
 def unusable(scan: Scan, site: Site, seen: Observation) -> Hypotheses:
     """The answer to a scan with too few beams."""
     return _answer(scan, site, seen, status=Hypotheses.STATUS_UNUSABLE_SCAN)
@@ -112,7 +105,7 @@ def hypotheses_message(
         unlisted_log_likelihood=found.unlisted_log_likelihood,
         searched_area_m2=site.area(_searched(scope, found)),
         search=SEARCH_WHOLE,
-        surfaces=_SURFACES[found.reading] if len(site.readings) > 1 else SURFACES_UNSPECIFIED,
+        surfaces=found.surfaces,
     )
     projected, alike = found.projected, _blanks(found.projected.coefficients.shape[1])
     message.MergeFromString(

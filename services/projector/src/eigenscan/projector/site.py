@@ -26,6 +26,8 @@ from eigenscan.projector.subspaces import Subspaces
 from eigenscan.projector.tables import HEADINGS, Flags, Given, Store, Tables
 from eigenscan.projector.verification import RANGE_CAP, Steps, predicted, width
 from eigenscan.projector.wall_field import WallField
+from eigenscan.schemas.hypotheses_pb2 import SURFACES_FACES, SURFACES_MIDDLE, SURFACES_UNSPECIFIED
+from eigenscan.schemas.hypotheses_pb2 import Surfaces as Stated
 from numba import njit
 from numpy.typing import NDArray
 
@@ -157,6 +159,7 @@ class Reading:
 
     walls: WallField
     caster: RayCaster
+    surfaces: Stated = SURFACES_UNSPECIFIED
 
 
 class Site:
@@ -189,9 +192,11 @@ class Site:
         as_drawn = Reading(self.drawn, RayCaster.of(whole.grid))
         self.readings: tuple[Reading, ...] = (as_drawn,)
         if surfaces is not whole.grid:
-            middle = Reading(WallField.of(DistanceField.of(surfaces)), RayCaster.of(surfaces))
+            middle = Reading(
+                WallField.of(DistanceField.of(surfaces)), RayCaster.of(surfaces), SURFACES_MIDDLE
+            )
             faces = WallField.of(DistanceField.of(faces_of(whole.grid)))
-            self.readings = middle, replace(as_drawn, walls=faces)
+            self.readings = middle, replace(as_drawn, walls=faces, surfaces=SURFACES_FACES)
         self.caster = self.readings[0].caster
         self.coarse_walls = WallField.of(field, COARSE_CELL)
         self.models, self.analysis = own, own[0].space.analysis

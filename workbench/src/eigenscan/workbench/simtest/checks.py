@@ -304,8 +304,10 @@ class Judge:
         wanted = [(at, (key, own)) for at, channel, key, own in life.handled if not channel.qos.latched]
         held = [(_take(found, message), at) for at, message in reversed(wanted)]
         oldest = min((at for is_held, at in held if is_held), default=math.inf)
-        gone = [at for is_held, at in held if not is_held and (at > oldest or oldest == math.inf)]
-        gone = [at for at in gone if at <= _kept_until(life)]
+        until = _kept_until(life)
+        gone = [
+            at for is_held, at in held if not is_held and at <= until and (at > oldest or oldest == math.inf)
+        ]
         unexplained = len(gone) - life.counters.get("mcap_lost", 0)
         if unexplained > 0:
             self.fail(
