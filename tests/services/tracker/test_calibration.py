@@ -147,6 +147,17 @@ def test_a_straight_way_shows_the_angle_and_not_the_place() -> None:
     assert not found.fault
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_arc_without_end_shows_no_scale_however_noisy_odometry_is(seed: int) -> None:
+    rng, found = np.random.default_rng(seed), Calibration()
+    for _ in range(600):
+        x, y = (0.36, 0.01) + rng.normal(size=2) * (0.018, 0.002)
+        found.take((0.36, 0.01, 0.057), SPREAD, (x, y, 0.057), x)
+        assert not found.fault
+    assert found.lever < 0.25
+    assert found.scale == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize(
     ("mount", "words"), [((0.0, 0.0, -pi / 15.0), "12° off"), ((0.8, 0.0, 0.0), "0.8 m away")]
 )

@@ -49,6 +49,13 @@ def test_a_recorder_that_is_killed_as_the_site_ends_may_lose_its_last_second() -
     assert (outcome.site_s, "recorder of r1: killed") in outcome.notes
 
 
+def test_a_slow_service_is_not_without_input_while_some_waits() -> None:
+    # seed 55950 of 10,001: the tracker worked off a queue of 5 s when its input ended
+    outcome = run(55950)
+    assert outcome.broken == ()
+    assert any("without hypotheses" in text or "no hypotheses" in text for _, text in outcome.notes)
+
+
 def test_the_real_projector_localizes_in_the_hall_though_it_and_the_builder_are_killed() -> None:
     killed = [Fault(12.0, "kill", "r1", 2, 0.0, 0.0), Fault(13.0, "new map", "site", 0, 0.0, 0.0)]
     outcome, again = (run(1, 1, killed, real=True) for _ in range(2))

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-START = np.array([0.5, 1.0, 1.0, 1.0])
-"""Sigma of scale cos(yaw), scale sin(yaw) and the lever, m, m, before any motion: wide."""
+RIGHT, START = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
+"""Scale cos(yaw), scale sin(yaw) and the lever, m, m, before any motion, and their wide sigmas."""
 FIRST = 2.0
 """Intervals that the noise assumed in `scan_motion` counts as, before their own noise is learned."""
 YAW_RAD, LEVER_M, SCALE = float(np.radians(0.5)), 0.02, 0.01
@@ -38,6 +38,13 @@ The robots of ten logs are off by up to 1.7 degrees, 10 cm and 5 %, which never 
 SCALE_OFF = 0.14
 """What a claim allows of the ranges' scale, as a share: a wall 3.5 m away is seen NEAR_M too near."""
 
+NOISE_SHOWS = 4.0
+"""Information on the scale, of an interval, that is due to odometry's noise alone.
+
+On an arc of one radius scale and lever explain the same motions; least squares then find a scale that leaves
+the noise out ("errors in variables"). For normal noise it is 2, with heavy tails more.
+"""
+
 DRIFT_RAD = float(np.radians(0.2))
 """From one interval to the next a loose mount turns by as much: what motion showed long ago counts less."""
 
@@ -52,8 +59,9 @@ class Calibration:
     """The mount of one lidar and the scale of its motion, against what is stated and what odometry shows."""
 
     def __init__(self) -> None:
-        self._x = np.array([1.0, 0.0, 0.0, 0.0])
-        self._P = np.diag(START**2)
+        self._x, self._P = RIGHT.copy(), np.diag(START**2)
+        self._found, self._spread = self._x, self._P
+        """The same without what noise alone may show of the scale."""
         self._intervals = self._squares = FIRST
         self.fault = ""
         """What is wrong with the mount or the scale, in words for the person who can mend it; or empty."""
@@ -97,30 +105,50 @@ class Calibration:
     @property
     def yaw(self) -> float:
         """By how much scans move off odometry's way: a mount is turned by as much the other way, rad."""
-        return atan2(self._x[1], self._x[0])
+        return atan2(self._found[1], self._found[0])
 
     @property
     def lever(self) -> float:
         """How far the mount is from where it is stated, m."""
-        return hypot(self._x[2], self._x[3])
+        return hypot(self._found[2], self._found[3])
 
     @property
     def scale(self) -> float:
         """How much farther the scans move than odometry."""
-        return hypot(self._x[0], self._x[1])
+        return hypot(self._found[0], self._found[1])
 
     @property
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of yaw, rad, lever, m, and scale."""
-        along, aside, x, y = (1.0 / (self._shown + 1.0 / START**2)).tolist()
+        along, aside, x, y = np.diag(self._spread).tolist()
         return sqrt(aside + YAW_RAD**2), sqrt(max(x, y) + LEVER_M**2), sqrt(along + SCALE**2)
 
     @property
     def _shown(self) -> Array:
-        """Information (4,) that motion has shown: its noise scales this, and not what was assumed before."""
-        return np.asarray((1.0 / np.diag(self._P) - 1.0 / START**2) * (self._intervals / self._squares))
+        """Information (4,) that motion has shown."""
+        return np.asarray(1.0 / np.diag(self._spread) - 1.0 / START**2)
+
+    def _without_noise(self) -> tuple[Array, Array]:
+        """What motion shows (4,) and its covariance (4, 4), by the noise that was learned.
+
+        Of the information on the scale, beside what the others explain, NOISE_SHOWS is left out.
+        """
+        first, noise = np.diag(START**-2.0), self._squares / self._intervals
+        information = np.linalg.inv(self._P)
+        values, axes = np.linalg.eigh(information - first)
+        axes = axes[:, values > 0.0]  # what was loosened may show less than before any motion
+        shown = axes @ np.diag(values[values > 0.0]) @ axes.T
+        sums = axes @ axes.T @ (information @ self._x - first @ RIGHT)
+        explained = shown[0, 1:] @ np.linalg.pinv(shown[1:, 1:], hermitian=True)
+        own = max(shown[0, 0] - explained @ shown[1:, 0], 1e-9)
+        left_out = min(NOISE_SHOWS * (self._intervals - FIRST) * noise / own, 1.0)
+        shown[0, 0] -= left_out * own
+        sums[0] -= left_out * (sums[0] - explained @ sums[1:])
+        spread = np.linalg.inv(shown / noise + first)
+        return spread @ (sums / noise + first @ RIGHT), spread
 
     def _judge(self) -> None:
+        self._found, self._spread = self._without_noise()
         yaw, lever, scale = self.sigmas
         self.within = _below(NEAR_RAD, abs(self.yaw), yaw) * _below(NEAR_M, self.lever, lever)
         along, turned, *away = self._shown.tolist()

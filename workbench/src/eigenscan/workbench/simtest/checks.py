@@ -87,6 +87,9 @@ class Judge:
         """A service takes stock: what had arrived at that moment."""
         assert process.session is not None
         self._arrived[process] = dict(process.session.arrived)
+        name, inbox, _ = self._queues.get(process.session, ("", None, 0))
+        if name and inbox is not None and any(_is_of(name, key) for key in inbox.waiting):
+            self._input_at[process.session] = self.site.agenda.now  # a slow service has input while some waits
 
     def see(self, session: Session, sample: Sample) -> None:
         """Something is published."""
@@ -315,6 +318,12 @@ class Judge:
                 f"{process.name}: {len(gone)} messages are missing, the last of second {gone[0]:.2f}, though "
                 f"older ones are kept from second {oldest:.2f} on",
             )
+
+
+def _is_of(name: str, key: str) -> bool:
+    """Whether a key is one of this channel."""
+    found = channel_of(key)
+    return found is not None and found[0].name == name
 
 
 def _kept_until(life: Life) -> float:
