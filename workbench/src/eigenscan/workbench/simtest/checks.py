@@ -89,7 +89,8 @@ class Judge:
         self._arrived[process] = dict(process.session.arrived)
         name, inbox, _ = self._queues.get(process.session, ("", None, 0))
         if name and inbox is not None and any(_is_of(name, key) for key in inbox.waiting):
-            self._input_at[process.session] = self.site.agenda.now  # a slow service has input while some waits
+            # a slow service has input while some waits
+            self._input_at[process.session] = self.site.agenda.now
 
     def see(self, session: Session, sample: Sample) -> None:
         """Something is published."""
