@@ -111,6 +111,8 @@ def test_a_turn_that_was_the_robots_costs_the_proof_only_for_a_while() -> None:
     found = calibrated(np.zeros(3))
     found.suspect_any()
     assert found.proven <= 0.9
+    assert found.yaw == pytest.approx(0.0, abs=radians(2.0))
+    assert not found.fault
     straight_on(found, lambda _: 0.0, 20)
     assert found.proven > 0.99
 

@@ -120,32 +120,30 @@ class Calibration:
     @property
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of yaw, rad, lever, m, and scale."""
-        along, aside, x, y = np.diag(self._spread).tolist()
+        along, aside, x, y = (1.0 / (self._shown + 1.0 / START**2)).tolist()
         return sqrt(aside + YAW_RAD**2), sqrt(max(x, y) + LEVER_M**2), sqrt(along + SCALE**2)
 
     @property
     def _shown(self) -> Array:
-        """Information (4,) that motion has shown."""
-        return np.asarray(1.0 / np.diag(self._spread) - 1.0 / START**2)
+        """Information (4,) that motion has shown: its noise scales this, and not what was assumed before."""
+        return np.asarray((1.0 / np.diag(self._spread) - 1.0 / START**2) * (self._intervals / self._squares))
 
     def _without_noise(self) -> tuple[Array, Array]:
-        """What motion shows (4,) and its covariance (4, 4), by the noise that was learned.
+        """What was found (4,) and its covariance (4, 4), with less information on the scale: NOISE_SHOWS.
 
-        Of the information on the scale, beside what the others explain, NOISE_SHOWS is left out.
+        Of what motion shows of the scale beside the others; what was assumed of them before stays.
         """
-        first, noise = np.diag(START**-2.0), self._squares / self._intervals
-        information = np.linalg.inv(self._P)
-        values, axes = np.linalg.eigh(information - first)
-        axes = axes[:, values > 0.0]  # what was loosened may show less than before any motion
-        shown = axes @ np.diag(values[values > 0.0]) @ axes.T
-        sums = axes @ axes.T @ (information @ self._x - first @ RIGHT)
+        first, information = np.diag(START**-2.0), np.linalg.inv(self._P)
+        shown, sums = information - first, information @ self._x - first @ RIGHT
         explained = shown[0, 1:] @ np.linalg.pinv(shown[1:, 1:], hermitian=True)
-        own = max(shown[0, 0] - explained @ shown[1:, 0], 1e-9)
-        left_out = min(NOISE_SHOWS * (self._intervals - FIRST) * noise / own, 1.0)
-        shown[0, 0] -= left_out * own
-        sums[0] -= left_out * (sums[0] - explained @ sums[1:])
-        spread = np.linalg.inv(shown / noise + first)
-        return spread @ (sums / noise + first @ RIGHT), spread
+        own = shown[0, 0] - explained @ shown[1:, 0]
+        noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)
+        left_out = min(noise, own)
+        if left_out <= 0.0:
+            return self._x, self._P
+        scale = (sums[0] - explained @ sums[1:]) / own
+        gain = self._P[0] * (left_out / (1.0 - left_out * self._P[0, 0]))
+        return self._x + gain * (self._x[0] - scale), self._P + np.outer(gain, self._P[0])
 
     def _judge(self) -> None:
         self._found, self._spread = self._without_noise()
