@@ -87,8 +87,8 @@ class Judge:
         """A service takes stock: what had arrived at that moment."""
         assert process.session is not None
         self._arrived[process] = dict(process.session.arrived)
-        name, inbox, _ = self._queues.get(process.session, ("", None, 0))
-        if name and inbox is not None and any(_is_of(name, key) for key in inbox.waiting):
+        queue = self._queues.get(process.session)
+        if queue and any(_is_of(queue[0], key) for key in queue[1].waiting):
             # a slow service has input while some waits
             self._input_at[process.session] = self.site.agenda.now
 
