@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.tracker.calibration import Calibration, _update
+from eigenscan.tracker.calibration import RIGHT, START, Calibration, _update
 from filterpy.kalman import update
 from hypothesis import given
 from hypothesis import strategies as st
@@ -43,17 +43,35 @@ def calibrated(mount: Array, scale: float = 1.0, noise: float = 0.01, back: bool
 @given(st.integers(0, 2**16))
 def test_an_update_is_that_of_a_kalman_filter(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    found, root = np.array([1.0, 0.0, 0.0, 0.0]), rng.normal(size=(4, 4))
-    P = root @ root.T + 0.1 * np.eye(4)
+    root = rng.normal(size=(4, 4))
+    information, first = root @ root.T, np.diag(START**-2)
+    P = np.linalg.inv(first + information)
+    found = rng.normal(size=4) * 0.1 + RIGHT
+    sums = np.linalg.solve(P, found) - first @ RIGHT
     x, y, turn = rng.uniform(0.05, 0.3), rng.uniform(-0.02, 0.02), rng.uniform(-0.5, 0.5)
     H = np.array([[x, -y, cos(turn) - 1.0, -sin(turn)], [y, x, sin(turn), cos(turn) - 1.0]])
     scans = H @ found + 0.01 * rng.normal(size=2)
     R = np.array([[0.002, 0.0005], [0.0005, 0.003]]) + 0.01 * np.eye(2)
     direct, C = update(found[:, None], P, scans[:, None], R, H)
     # no tails: each innovation counts as what is usual
-    _update(found, P, (scans[0], scans[1], turn), (0.002, 0.0005, 0.003), 0.01, x, y, 1.0, 1e12)
-    assert found == pytest.approx(direct.ravel(), abs=1e-9)
-    assert pytest.approx(C, abs=1e-9) == P
+    _update(information, sums, (scans[0], scans[1], turn), (0.002, 0.0005, 0.003), 0.01, x, y, 1.0, 1e12)
+    assert np.linalg.solve(first + information, first @ RIGHT + sums) == pytest.approx(direct.ravel())
+    assert np.linalg.inv(first + information) == pytest.approx(C)
+
+
+@given(st.floats(-0.6, 0.6), st.floats(0.0, 0.3), st.integers(1, 9), st.booleans(), st.integers(0, 2**16))
+def test_however_often_a_knock_is_suspected_no_more_is_forgotten_than_motion_has_shown(
+    turn: float, noise: float, every: int, by_turn: bool, seed: int
+) -> None:
+    rng, found = np.random.default_rng(seed), Calibration()
+    for number in range(100):
+        x, y = (0.3, 0.0) + rng.normal(size=2) * noise
+        found.take((0.3, 0.0, turn), SPREAD, (x, y, turn), 0.3)
+        if number % every == 0:
+            found.suspect_turn(0.5, 0.0) if by_turn else found.suspect_any()
+        # as wide as before any motion at most
+        assert all(0.0 < sigma < 1.01 for sigma in found.sigmas)
+        assert 0.0 <= found.proven <= 1.0
 
 
 @pytest.mark.parametrize("angle", [12.0, -12.0])

@@ -9,7 +9,7 @@ robots", IEEE T-RO 2013).
 
 from __future__ import annotations
 
-from math import atan2, degrees, erf, hypot, sqrt
+from math import atan2, degrees, erf, hypot, inf, sqrt
 
 import numpy as np
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, TAIL, surprise
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 RIGHT, START = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
 """Scale cos(yaw), scale sin(yaw) and the lever, m, m, before any motion, and their wide sigmas."""
+FIRST_INFORMATION = np.diag(START**-2)
 FIRST = 2.0
 """Intervals that the noise assumed in `scan_motion` counts as, before their own noise is learned."""
 YAW_RAD, LEVER_M, SCALE = float(np.radians(0.5)), 0.02, 0.01
@@ -56,12 +57,16 @@ SCALED = "scans move {:.2f} times as far as odometry: do ranges or wheels have a
 
 
 class Calibration:
-    """The mount of one lidar and the scale of its motion, against what is stated and what odometry shows."""
+    """The mount of one lidar and the scale of its motion, against what is stated and what odometry shows.
+
+    What motion has shown is kept as information (4, 4) and its sums (4,), and what was assumed before apart
+    from it: so what is forgotten or left out never costs more than was shown.
+    """
 
     def __init__(self) -> None:
-        self._x, self._P = RIGHT.copy(), np.diag(START**2)
-        self._found, self._spread = self._x, self._P
-        """The same without what noise alone may show of the scale."""
+        self._information, self._sums = np.zeros((4, 4)), np.zeros(4)
+        self._found, self._spread = RIGHT, np.diag(START**2)
+        """The four numbers and their covariance, without what noise alone may show of the scale."""
         self._intervals = self._squares = FIRST
         self.fault = ""
         """What is wrong with the mount or the scale, in words for the person who can mend it; or empty."""
@@ -81,7 +86,8 @@ class Calibration:
         noise = (SIGMA_M + SIGMA_SHARE * way) ** 2
         if abs(scans[2]) < LEAST_TURN:
             scans = scans[0], scans[1], 0.0
-        squares = _update(self._x, self._P, scans, spread, noise, x, y, self._squares / self._intervals, TAIL)
+        scale = self._squares / self._intervals
+        squares = _update(self._information, self._sums, scans, spread, noise, x, y, scale, TAIL)
         self._intervals += 1.0
         self._squares += 0.5 * squares
         self._judge()
@@ -95,12 +101,16 @@ class Calibration:
 
     def suspect_any(self) -> None:
         """Two scans that should fit each other do not: the mount may have been turned by any angle."""
-        self._loosen(START[1] ** 2)
+        self._loosen(inf)
         self._judge()
 
     def _loosen(self, variance: float) -> None:
-        loose = self._P[1, 1] + variance * self._intervals / self._squares
-        self._P[1, 1] = min(loose, START[1] ** 2)
+        """The mount may have turned by so much, rad^2: a Kalman prediction in information form."""
+        turned = self._information[1].copy()
+        own = turned[1] + self._squares / (self._intervals * variance)
+        if own > 0.0:
+            self._sums -= turned * (self._sums[1] / own)
+            self._information -= np.outer(turned, turned) / own
 
     @property
     def yaw(self) -> float:
@@ -120,30 +130,30 @@ class Calibration:
     @property
     def sigmas(self) -> tuple[float, float, float]:
         """Standard deviations of yaw, rad, lever, m, and scale."""
-        along, aside, x, y = (1.0 / (self._shown + 1.0 / START**2)).tolist()
+        along, aside, x, y = (1.0 / (self._shown + START**-2)).tolist()
         return sqrt(aside + YAW_RAD**2), sqrt(max(x, y) + LEVER_M**2), sqrt(along + SCALE**2)
 
     @property
     def _shown(self) -> Array:
         """Information (4,) that motion has shown: its noise scales this, and not what was assumed before."""
-        return np.asarray((1.0 / np.diag(self._spread) - 1.0 / START**2) * (self._intervals / self._squares))
+        shown = np.maximum(1.0 / np.diag(self._spread) - START**-2, 0.0)
+        return np.asarray(shown * (self._intervals / self._squares))
 
     def _without_noise(self) -> tuple[Array, Array]:
         """What was found (4,) and its covariance (4, 4), with less information on the scale: NOISE_SHOWS.
 
-        Of what motion shows of the scale beside the others; what was assumed of them before stays.
+        At most what motion shows of the scale beside the others.
         """
-        first, information = np.diag(START**-2.0), np.linalg.inv(self._P)
-        shown, sums = information - first, information @ self._x - first @ RIGHT
-        explained = shown[0, 1:] @ np.linalg.pinv(shown[1:, 1:], hermitian=True)
-        own = shown[0, 0] - explained @ shown[1:, 0]
+        information, sums = self._information.copy(), self._sums.copy()
+        explained = information[0, 1:] @ np.linalg.pinv(information[1:, 1:], hermitian=True)
+        own = information[0, 0] - explained @ information[1:, 0]
         noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)
-        left_out = min(noise, own)
-        if left_out <= 0.0:
-            return self._x, self._P
-        scale = (sums[0] - explained @ sums[1:]) / own
-        gain = self._P[0] * (left_out / (1.0 - left_out * self._P[0, 0]))
-        return self._x + gain * (self._x[0] - scale), self._P + np.outer(gain, self._P[0])
+        if own > 0.0:
+            left_out = min(noise / own, 1.0)
+            information[0, 0] -= left_out * own
+            sums[0] -= left_out * (sums[0] - explained @ sums[1:])
+        spread: Array = np.linalg.inv(FIRST_INFORMATION + information)
+        return spread @ (FIRST_INFORMATION @ RIGHT + sums), spread
 
     def _judge(self) -> None:
         self._found, self._spread = self._without_noise()
@@ -183,13 +193,13 @@ def _ratio(wrong: float, value: float, shown: float, start: float, least: float)
 
 
 @njit(  # pragma: no cover - compiled
-    "f8(f8[::1], f8[:,::1], UniTuple(f8, 3), UniTuple(f8, 3), f8, f8, f8, f8, f8)", cache=True
+    "f8(f8[:,::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8, f8, f8, f8, f8)", cache=True
 )
 def _update(
-    found: Array, P: Array, scans: Pose, spread: tuple[float, float, float], noise: float, x: float,
+    information: Array, sums: Array, scans: Pose, spread: tuple[float, float, float], noise: float, x: float,
     y: float, scale: float, tail: float,
 ) -> float:  # fmt: skip
-    """Kalman update of `found` (4,) and P (4, 4) by a motion; gives the innovation's squared length.
+    """Adds a motion to `information` (4, 4) and `sums` (4,); gives the innovation's squared length.
 
     Variances are in units of `scale`, the noise's share of what is assumed. Heavy tails: `surprise`. Encoders
     may have no sign, so the direction counts that fits better.
@@ -197,20 +207,18 @@ def _update(
     cos, sin = np.cos(scans[2]), np.sin(scans[2])
     H = np.array([[x, -y, cos - 1.0, -sin], [y, x, sin, cos - 1.0]])
     seen = np.array([scans[0], scans[1]])
+    P = np.linalg.inv(FIRST_INFORMATION + information)
+    found = P @ (FIRST_INFORMATION @ RIGHT + sums)
     back = H.copy()
     back[:, :2] = -H[:, :2]
     if np.abs(seen - back @ found).sum() < np.abs(seen - H @ found).sum():
         H = back
     off = seen - H @ found
-    PH = P @ H.T
-    S = H @ PH
+    S = H @ P @ H.T
     R = np.array([[spread[0] + noise, spread[1]], [spread[1], spread[2] + noise]])
-    squares = float(off @ np.linalg.solve(S + R, off))
     # the noise is larger by how surprising the innovation is
-    inverse = np.linalg.inv(S + surprise(squares / scale, tail) * R)
-    squares = float(off @ inverse @ off)
-    gain = PH @ inverse
-    found += gain @ off
-    P -= gain @ PH.T
-    P[:] = (P + P.T) / 2.0
-    return squares
+    R *= surprise(float(off @ np.linalg.solve(S + R, off)) / scale, tail)
+    weighed = H.T @ np.linalg.inv(R)
+    information += weighed @ H
+    sums += weighed @ seen
+    return float(off @ np.linalg.solve(S + R, off))
