@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 RIGHT, START = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.5, 1.0, 1.0, 1.0])
 """Scale cos(yaw), scale sin(yaw) and the lever, m, m, before any motion, and their wide sigmas."""
-FIRST_INFORMATION = np.diag(START**-2)
+FIRST_INFORMATION: Array = np.diag(START**-2)
 FIRST = 2.0
 """Intervals that the noise assumed in `scan_motion` counts as, before their own noise is learned."""
 YAW_RAD, LEVER_M, SCALE = float(np.radians(0.5)), 0.02, 0.01
@@ -152,7 +152,7 @@ class Calibration:
             left_out = min(noise / own, 1.0)
             information[0, 0] -= left_out * own
             sums[0] -= left_out * (sums[0] - explained @ sums[1:])
-        spread: Array = np.linalg.inv(FIRST_INFORMATION + information)
+        spread = np.asarray(np.linalg.inv(FIRST_INFORMATION + information), dtype=np.float64)
         return spread @ (FIRST_INFORMATION @ RIGHT + sums), spread
 
     def _judge(self) -> None:
