@@ -7,13 +7,14 @@ new starts along its worst determined direction. `support`: share of the points 
 from HELD_SUPPORT on scan-ingest does not start again. A row counts how far apart the last two end. The times
 want a quiet machine, the counts do not.
 
-Neighbours that are not alike are compared at once. Scans of two places that are alike and do not fit would be
-found one scan late.
+Neighbours that are not alike are compared at once. Scans of two places that are alike and hardly fit would be
+found one scan late. `explained`: share of a scan that the other one has too, of neighbours and of two places.
 """
 
 import argparse
 import time
 from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from unittest import mock
@@ -24,7 +25,7 @@ from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.laying import NOISE
 from eigenscan.ingest.motion import BEAMS, HELD_SUPPORT, Motion, Points, Pose, motion_between
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.channels import FOLLOWS, SCAN_RAW
 from eigenscan.workbench.logs import LogOptions, open_log
 
 LOGS = {
@@ -33,6 +34,7 @@ LOGS = {
     "aces": "aces/log.clf.gz",
     "jarvis": "jarvis/jarvis_complex_path_fast.bag",
     "guardian": "guardian/guardian_3.bag",
+    "guardian 2": "guardian/guardian_controller_2.bag",
     "olin": "olin_mac/rosbag2",
 }
 SUPPORTS = (-np.inf, 0.1, 0.15, 0.2, HELD_SUPPORT, 0.3, 0.35, 0.51)
@@ -59,13 +61,18 @@ def matches(log: Path, most: int) -> list[tuple[Points, Points, Pose]]:
     return found
 
 
-def similar_places(log: Path, most: int) -> tuple[int, int, int, int]:
-    """Pairs of neighbours, those of them not alike; pairs of other places, those alike that do not fit.
+@dataclass
+class Pairs:
+    """Which pairs of scans are alike (n,), and the share (n,) of the later one that is explained."""
 
-    Of each lidar's first scans, the other places at random.
-    """
+    alike: np.ndarray
+    explained: np.ndarray
+
+
+def similar_places(log: Path, most: int) -> tuple[Pairs, Pairs]:
+    """Neighbours, and pairs of other places at random, of each lidar's first scans."""
     seen: dict[watch.Watch, list[Points]] = {}
-    turning, receive = list[tuple[Points, Points, float]](), watch.Watch.receive
+    turning, receive = list[tuple[Points, Points, Pose]](), watch.Watch.receive
 
     def noted(
         lidar: watch.Watch, stamp: int, ranges: watch.Ranges, angle_min: float, step: float, mount: Pose
@@ -73,22 +80,27 @@ def similar_places(log: Path, most: int) -> tuple[int, int, int, int]:
         own = seen.setdefault(lidar, [])
         points = motion.points_of(ranges.astype(float), angle_min, step, mount, stamp)
         if own:
-            turning.append((own[-1], points, lidar._velocity[2] * (stamp - own[-1].stamp) * 1e-9))
+            x, y, turn = (each * (stamp - own[-1].stamp) * 1e-9 for each in lidar._velocity)
+            turning.append((own[-1], points, (x, y, turn)))
         own.append(points)
         if len(turning) >= most:
             raise EnoughError
         return receive(lidar, stamp, ranges, angle_min, step, mount)
 
     _play(log, mock.patch.object(watch.Watch, "receive", noted))
-    differ = sum(_alike(before, after, turn) < watch.ALIKE for before, after, turn in turning)
-    rng, elsewhere, late = np.random.default_rng(0), 0, 0
+    rng, elsewhere = np.random.default_rng(0), list[tuple[Points, Points, Pose]]()
     for own in seen.values():
         for first, second in rng.integers(len(own), size=(1500, 2)).tolist():
             if abs(first - second) >= APART_SCANS:
-                elsewhere += 1
-                if _alike(own[first], own[second], 0.0) >= watch.ALIKE:
-                    late += not motion_between(own[first], own[second], (0.0, 0.0, 0.0)).fits
-    return len(turning), differ, elsewhere, late
+                elsewhere.append((own[first], own[second], (0.0, 0.0, 0.0)))
+    return _pairs(turning), _pairs(elsewhere)
+
+
+def _pairs(found: list[tuple[Points, Points, Pose]]) -> Pairs:
+    return Pairs(
+        np.array([_alike(before, after, guess[2]) >= watch.ALIKE for before, after, guess in found]),
+        np.array([motion_between(*pair).explained for pair in found]),
+    )
 
 
 def _alike(before: Points, after: Points, turn: float) -> float:
@@ -129,6 +141,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=3000, help="neighbours of each log, at most")
     given = parser.parse_args()
     rows, pairs = [], np.zeros(4, dtype=int)
+    print("log          explained: neighbours' least, 1 %, and below FOLLOWS; other places' above it")
     for name in given.only or LOGS:
         of_log = [
             row for match in matches(given.datasets / LOGS[name], given.matches) if (row := compared(match))
@@ -138,8 +151,15 @@ def main() -> None:
             flush=True,
         )
         rows += of_log
-        pairs += np.array(similar_places(given.datasets / LOGS[name], given.pairs))
-    print("neighbours {}, not alike {}; of other places {}, alike and not fitting {}".format(*pairs))
+        near, far = similar_places(given.datasets / LOGS[name], given.pairs)
+        print(
+            f"{name:24} {near.explained.min():.2f} {np.percentile(near.explained, 1):.2f} "
+            f"{np.mean(near.explained < FOLLOWS):.2%} {np.mean(far.explained >= FOLLOWS):.1%}",
+            flush=True,
+        )
+        late = far.alike & (far.explained < FOLLOWS)
+        pairs += (len(near.alike), np.count_nonzero(~near.alike), len(far.alike), np.count_nonzero(late))
+    print("neighbours {}, not alike {}; of other places {}, alike and hardly fitting {}".format(*pairs))
     support, apart = np.array(rows)[:, 1:].T
     for low, high in [*pairwise(SUPPORTS), (-np.inf, HELD_SUPPORT), (HELD_SUPPORT, np.inf)]:
         ends = apart[(support >= low) & (support < high)]

@@ -11,7 +11,7 @@ from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.motion import Points, motion_between, points_of
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.ingest.watch import alike
-from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW
+from eigenscan.schemas.channels import FOLLOWS, SCAN, SCAN_MOTION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.health_pb2 import Health
@@ -179,6 +179,26 @@ def test_a_fast_lidar_that_is_carried_off_is_reported_with_its_first_scan(scans:
     assert message.timestamp == stamp(lidar.time)
     assert message.watched
     assert not message.HasField("motion")
+
+
+def hallway(left: float, rng: np.random.Generator) -> np.ndarray:
+    """Ranges between two parallel walls, 1 m to the right and `left` m to the left, up to 20 m."""
+    angles = FIRST + STEP * np.arange(BEAMS)
+    reach = np.where(angles < 0.0, 1.0, left) / np.maximum(np.abs(np.sin(angles)), 1e-6)
+    return np.where(reach < 20.0, reach + 0.01 * rng.standard_normal(BEAMS), np.inf)
+
+
+@pytest.mark.parametrize("scans", [20, 21])
+def test_a_lidar_that_is_carried_off_to_half_the_same_view_is_reported_with_its_first_scan(
+    scans: int,
+) -> None:
+    lidar, rng, output = Lidar(), np.random.default_rng(5), list[Envelope]()
+    for scan in range(scans + 1):
+        output = lidar.publish(hallway(1.0 if scan < scans else 3.5, rng), after=25_000_000)
+    message = output[0].open(ScanMotion)
+    assert message.timestamp == stamp(lidar.time)
+    assert message.HasField("motion")
+    assert message.explained < FOLLOWS
 
 
 @given(st.integers(-30, 30), st.integers(20, 400))

@@ -7,6 +7,7 @@ from math import hypot
 
 import numpy as np
 from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, points_of
+from eigenscan.schemas.channels import FOLLOWS
 from numba import njit, types
 from numpy.typing import NDArray
 
@@ -104,7 +105,7 @@ class Watch:
         x, y, turn = moved.delta
         self._velocity = (x / seconds, y / seconds, turn / seconds) if moved.fits else (0.0, 0.0, 0.0)
         far = hypot(x, y) >= STEP_M or abs(turn) >= STEP_RAD or stamp - reference.stamp >= STEP_NS
-        if not far and moved.fits:
+        if not far and moved.explained >= FOLLOWS:
             return None
         self._reference = points
         return reference.stamp, moved

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 import numpy as np
+from eigenscan.schemas.channels import FOLLOWS
 from eigenscan.tracker.faults import WITHOUT_SIGN, Faults
 from eigenscan.tracker.lateness import Lateness
 from eigenscan.tracker.odometry import Motion, OdometryTrail
@@ -58,6 +59,8 @@ class ScanInterval:
     """s, longest between two scans on the way."""
     watched: bool = False
     """Whether a scan on the way that differs would have been published at once."""
+    explained: float = 1.0
+    """Share of the later scan's beams that the earlier one has too."""
 
 
 class Agreement:
@@ -118,7 +121,7 @@ class Agreement:
     def follows(self, lidar: str, stamp: int, since: int) -> bool:
         """Whether a lidar's scan of `stamp` was found where odometry puts it from that of `since`, ns.
 
-        Of a lidar that is watched, what does not fit is published with its scan; of another nothing is known.
+        Of a lidar that is watched, what hardly fits is published with its scan; of another nothing is known.
         """
         return self._differed.get(lidar, stamp) <= since
 
@@ -185,7 +188,8 @@ class Agreement:
     def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
         if interval.watched:
             before = self._differed.get(interval.lidar, 0)
-            self._differed[interval.lidar] = before if agrees else interval.stamp
+            follows = agrees and interval.explained >= FOLLOWS
+            self._differed[interval.lidar] = before if follows else interval.stamp
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._of(interval.lidar)

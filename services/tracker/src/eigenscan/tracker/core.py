@@ -183,9 +183,12 @@ class TrackerCore:
                 self._counts["scan_motion_not_possible"] += 1
                 return
         spread, longest = (c.xx, c.xy, c.yy), message.longest_step
-        robot.tracker.receive_motion(
-            ScanInterval(lidar, since, until, moved, spread, c.tt, message.repeats, longest, message.watched)
+        # who does not state how much is explained states that the scans fit
+        explained = message.explained or 1.0
+        interval = ScanInterval(
+            lidar, since, until, moved, spread, c.tt, message.repeats, longest, message.watched, explained
         )
+        robot.tracker.receive_motion(interval)
 
     def _receive_odometry(
         self, robot: _Tracked, address: Mapping[str, str], message: Odometry
