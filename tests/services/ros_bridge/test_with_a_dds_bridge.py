@@ -24,7 +24,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 
 from tests.network import free_port
-from tests.services.ros_bridge.conftest import Bridge, Network, eventually
+from tests.services.ros_bridge.conftest import PATIENCE_S, Bridge, Network, eventually
 from tests.services.ros_bridge.test_core import MOUNT, odometry, scan
 
 pytestmark = pytest.mark.slow
@@ -130,6 +130,8 @@ def test_the_dds_bridge_receives_the_topics(start: Start, dds: zenoh.Session, na
     assert any("§floor/" in key for key in shown)
     bridge.process.terminate()
     eventually(lambda: not tokens(), "the tokens' end")
+    # a second signal while it ends would end it at once
+    assert bridge.process.wait(PATIENCE_S) == 0
 
 
 def test_humble_has_keys_without_hashes(start: Start, dds: zenoh.Session, name: str) -> None:
