@@ -218,7 +218,7 @@ SCAN_MOTION = Channel(
 FOLLOWS = 0.6
 """Share of a scan's beams that the one before it has too, below which it rather is of another place.
 
-Of neighbours on eleven logs it is hardly ever less; of other places more in 1 to 26 of 100
+Of neighbours on seven logs less in 3 of 10,000 at most; of other places more in 1 to 18 of 100
 (benchmarks/scan_motion.py).
 """
 ODOMETRY = Channel(
