@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.tracker.calibration import RIGHT, START, Calibration, _update
+from eigenscan.tracker.calibration import FIRST_INFORMATION, RIGHT, Calibration, _update
 from filterpy.kalman import update
 from hypothesis import given
 from hypothesis import strategies as st
@@ -44,7 +44,7 @@ def calibrated(mount: Array, scale: float = 1.0, noise: float = 0.01, back: bool
 def test_an_update_is_that_of_a_kalman_filter(seed: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(4, 4))
-    information, first = root @ root.T, np.diag(START**-2)
+    information, first = root @ root.T, FIRST_INFORMATION
     P = np.linalg.inv(first + information)
     found = rng.normal(size=4) * 0.1 + RIGHT
     sums = np.linalg.solve(P, found) - first @ RIGHT

@@ -152,8 +152,7 @@ class Calibration:
             left_out = min(noise / own, 1.0)
             information[0, 0] -= left_out * own
             sums[0] -= left_out * (sums[0] - explained @ sums[1:])
-        spread = np.asarray(np.linalg.inv(FIRST_INFORMATION + information), dtype=np.float64)
-        return spread @ (FIRST_INFORMATION @ RIGHT + sums), spread
+        return _found(information, sums)
 
     def _judge(self) -> None:
         self._found, self._spread = self._without_noise()
@@ -188,8 +187,16 @@ def _ratio(wrong: float, value: float, shown: float, start: float, least: float)
 
     `value` was found with a prior of sigma `start` too. Errors of `least` do not average out.
     """
-    pull, shown = (shown + start**-2) * value, max(shown, 0.0)
+    pull = (shown + start**-2) * value
     return wrong * (pull - 0.5 * wrong * shown) / (1.0 + least * least * shown)
+
+
+@njit("Tuple((f8[::1], f8[:,::1]))(f8[:,::1], f8[::1])", cache=True)  # pragma: no cover - compiled
+def _found(information: Array, sums: Array) -> tuple[Array, Array]:
+    """The four numbers (4,) and their covariance (4, 4), by what was assumed and what motion has shown."""
+    P = FIRST_INFORMATION + information
+    P[:] = np.linalg.inv(P)
+    return P @ (FIRST_INFORMATION @ RIGHT + sums), P
 
 
 @njit(  # pragma: no cover - compiled
@@ -207,8 +214,7 @@ def _update(
     cos, sin = np.cos(scans[2]), np.sin(scans[2])
     H = np.array([[x, -y, cos - 1.0, -sin], [y, x, sin, cos - 1.0]])
     seen = np.array([scans[0], scans[1]])
-    P = np.linalg.inv(FIRST_INFORMATION + information)
-    found = P @ (FIRST_INFORMATION @ RIGHT + sums)
+    found, P = _found(information, sums)
     back = H.copy()
     back[:, :2] = -H[:, :2]
     if np.abs(seen - back @ found).sum() < np.abs(seen - H @ found).sum():
