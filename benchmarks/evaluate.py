@@ -1,7 +1,7 @@
 """Global localization on every log with a map: one table, one JSON.
 
     .venv/bin/python benchmarks/evaluate.py [--datasets FOLDER] [--only intel] [--simulated] [--kidnap]
-        [--method paper] [--paper] [--set tracker.local_fits=true] [--json OUT]
+        [--method paper] [--paper] [--set tracker.local_fits=false] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --buildings FOLDER [--only aces] [--kidnap] [--json OUT]
     .venv/bin/python benchmarks/evaluate.py --from OUT --picture docs/images/reliability.png
 

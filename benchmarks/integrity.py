@@ -1,7 +1,7 @@
 """Never sure of a wrong place: what is claimed while sensors, set-up or odometry lie, and what health states.
 
     .venv/bin/python benchmarks/integrity.py [--only jarvis] [--fault frozen] [--quick]
-        [--set tracker.local_fits=true] [--json OUT]
+        [--set tracker.local_fits=false] [--json OUT]
 
 Each fault (benchmarks/integrity_faults.py) is put into windows of real logs, from their start on unless its
 name shows otherwise. Counted are scans whose pose is claimed with a confidence above 0.9 and above 0.99

@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/maps.py [--datasets FOLDER] [--only intel --only fr079] [--way "walls 10 cm"]
         [--windows 9] [--scans 100] [--quick] [--simulated] [--seed 1] [--jobs 1]
-        [--set tracker.local_fits=true] [--json OUT]
+        [--set tracker.local_fits=false] [--json OUT]
 
 Each log at hand is driven on its map made worse on purpose (worse_maps.py), from mild to hard; the reference
 goes along with what the map did. A window succeeds when every claim from some scan on, over its last third

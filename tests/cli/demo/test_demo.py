@@ -22,7 +22,6 @@ from eigenscan.schemas.channels import (
     RELOCATION,
     SCAN,
     SCAN_RAW,
-    SEARCH,
     SPACE,
 )
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -106,8 +105,8 @@ def test_the_real_robot_has_its_own_map(tmp_path: Path) -> None:
 def _recording_holds_the_way_of_the_data(path: Path) -> None:
     records = [record.envelope for record in read(path)]
     counts = {channel.name: sum(record.channel is channel for record in records) for channel in CHANNELS}
-    # no click, this lidar's space, no gyroscope, no local fits
-    for quiet in (RELOCATION, LIDAR_KIND, SPACE, HEADING, SEARCH):
+    # no click, this lidar's space, no gyroscope
+    for quiet in (RELOCATION, LIDAR_KIND, SPACE, HEADING):
         assert counts.pop(quiet.name) == 0
     assert all(counts.values()), counts
     # scans do not block: where a machine stalls, Zenoh drops some rather than wait. Of 240, 6 were lost once

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose, from_message, yaw
-from eigenscan.schemas.channels import POSE, RELOCATION, TRACKS, TRANSFORM, Channel
+from eigenscan.schemas.channels import POSE, RELOCATION, SEARCH, TRACKS, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation
 from eigenscan.schemas.wire import encode
@@ -41,7 +41,7 @@ def drive(speaker: Speaker, seconds: float) -> list[Envelope]:
 
 
 def published(core: TrackerCore, received: Iterable[Envelope]) -> dict[Channel, list[Envelope]]:
-    found: dict[Channel, list[Envelope]] = {POSE: [], TRACKS: [], TRANSFORM: []}
+    found: dict[Channel, list[Envelope]] = {POSE: [], SEARCH: [], TRACKS: [], TRANSFORM: []}
     for envelope in [*(each for one in received for each in core.handle(one)), *core.finish()]:
         found[envelope.channel].append(envelope)
     return found
@@ -56,7 +56,7 @@ def test_the_pose_comes_with_the_scan(make_core: MakeCore, speaker: Speaker) -> 
     for k in range(3):
         list(core.handle(speaker.odometry(10.0 + k * PERIOD, at(k * PERIOD))))
     first = list(core.handle(speaker.hypotheses(10.05, [compose(START, at(0.05))], [25.0])))
-    assert [each.channel for each in first] == [POSE, TRACKS]
+    assert [each.channel for each in first] == [POSE, SEARCH, TRACKS]
     assert first[0].open(PoseEstimate).extrapolated
     assert nanoseconds(first[0].open(PoseEstimate).timestamp) == 10_050_000_000
     then = core.handle(speaker.odometry(10.06, at(0.06)))

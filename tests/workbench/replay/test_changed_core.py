@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,8 +121,10 @@ def test_a_wrong_component_is_caught_where_it_begins(
     assert first.fields[0].path == path
     assert path in report(outcome)
     count = outcome.comparison.counts[channel]
-    assert count.same == SPOILT
-    assert count.different + count.missing == len(of_channel) - SPOILT
+    # what a local fit lists is the same backwards
+    harmless = sum(list(spoil(deepcopy(one))) == [one] for one in of_channel[SPOILT:])
+    assert count.same == SPOILT + harmless
+    assert count.different + count.missing == len(of_channel) - SPOILT - harmless
 
 
 def test_a_core_that_fails_is_outlived_and_named(run: Run, recording: Path) -> None:

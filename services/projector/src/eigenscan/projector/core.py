@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
 
 import numpy as np
 from eigenscan.eigenspace.analysis import Analysis, RegionSpace
@@ -27,6 +28,7 @@ from eigenscan.projector.set_aside import Sizes, size_of_space
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.projector.tables import Store
+from eigenscan.projector.waiting_scans import WaitingScans
 from eigenscan.schemas import model_pb2
 from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.channels import (
@@ -86,7 +88,7 @@ class ProjectorCore:
         self.forget_robots()
         by_walls = settings.verification == settings.obstacles == "walls"
         self._fits_locally = by_walls and settings.share[1] == 1
-        needed = {POSE: settings.focus, TRACKS: self._advisor.advises}
+        needed = {POSE: settings.focus, TRACKS: self._advisor.advises, SEARCH: self._fits_locally}
         self.inputs = tuple(one for one in ProjectorCore.inputs if needed.get(one, True))
         self._assembler = ModelSetAssembler()
         self._site: Site | None = None
@@ -98,24 +100,29 @@ class ProjectorCore:
         return []
 
     def finish(self) -> Iterable[Envelope]:
-        """Nothing is held back."""
-        return []
+        """The answers to scans that still wait for a request."""
+        return self._answers(self._waiting.rest())
 
     def forget_robots(self) -> None:
         """Forgets what robots asked for and where they were; the map stays."""
+        self._waiting = WaitingScans()
+        self._forget_places()
+
+    def _forget_places(self) -> None:
         self._focus, self._local, self._advisor = Focus(), LocalSearch(), Advisor(self._settings)
 
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
         if received.channel == SCAN:
-            return self._scan(received)
+            return self._answers(self._waiting.receive(_lidar_of(received), received))
         if received.channel == TRACKS:
             return self._advise(received)
         if received.channel == POSE:
             self._focus.receive(received.address["robot"], received.open(PoseEstimate))
         elif received.channel == SEARCH:
-            lidar = received.address["robot"], received.address["lidar"]
-            self._local.receive(lidar, received.open(SearchRequest))
+            request = received.open(SearchRequest)
+            self._local.receive(_lidar_of(received), request)
+            return self._answers(self._waiting.requested(_lidar_of(received), received.stamp))
         elif received.channel == MAP:
             self._take("map", lambda: self._assembler.put_map(received.open(Grid)))
         elif received.channel == MODEL:
@@ -139,6 +146,8 @@ class ProjectorCore:
     def condition(self) -> Condition:
         """WAITING without a model; DEGRADED if the newest one was refused."""
         counts = dict(self._counts) | dict(self._store.counts if self._store else {})
+        if self._waiting.in_vain:
+            counts["request_missing"] = self._waiting.in_vain
         if self._site is None:
             return Condition(Health.STATUS_WAITING, self._refused or self._assembler.missing, counts)
         detail = self._refused or self._assembler.missing or f"model {self._site.version[:12]}"
@@ -167,7 +176,7 @@ class ProjectorCore:
             self._counts["set_aside_model"] = self._assembler.set_aside
         if site is not None:
             before, self._site = self._site, site
-            self.forget_robots()
+            self._forget_places()
             held = {model.version for model in site.models}
             for key in [key for key in self._spaces if key[0] not in held]:
                 del self._spaces[key]
@@ -217,9 +226,13 @@ class ProjectorCore:
         )
         yield Envelope(LIDAR_KIND, address, kind)
 
+    def _answers(self, scans: Iterable[Envelope]) -> Iterable[Envelope]:
+        return chain.from_iterable([self._scan(scan) for scan in scans])
+
     def _scan(self, received: Envelope) -> Iterable[Envelope]:
         if self._site is None:
             self._counts["scan_without_model"] += 1
+            self._waiting.has_no_list(_lidar_of(received))
             return []
         scan = received.open(Scan)
         address = {**received.address, "projector": self._instance}
@@ -230,6 +243,7 @@ class ProjectorCore:
                 raise ValueError("the mount is farther than any robot is large")
         except ValueError:
             self._counts["scan_malformed"] += 1
+            self._waiting.has_no_list(_lidar_of(received))
             return []
         self._advisor.see(received.address, nanoseconds(scan.timestamp), Lidar(seen.sensor, mount))
         if seen.returned < self._settings.least_beams:
@@ -298,3 +312,7 @@ class ProjectorCore:
             return WHOLE
         self._counts["scan_focused"] += 1
         return Scope(near, self._focus.ordinary(robot, lidar))
+
+
+def _lidar_of(received: Envelope) -> tuple[str, str]:
+    return received.address["robot"], received.address["lidar"]

@@ -42,7 +42,7 @@ class TrackerSettings(BaseModel):
     )
     at_once: bool = Field(True, description="publish poses before odometry of their time comes")
     local_fits: bool = Field(
-        False,
+        True,
         description="while localized, fit most scans around the pose",
     )
     late: float = Field(0.5, ge=0, le=3600, description="s; hypotheses that come later are rejected")

@@ -1,0 +1,81 @@
+"""Scans that wait for the tracker's request.
+
+Whether a scan is fitted locally must follow from messages, not from how fast processes are. So a scan waits
+for the request that follows from the scan before it, as long as the tracker's requests come in time.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from eigenscan.projector.local import LONGEST_NS
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.recently_used import RecentlyUsed
+
+MOST_NS = 300_000_000
+"""How long a scan waits, by the stamps of its lidar: less than lists may be late (`late` of the tracker)."""
+
+
+@dataclass
+class _Lidar:
+    """Stamp of the last scan that was passed on, and of the last request; whether requests come in time."""
+
+    passed: int | None = None
+    requested: int | None = None
+    in_time: bool = False
+    waiting: deque[Envelope] = field(default_factory=deque)
+
+
+class WaitingScans:
+    """Passes the scans of each lidar on in their order."""
+
+    def __init__(self) -> None:
+        self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
+        self.in_vain = 0
+        """Times that a request was waited for and did not come."""
+
+    def receive(self, lidar: tuple[str, str], scan: Envelope) -> list[Envelope]:
+        """Takes a scan of a lidar, by its robot's and its own name; gives the scans to answer now."""
+        known = self._lidars.use(lidar, _Lidar)
+        known.waiting.append(scan)
+        return self._due(known)
+
+    def requested(self, lidar: tuple[str, str], stamp: int) -> list[Envelope]:
+        """Takes the stamp, ns, of a request; gives the scans to answer now."""
+        known = self._lidars.use(lidar, _Lidar)
+        known.requested = stamp
+        known.in_time = known.in_time or stamp == known.passed
+        return self._due(known)
+
+    def has_no_list(self, lidar: tuple[str, str]) -> None:
+        """Says that no list is published of the last scan that was passed on: no request follows."""
+        known = self._lidars.use(lidar, _Lidar)
+        known.requested = known.passed
+
+    def rest(self) -> list[Envelope]:
+        """All that still waits."""
+        waiting = [known.waiting for _, known in self._lidars.items()]
+        rest = [scan for scans in waiting for scan in scans]
+        for scans in waiting:
+            scans.clear()
+        return rest
+
+    def _due(self, known: _Lidar) -> list[Envelope]:
+        due = list[Envelope]()
+        while known.waiting:
+            stamp = known.waiting[0].stamp
+            waits = (
+                known.in_time
+                and known.passed is not None
+                and known.passed != known.requested
+                and 0 < stamp - known.passed <= LONGEST_NS
+            )
+            if waits and known.waiting[-1].stamp - stamp < MOST_NS:
+                break
+            if waits:
+                known.in_time = False
+                self.in_vain += 1
+            due.append(known.waiting.popleft())
+            known.passed = stamp
+        return due
