@@ -403,14 +403,28 @@ def branch(
         id=id_,
         parent=parent,
     )
-    return fused(weighed, count, seen, pairs, share.precision)
+    return fused(weighed, count, seen, widened(seen), pairs, share.precision)
 
 
-def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
-    """Branches after the first `alone`, brought together with their hypotheses."""
+def follow(tracks: Tracks, seen: Observation, gate: float, precision: float) -> Tracks:
+    """Tracks brought to the nearest pose of a local list in their gates, with the masses that they had."""
+    pairs = associate(tracks.x, tracks.C, seen.poses, seen.covariances, gate)
+    order = np.lexsort((pairs.distance2, pairs.track))
+    _, first = np.unique(pairs.track[order], return_index=True)
+    own = pairs.pick(order[first])
+    others = np.setdiff1d(np.arange(len(tracks)), own.track)
+    rows = np.concatenate([others, own.track])
+    joined = fused(tracks.pick(rows), len(others), seen, seen.covariances, own, precision)
+    return joined.pick(np.argsort(rows))
+
+
+def fused(
+    branches: Tracks, alone: int, seen: Observation, covariances: Array, pairs: Pairs, precision: float
+) -> Tracks:
+    """Branches after the first `alone`, brought together with their hypotheses of these covariances."""
     joined = slice(alone, None)
     x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
-    R = widened(seen)[pairs.hypothesis]
+    R = covariances[pairs.hypothesis]
     off = residual(seen.poses[pairs.hypothesis], x[joined])
     R /= independent_share(C[joined], R, precision)[:, None, None]
     C[joined] *= surprise(mahalanobis_squared(off, C[joined] + R))[:, None, None]

@@ -12,6 +12,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.tracking_pb2 import Tracks as TracksMessage
 from eigenscan.tracker import observation, robot, unification
 from eigenscan.tracker.belief import Belief
+from eigenscan.tracker.branching import follow
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
@@ -87,6 +88,18 @@ def assert_same(found: Belief, expected: Belief) -> None:
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT, err_msg=name)
     for one, other in zip(found.elsewhere.parts(), expected.elsewhere.parts(), strict=True):
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT)
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 6), listed=st.integers(0, 3))
+def test_tracks_follow_a_local_list_as_the_readable_ones_do(seed: int, count: int, listed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracks, seen = some_tracks(rng, count, 2, 2), some_list(rng, listed, 0)
+    arguments = tracks, seen, 16.0, float(rng.uniform())
+    found, expected = follow(*arguments), readable.follow(*arguments)
+    for name in Columns._fields:
+        one, other = getattr(found, name), getattr(expected, name)
+        assert one.dtype == other.dtype, name
+        np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT, err_msg=name)
 
 
 @given(

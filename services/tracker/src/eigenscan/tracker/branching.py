@@ -9,7 +9,7 @@ import numpy as np
 from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import MATRICES, determinant, inverse, plus, square, triangle
 from eigenscan.tracker import evidence as model
-from eigenscan.tracker.association import Pairs, crowding_each
+from eigenscan.tracker.association import Pairs, crowding_each, within_gate
 from eigenscan.tracker.evidence import (
     Constants,
     Listed,
@@ -174,30 +174,44 @@ def _fuse(
                 out.C[row, i, j] = out.fixed_covariance[row, i, j] = fused_C[pair, i, j]
 
 
-def fused(branches: Tracks, alone: int, seen: Observation, pairs: Pairs, precision: float) -> Tracks:
-    """Branches after the first `alone`, brought together with their hypotheses."""
-    made = _fused(
-        arrays_of(branches), alone, seen.poses, seen.covariances, pairs.hypothesis, pairs.distance2,
-        precision, seen.stamp, model.TAIL, LEAST_NEW,
-    )  # fmt: skip
+def follow(tracks: Tracks, seen: Observation, gate: float, precision: float) -> Tracks:
+    """Tracks brought to the nearest pose of a local list in their gates, with the masses that they had.
+
+    It was made where a track was predicted. It omits other places, so it is no evidence for this one.
+    """
+    made = _followed(
+        arrays_of(tracks), seen.poses, seen.covariances, gate, precision, seen.stamp, model.TAIL, LEAST_NEW
+    )
     return tracks_of(made)
 
 
 @njit(  # pragma: no cover - compiled
     MADE(
-        GIVEN, types.int64, ROWS, MATRICES, types.int64[::1], types.float64[::1], types.float64, types.int64,
-        types.float64, types.float64,
+        GIVEN, ROWS, MATRICES, types.float64, types.float64, types.int64, types.float64, types.float64
     ),
     cache=True,
     error_model="numpy",
 )  # fmt: skip
-def _fused(
-    arrays: Arrays, alone: int, poses: Array, covariances: Array, hypothesis: Index,
-    distance2: Array, precision: float, stamp: int, tail: float, least_new: float,
+def _followed(
+    arrays: Arrays, poses: Array, covariances: Array, gate: float, precision: float, stamp: int, tail: float,
+    least_new: float,
 ) -> Columns:  # fmt: skip
-    out = taken(Columns(*arrays), np.arange(len(arrays[0])))
-    _fuse(out, alone, poses, covariances, hypothesis, distance2, precision, stamp, tail, least_new)
-    return out
+    t = Columns(*arrays)
+    track, hypothesis, distance2, _ = within_gate(t.x, t.C, poses, covariances, gate)
+    nearest = np.full(len(t.x), -1)
+    for pair in range(len(track)):
+        before = nearest[track[pair]]
+        if before < 0 or distance2[pair] < distance2[before]:
+            nearest[track[pair]] = pair
+    own = np.flatnonzero(nearest >= 0)
+    order = np.concatenate((np.flatnonzero(nearest < 0), own))
+    pairs = nearest[own]
+    out = taken(t, order)
+    _fuse(
+        out, len(order) - len(own), poses, covariances, hypothesis[pairs], distance2[pairs], precision, stamp,
+        tail, least_new,
+    )  # fmt: skip
+    return taken(out, np.argsort(order))
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled

@@ -12,6 +12,7 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
+from eigenscan.tracker.branching import follow
 from eigenscan.tracker.claim import Claim
 from eigenscan.tracker.confidence import (
     Protection,
@@ -31,7 +32,7 @@ from eigenscan.tracker.planar import Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.reckoning import leg
 from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
-from eigenscan.tracker.search import SURE, Request, Searches, follow
+from eigenscan.tracker.search import SURE, Request, Searches
 from eigenscan.tracker.sequences import Sequences
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share

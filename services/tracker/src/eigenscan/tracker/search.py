@@ -10,8 +10,6 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from eigenscan.tracker.association import associate
-from eigenscan.tracker.branching import fused
 from eigenscan.tracker.continuity import are_neighbours
 from eigenscan.tracker.evidence import EVEN, likelihood_at
 from eigenscan.tracker.observation import Observation
@@ -147,17 +145,3 @@ class Searches:
 def is_whole(seen: Observation) -> bool:
     """Whether a list is one of the whole map."""
     return seen.usable and not seen.local
-
-
-def follow(tracks: Tracks, seen: Observation, gate: float, precision: float) -> Tracks:
-    """Tracks brought to the poses of a local list in their gates, with the masses that they had.
-
-    It was made where a track was predicted. It omits other places, so it is no evidence for this one.
-    """
-    pairs = associate(tracks.x, tracks.C, seen.poses, seen.covariances, gate)
-    order = np.lexsort((pairs.distance2, pairs.track))
-    _, first = np.unique(pairs.track[order], return_index=True)
-    own = pairs.pick(order[first])
-    others = np.setdiff1d(np.arange(len(tracks)), own.track)
-    rows = np.concatenate([others, own.track])
-    return fused(tracks.pick(rows), len(others), seen, own, precision).pick(np.argsort(rows))
