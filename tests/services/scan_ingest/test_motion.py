@@ -201,6 +201,19 @@ def test_a_lidar_that_is_carried_off_to_half_the_same_view_is_reported_with_its_
     assert message.explained < FOLLOWS
 
 
+def test_who_walks_by_is_no_sign_that_a_scan_does_not_follow_from_the_one_before() -> None:
+    """After three scans half of the first one is hidden, and a fifth at most of each neighbour."""
+    lidar, rng, reported = Lidar(), np.random.default_rng(5), list[ScanMotion]()
+    for hidden in (0.0, 0.19, 0.37, 0.55):
+        ranges = seen((-1.0, 0.5, 0.3), rng)
+        ranges[: round(hidden * len(ranges))] = 0.4
+        output = lidar.publish(ranges, after=200_000_000)
+        reported += [one.open(ScanMotion) for one in output if one.channel is SCAN_MOTION]
+    (message,) = reported
+    assert message.HasField("motion")
+    assert message.explained > 0.7
+
+
 @given(st.integers(-30, 30), st.integers(20, 400))
 def test_a_turn_alone_leaves_the_ranges_alike(turned: int, count: int) -> None:
     ring = np.random.default_rng(count).uniform(1.0, 9.0, count + 60).astype(np.float32)

@@ -149,7 +149,7 @@ def test_late_scans_are_named_with_their_delay(
 
 @pytest.mark.parametrize(
     ("moved", "explained", "parts"),
-    [(STEP, 0.9, False), (None, 0.2, True), (STEP, 0.5, True), (STEP, 0.0, False)],
+    [(STEP, 0.9, False), (None, 0.2, True), (STEP, 0.45, True), (STEP, 0.0, False)],
 )
 def test_a_list_without_anything_of_the_last_one_takes_a_claim_away_only_where_the_scans_part(
     make_core: MakeCore, poses_of: PosesOf, moved: Step | None, explained: float, parts: bool

@@ -215,11 +215,11 @@ SCAN_MOTION = Channel(
     Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=5.0),
     "how the robot moved between two scans, by these alone, from scan-ingest, for the tracker",
 )
-FOLLOWS = 0.6
+FOLLOWS = 0.5
 """Share of a scan's beams that the one before it has too, below which it rather is of another place.
 
-Of neighbours on seven logs less in 3 of 10,000 at most; of other places more in 1 to 18 of 100
-(benchmarks/scan_motion.py).
+Of 22,000 neighbours on seven logs less in 3, of other places more in 0.5 to 28 of 100. With 0.6, 25 of the
+neighbours had less: who walks past hides as much (benchmarks/scan_motion.py --pairs 6000).
 """
 ODOMETRY = Channel(
     "odometry",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from math import hypot
 
 import numpy as np
@@ -86,9 +87,9 @@ class Watch:
             since, self._newest = self._newest, stamp
             return since, None
         self.repeats = 0
-        reference, seconds, self._newest = self._reference, (stamp - self._newest) * 1e-9, stamp
+        reference, before, self._newest = self._reference, self._newest, stamp
         if reference is not None and self._is_early(stamp):
-            turned = round(self._velocity[2] * seconds / step)
+            turned = round(self._velocity[2] * (stamp - before) * 1e-9 / step)
             if last is not None and alike(last, ranges, turned) >= ALIKE:
                 return None
         points = points_of(ranges.astype(np.float64), angle_min, step, mount, stamp)
@@ -100,9 +101,13 @@ class Watch:
         self.longest_step = max(self.longest_step, (stamp - self._compared) * 1e-9)
         self._compared = stamp
         seconds = max(stamp - reference.stamp, MATCH_EVERY_NS) * 1e-9
-        vx, vy, turning = self._velocity
-        moved = motion_between(reference, points, (vx * seconds, vy * seconds, turning * seconds))
+        moved = motion_between(reference, points, _over(self._velocity, seconds))
         x, y, turn = moved.delta
+        if moved.fits and moved.explained < FOLLOWS and last is not None and reference.stamp != before:
+            # what passes between them is no sign that the scan does not follow from the one before
+            neighbour = points_of(last.astype(np.float64), angle_min, step, mount, before)
+            alone = motion_between(neighbour, points, _over(self._velocity, (stamp - before) * 1e-9))
+            moved = replace(moved, explained=max(moved.explained, alone.explained))
         self._velocity = (x / seconds, y / seconds, turn / seconds) if moved.fits else (0.0, 0.0, 0.0)
         far = hypot(x, y) >= STEP_M or abs(turn) >= STEP_RAD or stamp - reference.stamp >= STEP_NS
         if not far and moved.explained >= FOLLOWS:
@@ -131,6 +136,11 @@ def alike(before: Ranges, after: Ranges, turned: int) -> float:
     A much cheaper look than a match, for a lidar that hardly moves in between.
     """
     return float(_alike(before, after, turned)) if before.shape == after.shape else 0.0
+
+
+def _over(velocity: Pose, seconds: float) -> Pose:
+    x, y, turn = velocity
+    return x * seconds, y * seconds, turn * seconds
 
 
 _RANGES = types.Array(types.float32, 1, "A", readonly=True)
