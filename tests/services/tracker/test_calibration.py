@@ -74,6 +74,21 @@ def test_however_often_a_knock_is_suspected_no_more_is_forgotten_than_motion_has
         assert 0.0 <= found.proven <= 1.0
 
 
+@given(st.sampled_from([0.0, 0.3, 1.6, 2.0]), st.integers(1, 40), st.integers(0, 2**16))
+def test_wheels_that_slipped_are_no_fault_once_they_grip_again(
+    slip: float, intervals: int, seed: int
+) -> None:
+    """As they slip on an arc, another scale or a displaced mount may explain it; other arcs show neither."""
+    rng, found = np.random.default_rng(seed), Calibration()
+    for number in range(intervals + 40):
+        counted = 0.3 * (slip if number < intervals else 1.0)
+        turn = 0.2 * (1.0 if number < intervals else sin(0.5 * number))
+        x, y, seen = np.array([0.3, 0.0, turn]) + rng.normal(size=3) * [0.01, 0.01, 0.002]
+        found.take((x, y, seen), SPREAD, (counted, 0.0, turn), 0.3)
+    assert found.fault == ""
+    assert found.lever < 0.2
+
+
 @pytest.mark.parametrize("angle", [12.0, -12.0])
 def test_a_turned_mount_is_measured_and_named(angle: float) -> None:
     found = calibrated(np.array([0.0, 0.0, -radians(angle)]))

@@ -52,9 +52,25 @@ def test_a_recorder_that_is_killed_as_the_site_ends_may_lose_its_last_second() -
 
 def test_a_slow_service_is_not_without_input_while_some_waits() -> None:
     # seed 55950 of 10,001: the tracker worked off a queue of 5 s when its input ended
-    outcome = run(55950)
+    faults = [
+        Fault(23.615, "mute", "r1", 4, 0.954, 13.858),
+        Fault(27.335, "cut", "site", 1, 0.149, 12.761),
+        Fault(35.289, "slow", "r1", 4, 0.629, 27.974),
+        Fault(46.296, "mute", "r1", 5, 0.322, 6.987),
+    ]
+    outcome = run(55950, None, faults)
     assert outcome.broken == ()
     assert any("without hypotheses" in text or "no hypotheses" in text for _, text in outcome.notes)
+
+
+def test_wheels_that_slip_are_named_and_forgotten_once_they_grip_again() -> None:
+    """What was found of the mount meanwhile was held against the right motions for a minute and more."""
+    faults = [Fault(14.0, "slip", "r1", 1, 1.0, 10.0), Fault(80.0, "slip", "r1", 0, 0.5, 0.1)]
+    outcome = run(125, 1, faults)
+    assert outcome.broken == ()
+    degraded = [at for at, text in outcome.notes if "tracker of r1: DEGRADED" in text]
+    assert degraded[0] > 14.0
+    assert degraded[-1] < 60.0
 
 
 def test_the_real_projector_localizes_in_the_hall_though_it_and_the_builder_are_killed() -> None:
@@ -83,18 +99,34 @@ def test_a_real_projector_that_gives_wrong_poses_is_found(monkeypatch: pytest.Mo
 
 def test_a_recorder_that_is_killed_as_it_closes_its_file_writes_no_more() -> None:
     """Closing the file after a kill in its midst wrote the rest behind a record that was cut."""
-    assert run(7341370, 2).broken == ()
+    faults = [
+        Fault(5.749, "kill in a write", "r2", 4, 0.447, 1.988),
+        Fault(9.521, "kill in a write", "site", 0, 0.593, 4.719),
+        Fault(10.82, "stop", "site", 5, 0.263, 4.206),
+    ]
+    assert run(7341370, 2, faults).broken == ()
 
 
 def test_nobody_needs_what_a_mapbuilder_that_is_gone_had_published() -> None:
     """Eigenspaces for a lidar that the mapbuilder does not make again, unless a projector asks."""
-    assert run(7350009, real=True).broken == ()
+    faults = [
+        Fault(4.648, "kill", "site", 3, 0.118, 4.116),
+        Fault(5.355, "kill", "site", 3, 0.266, 2.453),
+        Fault(8.82, "mute", "site", 1, 0.94, 3.37),
+        Fault(10.002, "mute", "site", 0, 0.708, 4.019),
+    ]
+    assert run(7350009, None, faults, real=True).broken == ()
 
 
 @pytest.mark.timeout(60)
 def test_a_story_ends_whose_last_second_is_no_whole_number_of_nanoseconds() -> None:
     """It went on for ever: 147.64800000000002 s were never reached."""
-    assert run(7360800).broken == ()
+    faults = [
+        Fault(28.027, "new map", "site", 0, 0.3, 10.153),
+        Fault(41.993, "delay", "site", 5, 0.875, 6.301),
+        Fault(76.412, "duplication", "site", 5, 0.634, 26.236),
+    ]
+    assert run(7360800, None, faults).broken == ()
 
 
 def test_a_seed_repeats_itself_exactly() -> None:

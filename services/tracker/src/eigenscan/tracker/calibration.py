@@ -9,7 +9,7 @@ robots", IEEE T-RO 2013).
 
 from __future__ import annotations
 
-from math import atan2, degrees, erf, hypot, inf, sqrt
+from math import atan2, degrees, erf, hypot, inf, log, sqrt
 
 import numpy as np
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, TAIL, surprise
@@ -46,6 +46,12 @@ On an arc of one radius scale and lever explain the same motions; least squares 
 the noise out ("errors in variables"). For normal noise it is 2, with heavy tails more.
 """
 
+MOST_NATS, AGAIN_RIGHT = 3.0, log(1000.0)
+"""Nats by which what is stated explains motion better than what was found: of an interval at most, and of
+several in a row, from which what was found no longer holds (CUSUM; Page, "Continuous inspection schemes",
+Biometrika 1954). Wheels have slipped. `eigenscan simtest` draws such slips.
+"""
+
 DRIFT_RAD = float(np.radians(0.2))
 """From one interval to the next a loose mount turns by as much: what motion showed long ago counts less."""
 
@@ -68,6 +74,7 @@ class Calibration:
         self._found, self._spread = RIGHT, np.diag(START**2)
         """The four numbers and their covariance, without what noise alone may show of the scale."""
         self._intervals = self._squares = FIRST
+        self._again_right = 0.0
         self.fault = ""
         """What is wrong with the mount or the scale, in words for the person who can mend it; or empty."""
         self.within = 0.0
@@ -87,9 +94,19 @@ class Calibration:
         if abs(scans[2]) < LEAST_TURN:
             scans = scans[0], scans[1], 0.0
         scale = self._squares / self._intervals
-        squares = _update(self._information, self._sums, scans, spread, noise, x, y, scale, TAIL)
+        squares, better = _update(self._information, self._sums, scans, spread, noise, x, y, scale, TAIL)
+        self._again_right = max(self._again_right + min(better, MOST_NATS), 0.0)
+        if self._again_right > AGAIN_RIGHT:
+            self._forget()
+            return
         self._intervals += 1.0
         self._squares += 0.5 * squares
+        self._judge()
+
+    def _forget(self) -> None:
+        self._information, self._sums = np.zeros((4, 4)), np.zeros(4)
+        self._intervals = self._squares = FIRST
+        self._again_right = 0.0
         self._judge()
 
     def suspect_turn(self, seen: float, driven: float) -> None:
@@ -200,13 +217,15 @@ def _found(information: Array, sums: Array) -> tuple[Array, Array]:
 
 
 @njit(  # pragma: no cover - compiled
-    "f8(f8[:,::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8, f8, f8, f8, f8)", cache=True
+    "UniTuple(f8, 2)(f8[:,::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8, f8, f8, f8, f8)", cache=True
 )
 def _update(
     information: Array, sums: Array, scans: Pose, spread: tuple[float, float, float], noise: float, x: float,
     y: float, scale: float, tail: float,
-) -> float:  # fmt: skip
+) -> tuple[float, float]:  # fmt: skip
     """Adds a motion to `information` (4, 4) and `sums` (4,); gives the innovation's squared length.
+
+    And by how many nats what is stated explains the motion better than what was found.
 
     Variances are in units of `scale`, the noise's share of what is assumed. Heavy tails: `surprise`. Encoders
     may have no sign, so the direction counts that fits better.
@@ -222,9 +241,12 @@ def _update(
     off = seen - H @ found
     S = H @ P @ H.T
     R = np.array([[spread[0] + noise, spread[1]], [spread[1], spread[2] + noise]])
+    forth, backwards = seen - H[:, 0], seen + H[:, 0]
+    stated = min(forth @ np.linalg.solve(R, forth), backwards @ np.linalg.solve(R, backwards))
+    better = 0.5 * (off @ np.linalg.solve(R, off) - stated) / scale
     # the noise is larger by how surprising the innovation is
     R *= surprise(float(off @ np.linalg.solve(S + R, off)) / scale, tail)
     weighed = H.T @ np.linalg.inv(R)
     information += weighed @ H
     sums += weighed @ seen
-    return float(off @ np.linalg.solve(S + R, off))
+    return float(off @ np.linalg.solve(S + R, off)), float(better)

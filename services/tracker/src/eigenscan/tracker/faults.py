@@ -272,7 +272,8 @@ class Faults:
             self._ways[way] += driven.way * float(self.probability[state])
         if scans != IDENTITY:
             self._calibration.suspect_turn(scans[2], driven.delta[2])
-            if not _stands(predicted[AGREE]):
+            # wheels that slip, or a lidar that is late, show nothing of the mount
+            if self._agrees >= 0.5 and not _stands(predicted[AGREE]):
                 self._calibration.take(scans, spread, driven.delta, driven.way)
         if self.backwards and not self.without_sign:
             self.without_sign = True

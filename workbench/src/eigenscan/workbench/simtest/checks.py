@@ -30,6 +30,8 @@ SETTLE_S = 45.0
 and what a lost robot needs."""
 UNIQUE_S = 20.0
 """For which a robot must have been where nothing looks the same, to be localized."""
+SLIPPED_S = 5.0
+"""After wheels slipped, until a claim must be right again: no level holds where odometry is not as stated."""
 LATE_S = 2.0
 """After SILENT_S, until health reports it."""
 INPUTS = {"tracker": HYPOTHESES, "scan-ingest": SCAN_RAW}
@@ -63,6 +65,7 @@ class Judge:
         self._input_at: dict[Session, float] = {}
         self._health: dict[Process, tuple[float, Health]] = {}
         self._claimed: dict[str, float] = {}
+        self._slipped: dict[str, float] = {}
         self._posed: dict[str, float] = {}
         self._unique_since: dict[str, float] = {}
         self._inputs: dict[Session, int] = {}
@@ -126,10 +129,14 @@ class Judge:
             self._unique_since.setdefault(robot, now)
         if not 0.0 <= pose.confidence <= 1.0:
             self.fail("probabilities", f"{robot}: a confidence of {pose.confidence}")
+        if self.site.robots[robot].slips:
+            self._slipped[robot] = now
         if pose.state != STATE_LOCALIZED:
             return
         self.counts["claims"] += 1
         self._claimed[robot] = now
+        if now - self._slipped.get(robot, -math.inf) <= SLIPPED_S / min(1.0, self.site.plan.scan_hz):
+            return
         off = math.hypot(pose.pose.x - truth[0], pose.pose.y - truth[1])
         turned = abs(wrap(pose.pose.theta - truth[2]))
         far, turn = FAR_M, FAR_RAD

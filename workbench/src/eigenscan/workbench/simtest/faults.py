@@ -141,6 +141,26 @@ def _clock(site: Site, fault: Fault) -> None:
     _machine(site, fault).clock.offset_ns += int(clock_step_s(fault) * 1e9)
 
 
+def _slip_of(fault: Fault) -> tuple[float, float]:
+    """How many times as far, and as much, wheels that slip count: none to twice."""
+    return (2.0 * fault.amount, 1.0) if fault.part % 2 else (1.0, 2.0 * fault.amount)
+
+
+def _slip(site: Site, fault: Fault) -> Undo:
+    robot = site.robots[_cut_off(fault)]
+    robot.slip = _slip_of(fault)
+
+    def undo() -> None:
+        robot.slip = (1.0, 1.0)
+
+    return undo
+
+
+def _slips(_site: Site, fault: Fault) -> str:
+    of_way, of_turn = _slip_of(fault)
+    return f"odometry of {_cut_off(fault)} counts {of_way:.2f} times the way and {of_turn:.2f} times the turn"
+
+
 def _new_map(site: Site, _fault: Fault) -> None:
     site.edition += 1
     for process in site.machines[SITE].processes:
@@ -223,6 +243,7 @@ KINDS: dict[str, Kind] = {
         lambda site, fault: f"{_name(site, fault)} is killed {int(20 * fault.amount)} disk operations later",
         lasts=False,
     ),
+    "slip": Kind(_slip, _slips),
     "first release": Kind(
         _of_first_release, lambda site, fault: f"{_name(site, fault)} is of the first release, then upgraded"
     ),

@@ -89,8 +89,15 @@ class Robot:
         self._noise = Random(f"{seed} odometry {name}")
         self._last: Pose | None = None
         self._odometry: Pose = (0.0, 0.0, 0.0)
+        self.slip: tuple[float, float] = (1.0, 1.0)
+        """How many times as far, and as much, odometry counts as the robot drives and turns."""
         self._beams = Random(f"{seed} beams {name}")
         self._lidar = {"site": site, "robot": name, "lidar": "front"}
+
+    @property
+    def slips(self) -> bool:
+        """Whether odometry counts what the robot does not drive."""
+        return self.slip != (1.0, 1.0)
 
     def scan(self, seconds: float, now_ns: int) -> Envelope:
         """A scan of now, as scan-ingest gives it, but without what the projector does not need."""
@@ -126,7 +133,9 @@ class Robot:
         self._last = pose
         way = math.hypot(step[0], step[1])
         along, veer = (self._bounded(self._noise) * share * math.sqrt(way) for share in (0.03, 0.015))
-        self._odometry = compose(self._odometry, (step[0] + along, step[1], step[2] + veer))
+        of_way, of_turn = self.slip
+        moved = of_way * step[0] + along, of_way * step[1], of_turn * step[2] + veer
+        self._odometry = compose(self._odometry, moved)
         x, y, theta = self._odometry
         message = Odometry(
             timestamp=stamp(now_ns),
