@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose, inverse
-from eigenscan.projector.local import LONGEST_NS
+from eigenscan.projector.local import KEPT, LONGEST_NS
 from eigenscan.projector.waiting_scans import MOST_NS, WaitingScans
 from eigenscan.schemas.channels import SCAN, SEARCH
 from eigenscan.schemas.envelope import Envelope, stamp
@@ -78,6 +78,17 @@ def test_who_stops_requesting_is_waited_for_once() -> None:
         passed += due
     assert passed == list(coming)
     assert waiting.in_vain == 1
+
+
+@pytest.mark.parametrize("later", [-STEP, -(10**12), 0, 1])
+def test_scans_do_not_gather_where_the_clock_is_set_back_or_stands(later: int) -> None:
+    waiting, passed = WaitingScans(), 0
+    in_time(waiting, START)
+    assert waiting.receive(LIDAR, seen(START + STEP))
+    for number in range(100):
+        passed += len(waiting.receive(LIDAR, seen(START + 2 * STEP + (later if number else 0))))
+        assert number + 1 - passed < KEPT
+    assert passed > 0
 
 
 def test_requests_that_come_in_time_again_are_waited_for_again() -> None:

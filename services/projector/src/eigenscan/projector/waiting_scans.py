@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from eigenscan.projector.local import LONGEST_NS
+from eigenscan.projector.local import KEPT, LONGEST_NS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.recently_used import RecentlyUsed
 
@@ -71,7 +71,8 @@ class WaitingScans:
                 and known.passed != known.requested
                 and 0 < stamp - known.passed <= LONGEST_NS
             )
-            if waits and known.waiting[-1].stamp - stamp < MOST_NS:
+            # also where the clock was set back, or stands
+            if waits and 0 <= known.waiting[-1].stamp - stamp < MOST_NS and len(known.waiting) < KEPT:
                 break
             if waits:
                 known.in_time = False
