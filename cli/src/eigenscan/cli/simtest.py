@@ -33,9 +33,8 @@ def simtest(
 ) -> None:
     """Run the services of a site on simulated time, network and disks, with faults that a seed draws.
 
-    Faults: messages lost, late, twice, out of order, links cut, services killed, stopped, slow or deaf,
-    power lost, full disks, clocks set, floods of nonsense, services of an old release, wheels
-    that slip.
+    Faults: messages lost, late, twice, out of order, links cut, services killed, stopped, slow or deaf.
+    Power lost, full disks, clocks set, floods of nonsense, services of an old release, wheels that slip.
     Rules: probabilities sum to 1. No claim is farther off than its protection level, unless wheels slip.
     Recordings are readable and complete. Health is true. Queues end. All works again after the last fault.
     The same seed always does the same.
