@@ -148,10 +148,11 @@ def _slip_of(fault: Fault) -> tuple[float, float]:
 
 def _slip(site: Site, fault: Fault) -> Undo:
     robot = site.robots[_cut_off(fault)]
-    robot.slip = _slip_of(fault)
+    robot.slip = slip = _slip_of(fault)
 
     def undo() -> None:
-        robot.slip = (1.0, 1.0)
+        if robot.slip is slip:  # else another one goes on
+            robot.slip = (1.0, 1.0)
 
     return undo
 
