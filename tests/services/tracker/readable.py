@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
-from eigenscan.tracker.association import Pairs, associate
+from eigenscan.tracker.association import Pairs, within_gate
 from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
 from eigenscan.tracker.covariance import (
     determinant,
@@ -406,12 +406,18 @@ def branch(
     return fused(weighed, count, seen, widened(seen), pairs, share.precision)
 
 
+def associate(x: Array, C: Array, y: Array, R: Array, gate: float) -> Pairs:
+    """Pairs of tracks (n, 3), (n, 3, 3) and hypotheses (k, 3), (k, 3, 3) with distance^2 <= `gate`."""
+    return Pairs(*within_gate(x, C, y, R, gate))
+
+
 def follow(tracks: Tracks, seen: Observation, gate: float, precision: float) -> Tracks:
     """Tracks brought to the nearest pose of a local list in their gates, with the masses that they had."""
     pairs = associate(tracks.x, tracks.C, seen.poses, seen.covariances, gate)
     order = np.lexsort((pairs.distance2, pairs.track))
     _, first = np.unique(pairs.track[order], return_index=True)
-    own = pairs.pick(order[first])
+    k = order[first]
+    own = Pairs(pairs.track[k], pairs.hypothesis[k], pairs.distance2[k], pairs.log_overlap[k])
     others = np.setdiff1d(np.arange(len(tracks)), own.track)
     rows = np.concatenate([others, own.track])
     joined = fused(tracks.pick(rows), len(others), seen, seen.covariances, own, precision)

@@ -4,12 +4,14 @@ import filterpy.stats
 import numpy as np
 import pytest
 from eigenscan.geometry.symmetric import inverse_each
-from eigenscan.tracker.association import associate, crowding
+from eigenscan.tracker.association import crowding
 from eigenscan.tracker.covariance import fuse, is_covariance, mahalanobis_squared, moments
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
+
+from tests.services.tracker.readable import associate
 
 
 def covariances(seed: int, count: int) -> np.ndarray:

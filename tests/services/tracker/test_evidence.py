@@ -11,7 +11,7 @@ from eigenscan.geometry.pose import compose
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
-from eigenscan.tracker.association import Pairs, associate
+from eigenscan.tracker.association import Pairs
 from eigenscan.tracker.evidence import likelihood_at
 from eigenscan.tracker.observation import Observation, poorness
 from eigenscan.tracker.odometry import Motion
@@ -27,6 +27,7 @@ from tests.services.tracker.readable import (
     Merit,
     aliases_go_on,
     aliases_of,
+    associate,
     explained_by_aliases,
     hide_and_show,
     present_evidence,

@@ -81,11 +81,15 @@ def some_belief(
     return belief
 
 
-def assert_same(found: Belief, expected: Belief) -> None:
+def assert_same_tracks(found: Tracks, expected: Tracks) -> None:
     for name in Columns._fields:
-        one, other = getattr(found.tracks, name), getattr(expected.tracks, name)
+        one, other = getattr(found, name), getattr(expected, name)
         assert one.dtype == other.dtype, name
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT, err_msg=name)
+
+
+def assert_same(found: Belief, expected: Belief) -> None:
+    assert_same_tracks(found.tracks, expected.tracks)
     for one, other in zip(found.elsewhere.parts(), expected.elsewhere.parts(), strict=True):
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT)
 
@@ -95,11 +99,7 @@ def test_tracks_follow_a_local_list_as_the_readable_ones_do(seed: int, count: in
     rng = np.random.default_rng(seed)
     tracks, seen = some_tracks(rng, count, 2, 2), some_list(rng, listed, 0)
     arguments = tracks, seen, 16.0, float(rng.uniform())
-    found, expected = follow(*arguments), readable.follow(*arguments)
-    for name in Columns._fields:
-        one, other = getattr(found, name), getattr(expected, name)
-        assert one.dtype == other.dtype, name
-        np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT, err_msg=name)
+    assert_same_tracks(follow(*arguments), readable.follow(*arguments))
 
 
 @given(

@@ -85,6 +85,7 @@ class ProjectorCore:
         self._sizes: Sizes[tuple[str, Analysis]] = Sizes()
         self._asked: dict[tuple[str, str], int] = {}
         self._view: SensorView | None = None
+        self._counts: Counter[str] = Counter()
         self.forget_robots()
         by_walls = settings.verification == settings.obstacles == "walls"
         self._fits_locally = by_walls and settings.share[1] == 1
@@ -92,7 +93,6 @@ class ProjectorCore:
         self.inputs = tuple(one for one in ProjectorCore.inputs if needed.get(one, True))
         self._assembler = ModelSetAssembler()
         self._site: Site | None = None
-        self._counts: Counter[str] = Counter()
         self._refused = ""
 
     def start(self) -> Iterable[Envelope]:
@@ -105,7 +105,7 @@ class ProjectorCore:
 
     def forget_robots(self) -> None:
         """Forgets what robots asked for and where they were; the map stays."""
-        self._waiting = WaitingScans()
+        self._waiting = WaitingScans(self._counts)
         self._forget_places()
 
     def _forget_places(self) -> None:
@@ -114,15 +114,15 @@ class ProjectorCore:
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """Takes a map, a model or a set; answers scans with hypotheses and obstacles, and queries."""
         if received.channel == SCAN:
-            return self._answers(self._waiting.receive(_lidar_of(received), received))
+            return self._answers(self._waiting.receive(_lidar_of(received.address), received))
         if received.channel == TRACKS:
             return self._advise(received)
         if received.channel == POSE:
             self._focus.receive(received.address["robot"], received.open(PoseEstimate))
         elif received.channel == SEARCH:
             request = received.open(SearchRequest)
-            self._local.receive(_lidar_of(received), request)
-            return self._answers(self._waiting.requested(_lidar_of(received), received.stamp))
+            self._local.receive(_lidar_of(received.address), request)
+            return self._answers(self._waiting.requested(_lidar_of(received.address), received.stamp))
         elif received.channel == MAP:
             self._take("map", lambda: self._assembler.put_map(received.open(Grid)))
         elif received.channel == MODEL:
@@ -146,8 +146,6 @@ class ProjectorCore:
     def condition(self) -> Condition:
         """WAITING without a model; DEGRADED if the newest one was refused."""
         counts = dict(self._counts) | dict(self._store.counts if self._store else {})
-        if self._waiting.in_vain:
-            counts["request_missing"] = self._waiting.in_vain
         if self._site is None:
             return Condition(Health.STATUS_WAITING, self._refused or self._assembler.missing, counts)
         detail = self._refused or self._assembler.missing or f"model {self._site.version[:12]}"
@@ -212,7 +210,7 @@ class ProjectorCore:
         self, address: Mapping[str, str], scan: Scan, site: Site, view: SensorView
     ) -> Iterator[Envelope]:
         """Asks for the eigenspaces of a kind of lidar, now and then until they are there."""
-        lidar, at = (address["robot"], address["lidar"]), nanoseconds(scan.timestamp)
+        lidar, at = _lidar_of(address), nanoseconds(scan.timestamp)
         last = self._asked.get(lidar)
         if view.tables.is_known or (last is not None and 0 <= at - last < ASK_AGAIN_NS):
             return
@@ -232,7 +230,7 @@ class ProjectorCore:
     def _scan(self, received: Envelope) -> Iterable[Envelope]:
         if self._site is None:
             self._counts["scan_without_model"] += 1
-            self._waiting.has_no_list(_lidar_of(received))
+            self._waiting.has_no_list(_lidar_of(received.address))
             return []
         scan = received.open(Scan)
         address = {**received.address, "projector": self._instance}
@@ -243,7 +241,7 @@ class ProjectorCore:
                 raise ValueError("the mount is farther than any robot is large")
         except ValueError:
             self._counts["scan_malformed"] += 1
-            self._waiting.has_no_list(_lidar_of(received))
+            self._waiting.has_no_list(_lidar_of(received.address))
             return []
         self._advisor.see(received.address, nanoseconds(scan.timestamp), Lidar(seen.sensor, mount))
         if seen.returned < self._settings.least_beams:
@@ -270,7 +268,7 @@ class ProjectorCore:
         """The hypotheses first: what comes after them is made when they are on their way."""
         is_new = not site.has_view(seen.sensor)
         view = self._view = site.view(seen.sensor)
-        lidar, at = (address["robot"], address["lidar"]), nanoseconds(scan.timestamp)
+        lidar, at = _lidar_of(address), nanoseconds(scan.timestamp)
         fitted = self._fitted(lidar, scan, seen, site) if self._fits_locally else None
         if fitted is not None and not is_new:
             yield Envelope(HYPOTHESES, address, local_message(scan, site, seen, mount, fitted))
@@ -305,7 +303,7 @@ class ProjectorCore:
         """The regions to search: all, unless the tracker is sure and all were searched lately."""
         if not self._settings.focus:
             return WHOLE
-        robot, lidar = address["robot"], address["lidar"]
+        robot, lidar = _lidar_of(address)
         reach = self._focus.reach(robot, lidar, nanoseconds(scan.timestamp), site.frame_id)
         near = reach.regions(site.boxes) if reach else np.zeros(0, dtype=bool)
         if not near.any():
@@ -314,5 +312,5 @@ class ProjectorCore:
         return Scope(near, self._focus.ordinary(robot, lidar))
 
 
-def _lidar_of(received: Envelope) -> tuple[str, str]:
-    return received.address["robot"], received.address["lidar"]
+def _lidar_of(address: Mapping[str, str]) -> tuple[str, str]:
+    return address["robot"], address["lidar"]

@@ -6,7 +6,7 @@ for the request that follows from the scan before it, as long as the tracker's r
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from eigenscan.projector.local import KEPT, LONGEST_NS
@@ -30,10 +30,10 @@ class _Lidar:
 class WaitingScans:
     """Passes the scans of each lidar on in their order."""
 
-    def __init__(self) -> None:
+    def __init__(self, counts: Counter[str]) -> None:
+        """`counts`: where a request that was waited for and did not come is counted."""
         self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
-        self.in_vain = 0
-        """Times that a request was waited for and did not come."""
+        self._counts = counts
 
     def receive(self, lidar: tuple[str, str], scan: Envelope) -> list[Envelope]:
         """Takes a scan of a lidar, by its robot's and its own name; gives the scans to answer now."""
@@ -76,7 +76,7 @@ class WaitingScans:
                 break
             if waits:
                 known.in_time = False
-                self.in_vain += 1
+                self._counts["request_missing"] += 1
             due.append(known.waiting.popleft())
             known.passed = stamp
         return due

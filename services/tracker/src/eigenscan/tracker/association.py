@@ -26,21 +26,10 @@ class Pairs(NamedTuple):
     log_overlap: Array
     """ln of the integral of N(X*, C*) times exp(-d^2/2 under C): 0 where the track is a sure point at Y."""
 
-    def pick(self, index: Index) -> Pairs:
-        """The pairs at `index`."""
-        return Pairs(
-            self.track[index], self.hypothesis[index], self.distance2[index], self.log_overlap[index]
-        )
-
 
 def gate(probability: float) -> float:
     """Squared Mahalanobis distance of three dimensions that this share of right hypotheses is within."""
     return float(chdtri(3, 1.0 - probability))
-
-
-def associate(x: Array, C: Array, y: Array, R: Array, gate: float) -> Pairs:
-    """Pairs of tracks (n, 3), (n, 3, 3) and hypotheses (k, 3), (k, 3, 3) with distance^2 <= `gate`."""
-    return Pairs(*within_gate(x, C, y, R, gate))
 
 
 _INDEX, _NUMBERS = types.int64[::1], types.float64[::1]
@@ -51,7 +40,7 @@ _PAIRS = types.Tuple((_INDEX, _INDEX, _NUMBERS, _NUMBERS))
     _PAIRS(ROWS, MATRICES, ROWS, MATRICES, types.float64), cache=True, nogil=True, error_model="numpy"
 )  # pragma: no cover - compiled
 def within_gate(x: Array, C: Array, y: Array, R: Array, gate: float) -> tuple[Index, Index, Array, Array]:
-    """The arrays of `associate`'s pairs."""
+    """Arrays of `Pairs`: tracks (n, 3), (n, 3, 3) and hypotheses (k, 3), (k, 3, 3), distance^2 <= `gate`."""
     room = len(x) * len(y)
     track, hypothesis = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     distance2, log_overlap = np.empty(room), np.empty(room)

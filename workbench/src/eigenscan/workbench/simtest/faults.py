@@ -8,6 +8,7 @@ from random import Random
 
 from eigenscan.workbench.simtest.network import Link
 from eigenscan.workbench.simtest.process import HANDLING_S, Process
+from eigenscan.workbench.simtest.robot import AS_DRIVEN
 from eigenscan.workbench.simtest.session import Session
 from eigenscan.workbench.simtest.site import SITE, Machine, Plan, Site
 from eigenscan.workbench.simtest.stranger import FLOOD_S, PERIOD_S, Stranger
@@ -152,7 +153,7 @@ def _slip(site: Site, fault: Fault) -> Undo:
 
     def undo() -> None:
         if robot.slip is slip:  # else another one goes on
-            robot.slip = (1.0, 1.0)
+            robot.slip = AS_DRIVEN
 
     return undo
 

@@ -34,6 +34,8 @@ BEARINGS = tuple(-math.pi + beam * 2.0 * math.pi / BEAMS for beam in range(BEAMS
 HALL_BEAMS = 360
 MARGIN_M = 1.5
 """From the drive to the room's walls."""
+AS_DRIVEN = (1.0, 1.0)
+"""Odometry counts what the robot drives and turns."""
 WORST = 2.5
 """Standard deviations that an error has at most: a claim may never exceed its protection level by chance."""
 
@@ -89,7 +91,7 @@ class Robot:
         self._noise = Random(f"{seed} odometry {name}")
         self._last: Pose | None = None
         self._odometry: Pose = (0.0, 0.0, 0.0)
-        self.slip: tuple[float, float] = (1.0, 1.0)
+        self.slip: tuple[float, float] = AS_DRIVEN
         """How many times as far, and as much, odometry counts as the robot drives and turns."""
         self._beams = Random(f"{seed} beams {name}")
         self._lidar = {"site": site, "robot": name, "lidar": "front"}
@@ -97,7 +99,7 @@ class Robot:
     @property
     def slips(self) -> bool:
         """Whether odometry counts what the robot does not drive."""
-        return self.slip != (1.0, 1.0)
+        return self.slip != AS_DRIVEN
 
     def scan(self, seconds: float, now_ns: int) -> Envelope:
         """A scan of now, as scan-ingest gives it, but without what the projector does not need."""
