@@ -16,8 +16,8 @@ And the rates of hiding and showing that make what the true pose meets most like
 
 And how often one list leaves out what the lists before and after it have (services/tracker, belief.py).
 
-And aliases: of the wrong tracks those that look right, by this table; and how many of these still do so 1, 2,
-4 and 6 steps on. Were scans from new places independent evidence, no more of them would than of all.
+And aliases: of the wrong tracks those that look right, by this table; and how many of these still do so 1 to
+15 steps on. Were scans from new places independent evidence, no more of them would than of all.
 
 And by how much the hypothesis nearest to the true pose errs, by its likelihood: squared, in sigmas of the
 covariance that the projector publishes, three of them; the mean of errors of at most CAPPED. The tracker
@@ -52,6 +52,7 @@ from eigenscan.tracker.covariance import mahalanobis_squared, residual
 from eigenscan.tracker.evidence import (
     ALIASES,
     ENDS,
+    ENDS_UNSHOWN,
     EVEN,
     HIDES,
     LEAD,
@@ -80,7 +81,7 @@ STRANGERS = 100
 """Scans of another building."""
 LOOKS_RIGHT = 2.0
 """Nats by which a hypothesis speaks for its track, from which on the track looks right."""
-GOES_ON = (1, 2, 4, 6)
+GOES_ON = (1, 2, 4, 6, 10, 15)
 AWAY_M = 3.0
 """A place nearer than this is none that a robot was carried to."""
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
@@ -367,7 +368,8 @@ def show(row: dict[str, Any]) -> None:
     print(f"{'tracker, ln of their ratio':<30} " + "".join(f"{nats:>+7.0f}" for nats in ratio))
     later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["aliases_go_on"].items())
     print(f"aliases: {row['aliases']:.1%} of wrong tracks (tracker {ALIASES:.1%}); {later}, ", end="")
-    print(f"({', '.join(f'{np.exp(-ENDS * steps):.0%}' for steps in GOES_ON)})")
+    rates = (ENDS, ENDS_UNSHOWN)
+    print(*(f"({', '.join(f'{np.exp(-ends * steps):.0%}' for steps in GOES_ON)})" for ends in rates))
     for name, what in (("listed", "has"), ("not_listed", "lacks")):
         print(f"beside {row['wrong_tracks'][name]:.0f} wrong tracks whose list {what} the right place")
         print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))

@@ -23,6 +23,7 @@ from eigenscan.tracker.evidence import (
     ALIASES,
     ALIKE_M,
     ENDS,
+    ENDS_UNSHOWN,
     EVEN,
     HIDES,
     LEAD,
@@ -96,7 +97,7 @@ class Readable(Belief):
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0
-            hidden, alias = tracks.hidden.copy(), np.zeros(len(tracks))
+            hidden, alias = tracks.hidden.copy(), np.zeros((len(tracks), 2))
             hidden[:, source] = 0.5
             tracks = replace(tracks, evidence=shown, hidden=hidden, alias=alias)
         mine = tracks.frame == frame
@@ -112,7 +113,7 @@ class Readable(Belief):
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         begun = np.zeros((len(alone), len(self.sources)))
         begun[:, source] = merit.predicted
-        alias = aliases_of(merit.predicted)
+        alias = np.repeat(aliases_of(merit.predicted)[:, None], 2, axis=1)
         grown = at_least(grown, len(old), pairs, alone, begun, alias)
         k, log_weight = births(grown, seen, pairs, alone)
         new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], begun[k], frame, seen.stamp)
@@ -207,7 +208,7 @@ def merged(group: Tracks) -> Tracks:
         C=C[None],
         log_weight=group.log_weight[:1] + np.log(weight.sum()),
         hidden=(weight @ group.hidden / weight.sum())[None],
-        alias=np.array([group.alias.sum()]),
+        alias=group.alias.sum(axis=0)[None],
         evidence=evidence[None],
         fixed_x=fixed_x[None],
         fixed_covariance=fixed_covariance[None],
@@ -297,30 +298,29 @@ def aliases_of(predicted: Array) -> Array:
 
 
 def aliases_go_on(alias: Array, progress: float) -> Array:
-    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
-    stay = np.exp(-ENDS * progress)
-    none = max(1.0 - float(alias.sum()), 0.0)
+    """Aliases (n, 2) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    stay = np.exp(-np.array([ENDS, ENDS_UNSHOWN]) * progress)
+    none = (1.0 - alias.sum(axis=0)).clip(min=0.0)
     result: Array = alias * stay + none * ALIASES * (1.0 - stay)
     return result
 
 
 def share_aliases(tracks: Tracks) -> Tracks:
     """The same tracks, of which at most one is an alias."""
-    return replace(tracks, alias=tracks.alias / max(float(tracks.alias.sum()), 1.0))
+    return replace(tracks, alias=tracks.alias / tracks.alias.sum(axis=0).clip(min=1.0))
 
 
 def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
-    """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
+    """How much likelier aliases make a scan, in nats, where no track (n,) is right.
 
-    Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
+    Then the same (n,) where each track is right, but hidden; and the aliases (n, 2) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
-    none = max(1.0 - float(alias.sum()), 1e-12)
-    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
-    total = none + float(odds.sum())
-    others = (total - odds) / (1.0 - alias).clip(min=1e-12)
-    return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
+    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))[:, None]
+    total = (1.0 - alias.sum(axis=0)).clip(min=1e-12) + odds.sum(axis=0)
+    others = (total[0] - odds[:, 0]) / (1.0 - alias[:, 0]).clip(min=1e-12)
+    return float(np.log(total[1])), np.log(others.clip(min=1e-12)), odds / total
 
 
 def present_evidence(tracks: Tracks) -> Array:
@@ -398,7 +398,7 @@ def branch(
         branches,
         log_weight=log_weight,
         hidden=hidden_share,
-        alias=alias[origin] * np.exp(part),
+        alias=alias[origin] * np.exp(part)[:, None],
         evidence=evidence[origin],
         id=id_,
         parent=parent,
@@ -472,7 +472,7 @@ def at_least(
     """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
 
     A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it, with the `evidence` (k, sources) and the `alias` (k,) of a track that begins: with a
+    hypothesis takes it, with the `evidence` (k, sources) and `alias` (k, 2) of a track that begins: with a
     poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
     same and had no track.
     """
@@ -486,7 +486,7 @@ def at_least(
     joined[raised] = log_mass[k]
     evidences, aliases, rows = grown.evidence.copy(), grown.alias.copy(), raised + alone
     evidences[rows] = own[:, None] * evidences[rows] + (1.0 - own)[:, None] * evidence[k]
-    aliases[rows] = own * aliases[rows] + (1.0 - own) * alias[k]
+    aliases[rows] = own[:, None] * aliases[rows] + (1.0 - own)[:, None] * alias[k]
     return replace(grown, log_weight=log_weight, evidence=evidences, alias=aliases)
 
 

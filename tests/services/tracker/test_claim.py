@@ -18,7 +18,7 @@ from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
 def at(x: float, y: float, heading: float = 0.0, sigma: float = 0.05, frame: int = 1) -> Tracks:
     pose, spread = np.array([[x, y, heading]]), np.diag([sigma, sigma, 0.05])[None] ** 2
-    return begin(pose, spread, np.zeros(1), np.zeros(1), np.zeros((1, 1)), frame, 0)
+    return begin(pose, spread, np.zeros(1), np.zeros((1, 2)), np.zeros((1, 1)), frame, 0)
 
 
 def driven(way: float) -> Motion:
@@ -118,7 +118,7 @@ def test_the_place_that_is_ahead_again_and_again_is_claimed_however_poor_the_fit
 ) -> None:
     core, speaker = make_core(), Speaker(clutter=0)
     believed, elsewhere = [], np.random.default_rng(1)
-    for scan in range(60):
+    for scan in range(80):
         pose = np.array([0.1 * scan, 0.0, 0.0])
         others = elsewhere.uniform([-9.0, 2.0, -3.0], [9.0, 9.0, 3.0], (4, 3))
         for message in (

@@ -74,8 +74,8 @@ def test_the_compiled_share_within_reach_is_the_readable_one() -> None:
     assert share_within(delta, tracks.C) == pytest.approx(position * heading, abs=1e-9)
 
 
-def test_the_most_believed_track_has_the_most_mass_of_its_frame_around_it() -> None:
-    chosen = set()
+def test_the_most_believed_track_is_the_heaviest_of_those_with_most_mass_of_their_frame_around() -> None:
+    chosen, heavier = set(), 0
     for seed in range(40):
         tracks = crowd(np.random.default_rng(seed), 12)
         weight, masses = np.exp(tracks.log_weight), np.zeros(12)
@@ -83,7 +83,10 @@ def test_the_most_believed_track_has_the_most_mass_of_its_frame_around_it() -> N
             same = tracks.frame == tracks.frame[i]
             masses[i] = (weight * same * share_within(residual(tracks.x, tracks.x[i]), tracks.C)).sum()
         verdict = judge(tracks)
-        assert verdict.track == np.argmax(np.where(weight >= 0.25 * weight.max(), masses, -1.0))
+        most = np.where(weight >= 0.25 * weight.max(), masses, -1.0)
+        assert verdict.track == np.argmax(np.where(most >= most.max() - 0.05, weight, -1.0))
+        heavier += bool(verdict.track != np.argmax(most))
         assert verdict.confidence == pytest.approx(min(masses[verdict.track], 1.0), rel=1e-12)
         chosen.add(verdict.track)
-    assert len(chosen) == 3
+    assert len(chosen) >= 2
+    assert heavier

@@ -185,6 +185,7 @@ def _constants() -> Constants:
         evidence.SHOWS,
         evidence.ALIASES,
         evidence.ENDS,
+        evidence.ENDS_UNSHOWN,
         evidence.SLIPS,
         evidence.TAIL,
         observation.POORER,

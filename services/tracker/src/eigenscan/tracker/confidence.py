@@ -39,8 +39,16 @@ class Verdict:
         return min(self.confidence, self.proven)
 
 
+AS_PROBABLE = 0.05
+"""Between tracks whose probabilities differ by less, the heavier one's pose is published.
+
+Neighbours in one place have nearly the same probability around them. The claim would jump to and fro between
+them, and one that jumps farther than odometry allows is withdrawn.
+"""
+
+
 def judge(tracks: Tracks) -> Verdict:
-    """The track with the most probability within 0.5 m and 10 degrees of it."""
+    """The track with the most probability within 0.5 m and 10 degrees of it; of several, the heaviest."""
     if not len(tracks):
         return Verdict(-1, 0.0)
     likely, (near, reach, heading, mass) = _around(
@@ -48,7 +56,7 @@ def judge(tracks: Tracks) -> Verdict:
     )
     within = mass * _shares(near, reach, heading)
     masses = within.reshape(len(likely), -1).sum(axis=1)
-    best = int(masses.argmax())
+    best = int(np.where(masses >= masses.max() - AS_PROBABLE, tracks.log_weight[likely], -np.inf).argmax())
     return Verdict(int(likely[best]), min(float(masses[best]), 1.0))
 
 

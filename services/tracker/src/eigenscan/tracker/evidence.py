@@ -49,11 +49,12 @@ The rates that make what right tracks met on 17 maps most likely, exact and wors
 """
 
 
-ALIASES, ENDS = 0.015, 0.35
+ALIASES, ENDS, ENDS_UNSHOWN = 0.015, 0.35, 0.2
 """Of the wrong tracks those that the building shows as it would show right ones; over the way that makes a
-scan new evidence, how many of these it ceases to.
+scan new evidence, how many of these it ceases to; and how many where no track has the right place.
 
-Rounded from what three buildings have in common: benchmarks/evidence.py.
+Rounded from what three buildings have in common: benchmarks/evidence.py. Off the map a hallway like a mapped
+one lasts: the last is the rate at which aliases end that went on for some metres.
 """
 
 
@@ -78,6 +79,7 @@ class Constants(NamedTuple):
     shows: float
     aliases: float
     ends: float
+    ends_unshown: float
     slips: float
     tail: float
     poorer: float
@@ -209,26 +211,29 @@ def hide_and_show(hidden: float, progress: float, c: Constants) -> float:
 
 @inner()  # pragma: no cover - compiled
 def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
-    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
-    stay = np.exp(-c.ends * progress)
-    none = max(1.0 - alias.sum(), 0.0)
-    result: Array = alias * stay + none * c.aliases * (1.0 - stay)
-    return result
+    """Aliases (n, 2) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    out = np.empty(alias.shape)
+    for kind in range(2):
+        stay = np.exp(-(c.ends if kind == 0 else c.ends_unshown) * progress)
+        none = max(1.0 - alias[:, kind].sum(), 0.0)
+        out[:, kind] = alias[:, kind] * stay + none * c.aliases * (1.0 - stay)
+    return out
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
 def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
-    """How much likelier aliases make a scan, in nats, where no shown track (n,) is right.
+    """How much likelier aliases make a scan, in nats, where no track (n,) is right.
 
-    Then the same (n,) where each track is known to be no alias, and the aliases (n,) after the scan.
+    Then the same (n,) where each track is right, but hidden; and the aliases (n, 2) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
-    none = max(1.0 - alias.sum(), 1e-12)
-    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
-    total = none + odds.sum()
-    others = (total - odds) / np.maximum(1.0 - alias, 1e-12)
-    return np.log(total), np.log(np.maximum(others, 1e-12)), odds / total
+    odds, total = np.empty(alias.shape), np.empty(2)
+    for kind in range(2):
+        odds[:, kind] = alias[:, kind] * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
+        total[kind] = max(1.0 - alias[:, kind].sum(), 1e-12) + odds[:, kind].sum()
+    others = (total[0] - odds[:, 0]) / np.maximum(1.0 - alias[:, 0], 1e-12)
+    return np.log(total[1]), np.log(np.maximum(others, 1e-12)), odds / total
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled

@@ -87,7 +87,7 @@ def _merge(t: Columns, group: Index, out: Columns, row: int) -> None:
         for j in range(3):
             out.C[row, i, j], out.fixed_covariance[row, i, j] = C[i, j], fixed_covariance[i, j]
     out.log_weight[row] = heaviest + np.log(total)
-    out.alias[row] = t.alias[group].sum()
+    out.alias[row] = t.alias[group].sum(axis=0)
     for source in range(t.evidence.shape[1]):
         # evidence speaks of a track that is shown
         shown = weight * (1.0 - t.hidden[group, source])

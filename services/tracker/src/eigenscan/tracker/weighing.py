@@ -179,9 +179,8 @@ def observed(
     born = births(grown, seen, pairs, alone, frame, scan)
     result = joined(others, grown, born)
     # at most one of them is an alias
-    most = max(result.alias.sum(), 1.0)
-    for row in range(len(result.alias)):
-        result.alias[row] /= most
+    for kind in range(2):
+        result.alias[:, kind] /= max(result.alias[:, kind].sum(), 1.0)
     _search(rest, frame, scan, c)
     normalise(result.log_weight, rest.log_weight)
     return result
