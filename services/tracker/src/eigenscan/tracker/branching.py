@@ -263,7 +263,5 @@ def births(grown: Columns, seen: Listed, pairs: Pairs, log_mass: Array, frame: i
     for row in range(len(k)):
         evidence[row, scan.source] = seen.predicted[k[row]]
     log_weight = log_mass[k] - np.log(crowding_each(x, C))
-    alias = np.empty((len(k), 2))
-    for row in range(len(k)):
-        alias[row] = seen.alias[k[row]]
+    alias = np.column_stack((seen.alias[k], seen.alias[k]))
     return begun(x, C, log_weight, alias, evidence, frame, scan.stamp)

@@ -51,6 +51,12 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 DEFAULT_BODY_FRAME = "base_link"
 DEFAULT_ODOM_FRAME = "odom"
 NO_BUILDING = Building()
+IN_PLAY = 0.01
+"""Probability from which a track's past poses are published.
+
+Most of a robot's dozens of tracks have less. With the past of all a message has 22 kB instead of 6, which
+was most of a recording.
+"""
 EARLY = 0.1
 """Of the time between two messages, by which one may come early: stamps jitter."""
 
@@ -297,7 +303,8 @@ def _tracks_message(estimate: Estimate) -> Tracks:
         id_, parent, (x, y, theta), C, probability, observations, born, nis = rows[row]
         # filled in place: messages put together from messages take three times as long
         track = message.tracks.add()
-        track.CopyFrom(estimate.histories[id_])
+        if probability >= IN_PLAY:
+            track.CopyFrom(estimate.histories[id_])
         track.id, track.parent_id, track.probability = id_, parent, probability
         track.observations, track.age = observations, (estimate.stamp - born) * 1e-9
         if not isnan(nis):

@@ -78,4 +78,4 @@ class TrackerSettings(BaseModel):
     )
     transform_hz: float = Field(20.0, gt=0, description="most transforms a second; inf: at each odometry")
     tracks_hz: float = Field(10.0, gt=0, description="most tracks messages a second; inf: at each pose")
-    history: int = Field(100, ge=0, description="past poses kept for each track")
+    history: int = Field(100, ge=0, description="past poses published of each track, from 1 % on")
