@@ -9,6 +9,7 @@ import pytest
 from eigenscan.geometry.pose import compose
 from eigenscan.schemas.channels import POSE, TRACKS, TRANSFORM
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.tracking_pb2 import Tracks
 
 from tests.services.tracker.conftest import MakeCore, Speaker
 from tests.services.tracker.test_at_once import START, at, drive, published
@@ -38,6 +39,20 @@ def test_tracks_are_thinned_and_poses_are_not(make_core: MakeCore, speaker: Spea
     assert len(found[POSE]) == len(times)
     assert gaps(found[TRACKS]) == pytest.approx(0.1, abs=1e-6)
     assert len(published(make_core(tracks_hz=inf), received)[TRACKS]) == len(times)
+
+
+def test_only_tracks_in_play_come_with_their_past(make_core: MakeCore, speaker: Speaker) -> None:
+    wrong = compose(START, np.array([9.0, 9.0, 1.0]))
+    received = list[Envelope]()
+    for k in range(20):
+        places, time = [compose(start, at(0.3 * k)) for start in (START, wrong)], 100.0 + 0.3 * k
+        received += [speaker.odometry(time, at(0.3 * k)), speaker.hypotheses(time, places, [19.0, 14.0])]
+    pasts = dict[bool, list[int]]()
+    for envelope in published(make_core(), received)[TRACKS][5:]:
+        for track in envelope.open(Tracks).tracks:
+            pasts.setdefault(track.probability >= 0.01, []).append(len(track.history))
+    assert min(pasts[True]) >= 3
+    assert set(pasts[False]) == {0}
 
 
 def test_a_lidar_whose_stamps_jitter_loses_none(make_core: MakeCore, speaker: Speaker) -> None:
