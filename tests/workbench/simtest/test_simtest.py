@@ -43,11 +43,14 @@ def test_nothing_breaks(seed: int) -> None:
 
 
 def test_a_recorder_that_is_killed_as_the_site_ends_may_lose_its_last_second() -> None:
-    # with a budget, and in a write while it stops, as once in 10,000 seeds
-    killed = [Fault(12.0, "kill in a write", "r1", part, 0.975, 0.0) for part in (0, 1)]
-    outcome = run(61, 1, killed)
-    assert outcome.broken == ()
-    assert (outcome.site_s, "recorder of r1: killed") in outcome.notes
+    # with a budget, and in a write while it stops, as once in 10,000 seeds; which write it is depends on all
+    # that is recorded, so several are tried
+    at_the_end = 0
+    for at in (14.0, 16.0, 17.0, 18.0):
+        outcome = run(61, 1, [Fault(at, "kill in a write", "r1", part, 0.975, 0.0) for part in (0, 1)])
+        assert outcome.broken == ()
+        at_the_end += (outcome.site_s, "recorder of r1: killed") in outcome.notes
+    assert at_the_end
 
 
 def test_a_slow_service_is_not_without_input_while_some_waits() -> None:
