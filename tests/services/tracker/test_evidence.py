@@ -37,6 +37,7 @@ from tests.services.tracker.readable import (
 )
 
 # written out, not taken from what is tested: a change there must show here
+ENDS = 0.35
 ENDS_UNSHOWN = 0.25
 LEAD = 0.8
 LEVEL = 0.2
@@ -240,6 +241,10 @@ def test_aliases_are_one_at_most_and_in_the_end_as_many_as_usual(a: float, b: fl
     assert (after >= 0.0).all()
     assert (after.sum(axis=0) <= 1.0 + 1e-9).all()
     np.testing.assert_allclose(aliases_go_on(np.zeros((2, 2)), 1e6), np.full((2, 2), ALIASES))
+    # one that is sure to be an alias only ends, in either case at its own rate
+    np.testing.assert_allclose(
+        aliases_go_on(np.ones((1, 2)), progress)[0], np.exp([-ENDS * progress, -ENDS_UNSHOWN * progress])
+    )
 
 
 def test_a_usual_innovation_leaves_the_covariance_as_it_is() -> None:

@@ -271,6 +271,13 @@ TRACKS = Channel(
     Qos(rate_hz=40.0, air_hz=1.0),
     "all trajectories in play, from the tracker",
 )
+IN_PLAY = 0.01
+"""Probability from which a track comes with its past poses, and is drawn.
+
+The viewer draws a hypothesis from this share of the best one's probability on: more would hide the map.
+Most of a robot's dozens of tracks have less. With the past of all a message has 22 kB instead of 6, which
+was most of a recording.
+"""
 ADVICE = Channel(
     "advice",
     "{site}/robot/{robot}/advice/{projector}",

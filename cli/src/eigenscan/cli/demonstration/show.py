@@ -23,7 +23,7 @@ from eigenscan.geometry.pose import from_message
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.stop_event import StopEvent
-from eigenscan.schemas.channels import TRACKS
+from eigenscan.schemas.channels import IN_PLAY, TRACKS
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode
@@ -36,8 +36,6 @@ OPEN_S = 30.0
 """Time that the robot waits for a visitor to open the viewer, s."""
 LOADED_S = 4.0
 """Time that a browser takes from the connection to the first picture, s."""
-IN_PLAY = 0.01
-"""Probability from which a track is a candidate, as in the viewer."""
 AT_ONCE_S = 0.15
 """A kidnap that the next scan shows is noticed at once."""
 LAST_WORDS_S = 5.0

@@ -17,6 +17,7 @@ from eigenscan.geometry.pose import (
 from eigenscan.schemas.channels import (
     HEADING,
     HYPOTHESES,
+    IN_PLAY,
     MODEL_SET,
     ODOMETRY,
     POSE,
@@ -51,12 +52,6 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 DEFAULT_BODY_FRAME = "base_link"
 DEFAULT_ODOM_FRAME = "odom"
 NO_BUILDING = Building()
-IN_PLAY = 0.01
-"""Probability from which a track's past poses are published.
-
-Most of a robot's dozens of tracks have less. With the past of all a message has 22 kB instead of 6, which
-was most of a recording.
-"""
 EARLY = 0.1
 """Of the time between two messages, by which one may come early: stamps jitter."""
 

@@ -229,8 +229,9 @@ def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
     odds, total = np.empty(alias.shape), np.empty(2)
+    likelier = elsewhere + (1.0 - elsewhere) * np.exp(gained)
     for kind in range(2):
-        odds[:, kind] = alias[:, kind] * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
+        odds[:, kind] = alias[:, kind] * likelier
         total[kind] = max(1.0 - alias[:, kind].sum(), 1e-12) + odds[:, kind].sum()
     others = (total[0] - odds[:, 0]) / np.maximum(1.0 - alias[:, 0], 1e-12)
     return np.log(total[1]), np.log(np.maximum(others, 1e-12)), odds / total

@@ -8,6 +8,7 @@ from eigenscan.geometry.pose import Array
 from eigenscan.recorder.picture.canvas import Canvas, Pace, stamp_of
 from eigenscan.recorder.picture.palette import HYPOTHESIS, OBSTACLE, TRACK, UNLIKELY, blend
 from eigenscan.recorder.picture.shapes import are_places, arrows, is_place, lift
+from eigenscan.schemas.channels import IN_PLAY
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses, Obstacles, SearchRequest
 from eigenscan.schemas.tracking_pb2 import Tracks
@@ -15,10 +16,6 @@ from eigenscan.schemas.tracking_pb2 import Tracks
 HYPOTHESES_DRAWN = 12
 """The most likely of a list: the rest, a scan's worth of grey arrows, would hide the map."""
 TRACKS_DRAWN = 50
-IN_PLAY = 0.01
-"""Least probability of a track that is drawn, and of a hypothesis as a share of the best one's.
-
-The dozens below it would hide the map."""
 
 
 def probabilities(log_likelihoods: Array, unlisted: float) -> Array:
