@@ -23,9 +23,10 @@ from eigenscan.tracker.evidence import (
     ALIASES,
     ALIKE_M,
     ENDS,
-    ENDS_UNSHOWN,
+    ENDS_LASTING,
     EVEN,
     HIDES,
+    LASTING,
     LEAD,
     LEAST_MASS,
     LEVEL,
@@ -97,7 +98,7 @@ class Readable(Belief):
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0
-            hidden, alias = tracks.hidden.copy(), np.zeros((len(tracks), 2))
+            hidden, alias = tracks.hidden.copy(), np.zeros((len(tracks), 3))
             hidden[:, source] = 0.5
             tracks = replace(tracks, evidence=shown, hidden=hidden, alias=alias)
         mine = tracks.frame == frame
@@ -113,7 +114,7 @@ class Readable(Belief):
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         begun = np.zeros((len(alone), len(self.sources)))
         begun[:, source] = merit.predicted
-        alias = np.repeat(aliases_of(merit.predicted)[:, None], 2, axis=1)
+        alias = of_each_kind(aliases_of(merit.predicted))
         grown = at_least(grown, len(old), pairs, alone, begun, alias)
         k, log_weight = births(grown, seen, pairs, alone)
         new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], begun[k], frame, seen.stamp)
@@ -298,27 +299,38 @@ def aliases_of(predicted: Array) -> Array:
 
 
 def aliases_go_on(alias: Array, progress: float) -> Array:
-    """Aliases (n, 2) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
-    stay = np.exp(-np.array([ENDS, ENDS_UNSHOWN]) * progress)
-    none = (1.0 - alias.sum(axis=0)).clip(min=0.0)
-    result: Array = alias * stay + none * ALIASES * (1.0 - stay)
+    """Aliases (n, 3) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    stay = np.exp(-np.array([ENDS, ENDS, ENDS_LASTING]) * progress)
+    none = (1.0 - _of_both(alias)).clip(min=0.0)
+    result: Array = alias * stay + none * of_each_kind(np.array([ALIASES])) * (1.0 - stay)
     return result
+
+
+def of_each_kind(alias: Array) -> Array:
+    """Shares (k,) of new tracks by kind (k, 3): beside a right track; without one, brief and lasting."""
+    return alias[:, None] * np.array([1.0, 1.0 - LASTING, LASTING])
+
+
+def _of_both(values: Array) -> Array:
+    """Sum (3,) over tracks (n, 3): of the first kind alone, of the other two together."""
+    beside, *alone = values.sum(axis=0)
+    return np.array([beside, sum(alone), sum(alone)])
 
 
 def share_aliases(tracks: Tracks) -> Tracks:
     """The same tracks, of which at most one is an alias."""
-    return replace(tracks, alias=tracks.alias / tracks.alias.sum(axis=0).clip(min=1.0))
+    return replace(tracks, alias=tracks.alias / _of_both(tracks.alias).clip(min=1.0))
 
 
 def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no track (n,) is right.
 
-    Then the same (n,) where each track is right, but hidden; and the aliases (n, 2) after the scan.
+    Then the same (n,) where each track is right, but hidden; and the aliases (n, 3) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
     odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))[:, None]
-    total = (1.0 - alias.sum(axis=0)).clip(min=1e-12) + odds.sum(axis=0)
+    total = (1.0 - _of_both(alias)).clip(min=1e-12) + _of_both(odds)
     others = (total[0] - odds[:, 0]) / (1.0 - alias[:, 0]).clip(min=1e-12)
     return float(np.log(total[1])), np.log(others.clip(min=1e-12)), odds / total
 
@@ -472,7 +484,7 @@ def at_least(
     """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
 
     A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it, with the `evidence` (k, sources) and `alias` (k, 2) of a track that begins: with a
+    hypothesis takes it, with the `evidence` (k, sources) and `alias` (k, 3) of a track that begins: with a
     poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
     same and had no track.
     """

@@ -49,12 +49,17 @@ The rates that make what right tracks met on 17 maps most likely, exact and wors
 """
 
 
-ALIASES, ENDS, ENDS_UNSHOWN = 0.015, 0.35, 0.25
+ALIASES, ENDS = 0.015, 0.35
 """Of the wrong tracks those that the building shows as it would show right ones; over the way that makes a
-scan new evidence, how many of these it ceases to; and how many where no track has the right place.
+scan new evidence, how many of these it ceases to.
 
-Rounded from what three buildings have in common: benchmarks/evidence.py. Off the map a hallway like a mapped
-one lasts: the last is by how many go on for ten times that way.
+Rounded from what three buildings have in common: benchmarks/evidence.py.
+"""
+LASTING, ENDS_LASTING = 0.2, 0.05
+"""Where no track has the right place: of the aliases those that last, and how many of these end so.
+
+A hallway off the map may be like a mapped one to its end. By how many aliases go on for 10 to 15 times that
+way: benchmarks/evidence.py.
 """
 
 
@@ -79,7 +84,8 @@ class Constants(NamedTuple):
     shows: float
     aliases: float
     ends: float
-    ends_unshown: float
+    lasting: float
+    ends_lasting: float
     slips: float
     tail: float
     poorer: float
@@ -211,30 +217,46 @@ def hide_and_show(hidden: float, progress: float, c: Constants) -> float:
 
 @inner()  # pragma: no cover - compiled
 def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
-    """Aliases (n, 2) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    """Aliases (n, 3) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    brief, lasting = np.exp(-c.ends * progress), np.exp(-c.ends_lasting * progress)
+    new = c.aliases * max(1.0 - alias[:, 0].sum(), 0.0)
+    _, brief_new, lasting_new = of_each_kind(c.aliases * max(1.0 - alias[:, 1:].sum(), 0.0), c)
     out = np.empty(alias.shape)
-    for kind in range(2):
-        stay = np.exp(-(c.ends if kind == 0 else c.ends_unshown) * progress)
-        none = max(1.0 - alias[:, kind].sum(), 0.0)
-        out[:, kind] = alias[:, kind] * stay + none * c.aliases * (1.0 - stay)
+    out[:, 0] = alias[:, 0] * brief + new * (1.0 - brief)
+    out[:, 1] = alias[:, 1] * brief + brief_new * (1.0 - brief)
+    out[:, 2] = alias[:, 2] * lasting + lasting_new * (1.0 - lasting)
     return out
+
+
+@inner()  # pragma: no cover - compiled
+def of_each_kind(alias: float, c: Constants) -> tuple[float, float, float]:
+    """The share of aliases of tracks that begin, as `Tracks` have it."""
+    return alias, (1.0 - c.lasting) * alias, c.lasting * alias
+
+
+@inner()  # pragma: no cover - compiled
+def at_most_one(alias: Array) -> None:
+    """Of all tracks at most one is an alias (n, 3), beside a right one and without; in place."""
+    alias[:, 0] /= max(alias[:, 0].sum(), 1.0)
+    alias[:, 1:] /= max(alias[:, 1:].sum(), 1.0)
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
 def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no track (n,) is right.
 
-    Then the same (n,) where each track is right, but hidden; and the aliases (n, 2) after the scan.
+    Then the same (n,) where each track is right, but hidden; and the aliases (n, 3) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
-    odds, total = np.empty(alias.shape), np.empty(2)
     likelier = elsewhere + (1.0 - elsewhere) * np.exp(gained)
-    for kind in range(2):
-        odds[:, kind] = alias[:, kind] * likelier
-        total[kind] = max(1.0 - alias[:, kind].sum(), 1e-12) + odds[:, kind].sum()
-    others = (total[0] - odds[:, 0]) / np.maximum(1.0 - alias[:, 0], 1e-12)
-    return np.log(total[1]), np.log(np.maximum(others, 1e-12)), odds / total
+    odds = alias * likelier.reshape(-1, 1)
+    beside = max(1.0 - alias[:, 0].sum(), 1e-12) + odds[:, 0].sum()
+    alone = max(1.0 - alias[:, 1:].sum(), 1e-12) + odds[:, 1:].sum()
+    others = (beside - odds[:, 0]) / np.maximum(1.0 - alias[:, 0], 1e-12)
+    odds[:, 0] /= beside
+    odds[:, 1:] /= alone
+    return np.log(alone), np.log(np.maximum(others, 1e-12)), odds
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled

@@ -21,9 +21,10 @@ class Tracks:
     """n Gaussian tracks: poses x (n, 3), covariances C (n, 3, 3), masses as logarithms (n,).
 
     `hidden` (n, sources): share of a track's mass in which the source does not show its pose: of two lidars
-    one may see what the map lacks. `alias` (n, 2): probability that the track, were it wrong, would be shown
-    as a right one is; first where another track is right, then where none is. `evidence` (n, sources): the
-    evidence of each source's scans from the present place for a track that is shown.
+    one may see what the map lacks. `alias` (n, 3): probability that the track, were it wrong, would be shown
+    as a right one is: beside a right track; without one, for a short way; and without one, for a long way.
+    `evidence` (n, sources): the evidence of each source's scans from the present place for a track that is
+    shown.
     `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
     `fixed_x`, `fixed_covariance` at `fixed_at` (n,), ns: the track where a scan last fixed it.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
@@ -191,7 +192,7 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros((0, 3, 3)),
         np.zeros(0),
         np.zeros((0, sources)),
-        np.zeros((0, 2)),
+        np.zeros((0, 3)),
         np.zeros((0, sources)),
         np.zeros((0, 2)),
         np.zeros(0),

@@ -13,7 +13,7 @@ from eigenscan.geometry.inner import inner
 from eigenscan.geometry.symmetric import MATRICES, determinant, triangle
 from eigenscan.tracker.association import Pairs, within_gate
 from eigenscan.tracker.branching import births, branch, raise_to
-from eigenscan.tracker.evidence import Constants, Listed, Scan, listed, log_sum, slipped
+from eigenscan.tracker.evidence import Constants, Listed, Scan, at_most_one, listed, log_sum, slipped
 from eigenscan.tracker.symmetric import ROWS, WEIGHTS
 from eigenscan.tracker.tracks import GIVEN, MADE, Arrays, Columns, joined, taken
 from numba import njit, types
@@ -176,11 +176,9 @@ def observed(
     alone = _mass_alone(old, seen, pairs, rest, frame, scan, c)
     grown = branch(old, seen, pairs, scan, c)
     raise_to(grown, len(old.x), seen, pairs, alone, scan, c)
-    born = births(grown, seen, pairs, alone, frame, scan)
+    born = births(grown, seen, pairs, alone, frame, scan, c)
     result = joined(others, grown, born)
-    # at most one of them is an alias
-    for kind in range(2):
-        result.alias[:, kind] /= max(result.alias[:, kind].sum(), 1.0)
+    at_most_one(result.alias)
     _search(rest, frame, scan, c)
     normalise(result.log_weight, rest.log_weight)
     return result
