@@ -204,7 +204,10 @@ MECHANISMS: Mapping[str, Patches] = {
     "evidence by place": ((branching, "LEAST_NEW", 1.0),),
     "kidnaps by broken lists": ((robot, "goes_on", lambda *_: None),),
     "jumps of odometry": ((belief, "BREAK_SHARE", 0.0),),
-    "off the map": ((belief, "OFF_MAP_SHARE", 1e-9),),
+    "off the map": ((belief.Belief, "off_map_share", property(lambda _: 1e-9, lambda _, __: None)),),
+    "more robots off an open map": (
+        (belief.Belief, "off_map_share", property(lambda _: belief.OFF_MAP_SHARE, lambda _, __: None)),
+    ),
     "scan motion corrects odometry": ((belief.Belief, "correct", lambda *_: None),),
     "scan motion against odometry": ((agreement.Agreement, "trust", property(lambda _: 1.0)),),
     "claims are withdrawn before they jump": ((claim.Claim, "_is_apart", lambda *_: False),),

@@ -74,6 +74,10 @@ def test_ranges_are_kept_to_half_a_step_and_no_wall_stays_none() -> None:
     assert kept.dtype == np.float32
 
 
+def test_an_entry_states_how_many_beams_meet_a_wall() -> None:
+    assert model().entry.walls_in_sight == pytest.approx(1.0 - 4 / (7 * 48))
+
+
 def test_the_version_is_the_contents() -> None:
     one = model()
     assert model().version == one.version

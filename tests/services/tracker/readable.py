@@ -8,7 +8,7 @@ import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, within_gate
-from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, OFF_MAP_SHARE, Belief, Elsewhere
+from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere
 from eigenscan.tracker.covariance import (
     determinant,
     fuse,
@@ -92,9 +92,9 @@ class Readable(Belief):
         rest = self.elsewhere
         shown = self.tracks.evidence.copy()
         shown[:, source] *= np.exp(-share.progress)
-        tracks = release(replace(self.tracks, evidence=shown), rest, share.carried)
+        tracks = release(replace(self.tracks, evidence=shown), rest, share.carried, self.off_map_share)
         if share.broken:
-            tracks = release(tracks, rest, CARRIED_SHARE)
+            tracks = release(tracks, rest, CARRIED_SHARE, self.off_map_share)
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0
@@ -126,12 +126,12 @@ class Readable(Belief):
         normalise(self)
 
 
-def release(tracks: Tracks, rest: Elsewhere, share: float) -> Tracks:
+def release(tracks: Tracks, rest: Elsewhere, share: float, off_map: float) -> Tracks:
     """Moves a share of the tracks' mass to "none"."""
     if not len(tracks) or share == 0.0 or len(rest.area) < 2:
         return tracks
     freed = share * np.exp(tracks.log_weight).sum()
-    parts = np.where(rest.area > 0.0, (1.0 - OFF_MAP_SHARE) * rest.area / rest.area.sum(), OFF_MAP_SHARE)
+    parts = np.where(rest.area > 0.0, (1.0 - off_map) * rest.area / rest.area.sum(), off_map)
     stayed = np.exp(rest.log_weight)
     rest.log_weight[:] = np.log(stayed + freed * parts)
     # no list was of the mass that came

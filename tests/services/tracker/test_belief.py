@@ -15,6 +15,9 @@ from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
 from eigenscan.tracker.unification import settle
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import logit
 
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker, TracksOf
 
@@ -461,6 +464,18 @@ def test_what_one_lidar_cannot_show_is_hidden_from_it_alone() -> None:
     front, rear = belief.tracks.hidden[np.argmax(belief.tracks.log_weight)]
     assert front < 0.01
     assert rear > 0.99
+
+
+@given(st.floats(0.02, 0.5), st.floats(0.02, 0.5))
+def test_a_first_list_leaves_the_odds_that_the_robot_is_off_the_map(one: float, other: float) -> None:
+    place, spread = np.array([[2.0, 3.0, 0.0]]), np.diag([1e-3, 1e-3, 1e-4])[None]
+    seen = Observation(0, "front/0", "front", "map", place, spread, np.array([14.0]), 0.0, 400.0, True)
+    odds = []
+    for share in (one, other):
+        belief = Belief(TrackerSettings(), off_map_share=share)
+        belief.observe(seen, Share(1.0, 1.0, 1.0))
+        odds.append(belief.elsewhere.log_weight[0] - belief.tracks.log_weight[0] - logit(share))
+    assert odds[0] == pytest.approx(odds[1], abs=1e-9)
 
 
 def test_of_two_lidars_that_contradict_each_other_the_new_place_does_not_win() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -15,6 +16,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.floors import Building
 
 from tests.services.tracker.conftest import MakeCore, Speaker
 
@@ -109,6 +111,52 @@ def test_what_is_no_floor_is_counted_and_the_others_stay(
     core.handle(Envelope(MODEL_SET, {"site": "s"}, message))
     assert drive(core, speaker, HERE, 0.0)[-1].floor == "ground"
     assert core.condition().counters["floor_not_usable"] == 1
+
+
+def in_sight(*shares: float, sizes: tuple[int, ...] = (1000, 1000)) -> Envelope:
+    """A set of regions, of whose beams these shares meet a wall."""
+    entries = [
+        ModelSet.Entry(size=size, walls_in_sight=own) for size, own in zip(sizes, shares, strict=False)
+    ]
+    return Envelope(MODEL_SET, {"site": "s"}, ModelSet(frame_id="map", entries=entries))
+
+
+@pytest.mark.parametrize(
+    ("announced", "share"),
+    [
+        (in_sight(0.6, 0.6), 0.4**2),
+        (in_sight(0.9, 0.5, sizes=(3000, 1000)), 0.2**2),
+        (in_sight(0.95), 0.02),
+        (in_sight(), 0.02),
+        (in_sight(0.0, 0.5), 0.5**2),
+        (in_sight(math.nan, 1.5), 0.02),
+        (in_sight(0.3, sizes=(0,)), 0.02),
+    ],
+    ids=["open", "by size", "walled", "no regions", "one not stated", "no shares", "no size"],
+)
+def test_where_few_beams_meet_a_wall_more_robots_are_off_the_map(announced: Envelope, share: float) -> None:
+    assert Building.of(announced.open(ModelSet), Counter()).off_map_share == pytest.approx(share)
+
+
+def test_the_robots_off_the_map_are_as_many_as_the_models_state(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    """Where no list has anything, mass stays off the map alone, and a place found later is against it."""
+    none = []
+    for share in (0.95, 0.5):
+        core = make_core()
+        core.handle(in_sight(share))
+        for number in range(100):
+            core.handle(speaker.odometry(number, np.array([0.5 * number, 0.0, 0.0])))
+            core.handle(speaker.hypotheses(number, [], []))
+        core.handle(speaker.odometry(100.0, np.array([50.0, 0.0, 0.0])))
+        (pose,) = (
+            each.open(PoseEstimate)
+            for each in core.handle(speaker.hypotheses(100.0, [HERE], [12.0]))
+            if each.channel is POSE
+        )
+        none.append(pose.none_probability)
+    assert none[0] < none[1]
 
 
 FRAMES = ("ground", "first")

@@ -118,8 +118,17 @@ class RegionModel:
     @property
     def entry(self) -> model_pb2.ModelSet.Entry:
         """The model's entry in a set."""
-        size = self.to_message().ByteSize()
-        return model_pb2.ModelSet.Entry(region=self.region, version=self.version, size=size)
+        return model_pb2.ModelSet.Entry(
+            region=self.region,
+            version=self.version,
+            size=self.to_message().ByteSize(),
+            walls_in_sight=self.walls_in_sight,
+        )
+
+    @property
+    def walls_in_sight(self) -> float:
+        """Of the beams of its panoramas those that meet a wall: where the map is open, few do."""
+        return float(np.mean(self.ranges != NO_WALL))
 
     def to_message(self) -> model_pb2.RegionModel:
         """The message of the same name, with its version."""

@@ -112,7 +112,10 @@ class Pieces:
 def _described(path: Path) -> Piece:
     with opened(path) as file:
         entry = ModelSet.Entry(
-            region=str(file["region"]), version=str(file["version"]), size=int(file["wire_bytes"])
+            region=str(file["region"]),
+            version=str(file["version"]),
+            size=int(file["wire_bytes"]),
+            walls_in_sight=float(file["walls_in_sight"]),
         )
         return Piece(path, entry, space_of_arrays(file).space.explained)
 

@@ -34,6 +34,7 @@ def _arrays(model: RegionModel) -> dict[str, Any]:
     arrays: dict[str, Any] = {name: getattr(model, name) for name in _PLAIN}
     arrays |= space_arrays(model.space)
     arrays["version"], arrays["wire_bytes"] = model.version, model.entry.size
+    arrays["walls_in_sight"] = model.walls_in_sight
     return arrays
 
 

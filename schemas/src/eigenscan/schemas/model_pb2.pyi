@@ -124,14 +124,16 @@ class RegionSpace(_message.Message):
 class ModelSet(_message.Message):
     __slots__ = ("timestamp", "version", "frame_id", "map_version", "entries", "free_area_m2", "floors")
     class Entry(_message.Message):
-        __slots__ = ("region", "version", "size")
+        __slots__ = ("region", "version", "size", "walls_in_sight")
         REGION_FIELD_NUMBER: _ClassVar[int]
         VERSION_FIELD_NUMBER: _ClassVar[int]
         SIZE_FIELD_NUMBER: _ClassVar[int]
+        WALLS_IN_SIGHT_FIELD_NUMBER: _ClassVar[int]
         region: str
         version: str
         size: int
-        def __init__(self, region: _Optional[str] = ..., version: _Optional[str] = ..., size: _Optional[int] = ...) -> None: ...
+        walls_in_sight: float
+        def __init__(self, region: _Optional[str] = ..., version: _Optional[str] = ..., size: _Optional[int] = ..., walls_in_sight: _Optional[float] = ...) -> None: ...
     class Floor(_message.Message):
         __slots__ = ("name", "origin", "outline_x", "outline_y")
         NAME_FIELD_NUMBER: _ClassVar[int]

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 OFF_MAP_SHARE = 0.02
-"""Of the robots that no track holds, how many are where no map shows the place."""
+"""That share at least; an open map has more, see `Building`."""
 RETURN_RATE = 0.001
 """1/s, how soon a robot off the map comes back to it."""
 MOST_DECAY = 5.0
@@ -85,6 +85,8 @@ class Belief:
     sources: list[str] = field(default_factory=list)
     next_id: int = 1
     stamp: int | None = None
+    off_map_share: float = OFF_MAP_SHARE
+    """Of the robots that no track holds, how many are where no map shows the place."""
 
     def __post_init__(self) -> None:
         self.gate = gate(self.settings.gate_probability)
@@ -104,7 +106,7 @@ class Belief:
             return index
         share = area / (float(rest.area.sum()) + area)
         # no list of this frame has come yet: against "off every map" it stands as at the start
-        own = rest.log_weight[0] + np.log((1.0 - OFF_MAP_SHARE) / OFF_MAP_SHARE * share)
+        own = rest.log_weight[0] + np.log((1.0 - self.off_map_share) / self.off_map_share * share)
         if len(self.frames) > 1:
             rest.log_weight[1:] += np.log1p(-share)
             self.tracks = replace(self.tracks, log_weight=self.tracks.log_weight + np.log1p(-share))
@@ -139,7 +141,7 @@ class Belief:
             self.tracks = replace(self.tracks, x=x, C=C, unchecked=unchecked)
         if moved.breaks > 0:
             share = 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)
-            log_weight = jumped(self.tracks.log_weight, *self.elsewhere.parts(), share, OFF_MAP_SHARE)
+            log_weight = jumped(self.tracks.log_weight, *self.elsewhere.parts(), share, self.off_map_share)
             self.tracks = replace(self.tracks, log_weight=log_weight)
         returned(*self.elsewhere.parts(), happened(RETURN_RATE * abs(moved.seconds)))
 
@@ -158,7 +160,7 @@ class Belief:
             arrays_of(self.tracks), *self.elsewhere.parts(), seen.poses, seen.covariances,
             seen.log_likelihoods, seen.unlisted, frame, source, seen.stamp, self.gate, share.weight,
             share.progress, share.precision, share.carried, share.broken, share.in_part,
-            _constants(),
+            _constants(self.off_map_share),
         )  # fmt: skip
         self.tracks = tracks_of(made)
 
@@ -174,7 +176,7 @@ def happened(expected: float) -> float:
     return -expm1(-min(expected, MOST_DECAY))
 
 
-def _constants() -> Constants:
+def _constants(off_map_share: float) -> Constants:
     """As they are now: a benchmark may have changed one."""
     return Constants(
         evidence.LEAD,
@@ -193,7 +195,7 @@ def _constants() -> Constants:
         branching.LEAST_NEW,
         branching.KEPT,
         MISSES,
-        OFF_MAP_SHARE,
+        off_map_share,
         CARRIED_SHARE,
         evidence.ALIKE_M,
     )

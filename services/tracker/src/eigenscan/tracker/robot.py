@@ -252,6 +252,7 @@ class RobotTracker:
 
     def _step(self, seen: Observation) -> Estimate:
         belief = self.belief
+        belief.off_map_share = self.building.off_map_share
         if belief.stamp is not None and seen.stamp < belief.stamp:
             self._counts["hypotheses_late"] += 1
             seen = self._brought_forward(seen, belief.stamp)
