@@ -13,7 +13,7 @@ from eigenscan.tracker.velocity_gate import VelocityGate
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker, TracksOf
 
 
 def at(x: float, y: float, heading: float = 0.0, sigma: float = 0.05, frame: int = 1) -> Tracks:
@@ -92,7 +92,7 @@ def test_where_scans_show_that_the_robot_was_carried_away_nothing_is_held_back()
 
 
 def test_a_claim_that_no_list_confirms_any_more_ends_where_other_places_are_likely(
-    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, tracks_of: TracksOf
 ) -> None:
     """The robot drives on from what the map shows, by good odometry; from then on another place is listed."""
     core = make_core(odometry_slip=0.01, odometry_turn=0.01, odometry_veer=0.001)
@@ -103,10 +103,12 @@ def test_a_claim_that_no_list_confirms_any_more_ends_where_other_places_are_like
         time, pose = 10.0 + 0.1 * scan, np.array([0.1 * scan, 0.0, 0.0])
         list(core.handle(speaker.odometry(time, pose)))
         place, likelihood = (pose, 17.0) if scan < 30 else (pose + np.array([0.0, 50.0, 0.0]), 13.0)
-        (estimate,) = poses_of(core.handle(speaker.hypotheses(time, [place], [likelihood])))
+        output = list(core.handle(speaker.hypotheses(time, [place], [likelihood])))
+        (estimate,), (beside,) = poses_of(output), tracks_of(output)
         if scan == 50:  # two metres on, odometry still carries it
             assert estimate.state == STATE_LOCALIZED
-        if held <= estimate.confidence < halfway - 0.08 and abs(estimate.pose.y) < 1.0:
+        likely = sum(track.probability for track in beside.tracks if abs(track.pose.y) < 1.0)
+        if held <= estimate.confidence and likely < halfway and abs(estimate.pose.y) < 1.0:
             doubtful.append(estimate)
     assert doubtful
     assert all(estimate.state != STATE_LOCALIZED for estimate in doubtful)

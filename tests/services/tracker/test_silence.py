@@ -59,6 +59,29 @@ def test_odometry_that_never_comes(make_core: MakeCore, speaker: Speaker) -> Non
     assert degraded(core).endswith("wait for odometry, no pose: none has come")
 
 
+def test_odometry_that_ends_while_poses_come(make_core: MakeCore, speaker: Speaker) -> None:
+    core = make_core()
+    for time in np.arange(0.0, 1.0, RATE_S):
+        list(core.handle(speaker.odometry(float(time), HERE)))
+        list(core.handle(speaker.hypotheses(float(time), [HERE], [20.0])))
+    assert published_poses(core, lists(speaker, 1.5, 1.0))
+    assert degraded(core) == ""
+    assert published_poses(core, lists(speaker, 1.0, 2.5))
+    assert degraded(core) == "r: no odometry of the last 2.5 s: does its driver still run?"
+    list(core.handle(speaker.odometry(3.5, HERE)))
+    assert degraded(core) == ""
+
+
+def test_a_lidar_without_odometry_is_reported_and_no_fault(make_core: MakeCore, speaker: Speaker) -> None:
+    core = make_core()
+    assert published_poses(core, lists(speaker, 3.0))
+    condition = core.condition()
+    assert condition.status == Health.STATUS_OK
+    assert "no odometry has come" in condition.detail
+    list(core.handle(speaker.odometry(3.0, HERE)))
+    assert core.condition().detail == ""
+
+
 def test_stamps_that_stand_still(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     published_poses(core, [speaker.hypotheses(5.0, [HERE], [20.0]) for _ in range(30)])
@@ -102,6 +125,7 @@ def test_two_drivers_of_one_name_whose_clocks_differ(make_core: MakeCore, speake
             published_poses(core, [speaker.hypotheses(float(each), [HERE], [20.0])])
     assert "stamps of scans jump back repeatedly" in degraded(core)
     published_poses(core, lists(speaker, 6.0, start=25.0))
+    published_poses(core, [speaker.odometry(31.0, HERE)])
     assert degraded(core) == ""
 
 

@@ -70,11 +70,8 @@ class Calibration:
     """
 
     def __init__(self) -> None:
-        self._information, self._sums = np.zeros((4, 4)), np.zeros(4)
         self._found, self._spread = RIGHT, np.diag(START**2)
         """The four numbers and their covariance, without what noise alone may show of the scale."""
-        self._intervals = self._squares = FIRST
-        self._again_right = 0.0
         self.fault = ""
         """What is wrong with the mount or the scale, in words for the person who can mend it; or empty."""
         self.within = 0.0
@@ -85,6 +82,12 @@ class Calibration:
         Each against one that is wrong by as much as a claim allows. Another scale leaves 0.9: it may be that
         of the wheels.
         """
+        self._forget()
+
+    def _forget(self) -> None:
+        self._information, self._sums = np.zeros((4, 4)), np.zeros(4)
+        self._intervals = self._squares = FIRST
+        self._again_right = 0.0
 
     def take(self, scans: Pose, spread: tuple[float, float, float], driven: Pose, way: float) -> None:
         """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long."""
@@ -98,15 +101,10 @@ class Calibration:
         self._again_right = max(self._again_right + min(better, MOST_NATS), 0.0)
         if self._again_right > AGAIN_RIGHT:
             self._forget()
+            self._judge()
             return
         self._intervals += 1.0
         self._squares += 0.5 * squares
-        self._judge()
-
-    def _forget(self) -> None:
-        self._information, self._sums = np.zeros((4, 4)), np.zeros(4)
-        self._intervals = self._squares = FIRST
-        self._again_right = 0.0
         self._judge()
 
     def suspect_turn(self, seen: float, driven: float) -> None:

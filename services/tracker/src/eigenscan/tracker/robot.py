@@ -224,12 +224,17 @@ class RobotTracker:
         """What is wrong with scans or odometry, or why no pose comes; empty: nothing that shows."""
         if self._crowded:
             return f"more than {MOST_NAMES} sources or map frames of hypotheses: do projectors change names?"
-        return self._agreement.fault or self._silence.reason or self._rivals.reason(self.belief.stamp)
+        return (
+            self._agreement.fault
+            or self._silence.reason
+            or self._rivals.reason(self.belief.stamp)
+            or self._silence.odometry_ends
+        )
 
     @property
     def note(self) -> str:
         """What is wrong and has no effect on poses; empty: nothing."""
-        return self._agreement.note
+        return self._agreement.note or self._silence.note
 
     def map_to_odom(self) -> Pose | None:
         """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""

@@ -1,4 +1,4 @@
-"""Why hypotheses come and no pose is published, in words; by stamps and counts alone, without a clock."""
+"""Why poses are missing, or odometry, in words; by stamps and counts alone, without a clock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.timeline import Outcome, Timeline
 
 SILENT_NS = 2_000_000_000
-"""A source's hypotheses without a pose for longer, by their stamps or by odometry's, are a fault."""
+"""A source's hypotheses without a pose for longer, by their stamps or by odometry's, are a fault; also scans
+without odometry."""
 SILENT_LISTS = 20
 """The same where stamps do not go on: 2 s of a lidar of 10 Hz."""
 GONE_NS = 10_000_000_000
@@ -65,6 +66,8 @@ class Silence:
         self._since_restart = RESTARTS_WITHIN
         self._two_clocks = False
         self._newest: int | None = None
+        self._first: int | None = None
+        """Stamp of the first list since the clock was set back."""
 
     def receive_odometry(self, stamp: int) -> None:
         """Odometry has come as far as `stamp`, ns."""
@@ -75,6 +78,8 @@ class Silence:
         behind_s = 0.0 if self._newest is None else (self._newest - seen.stamp) * 1e-9
         self._newest = self._timeline.newest
         self._since_restart += 1
+        if outcome is Outcome.RESTARTED or self._first is None:
+            self._first = seen.stamp
         if outcome is Outcome.RESTARTED:
             self._two_clocks = self._since_restart <= RESTARTS_WITHIN
             self._since_restart = 0
@@ -124,6 +129,24 @@ class Silence:
                     behind=run.behind_s
                 )
         return self._waiting()
+
+    @property
+    def odometry_ends(self) -> str:
+        """Since when odometry is missing, though poses come; empty: it is not, or none has ever come."""
+        if self._odometry is None or not self._lacks_odometry(self._odometry):
+            return ""
+        behind_s = ((self._newest or 0) - self._odometry) * 1e-9
+        return f"no odometry of the last {behind_s:.1f} s: does its driver still run?"
+
+    @property
+    def note(self) -> str:
+        """That the robot has no odometry at all: it may be a lidar that somebody carries."""
+        if self._odometry is not None or self._first is None or not self._lacks_odometry(self._first):
+            return ""
+        return "no odometry has come: nothing shows whether poses follow from each other"
+
+    def _lacks_odometry(self, since: int) -> bool:
+        return self._newest is not None and self._newest - since > SILENT_NS
 
     def _waiting(self) -> str:
         oldest, newest = self._timeline.longest_waiting, self._timeline.newest
