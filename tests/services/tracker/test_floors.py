@@ -131,8 +131,9 @@ def in_sight(*shares: float, sizes: tuple[int, ...] = (1000, 1000)) -> Envelope:
         (in_sight(0.0, 0.5), 0.5**2),
         (in_sight(math.nan, 1.5), 0.02),
         (in_sight(0.3, sizes=(0,)), 0.02),
+        (in_sight(1e-300), 0.5),
     ],
-    ids=["open", "by size", "walled", "no regions", "one not stated", "no shares", "no size"],
+    ids=["open", "by size", "walled", "no regions", "one not stated", "no shares", "no size", "no wall"],
 )
 def test_where_few_beams_meet_a_wall_more_robots_are_off_the_map(announced: Envelope, share: float) -> None:
     assert Building.of(announced.open(ModelSet), Counter()).off_map_share == pytest.approx(share)

@@ -22,6 +22,8 @@ RIVAL = 0.2
 """Share of the belief from which a second map frame is a reason for having no claim."""
 RIVALS_NS = 2_000_000_000
 """After so long health reports it, as it does a pose that does not come."""
+MOST_OFF_MAP = 0.5
+"""Of the robots, however open the map is: otherwise none could be on it."""
 LIFT_RATE = 0.05
 """1/s, how often a robot that no lidar shows changes floors, where there are several: a ride takes 20 s."""
 
@@ -71,7 +73,7 @@ def _off_map_share(message: ModelSet) -> float:
     if not of_all:
         return OFF_MAP_SHARE
     beyond = sum(entry.size * (1.0 - entry.walls_in_sight) for entry in stated) / of_all
-    return max(beyond**2, OFF_MAP_SHARE)
+    return min(max(beyond**2, OFF_MAP_SHARE), MOST_OFF_MAP)
 
 
 @dataclass
