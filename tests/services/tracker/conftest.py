@@ -46,6 +46,7 @@ class Speaker:
         projector: str = "0",
         frame: str = "map",
         status: Hypotheses.Status = Hypotheses.STATUS_OK,
+        used_beams: int = 90,
     ) -> Envelope:
         listed = [*zip(poses, log_likelihoods, strict=True)]
         if listed:
@@ -55,6 +56,7 @@ class Speaker:
             timestamp=stamp(round(time * 1e9)),
             frame_id=frame,
             status=status,
+            used_beams=used_beams,
             unlisted_log_likelihood=self.unlisted / TRUST,
             searched_area_m2=self.area,
             hypotheses=[

@@ -5,9 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
+from eigenscan.schemas.channels import TRACKS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
-from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate, Tracks
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.observation import Observation
@@ -476,6 +477,21 @@ def test_a_first_list_leaves_the_odds_that_the_robot_is_off_the_map(one: float, 
         belief.observe(seen, Share(1.0, 1.0, 1.0))
         odds.append(belief.elsewhere.log_weight[0] - belief.tracks.log_weight[0] - logit(share))
     assert odds[0] == pytest.approx(odds[1], abs=1e-9)
+
+
+def test_a_lidar_that_sees_all_around_learns_nothing_by_a_turn(make_core: MakeCore, speaker: Speaker) -> None:
+    """Another one does: its beams come to where they were not yet."""
+    probability = {}
+    for beams in (90, 180):
+        core, speaker.clutter = make_core(), 0
+        for scan in range(40):
+            place = np.array([2.0, 3.0, 0.1 * scan])
+            core.handle(speaker.odometry(0.1 * scan, np.array([0.0, 0.0, 0.1 * scan])))
+            poses = [place, compose(place, np.array([9.0, 0.0, 0.0]))]
+            output = core.handle(speaker.hypotheses(0.1 * scan, poses, [11.0, 9.0], used_beams=beams))
+        (tracks,) = (each.open(Tracks) for each in output if each.channel is TRACKS)
+        probability[beams] = max(track.probability for track in tracks.tracks)
+    assert probability[180] < probability[90] - 0.02
 
 
 def test_of_two_lidars_that_contradict_each_other_the_new_place_does_not_win() -> None:

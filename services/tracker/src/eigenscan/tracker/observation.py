@@ -33,6 +33,12 @@ Rounded from intel and guardian 3 on worse maps, and alike on fr079: benchmarks/
 """
 
 
+ALL_AROUND = 162
+"""Of the 180 beams of a full turn, 2 degrees apart, from which on a scan shows the place in all directions: a
+beam in ten may find nothing within reach.
+"""
+
+
 @dataclass(frozen=True)
 class Observation:
     """Hypotheses (k) of one scan. Likelihoods are relative to a place that the map does not show."""
@@ -57,6 +63,8 @@ class Observation:
     """Whether only the place around the tracker's own pose was looked at."""
     surfaces: int = 0
     """Which surfaces of thick walls the poses fit."""
+    all_around: bool = False
+    """Whether the scan shows the place in all directions: after a turn the next one shows no more of it."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -104,6 +112,7 @@ def observe(
         len(rows),
         message.search == SEARCH_LOCAL,
         message.surfaces,
+        message.used_beams >= ALL_AROUND,
     )
 
 

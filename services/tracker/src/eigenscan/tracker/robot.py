@@ -354,7 +354,8 @@ class RobotTracker:
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
-        progress = self._news(moved._replace(turn=source.new_turn(moved, self._settings.independence_m)))
+        turn = 0.0 if seen.all_around else source.new_turn(moved, self._settings.independence_m)
+        progress = self._news(moved._replace(turn=turn))
         # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
