@@ -38,7 +38,17 @@ from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
-from eigenscan.tracker import agreement, belief, branching, claim, evidence, observation, robot, unification
+from eigenscan.tracker import (
+    agreement,
+    belief,
+    branching,
+    claim,
+    evidence,
+    floors,
+    observation,
+    robot,
+    unification,
+)
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.evaluation.metrics import LAST_SHARE, errors, right, sustained
@@ -207,10 +217,8 @@ MECHANISMS: Mapping[str, Patches] = {
     "evidence by place": ((branching, "LEAST_NEW", 1.0),),
     "kidnaps by broken lists": ((robot, "goes_on", lambda *_: None),),
     "jumps of odometry": ((belief, "BREAK_SHARE", 0.0),),
-    "off the map": ((belief.Belief, "off_map_share", property(lambda _: 1e-9, lambda _, __: None)),),
-    "more robots off an open map": (
-        (belief.Belief, "off_map_share", property(lambda _: belief.OFF_MAP_SHARE, lambda _, __: None)),
-    ),
+    "off the map": ((floors, "_off_map_share", lambda _: 1e-9),),
+    "more robots off an open map": ((floors, "_off_map_share", lambda _: belief.OFF_MAP_SHARE),),
     "scan motion corrects odometry": ((belief.Belief, "correct", lambda *_: None),),
     "scan motion against odometry": ((agreement.Agreement, "trust", property(lambda _: 1.0)),),
     "claims are withdrawn before they jump": ((claim.Claim, "_is_apart", lambda *_: False),),

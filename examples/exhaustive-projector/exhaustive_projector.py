@@ -31,6 +31,7 @@ M = TypeVar("M", bound=Message)
 
 UNDECLARED = {"", "zenoh/bytes", "application/octet-stream", "application/protobuf"}
 LEAST_BEAMS = 24
+MOST_BEAMS = 180  # of a full turn, as the contract counts `used_beams`
 WAITING_SCANS = 64
 
 site = os.environ.get("EIGENSCAN_SITE", "site")
@@ -135,18 +136,17 @@ class Projector:
             self._counts["scan_malformed"] += 1
             return
         announced, regions, building = self._models.whole
+        returned = int(np.isfinite(ranges).sum())
         published = Hypotheses(
             timestamp=scan.timestamp,
             frame_id=announced.frame_id,
             model_version=announced.version,
             searched_area_m2=announced.free_area_m2,
-            used_beams=int(np.isfinite(ranges).sum()),
+            used_beams=int(returned * min(1.0, scan.angle_increment * MOST_BEAMS / (2.0 * np.pi))),
             status=Hypotheses.STATUS_UNUSABLE_SCAN,
         )
         with np.errstate(invalid="ignore"):
-            is_usable = (ranges > 0.0).sum() == (
-                ~np.isnan(ranges)
-            ).sum() and published.used_beams >= LEAST_BEAMS
+            is_usable = (ranges > 0.0).sum() == (~np.isnan(ranges)).sum() and returned >= LEAST_BEAMS
         if is_usable:
             found = locate(building, bearings, ranges)
             published.status = Hypotheses.STATUS_OK

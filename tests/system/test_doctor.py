@@ -91,7 +91,9 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
         def names_odometry_alone() -> bool:
             """The doctor by counters, and the tracker in its health."""
             found[:] = [what for _, what in complaints(house)]
-            return len(found) == 2 and all("no odometry" in what for what in found)
+            counted = [what for what in found if what.startswith("no odometry arrives:")]
+            stated = [what for what in found if "no odometry of the last" in what]
+            return len(found) == 2 and len(counted) == len(stated) == 1
 
         eventually(names_odometry_alone, "two words on the odometry", found)
         robot.odometry.set()

@@ -74,6 +74,7 @@ def some_belief(
         belief.frame_index("map" if frame == 1 else f"floor {frame}", 400.0 / frame)
     for source in range(sources):
         belief.source_index(f"front/{source}")
+    belief.off_map_share = float(rng.uniform(0.02, 0.5))
     belief.tracks, belief.stamp, belief.next_id = some_tracks(rng, count, sources, frames), 99, count + 1
     rest = belief.elsewhere
     rest.log_weight[:] = np.log(rng.dirichlet(np.ones(frames)) * 0.3)
@@ -189,7 +190,7 @@ def test_the_heaviest_are_kept_in_order(most: int) -> None:
 def test_a_jump_frees_mass_that_no_list_was_of(seed: int, tracks: int, frames: int) -> None:
     found, expected = (some_belief(np.random.default_rng(seed), Belief, tracks, 2, frames) for _ in range(2))
     found.predict(Motion((0.1, 0.0, 0.0), 0.1, 0.0, 0.0, 0.0, 2.0, 30.0))
-    released = readable.release(expected.tracks, expected.elsewhere, 0.75, 0.02)
+    released = readable.release(expected.tracks, expected.elsewhere, 0.75, expected.off_map_share)
     readable.come_back(expected.elsewhere, 1.0 - np.exp(-0.001 * 30.0))
     np.testing.assert_allclose(found.tracks.log_weight, released.log_weight, rtol=EXACT)
     for one, other in zip(found.elsewhere.parts(), expected.elsewhere.parts(), strict=True):

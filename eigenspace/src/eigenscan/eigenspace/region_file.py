@@ -33,9 +33,12 @@ def pack_region(model: RegionModel) -> bytes:
 def _arrays(model: RegionModel) -> dict[str, Any]:
     arrays: dict[str, Any] = {name: getattr(model, name) for name in _PLAIN}
     arrays |= space_arrays(model.space)
-    arrays["version"], arrays["wire_bytes"] = model.version, model.entry.size
-    arrays["walls_in_sight"] = model.walls_in_sight
-    return arrays
+    entry = model.entry
+    return arrays | {
+        "version": entry.version,
+        "wire_bytes": entry.size,
+        "walls_in_sight": entry.walls_in_sight,
+    }
 
 
 def read_region(path: Path, version: str) -> RegionModel:

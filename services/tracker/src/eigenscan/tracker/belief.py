@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 OFF_MAP_SHARE = 0.02
-"""That share at least; an open map has more, see `Building`."""
+"""Of the robots that no track holds, how many are off every map at least; of an open map more: `Building`."""
 RETURN_RATE = 0.001
 """1/s, how soon a robot off the map comes back to it."""
 MOST_DECAY = 5.0

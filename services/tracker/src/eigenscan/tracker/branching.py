@@ -18,7 +18,6 @@ from eigenscan.tracker.evidence import (
     explained_by_aliases,
     hide_and_show,
     log_sum,
-    of_each_kind,
     surprise,
 )
 from eigenscan.tracker.observation import Observation
@@ -240,15 +239,11 @@ def raise_to(
         for source in range(grown.evidence.shape[1]):
             grown.evidence[row, source] *= own
         grown.evidence[row, scan.source] += (1.0 - own) * seen.predicted[k]
-        begun_alias = of_each_kind(seen.alias[k], c)
-        for kind in range(3):
-            grown.alias[row, kind] = own * grown.alias[row, kind] + (1.0 - own) * begun_alias[kind]
+        grown.alias[row] = own * grown.alias[row] + (1.0 - own) * seen.alias[k]
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def births(
-    grown: Columns, seen: Listed, pairs: Pairs, log_mass: Array, frame: int, scan: Scan, c: Constants
-) -> Columns:  # fmt: skip
+def births(grown: Columns, seen: Listed, pairs: Pairs, log_mass: Array, frame: int, scan: Scan) -> Columns:
     """Tracks that begin at hypotheses outside of all gates.
 
     `log_mass` (k,): what each hypothesis has by itself, of robots that were carried there or slipped.
@@ -268,7 +263,4 @@ def births(
     for row in range(len(k)):
         evidence[row, scan.source] = seen.predicted[k[row]]
     log_weight = log_mass[k] - np.log(crowding_each(x, C))
-    alias = np.empty((len(k), 3))
-    for row in range(len(k)):
-        alias[row, 0], alias[row, 1], alias[row, 2] = of_each_kind(seen.alias[k[row]], c)
-    return begun(x, C, log_weight, alias, evidence, frame, scan.stamp)
+    return begun(x, C, log_weight, seen.alias[k], evidence, frame, scan.stamp)

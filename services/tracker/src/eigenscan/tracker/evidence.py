@@ -116,7 +116,7 @@ class Listed(NamedTuple):
     `widened` (k, 3, 3): covariances with what the list cannot tell from them nearby, see `widened_each`.
     `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
     `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
-    there. `alias`: of the wrong tracks that it begins, how many are aliases.
+    there. `alias` (k, 3): of the wrong tracks that it begins, how many are aliases, as `Tracks` have it.
     """
 
     poses: Array
@@ -161,7 +161,8 @@ def listed(poses: Array, covariances: Array, log_likelihoods: Array, unlisted: f
     lead = leads(y, L, unlisted)
     alone = L + np.minimum(np.maximum(lead, 0.0), c.most) - 1.5 * poorness_each(L, c.poorer)
     predicted = np.minimum(np.maximum(c.lead * lead + c.level * (L - EVEN), -c.most), c.most)
-    alias = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
+    share = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
+    alias = np.column_stack((share, (1.0 - c.lasting) * share, c.lasting * share))
     return Listed(y, R, widened_each(y, R, L, c.alike_m), alone, predicted, alias)
 
 
@@ -219,19 +220,13 @@ def hide_and_show(hidden: float, progress: float, c: Constants) -> float:
 def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
     """Aliases (n, 3) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
     brief, lasting = np.exp(-c.ends * progress), np.exp(-c.ends_lasting * progress)
-    new = c.aliases * max(1.0 - alias[:, 0].sum(), 0.0)
-    _, brief_new, lasting_new = of_each_kind(c.aliases * max(1.0 - alias[:, 1:].sum(), 0.0), c)
+    beside = c.aliases * max(1.0 - alias[:, 0].sum(), 0.0)
+    alone = c.aliases * max(1.0 - alias[:, 1:].sum(), 0.0)
     out = np.empty(alias.shape)
-    out[:, 0] = alias[:, 0] * brief + new * (1.0 - brief)
-    out[:, 1] = alias[:, 1] * brief + brief_new * (1.0 - brief)
-    out[:, 2] = alias[:, 2] * lasting + lasting_new * (1.0 - lasting)
+    out[:, 0] = alias[:, 0] * brief + beside * (1.0 - brief)
+    out[:, 1] = alias[:, 1] * brief + (1.0 - c.lasting) * alone * (1.0 - brief)
+    out[:, 2] = alias[:, 2] * lasting + c.lasting * alone * (1.0 - lasting)
     return out
-
-
-@inner()  # pragma: no cover - compiled
-def of_each_kind(alias: float, c: Constants) -> tuple[float, float, float]:
-    """The share of aliases of tracks that begin, as `Tracks` have it."""
-    return alias, (1.0 - c.lasting) * alias, c.lasting * alias
 
 
 @inner()  # pragma: no cover - compiled

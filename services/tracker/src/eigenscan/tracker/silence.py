@@ -133,20 +133,22 @@ class Silence:
     @property
     def odometry_ends(self) -> str:
         """Since when odometry is missing, though poses come; empty: it is not, or none has ever come."""
-        if self._odometry is None or not self._lacks_odometry(self._odometry):
+        missing = self._gone_on_since(self._odometry)
+        if missing <= SILENT_NS:
             return ""
-        behind_s = ((self._newest or 0) - self._odometry) * 1e-9
-        return f"no odometry of the last {behind_s:.1f} s: does its driver still run?"
+        return f"no odometry of the last {missing * 1e-9:.1f} s: does its driver still run?"
 
     @property
     def note(self) -> str:
         """That the robot has no odometry at all: it may be a lidar that somebody carries."""
-        if self._odometry is not None or self._first is None or not self._lacks_odometry(self._first):
+        if self._odometry is not None or self._gone_on_since(self._first) <= SILENT_NS:
             return ""
         return "no odometry has come: nothing shows whether poses follow from each other"
 
-    def _lacks_odometry(self, since: int) -> bool:
-        return self._newest is not None and self._newest - since > SILENT_NS
+    def _gone_on_since(self, stamp: int | None) -> int:
+        """How far lists have come after a stamp, ns; 0 without one."""
+        newest = self._timeline.newest
+        return 0 if stamp is None or newest is None else newest - stamp
 
     def _waiting(self) -> str:
         oldest, newest = self._timeline.longest_waiting, self._timeline.newest

@@ -176,7 +176,7 @@ def observed(
     alone = _mass_alone(old, seen, pairs, rest, frame, scan, c)
     grown = branch(old, seen, pairs, scan, c)
     raise_to(grown, len(old.x), seen, pairs, alone, scan, c)
-    born = births(grown, seen, pairs, alone, frame, scan, c)
+    born = births(grown, seen, pairs, alone, frame, scan)
     result = joined(others, grown, born)
     at_most_one(result.alias)
     _search(rest, frame, scan, c)
