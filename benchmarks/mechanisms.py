@@ -204,10 +204,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "how likely": ((evidence, "LEVEL", 0.0),),
     "aliases": ((evidence, "ALIASES", 1e-12),),
     "aliases that last": ((evidence, "LASTING", 0.0),),
-    "one turn shows a place": (
-        (robot._Source, "new_turn", lambda _, moved, __: moved.turn),
-        (observation, "ALL_AROUND", 181),
-    ),
+    "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, *__: moved.turn),),
     "places alike along a hallway": ((evidence, "ALIKE_M", 0.0),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),
     "what lists leave out": ((belief, "MISSES", 0.0),),

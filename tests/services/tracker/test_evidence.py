@@ -321,14 +321,15 @@ def moved(way: float, turn: float) -> Motion:
     return Motion((way, 0.0, turn), way, turn, 0.0, 0.0, 0.0, 1.0)
 
 
-@given(st.lists(st.floats(0.0, 2.0), max_size=40))
-def test_turns_at_one_place_count_up_to_one(turns: list[float]) -> None:
+@given(st.lists(st.floats(0.0, 2.0), max_size=40), st.floats(0.0, TURN))
+def test_turns_at_one_place_count_until_all_of_it_was_seen(turns: list[float], unseen: float) -> None:
     source = _Source(0, ("front", "map"))
-    counted = sum(source.new_turn(moved(0.0, turn), 0.5) for turn in turns)
-    assert counted == pytest.approx(min(sum(turns), TURN))
+    counted = sum(source.new_turn(moved(0.0, turn), 0.5, unseen) for turn in turns)
+    assert counted == pytest.approx(min(sum(turns), unseen))
 
 
 def test_a_new_place_is_to_be_seen_all_around_again() -> None:
     source = _Source(0, ("front", "map"))
-    source.new_turn(moved(0.0, 10.0), 0.5)
-    assert source.new_turn(moved(5.0, 10.0), 0.5) == pytest.approx(TURN, rel=1e-3)
+    source.new_turn(moved(0.0, 10.0), 0.5, TURN)
+    assert source.new_turn(moved(5.0, 10.0), 0.5, TURN) == pytest.approx(TURN, rel=1e-3)
+    assert source.new_turn(moved(0.0, 1.0), 0.5, 2.0) == 0.0  # less is unseen now: it was seen before

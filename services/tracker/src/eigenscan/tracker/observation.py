@@ -9,6 +9,7 @@ from math import isfinite
 from operator import attrgetter
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.symmetric import MATRICES, put
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
@@ -63,8 +64,8 @@ class Observation:
     """Whether only the place around the tracker's own pose was looked at."""
     surfaces: int = 0
     """Which surfaces of thick walls the poses fit."""
-    all_around: bool = False
-    """Whether the scan shows the place in all directions: after a turn the next one shows no more of it."""
+    unseen: float = TURN
+    """rad of the place's surroundings that the scan does not show: turning by as much shows all of them."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -112,7 +113,7 @@ def observe(
         len(rows),
         message.search == SEARCH_LOCAL,
         message.surfaces,
-        message.used_beams >= ALL_AROUND,
+        TURN * max(0.0, 1.0 - message.used_beams / ALL_AROUND),
     )
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from math import exp
 
 import numpy as np
-from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
@@ -96,12 +95,15 @@ class _Source:
     surfaces: int = 0
     """Of thick walls, those that this list fits."""
     turned: float = 0.0
-    """rad turned at the present place: after a whole turn it has shown all that there is to see."""
+    """rad turned at the present place, up to what its scans had not shown."""
 
-    def new_turn(self, moved: Motion, place: float) -> float:
-        """Turn of a motion, rad, that shows what the present place, of some metres, has not shown yet."""
+    def new_turn(self, moved: Motion, place: float, unseen: float) -> float:
+        """Turn of a motion, rad, that shows what the present place, of some metres, has not shown yet.
+
+        `unseen`: of the place's surroundings, rad, what one scan does not show.
+        """
         self.turned *= exp(-moved.way / place)
-        new = min(moved.turn, TURN - self.turned)
+        new = min(moved.turn, max(0.0, unseen - self.turned))
         self.turned += new
         return new
 
@@ -354,7 +356,7 @@ class RobotTracker:
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
-        turn = 0.0 if seen.all_around else source.new_turn(moved, self._settings.independence_m)
+        turn = source.new_turn(moved, self._settings.independence_m, seen.unseen)
         progress = self._news(moved._replace(turn=turn))
         # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
