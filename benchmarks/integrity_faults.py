@@ -176,6 +176,45 @@ def mount_away(metres: float) -> Fault:
     return scans_changed(change)
 
 
+def mount_turns(degrees: float) -> Fault:
+    """A screw is loose: the lidar turns by so much, degrees/s."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        begins = min(e.stamp for e in stretch.received)
+
+        def change(message: RawScan, _: int, __: Stretch) -> None:
+            message.mount.theta += np.radians(degrees) * (nanoseconds(message.timestamp) - begins) / NS
+
+        return scans_changed(change)(stretch)
+
+    return fault
+
+
+def person_ahead(metres: float, degrees: float) -> Fault:
+    """Someone walks before the lidar, always as far away, and hides so many degrees of the room."""
+
+    def change(message: RawScan, _: int, stretch: Stretch) -> None:
+        angles = message.angle_min + message.angle_increment * np.arange(len(message.ranges))
+        hidden = np.abs((angles + np.pi) % (2.0 * np.pi) - np.pi) < np.radians(degrees) / 2.0
+        seen = np.array(message.ranges)
+        seen[hidden] = metres + NOISE_M * stretch.random.standard_normal(hidden.sum())
+        put(message, seen)
+
+    return scans_changed(change)
+
+
+def too_short(share: float) -> Fault:
+    """So many of the beams end somewhere before the wall: rain, dust, a crowd."""
+
+    def change(message: RawScan, _: int, stretch: Stretch) -> None:
+        seen = np.array(message.ranges)
+        short = stretch.random.random(len(seen)) < share
+        seen[short] = np.maximum(0.2, seen[short] * stretch.random.random(short.sum()))
+        put(message, seen)
+
+    return scans_changed(change)
+
+
 def ranges_changed(change: Callable[[Array], Array]) -> Fault:
     def fault(message: RawScan, _: int, __: Stretch) -> None:
         put(message, change(np.asarray(message.ranges)))
@@ -290,18 +329,29 @@ def odometry_frozen() -> Fault:
     return odometry_changed(change)
 
 
-def odometry_scaled(by: float) -> Fault:
-    """Wheels of another radius: the way is `by` times as long, turns are right."""
-    state: list[Array] = []
+def odometry_steps(change: Callable[[Array, float], Array]) -> Fault:
+    """Odometry that sums its steps (3,) after `change` of (step, s that it took)."""
+    state: list[tuple[Array, Array, float]] = []
 
-    def change(pose: Array, seconds: float, _: Stretch) -> Array:
+    def changed(pose: Array, seconds: float, _: Stretch) -> Array:
         if seconds == 0.0 or not state:
-            state[:] = [pose, pose]
-        step = compose(inverse(state[0]), pose) * np.array([by, by, 1.0])
-        state[:] = [pose, compose(state[1], step)]
-        return state[1]
+            state[:] = [(pose, pose, seconds)]
+        before, summed, since = state[0]
+        summed = compose(summed, change(compose(inverse(before), pose), seconds - since))
+        state[:] = [(pose, summed, seconds)]
+        return summed
 
-    return odometry_changed(change)
+    return odometry_changed(changed)
+
+
+def odometry_scaled(way: float = 1.0, turn: float = 1.0) -> Fault:
+    """Wheels of another radius, or farther apart: way and turns are so many times as large."""
+    return odometry_steps(lambda step, _: step * np.array([way, way, turn]))
+
+
+def heading_drifts(degrees: float) -> Fault:
+    """A gyroscope with so large a bias, degrees/s."""
+    return odometry_steps(lambda step, seconds: step + np.array([0.0, 0.0, np.radians(degrees) * seconds]))
 
 
 def _runs_away(pose: Array, seconds: float, _: Stretch) -> Array:
@@ -344,11 +394,16 @@ FAULTS: dict[str, Fault] = {
     "mount off by 10 deg": mount_off(10.0),
     "mount off by 0.8 m": mount_away(0.8),
     "knocked by 15 deg after 10 s": knocked(15.0, 10.0),
+    "mount turns by 1 deg/s": mount_turns(1.0),
+    "a person 0.6 m ahead": person_ahead(0.6, 60.0),
+    "half of the beams too short": too_short(0.5),
     "no returns beyond 3 m": ranges_changed(lambda ranges: np.where(ranges > 3.0, np.inf, ranges)),
     "ranges 10 % too short": ranges_changed(lambda ranges: 0.9 * ranges),
     "ranges 0.3 m too long": ranges_changed(lambda ranges: ranges + 0.3),
     "late by up to 0.4 s by chance": late_by_chance(0.4),
-    "odometry 1.5 times too far": odometry_scaled(1.5),
+    "odometry 1.5 times too far": odometry_scaled(way=1.5),
+    "turns counted 0.8 times": odometry_scaled(turn=0.8),
+    "heading drifts by 2 deg/s": heading_drifts(2.0),
     "odometry backwards": odometry_changed(_reversed),
     "two robots, one name": two_robots,
     "half of the beams from elsewhere": from_elsewhere(0.5),

@@ -110,9 +110,10 @@ class Agreement:
 
     @property
     def note(self) -> str:
-        """What is made up for and has no effect on poses; empty: nothing."""
+        """What is wrong and has no effect on poses; empty: nothing."""
         delay = self._lateness.delay
-        return f"scans are stamped {delay * 1e-9:.2f} s late; made up for" if delay >= REPORTED_NS else ""
+        late = f"scans are stamped {delay * 1e-9:.2f} s late; made up for" if delay >= REPORTED_NS else ""
+        return late or next((each.note for each in self._faults.values() if each.note), "")
 
     def is_repeated(self, lidar: str, stamp: int) -> bool:
         """Whether a scan repeats the one before: it shows nothing new."""

@@ -31,6 +31,7 @@ from eigenscan.tracker.scan_motion import (
     unpredicted,
 )
 from eigenscan.tracker.set_up import SetUp
+from eigenscan.tracker.turning import Turning
 from numba import njit
 from numpy.typing import NDArray
 
@@ -98,7 +99,7 @@ _KINDS = (
     _Kind(1, 0.0, BACKS, FORWARDS, WITHOUT_SIGN),
     _Kind(
         1, FAULTY, BEGINS, ENDS,
-        "scans stay the same while odometry moves: is the lidar frozen or covered?",
+        "scans stay the same while odometry moves: is the lidar frozen or covered, or does odometry drift?",
     ),
     _Kind(2, FAULTY, BEGINS, ENDS, UNKNOWN),
     _Kind(
@@ -171,7 +172,7 @@ class Faults:
     def __init__(self) -> None:
         self.probability, self._change = _start()
         self._set_up = SetUp(len(WRONG_SET_UPS), len(EXACT))
-        self._calibration = Calibration()
+        self._calibration, self._turning = Calibration(), Turning()
         self.without_sign = False
         """Whether the robot was seen to drive backwards while odometry counted on."""
         self._past, self._seen = PastOdometry(LATEST_S, LATE_STEP_S), PastScans(LATEST_S, LATE_STEP_S)
@@ -200,6 +201,11 @@ class Faults:
     def fault(self) -> str:
         """What is rather wrong, in words for the person who can mend it; empty: nothing that shows."""
         return self.cause if self._agrees < 0.5 else self._calibration.fault
+
+    @property
+    def note(self) -> str:
+        """What is wrong with odometry's turns, and poses bear; empty: nothing that shows."""
+        return self._turning.note
 
     @property
     def backwards(self) -> bool:
@@ -275,6 +281,7 @@ class Faults:
             # wheels that slip, or a lidar that is late, show nothing of the mount
             if self._agrees >= 0.5 and not _stands(predicted[AGREE]):
                 self._calibration.take(scans, spread, driven.delta, driven.way)
+                self._turning.take(scans[2], turn_variance, driven.delta[2], driven.seconds)
         if self.backwards and not self.without_sign:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
