@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import hypot
+from math import exp, hypot
 
 import numpy as np
 from eigenscan.schemas.channels import FOLLOWS, FOLLOWS_MOSTLY
@@ -174,7 +174,7 @@ class Agreement:
                 continue
             driven = trail.between(interval.since, interval.stamp)
             if _is_far(driven, interval):
-                self._note(interval, agrees=True, far=True)
+                self._watch(interval)
                 if interval.moved is not None and driven.breaks <= 0:
                     self._of(interval.lidar).take_far(interval.moved, driven)
                 continue
@@ -185,20 +185,23 @@ class Agreement:
             known = abs(driven.unknown) <= min(UNKNOWN_S, driven.seconds / 2.0)
             if driven.breaks <= 0 and known and not coarse:
                 self._take(_widened(interval, map(trail.leeway, ends)), driven, trail)
-                self._note(interval, agrees=not self.disagreed)
+                self._watch(interval)
+                self._doubt(interval)
         return found
 
-    def _note(self, interval: ScanInterval, *, agrees: bool, far: bool = False) -> None:
-        if not interval.watched:
-            return
-        self._watched.add(interval.lidar)
-        if (interval.moved is None or interval.explained < FOLLOWS) and not far:
+    def _watch(self, interval: ScanInterval) -> None:
+        if interval.watched:
+            self._watched.add(interval.lidar)
+
+    def _doubt(self, interval: ScanInterval) -> None:
+        """Keeps an interval that was compared and is more frequent after a kidnap."""
+        if interval.moved is None or interval.explained < FOLLOWS:
             ratio = HARDLY_FOLLOW
-        elif interval.explained < FOLLOWS_MOSTLY or not agrees:
-            ratio = SELDOM_FOLLOW
         else:
-            return
-        self._doubts.append((interval.lidar, Doubt(interval.since, interval.stamp, ratio)))
+            moves = exp(self._of(interval.lidar).after_kidnap)
+            ratio = moves * (SELDOM_FOLLOW if interval.explained < FOLLOWS_MOSTLY else 1.0)
+        if ratio > 1.0:
+            self._doubts.append((interval.lidar, Doubt(interval.since, interval.stamp, ratio)))
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._of(interval.lidar)
