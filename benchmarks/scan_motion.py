@@ -25,7 +25,7 @@ from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.laying import NOISE
 from eigenscan.ingest.motion import BEAMS, HELD_SUPPORT, Motion, Points, Pose, motion_between
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.schemas.channels import FOLLOWS, FOLLOWS_MOSTLY, SCAN_RAW
+from eigenscan.schemas.channels import FOLLOWS, SCAN_RAW
 from eigenscan.workbench.logs import LogOptions, open_log
 
 LOGS = {
@@ -141,7 +141,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=3000, help="neighbours of each log, at most")
     given = parser.parse_args()
     rows, pairs = [], np.zeros(4, dtype=int)
-    print("explained: neighbours' least, 1 %, below FOLLOWS and FOLLOWS_MOSTLY; the same of other places")
+    print("log          explained: neighbours' least, 1 %, and below FOLLOWS; other places' above it")
     for name in given.only or LOGS:
         of_log = [
             row for match in matches(given.datasets / LOGS[name], given.matches) if (row := compared(match))
@@ -154,11 +154,7 @@ def main() -> None:
         near, far = similar_places(given.datasets / LOGS[name], given.pairs)
         print(
             f"{name:24} {near.explained.min():.2f} {np.percentile(near.explained, 1):.2f} "
-            + " ".join(
-                f"{np.mean(each.explained < limit):.2%}"
-                for each in (near, far)
-                for limit in (FOLLOWS, FOLLOWS_MOSTLY)
-            ),
+            f"{np.mean(near.explained < FOLLOWS):.2%} {np.mean(far.explained >= FOLLOWS):.1%}",
             flush=True,
         )
         late = far.alike & (far.explained < FOLLOWS)

@@ -8,7 +8,7 @@ import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, within_gate
-from eigenscan.tracker.belief import MISSES, Belief, Elsewhere
+from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere
 from eigenscan.tracker.covariance import (
     determinant,
     fuse,
@@ -94,6 +94,7 @@ class Readable(Belief):
         shown[:, source] *= np.exp(-share.progress)
         tracks = release(replace(self.tracks, evidence=shown), rest, share.carried, self.off_map_share)
         if share.broken:
+            tracks = release(tracks, rest, CARRIED_SHARE, self.off_map_share)
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0

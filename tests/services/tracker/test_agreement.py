@@ -308,34 +308,6 @@ def test_odometry_that_runs_ahead_of_the_scans_is_a_fault_where_these_fit(
     assert (agreement.fault == "") is agrees
 
 
-@pytest.mark.parametrize(
-    ("moved", "spread", "explained", "least", "most"),
-    [
-        ((0.2, 0.0, 0.0), (1e-4, 0.0, 1e-4), 0.9, 0.0, 0.0),
-        ((0.2, 0.0, 0.0), (1e-4, 0.0, 1e-4), 0.6, 1.0, 30.0),
-        ((0.2, 0.0, 0.0), (1.0, 0.0, 1e-4), 0.6, 50.0, 120.0),
-        ((-0.2, 0.0, 0.0), (1e-4, 0.0, 1e-4), 0.9, 10.0, 100.0),
-        ((-0.2, 0.0, 0.0), (1e-4, 0.0, 1e-4), 0.4, 1000.0, 1000.0),
-        (None, (0.0, 0.0, 0.0), 1.0, 1000.0, 1000.0),
-    ],
-    ids=["follows", "who walks past", "along a hallway", "moves otherwise", "hardly follows", "does not fit"],
-)
-def test_scans_are_doubted_by_what_they_explain_and_by_how_they_move(
-    moved: Step | None, spread: Step, explained: float, least: float, most: float
-) -> None:
-    """Along a bare hallway a motion is not determined, and agrees with any odometry."""
-    trail, agreement = OdometryTrail(VelocityGate(2.0, 3.0)), Agreement()
-    for number in range(10):
-        trail.take(number * 100_000_000, (0.05 * number, 0.0, 0.0))
-    interval = ScanInterval("front", 0, 400_000_000, moved, spread, watched=True, explained=explained)
-    agreement.receive(interval)
-    agreement.compare(trail, 400_000_000)
-    assert agreement.watches("front")
-    ratios = [doubt.ratio for doubt in agreement.doubts("front")]
-    assert len(ratios) == (most > 0.0)
-    assert all(least <= ratio <= most for ratio in ratios)
-
-
 def test_map_to_odom_ends_with_the_claim(make_core: MakeCore, speaker: Speaker, poses_of: PosesOf) -> None:
     core = make_core()
     drive(core, speaker, poses_of, lambda _: STEP, lambda _: STEP, count=30)

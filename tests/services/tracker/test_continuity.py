@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
-from eigenscan.tracker.continuity import MOST_BY_LISTS, Doubt, Kidnaps, carried_ratio, goes_on
+from eigenscan.tracker.continuity import carried_ratio, goes_on
 from eigenscan.tracker.odometry import Motion
 from hypothesis import given
 from hypothesis import strategies as st
@@ -80,27 +80,3 @@ def test_the_more_go_on_the_less_was_the_robot_carried_away() -> None:
 def test_what_cannot_be_compared_shows_nothing(before: int, after: int, motion: Motion) -> None:
     rng = np.random.default_rng(2)
     assert goes_on(somewhere(rng, before), somewhere(rng, after), motion) is None
-
-
-@given(st.lists(st.floats(1e-6, 0.05), min_size=1, max_size=10), st.floats(1.0, 1e4), st.integers(0, 9))
-def test_a_doubt_counts_once_by_bayes_rule_for_the_lists_of_its_time(
-    by_lists: list[float], ratio: float, late: int
-) -> None:
-    """Whether it comes with the last of these or some lists later."""
-    kidnaps, stayed = Kidnaps(), 1.0
-    doubt, after = Doubt(0, len(by_lists), ratio), [0.0] * late
-    for at, each in enumerate([*by_lists, *after]):
-        doubts = [doubt] if at >= len(by_lists) + late - 1 else []
-        stayed *= 1.0 - kidnaps.take(at, at + 1, each, doubts)
-    before = sum(by_lists)
-    prior = min(before, MOST_BY_LISTS)
-    odds = prior / (1.0 - prior) * ratio
-    expected = np.prod(1.0 - np.array(by_lists)) / (1.0 - prior) / (1.0 + odds)
-    assert stayed == pytest.approx(float(expected))
-    assert kidnaps.take(99, 100, 0.01, [doubt]) == pytest.approx(0.01)
-
-
-def test_a_doubt_of_another_time_counts_for_less() -> None:
-    kidnaps = Kidnaps()
-    assert kidnaps.take(0, 10, 0.01, []) == pytest.approx(0.01)
-    assert kidnaps.take(10, 20, 0.001, [Doubt(10, 20, 1000.0)]) < 0.6

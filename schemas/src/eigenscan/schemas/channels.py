@@ -215,12 +215,11 @@ SCAN_MOTION = Channel(
     Qos(Priority.REAL_TIME, express=True, depth=64, rate_hz=5.0),
     "how the robot moved between two scans, by these alone, from scan-ingest, for the tracker",
 )
-FOLLOWS, FOLLOWS_MOSTLY = 0.5, 0.7
-"""Share of a scan's beams that the one before it has too, below which it rather is of another place, or may
-be: then its motion is published at once.
+FOLLOWS = 0.5
+"""Share of a scan's beams that the one before it has too, below which it rather is of another place.
 
-On seven logs one of 22,000 neighbours has less than FOLLOWS, and 0 to 0.2 % less than FOLLOWS_MOSTLY: who
-walks past hides as much. Of other places 72 and 91 % at least have less (benchmarks/scan_motion.py).
+Of 22,000 neighbours on seven logs less in 3, of other places more in 0.5 to 28 of 100. With 0.6, 25 of the
+neighbours had less: who walks past hides as much (benchmarks/scan_motion.py --pairs 6000).
 """
 ODOMETRY = Channel(
     "odometry",

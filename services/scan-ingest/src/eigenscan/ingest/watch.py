@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from itertools import pairwise
 from math import hypot
 
 import numpy as np
 from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, points_of
-from eigenscan.schemas.channels import FOLLOWS_MOSTLY
+from eigenscan.schemas.channels import FOLLOWS
 from numba import njit, types
 from numpy.typing import NDArray
 
@@ -31,8 +30,6 @@ STEP_M, STEP_RAD, STEP_NS = 0.15, 0.12, 600_000_000
 
 That is 5 cm and 0.06 rad at most in 99 of 100 on jarvis and intel.
 """
-MOST_BETWEEN = 32
-"""Scans of 50 Hz in as long."""
 LONGEST_NS = 5_000_000_000
 """Scans farther apart than this may have nothing in common."""
 FROZEN = 20
@@ -55,8 +52,6 @@ class Watch:
         """Scans before the newest that were the same to the last bit, in a row."""
         self._last: Ranges | None = None
         self._reference: Points | None = None
-        self._between: deque[tuple[int, Ranges]] = deque(maxlen=MOST_BETWEEN)
-        """Stamps, ns, and ranges of the scans since the reference."""
         self._newest = 0
         self._stamps: deque[int] = deque(maxlen=PERIODS + 1)
         self._skipped = 0
@@ -96,7 +91,6 @@ class Watch:
         if reference is not None and self._is_early(stamp):
             turned = round(self._velocity[2] * (stamp - before) * 1e-9 / step)
             if last is not None and alike(last, ranges, turned) >= ALIKE:
-                self._between.append((stamp, ranges))
                 return None
         points = points_of(ranges.astype(np.float64), angle_min, step, mount, stamp)
         if reference is None or not 0 < stamp - reference.stamp <= LONGEST_NS:
@@ -109,27 +103,17 @@ class Watch:
         seconds = max(stamp - reference.stamp, MATCH_EVERY_NS) * 1e-9
         moved = motion_between(reference, points, _over(self._velocity, seconds))
         x, y, turn = moved.delta
-        if moved.fits and moved.explained < FOLLOWS_MOSTLY and self._between:
-            # who walks past hides little more from one scan to the next; another place differs at once
-            between = [
-                points_of(each.astype(np.float64), angle_min, step, mount, at) for at, each in self._between
-            ]
-            steps = pairwise((reference, *between, points))
-            moved = replace(moved, explained=min(self._explained(*each) for each in steps))
+        if moved.fits and moved.explained < FOLLOWS and last is not None and reference.stamp != before:
+            # what passes between them is no sign that the scan does not follow from the one before
+            neighbour = points_of(last.astype(np.float64), angle_min, step, mount, before)
+            alone = motion_between(neighbour, points, _over(self._velocity, (stamp - before) * 1e-9))
+            moved = replace(moved, explained=max(moved.explained, alone.explained))
         self._velocity = (x / seconds, y / seconds, turn / seconds) if moved.fits else (0.0, 0.0, 0.0)
         far = hypot(x, y) >= STEP_M or abs(turn) >= STEP_RAD or stamp - reference.stamp >= STEP_NS
-        if not far and moved.explained >= FOLLOWS_MOSTLY:
-            self._between.append((stamp, ranges))
+        if not far and moved.explained >= FOLLOWS:
             return None
         self._reference = points
-        self._between.clear()
         return reference.stamp, moved
-
-    def _explained(self, before: Points, after: Points) -> float:
-        """The share of a scan that the one before it has, too."""
-        return motion_between(
-            before, after, _over(self._velocity, (after.stamp - before.stamp) * 1e-9)
-        ).explained
 
     def _is_early(self, stamp: int) -> bool:
         """Whether a later scan will do: of a fast lidar not every scan is laid on the reference."""
@@ -143,7 +127,6 @@ class Watch:
 
     def _begin(self, points: Points) -> None:
         self._reference, self._compared = points, points.stamp
-        self._between.clear()
         self._velocity = (0.0, 0.0, 0.0)
 
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import exp, hypot
+from math import hypot
 
 import numpy as np
-from eigenscan.schemas.channels import FOLLOWS, FOLLOWS_MOSTLY
-from eigenscan.tracker.continuity import HARDLY_FOLLOW, SELDOM_FOLLOW, Doubt
+from eigenscan.schemas.channels import FOLLOWS
 from eigenscan.tracker.faults import WITHOUT_SIGN, Faults
 from eigenscan.tracker.lateness import Lateness
 from eigenscan.tracker.odometry import Motion, OdometryTrail
@@ -74,8 +73,8 @@ class Agreement:
         self._jumps: deque[int] = deque(maxlen=JUMPS)
         self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
         self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
-        self._watched: set[str] = set()
-        self._doubts: deque[tuple[str, Doubt]] = deque(maxlen=64)
+        self._differed: dict[str, int] = {}
+        """By lidar whose scans are watched, stamp of the newest that did not agree, ns."""
         self._now = 0
         self.disagreed = False
         """Whether odometry and scans differed when they were last compared."""
@@ -120,13 +119,12 @@ class Agreement:
         """Whether a scan repeats the one before: it shows nothing new."""
         return (lidar, stamp) in self._repeated
 
-    def watches(self, lidar: str) -> bool:
-        """Whether a scan of a lidar that follows ill from the one before would be published at once."""
-        return lidar in self._watched
+    def follows(self, lidar: str, stamp: int, since: int) -> bool:
+        """Whether a lidar's scan of `stamp` was found where odometry puts it from that of `since`, ns.
 
-    def doubts(self, lidar: str) -> list[Doubt]:
-        """Where a lidar's scans lately followed ill from each other, in order."""
-        return [doubt for own, doubt in self._doubts if own == lidar]
+        Of a lidar that is watched, what hardly fits is published with its scan; of another nothing is known.
+        """
+        return self._differed.get(lidar, stamp) <= since
 
     def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""
@@ -136,7 +134,7 @@ class Agreement:
     def restart(self) -> None:
         """Odometry's clock was set back: what waits is of another time."""
         self._waiting.clear()
-        self._doubts.clear()
+        self._differed.clear()
         for faults in self._faults.values():
             faults.restart()
 
@@ -174,7 +172,7 @@ class Agreement:
                 continue
             driven = trail.between(interval.since, interval.stamp)
             if _is_far(driven, interval):
-                self._watch(interval)
+                self._note(interval, agrees=False)
                 if interval.moved is not None and driven.breaks <= 0:
                     self._of(interval.lidar).take_far(interval.moved, driven)
                 continue
@@ -185,23 +183,14 @@ class Agreement:
             known = abs(driven.unknown) <= min(UNKNOWN_S, driven.seconds / 2.0)
             if driven.breaks <= 0 and known and not coarse:
                 self._take(_widened(interval, map(trail.leeway, ends)), driven, trail)
-                self._watch(interval)
-                self._doubt(interval)
+                self._note(interval, agrees=not self.disagreed)
         return found
 
-    def _watch(self, interval: ScanInterval) -> None:
+    def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
         if interval.watched:
-            self._watched.add(interval.lidar)
-
-    def _doubt(self, interval: ScanInterval) -> None:
-        """Keeps an interval that was compared and is more frequent after a kidnap."""
-        if interval.moved is None or interval.explained < FOLLOWS:
-            ratio = HARDLY_FOLLOW
-        else:
-            moves = exp(self._of(interval.lidar).after_kidnap)
-            ratio = moves * (SELDOM_FOLLOW if interval.explained < FOLLOWS_MOSTLY else 1.0)
-        if ratio > 1.0:
-            self._doubts.append((interval.lidar, Doubt(interval.since, interval.stamp, ratio)))
+            before = self._differed.get(interval.lidar, 0)
+            follows = agrees and interval.explained >= FOLLOWS
+            self._differed[interval.lidar] = before if follows else interval.stamp
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._of(interval.lidar)

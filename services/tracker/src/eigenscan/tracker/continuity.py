@@ -1,17 +1,13 @@
 """Whether two scans can be neighbours at all.
 
 Wrong hypotheses, too, go on from scan to scan as odometry moves: the building still looks the same. Where
-few of a list go on in the next one, the map lacks what the scans see, or the robot was carried away. Then
-the scans themselves follow ill from each other, too. A list and a scan motion are independent of each other:
-the one is of the map, the other is not.
+none of a list goes on in the next one, the sensor was covered or uncovered, or the robot was carried away.
+But not if the scans themselves show the motion that odometry shows: then the map lacks what they see.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable
 from math import exp, hypot
-from typing import NamedTuple
 
 import numpy as np
 from eigenscan.tracker.odometry import Motion
@@ -39,50 +35,6 @@ LEAST = 0.03
 FAR_NONE, FAR_SOME = 10.0, 0.1
 """That ratio between lists farther apart, where none goes on, and where some do: one in ten lists of what
 the map lacks has none in common with the one before."""
-
-
-SELDOM_FOLLOW, HARDLY_FOLLOW = 100.0, 1000.0
-"""By how much oftener a scan explains less than FOLLOWS_MOSTLY, and than FOLLOWS, of the one before where the
-robot was carried away in between. Rounded from seven logs: benchmarks/scan_motion.py.
-"""
-MOST_BY_LISTS = 0.5
-"""Probability that a robot was carried away, by lists alone, at most."""
-
-
-class Doubt(NamedTuple):
-    """Between two stamps, ns, scans follow from each other as is `ratio` times as frequent after a kidnap."""
-
-    since: int
-    stamp: int
-    ratio: float
-
-
-class Kidnaps:
-    """How probably a robot was carried away, by one source's lists and by how the scans follow."""
-
-    def __init__(self) -> None:
-        self._by_lists: deque[tuple[int, int, float]] = deque(maxlen=64)
-        """Since, stamp, ns, and probability; of each that no doubt was held against yet."""
-        self._judged = 0
-        """Stamp of the newest doubt that was, ns."""
-
-    def take(self, since: int, stamp: int, by_list: float, doubts: Iterable[Doubt]) -> float:
-        """Takes what a list shows of the time since the last one; gives the probability, by Bayes' rule.
-
-        A doubt may come some lists later than the kidnap: then it counts now.
-        """
-        self._by_lists.append((since, stamp, by_list))
-        stayed = 1.0 - by_list
-        for doubt in doubts:
-            if doubt.stamp <= self._judged:
-                continue
-            self._judged = doubt.stamp
-            meanwhile = [each for each in self._by_lists if each[0] < doubt.stamp and doubt.since < each[1]]
-            for each in meanwhile:
-                self._by_lists.remove(each)
-            before = min(sum(each[2] for each in meanwhile), MOST_BY_LISTS)
-            stayed /= 1.0 - before + before * doubt.ratio
-        return 1.0 - stayed
 
 
 def goes_on(before: Array, after: Array, moved: Motion) -> int | None:

@@ -93,6 +93,7 @@ class Constants(NamedTuple):
     kept: float
     misses: float
     off_map_share: float
+    carried_share: float
     alike_m: float
 
 

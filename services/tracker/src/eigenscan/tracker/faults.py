@@ -180,8 +180,6 @@ class Faults:
         """How often scans did not fit each other lately."""
         self._ways = [0.0, 0.0]
         """m driven forwards and backwards."""
-        self.after_kidnap = 0.0
-        """Ln of how much oftener scans move like the last two where the robot was carried away in between."""
 
     @property
     def trust(self) -> float:
@@ -275,7 +273,6 @@ class Faults:
         if _stands(predicted[AGREE]):  # how exact a motion is that there is shows none of another
             by_exactness[:] = by_exactness[0]
         right = np.logaddexp.reduce(by_exactness[:, RIGHT] + np.log(chances / chances.sum()), axis=1)
-        self.after_kidnap = float(by_exactness[0, UNRELATED] - right[0])
         self._set_up.take(by_exactness[:, WRONG_SET_UPS], right, self._is_wrong()[WRONG_SET_UPS])
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])

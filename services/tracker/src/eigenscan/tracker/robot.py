@@ -22,14 +22,7 @@ from eigenscan.tracker.confidence import (
     protect,
     share_within,
 )
-from eigenscan.tracker.continuity import (
-    HARDLY_FOLLOW,
-    Doubt,
-    Kidnaps,
-    are_neighbours,
-    carried_ratio,
-    goes_on,
-)
+from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -101,7 +94,6 @@ class _Source:
     """Its last list, likeliest first."""
     surfaces: int = 0
     """Of thick walls, those that this list fits."""
-    kidnaps: Kidnaps = field(default_factory=Kidnaps)
     turned: float = 0.0
     """rad turned at the present place, up to what its scans had not shown."""
 
@@ -357,16 +349,10 @@ class RobotTracker:
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
         count = goes_on(before, seen.poses, moved)
-        # after a kidnap hardly any hypothesis goes on
-        rate = self._settings.kidnap_rate * carried_ratio(count, moved)
-        rate += self.building.lift_rate(self.belief.tracks)
-        by_lists = happened(rate / len(self._sources) * seconds)
-        if count == 0 and are_neighbours(moved) and not self._agreement.watches(seen.lidar):
-            doubts = [Doubt(last, seen.stamp, HARDLY_FOLLOW)]
-        else:
-            doubts = self._agreement.doubts(seen.lidar)
-        carried = source.kidnaps.take(last, seen.stamp, by_lists, doubts)
-        broken = carried > 0.5
+        # where scans follow from each other, the map lacks what they show
+        broken = (
+            count == 0 and are_neighbours(moved) and not self._agreement.follows(seen.lidar, seen.stamp, last)
+        )
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
@@ -375,6 +361,10 @@ class RobotTracker:
         # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
+        # after a kidnap hardly any hypothesis goes on
+        rate = self._settings.kidnap_rate * carried_ratio(count, moved)
+        rate += self.building.lift_rate(self.belief.tracks)
+        carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
         precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else progress)
         return Share(weight / peers, progress / peers, precision / peers, carried, broken, peers > 1)

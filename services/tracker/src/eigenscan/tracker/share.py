@@ -12,8 +12,9 @@ class Share:
     `weight` 0..1: its share in its source's evidence on the present place. `progress`: how far the robot
     moved on since the source's last scan, 1 where the place is a new one. `precision` 0..1: how much of its
     covariance's information is independent of earlier scans. `carried`: probability that the robot was
-    carried away since the source's last scan. `broken`: it rather was. `in_part`: other projectors answer
-    for the same lidar, so that this one may have searched a part of the site.
+    carried away since the source's last scan. `broken`: nothing of the source's last list goes on in this
+    one. `in_part`: other projectors answer for the same lidar, so that this one may have searched a part of
+    the site.
     """
 
     weight: float

@@ -108,6 +108,7 @@ def _move_on(tracks: Columns, rest: Rest, scan: Scan, c: Constants) -> None:
         tracks.evidence[row, scan.source] *= stay
     _release(tracks.log_weight, rest, scan.carried, c.off_map_share)
     if scan.broken:
+        _release(tracks.log_weight, rest, c.carried_share, c.off_map_share)
         rest.searched[:, scan.source] = 0.0
         for row in range(len(tracks.x)):
             tracks.evidence[row, scan.source], tracks.hidden[row, scan.source] = 0.0, 0.5
