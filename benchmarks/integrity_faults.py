@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from eigenscan.geometry.circle import wrap
 from eigenscan.geometry.pose import compose, from_pose3, inverse, to_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
@@ -195,7 +196,7 @@ def person_ahead(metres: float, degrees: float) -> Fault:
 
     def change(message: RawScan, _: int, stretch: Stretch) -> None:
         angles = message.angle_min + message.angle_increment * np.arange(len(message.ranges))
-        hidden = np.abs((angles + np.pi) % (2.0 * np.pi) - np.pi) < np.radians(degrees) / 2.0
+        hidden = np.abs(wrap(angles)) < np.radians(degrees) / 2.0
         seen = np.array(message.ranges)
         seen[hidden] = metres + NOISE_M * stretch.random.standard_normal(hidden.sum())
         put(message, seen)

@@ -32,6 +32,7 @@ class Turning:
     def __init__(self) -> None:
         self._information: Array = np.diag(START**-2)
         self._sums: Array = self._information @ RIGHT
+        self._spread: Array = np.diag(START**2)
         self._intervals = self._squares = FIRST
         self.scale, self.rate = RIGHT.tolist()
         """How far the scans turn as a share of odometry's turn, and beside it, rad/s."""
@@ -41,20 +42,19 @@ class Turning:
     def take(self, scans: float, variance: float, driven: float, seconds: float) -> None:
         """Takes the turn between two scans, rad, its variance, and odometry's turn."""
         h, noise = np.array([driven, seconds]), variance + SIGMA_RAD**2
-        scale = self._squares / self._intervals
-        P = np.linalg.inv(self._information)
-        off, spread = scans - float(h @ P @ self._sums), float(h @ P @ h)
-        noise *= max(1.0, (TAIL + off * off / (spread + noise) / scale) / (TAIL + 1.0))  # Student's t
+        off, spread = scans - (self.scale * driven + self.rate * seconds), float(h @ self._spread @ h)
+        distance2 = off * off / (spread + noise) * (self._intervals / self._squares)
+        noise *= max(1.0, (TAIL + distance2) / (TAIL + 1.0))  # Student's t
         self._information += np.outer(h, h) / noise
         self._sums += h * (scans / noise)
+        self._spread = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
+        self.scale, self.rate = (self._spread @ self._sums).tolist()
         self._intervals += 1.0
         self._squares += off * off / (spread + noise)
         self._judge()
 
     def _judge(self) -> None:
-        P = np.linalg.inv(self._information)
-        self.scale, self.rate = (P @ self._sums).tolist()
-        off_scale, off_rate = np.sqrt(np.diag(P) * (self._squares / self._intervals)).tolist()
+        off_scale, off_rate = np.sqrt(np.diag(self._spread) * (self._squares / self._intervals)).tolist()
         self.note = ""
         if abs(self.scale - 1.0) > SCALE_OFF / 2.0 + SIGMAS * sqrt(off_scale**2 + SCALE**2):
             self.note = SCALED.format(self.scale)
