@@ -162,7 +162,9 @@ def test_a_fit_that_finds_no_motion_once_is_no_fault() -> None:
     assert trust[-1] > 0.95
 
 
-def test_wheels_that_slip_for_a_second_cost_trust_for_no_longer_than_a_few(trail: OdometryTrail) -> None:
+def test_wheels_that_slip_for_a_second_are_named_meanwhile_and_the_scans_are_trusted(
+    trail: OdometryTrail,
+) -> None:
     faults = Faults()
     play(faults, trail, range(60, 80))
     for step in range(80, 85):
@@ -170,9 +172,11 @@ def test_wheels_that_slip_for_a_second_cost_trust_for_no_longer_than_a_few(trail
         driven = trail.between(since, since + round(STEP_S * NS))
         x, y, turn = driven.delta
         faults.take((x, y, turn + 0.4), (1e-6, 0.0, 1e-6), 1e-6, driven, since, trail)
-    assert faults.trust < 0.5
+        assert faults.trust > 0.9
+    assert "do wheels slip" in faults.fault
     play(faults, trail, range(85, 105))
     assert faults.trust > 0.9
+    assert not faults.fault
 
 
 def test_a_straight_way_does_not_clear_a_lidar_that_lied_in_a_turn(trail: OdometryTrail) -> None:

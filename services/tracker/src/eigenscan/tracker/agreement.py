@@ -81,7 +81,7 @@ class Agreement:
 
     @property
     def trust(self) -> float:
-        """Probability that odometry and the scans of each lidar show the same motion."""
+        """Probability that the scans of each lidar show the robot's motion."""
         if self.two_robots:
             return 0.0
         return min(each.trust for each in self._faults.values() or (UNSEEN,))
@@ -201,7 +201,7 @@ class Agreement:
             self.disagreed = not faults.take(
                 interval.moved, interval.spread, interval.turn_variance, driven, interval.since, trail
             )
-            if not interval.repeats and faults.trust > 0.5:
+            if not interval.repeats and faults.agrees > 0.5:
                 self._lateness.take(interval.since, interval.stamp, interval.moved, trail)
                 trail.delay(self._lateness.delay)
 

@@ -24,6 +24,7 @@ from eigenscan.tracker.scan_motion import (
     EXACT,
     ODD,
     SHARES,
+    SIDEWAYS,
     SIGMA_M,
     SIGMA_RAD,
     SIGMA_SHARE,
@@ -39,7 +40,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SLIP, SLIP_SHARE = 0.1, 1.0
-"""m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`."""
+"""m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`. Less sideways."""
 SLIPS, GRIPS = 0.01, 0.4
 """Chances, an interval, that wheels begin to slip and that they cease to."""
 ALIKE_BEGINS, ALIKE_ENDS = 0.1, 0.03
@@ -183,11 +184,14 @@ class Faults:
 
     @property
     def trust(self) -> float:
-        """Probability that odometry and scans show the same motion, of a lidar that is mounted as stated."""
-        return self._agrees * (self._calibration.within if self._calibration.fault else 1.0)
+        """Probability that the scans show the robot's motion, of a lidar that is mounted as stated."""
+        # of wheels that slip the scans know better
+        right = self.agrees + float(self.probability[SLIPPING])
+        return right * (self._calibration.within if self._calibration.fault else 1.0)
 
     @property
-    def _agrees(self) -> float:
+    def agrees(self) -> float:
+        """Probability that odometry and scans show the same motion."""
         forwards, backwards = self._ways
         known = self.without_sign and backwards < forwards  # else the mount is rather turned
         return float(self.probability[AGREE] + known * self.probability[BACKWARDS])
@@ -200,7 +204,7 @@ class Faults:
     @property
     def fault(self) -> str:
         """What is rather wrong, in words for the person who can mend it; empty: nothing that shows."""
-        return self.cause if self._agrees < 0.5 else self._calibration.fault
+        return self.cause if self.agrees < 0.5 else self._calibration.fault
 
     @property
     def note(self) -> str:
@@ -279,7 +283,7 @@ class Faults:
         if scans != IDENTITY:
             self._calibration.suspect_turn(scans[2], driven.delta[2])
             # wheels that slip, or a lidar that is late, show nothing of the mount
-            if self._agrees >= 0.5 and not _stands(predicted[AGREE]):
+            if self.agrees >= 0.5 and not _stands(predicted[AGREE]):
                 self._calibration.take(scans, spread, driven.delta, driven.way)
                 self._turning.take(scans[2], turn_variance, driven.delta[2], driven.seconds)
         if self.backwards and not self.without_sign:
@@ -374,9 +378,14 @@ def _log_likelihoods(
     x, y, turn = predicted[AGREE]
     way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
     anyhow = unpredicted(scans, spread, turn_variance)
+    # p(scans) p(odometry | scans before) / p(odometry): where odometry pauses, any pause of scans fits.
+    # What runs away shows no more than an odd motion
+    early = min(-log(ODD), anyhow - unpredicted((x, y, turn), spread, turn_variance))
+    along, aside = SLIP + SLIP_SHARE * way, SIDEWAYS + SIGMA_SHARE * way
+    slid = spread[0] + along**2 - aside**2, spread[1], spread[2]
     slipped = log_gaussian(
         scans[0] - x, scans[1] - y, scans[2] - turn,
-        spread, turn_variance, SLIP + SLIP_SHARE * way, SLIP + SLIP_SHARE * turned,
+        slid, turn_variance, aside, SLIP + SLIP_SHARE * turned,
     )  # fmt: skip
     result = np.empty((len(EXACT), len(predicted)))
     for i in range(len(EXACT)):
@@ -391,6 +400,12 @@ def _log_likelihoods(
                 scans[0] - predicted[state, 0], scans[1] - predicted[state, 1],
                 scans[2] - predicted[state, 2], spread, turn_variance, sigma, turn_sigma,
             )  # fmt: skip
+            if state == FROZEN:  # how far the robot drives excuses no motion of its scans
+                near = min(near, log_gaussian(
+                    scans[0], scans[1], scans[2], spread, turn_variance, of_way * SIGMA_M, of_turn * SIGMA_RAD
+                ))  # fmt: skip
+            elif state >= EARLY:
+                near += early
             row[state] = np.logaddexp(near + log(1.0 - ODD), anyhow + log(ODD))
         row[SLIPPING] = slipped
         if abs(turn) > 2.0 * SIGMA_RAD:
