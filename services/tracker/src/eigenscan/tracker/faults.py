@@ -373,7 +373,8 @@ def _log_likelihoods(
 ) -> Array:
     """Ln of the density (e, n) of the scans' motion by exactness in each state, `predicted` (n, 3).
 
-    All with one covariance: a fault that predicts less motion does not predict it more exactly.
+    Faults with the covariance of agreement: one that predicts less motion does not predict it more exactly. A
+    frozen lidar is excluded by its own, smaller one, too.
     """
     x, y, turn = predicted[AGREE]
     way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
@@ -382,10 +383,10 @@ def _log_likelihoods(
     # What runs away shows no more than an odd motion
     early = min(-log(ODD), anyhow - unpredicted((x, y, turn), spread, turn_variance))
     along, aside = SLIP + SLIP_SHARE * way, SIDEWAYS + SIGMA_SHARE * way
-    slid = spread[0] + along**2 - aside**2, spread[1], spread[2]
+    slid = spread[0] + along**2, spread[1], spread[2] + aside**2
     slipped = log_gaussian(
         scans[0] - x, scans[1] - y, scans[2] - turn,
-        slid, turn_variance, aside, SLIP + SLIP_SHARE * turned,
+        slid, turn_variance, 0.0, SLIP + SLIP_SHARE * turned,
     )  # fmt: skip
     result = np.empty((len(EXACT), len(predicted)))
     for i in range(len(EXACT)):
