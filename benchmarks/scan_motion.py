@@ -7,6 +7,9 @@ new starts along its worst determined direction. `support`: share of the points 
 from HELD_SUPPORT on scan-ingest does not start again. A row counts how far apart the last two end. The times
 want a quiet machine, the counts do not.
 
+Then somebody walks ahead of the robot, always as far away (`put_ahead`). A row counts matches that are sure
+of the way and yet end elsewhere than without that person, as it is and where one thing may fix a direction.
+
 Neighbours that are not alike are compared at once. Scans of two places that are alike and hardly fit would be
 found one scan late. `explained`: share of a scan that the other one has too, of neighbours and of two places.
 """
@@ -39,6 +42,9 @@ LOGS = {
 }
 SUPPORTS = (-np.inf, 0.1, 0.15, 0.2, HELD_SUPPORT, 0.3, 0.35, 0.51)
 APART_M = 0.02, 0.05
+AHEAD_M, WIDTH_M = (0.7, 1.0, 1.5), 0.5
+"""m ahead of the lidar, where somebody of such a width walks; and from how much on a match ends elsewhere."""
+ELSEWHERE_M, SURE_M = 0.1, 0.1
 APART_SCANS = 100
 """Between two of one lidar, from which they are taken to be of two places."""
 
@@ -133,6 +139,27 @@ def compared(match: tuple[Points, Points, Pose]) -> tuple[float, float, float] |
     return took, support, float(np.hypot(*np.subtract(once.delta, again.delta)[:2]))
 
 
+def put_ahead(match: tuple[Points, Points, Pose], metres: float) -> tuple[Points, Points, Pose]:
+    """The same scans with somebody ahead of the lidar in both; the guess is that it stood."""
+    walked = []
+    for scan in match[:2]:
+        angles = (scan.angle_min + scan.step * np.arange(len(scan.ranges)) + np.pi) % (2.0 * np.pi) - np.pi
+        ranges = scan.ranges.copy()
+        ranges[np.abs(angles) < np.arctan2(WIDTH_M / 2.0, metres)] = metres
+        walked.append(motion.points_of(ranges, scan.angle_min, scan.step, scan.mount, scan.stamp))
+    return walked[0], walked[1], (0.0, 0.0, 0.0)
+
+
+def misled(match: tuple[Points, Points, Pose], metres: float) -> bool:
+    """Whether the match is sure of a way that is another one without the person."""
+    alone, walked = motion_between(*match), motion_between(*put_ahead(match, metres))
+    off = np.subtract(walked.delta, alone.delta)[:2]
+    sure = [
+        walked.fits and one.covariance[axis, axis] < SURE_M**2 for axis in (0, 1) for one in (alone, walked)
+    ]
+    return bool(alone.fits and all(sure) and np.hypot(*off) > ELSEWHERE_M)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("datasets", type=Path)
@@ -143,14 +170,21 @@ def main() -> None:
     rows, pairs = [], np.zeros(4, dtype=int)
     print("log          explained: neighbours' least, 1 %, and below FOLLOWS; other places' above it")
     for name in given.only or LOGS:
-        of_log = [
-            row for match in matches(given.datasets / LOGS[name], given.matches) if (row := compared(match))
-        ]
+        own = matches(given.datasets / LOGS[name], given.matches)
+        of_log = [row for match in own if (row := compared(match))]
         print(
             f"{name}: {len(of_log)} matches that fit, {np.mean([ms for ms, _, _ in of_log]):.2f} ms each",
             flush=True,
         )
         rows += of_log
+        for metres in AHEAD_M:
+            as_it_is = sum(misled(match, metres) for match in own)
+            with mock.patch.object(motion, "THING_M", 0.0):
+                fixed_by_one = sum(misled(match, metres) for match in own)
+            print(
+                f"{name}: somebody {metres} m ahead misleads {as_it_is}, by one thing {fixed_by_one}",
+                flush=True,
+            )
         near, far = similar_places(given.datasets / LOGS[name], given.pairs)
         print(
             f"{name:24} {near.explained.min():.2f} {np.percentile(near.explained, 1):.2f} "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from math import inf, pi
 
 import numpy as np
@@ -24,6 +24,7 @@ from eigenscan.ingest.motion import (
     AS_WELL,
     BEAMS,
     FAR_OFF,
+    FITS,
     HELD_SUPPORT,
     LEAST_POINTS,
     LEAST_SUPPORT,
@@ -32,6 +33,7 @@ from eigenscan.ingest.motion import (
     MOST_TURN,
     NOTHING_IN_COMMON,
     SHIFTS,
+    THING_M,
     TURN_BEAMS,
     TURN_STEP,
     Motion,
@@ -84,32 +86,72 @@ def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
     if len(chosen) < LEAST_POINTS:
         return NOTHING_IN_COMMON
     points = after.xy[chosen[:: max(len(chosen) // BEAMS, 1)]]
-    turn = _first_turn(before, after)
-    tried = lay(before, points, np.array([guess, (0.0, 0.0, turn)]))
-    best = max(tried, key=lambda each: each.explained)
-    return _supported(_held_along(before, points, best) if best.fits else best)
+    near = np.hypot(*np.moveaxis(points[:, None] - points, -1, 0)) <= THING_M
+    tried = lay(before, points, np.array([guess, (0.0, 0.0, _first_turn(before, after))]))
+    best = _best(tried, near)
+    if best.explained >= FITS and _smallest(best) < HELD_SUPPORT * len(points):
+        best = _held_along(before, points, best, near)
+    if not best.count:
+        return NOTHING_IN_COMMON
+    return Motion(best.delta, _supported(before, points, best, near), best.explained, best.count)
 
 
-def _held_along(before: Points, points: Array, found: Motion) -> Motion:
-    """The motion, or one further along that fits better; if two fit alike, their difference is undetermined.
+@dataclass(frozen=True)
+class Match:
+    """A motion, its information (3, 3), what it explains, of how many points, and which are on a line."""
+
+    delta: Pose
+    information: Array
+    explained: float
+    count: int
+    on: np.ndarray
+
+
+def _smallest(match: Match) -> float:
+    """How many points fix the worst determined direction."""
+    return float(np.linalg.eigvalsh(match.information[:2, :2])[0]) * NOISE**2
+
+
+def _beyond_one(worth: Array, near: np.ndarray) -> float:
+    """The sum of what points (n,) are worth, less that of the one thing that is worth most."""
+    return float(worth.sum() - ((near * worth).sum(axis=1) * (worth > 0.0)).max())
+
+
+def _ahead(one: Match, other: Match, near: np.ndarray) -> float:
+    """By how many points a match explains more than another does; those of one thing decide nothing."""
+    return _beyond_one(1.0 * (one.on & ~other.on), near) - _beyond_one(1.0 * (other.on & ~one.on), near)
+
+
+def _best(tried: list[Match], near: np.ndarray) -> Match:
+    """The match that explains most; of several that explain alike the first."""
+    best = tried[0]
+    for match in tried[1:]:
+        best = match if _ahead(match, best, near) > 0.0 else best
+    return best
+
+
+def _held_along(before: Points, points: Array, found: Match, near: np.ndarray) -> Match:
+    """The match, or one further along that fits better; if two fit alike, their difference is undetermined.
 
     In a hallway, walls fit at any distance along it, and few beams show the distance. The fit then does not
     leave a wrong minimum.
     """
-    values, directions = np.linalg.eigh(found.information[:2, :2])
-    if values[0] * NOISE**2 >= HELD_SUPPORT * len(points):
-        return found
-    x, y = directions[:, 0].tolist()
-    starts = np.array(found.delta) + np.array(SHIFTS)[:, None] * np.array([x, y, 0.0])
-    tried = [found, *lay(before, points, starts)]
-    best = max(tried, key=lambda each: each.explained)
+    x, y = np.linalg.eigh(found.information[:2, :2])[1][:, 0].tolist()
+    starts = np.array(found.delta) + np.array((0.0, *SHIFTS))[:, None] * np.array([x, y, 0.0])
+    tried = lay(before, points, starts)
+    best = _best(tried, near)
     for rival in tried:
         off = x * (rival.delta[0] - best.delta[0]) + y * (rival.delta[1] - best.delta[1])
-        if abs(off) > APART_M and rival.explained >= best.explained - AS_WELL:
-            kept = np.eye(3)
-            kept[:2, :2] -= np.outer((x, y), (x, y))
-            return replace(best, information=kept @ best.information @ kept)
+        if abs(off) > APART_M and _ahead(best, rival, near) <= AS_WELL * len(points):
+            return Match(best.delta, _without(best.information, x, y), best.explained, best.count, best.on)
     return best
+
+
+def _without(information: Array, x: float, y: float) -> Array:
+    """Information (3, 3) without what is known along a direction."""
+    kept = np.eye(3)
+    kept[:2, :2] -= np.outer((x, y), (x, y))
+    return np.asarray(kept @ information @ kept)
 
 
 def _first_turn(before: Points, after: Points) -> float:
@@ -133,7 +175,7 @@ def _first_turn(before: Points, after: Points) -> float:
     return float(shifts[int(np.argmin(cost))]) * before.step
 
 
-def lay(before: Points, points: Array, starts: Array) -> list[Motion]:
+def lay(before: Points, points: Array, starts: Array) -> list[Match]:
     """Points (n, 2) laid on the earlier scan, from each of several motions (k, 3)."""
     moved = starts.copy()
     lidar, zero = complex(*before.mount[:2]), before.mount[2] + before.angle_min
@@ -174,27 +216,45 @@ def lay(before: Points, points: Array, starts: Array) -> list[Motion]:
         moved += step
         if number >= WIDE_ROUNDS and np.abs(step).max() < SETTLED:
             break
-    on_line = (used & (np.abs(off) <= ON_LINE)).sum(axis=1)
-    return motions(moved, information, visible.sum(axis=1), used.sum(axis=1), on_line)
+    on = used & (np.abs(off) <= ON_LINE)
+    return matches(moved, information, visible.sum(axis=1), used.sum(axis=1), on)
 
 
-def motions(moved: Array, information: Array, seen: Index, found: Index, on_line: Index) -> list[Motion]:
-    """What was found from each start: of how many points `seen`, with a line, and on it."""
-    explained = on_line / np.maximum(seen, LEAST_POINTS)
+def matches(moved: Array, information: Array, seen: Index, found: Index, on: np.ndarray) -> list[Match]:
+    """What was found from each start: of how many points `seen`, with a line, and which on it."""
+    explained = on.sum(axis=1) / np.maximum(seen, LEAST_POINTS)
+    nothing = Match((0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0, 0, np.zeros_like(on[0]))
     return [
-        Motion((x, y, turn), information[k] / NOISE**2, float(explained[k]), int(found[k]))
+        Match((x, y, turn), information[k] / NOISE**2, float(explained[k]), int(found[k]), on[k])
         if found[k] >= LEAST_POINTS
-        else NOTHING_IN_COMMON
+        else nothing
         for k, (x, y, turn) in enumerate(moved.tolist())
     ]
 
 
-def _supported(motion: Motion) -> Motion:
-    """The motion without the information on directions that too few points support."""
-    values, directions = np.linalg.eigh(motion.information[:2, :2])
-    weak = directions[:, values * NOISE**2 < LEAST_SUPPORT * motion.points]
-    if not weak.size:
-        return motion
-    kept = np.eye(3)
-    kept[:2, :2] -= weak @ weak.T
-    return replace(motion, information=kept @ motion.information @ kept)
+def _supported(before: Points, points: Array, match: Match, near: np.ndarray) -> Array:
+    """The information (3, 3) without that on directions that too few points support, beside one thing."""
+    information, least = match.information, LEAST_SUPPORT * match.count
+    _, directions = np.linalg.eigh(information[:2, :2])
+    pulls = _pulls(before, points, match.delta)
+    for x, y in directions.T.tolist():
+        if _beyond_one((pulls @ (x, y)) ** 2, near) < least:
+            information = _without(information, x, y)
+    return information
+
+
+def _pulls(before: Points, points: Array, moved: Pose) -> Array:
+    """What each point (n, 2) adds to the information: its normal by the root of its weight (n, 2)."""
+    x, y, turn = moved
+    ends = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + (x, y)
+    bearing = np.arctan2(*(ends - before.mount[:2]).T[::-1]) - (before.mount[2] + before.angle_min)
+    centre = np.rint((bearing % (2.0 * pi)) / before.step).astype(np.intp)
+    last = len(before.ranges) - 1
+    looked = np.clip(np.minimum(centre, last + REACH)[:, None] + _WINDOW, 0, last)
+    walls = np.where(before.lined[:, None], before.xy, inf)
+    apart = np.hypot(*np.moveaxis(walls[looked] - ends[:, None], -1, 0))
+    line = looked[np.arange(len(ends)), apart.argmin(axis=1)]
+    used = (centre <= last + REACH) & (apart.min(axis=1) <= NEAR)
+    normals = before.normals[line]
+    off = (normals * (ends - before.xy[line])).sum(axis=1)
+    return np.asarray(normals * (used / np.hypot(1.0, off / (2.0 * NOISE)))[:, None])

@@ -96,6 +96,22 @@ def test_between_rows_that_look_alike_the_way_is_right_or_not_known(moved: float
     assert abs(found.delta[2]) < 0.02
 
 
+@pytest.mark.parametrize("ahead", [0.8, 1.0, 1.5])
+@pytest.mark.parametrize("moved", [-0.3, 0.2, 0.4])
+def test_somebody_who_walks_ahead_along_a_hallway_does_not_fix_the_way(ahead: float, moved: float) -> None:
+    """Who stays as far away shows a robot that stands; who comes nearer one that is faster."""
+    rng, angles = np.random.default_rng(3), FIRST + STEP * np.arange(BEAMS)
+    for nearer in (0.0, 0.5, -0.4):
+        scans = []
+        for distance in (ahead, ahead - nearer):
+            ranges = hallway(1.0, rng)
+            ranges[np.abs(angles) < math.atan2(0.25, distance)] = distance + 0.01 * rng.standard_normal()
+            scans.append(points_of(ranges, FIRST, STEP, (0.0, 0.0, 0.0), 0))
+        found = motion_between(scans[0], scans[1], (moved, 0.0, 0.0))
+        assert found.covariance[0, 0] > 0.5
+        assert found.covariance[1, 1] < 0.01
+
+
 def test_scans_of_two_places_do_not_fit() -> None:
     rng = np.random.default_rng(2)
     before = points_of(seen((0.0, 0.5, 0.3), rng), FIRST, STEP, MOUNT, 0)

@@ -63,11 +63,11 @@ def walls_of(
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def lay(walls: Walls, points: Array, moved: Array, information: Array, counts: Index) -> None:
+def lay(walls: Walls, points: Array, moved: Array, information: Array, counts: Index, on: Flags) -> None:
     """Lays points (n, 2) on the earlier scan from each of several motions `moved` (k, 3), which it corrects.
 
-    Fills `information` (k, 3, 3), in points, and `counts` (k, 3): of points that the earlier scan saw, of
-    those with a line, and on it.
+    Fills `information` (k, 3, 3), in points, `counts` (k, 2): of points that the earlier scan saw, and of
+    those with a line; and which are `on` it (k, n).
     """
     row, sums, step = np.empty(4), np.empty((3, 4)), np.empty(3)
     for number in range(ROUNDS):
@@ -86,13 +86,14 @@ def lay(walls: Walls, points: Array, moved: Array, information: Array, counts: I
                 used = seen and distance2 <= reach * reach
                 counts[k, 0] += seen
                 counts[k, 1] += used
+                on[k, j] = False
                 if not used:
                     continue
                 # the normal and the error of a beam without a line are zero
                 nx, ny = walls.normals[line, 0], walls.normals[line, 1]
                 off = nx * (turned_x + x - walls.xy[line, 0]) + ny * (turned_y + y - walls.xy[line, 1])
                 row[0], row[1], row[2], row[3] = nx, ny, turned_x * ny - turned_y * nx, off
-                counts[k, 2] += abs(off) <= ON_LINE
+                on[k, j] = abs(off) <= ON_LINE
                 scaled = off / (2.0 * NOISE)
                 weight = 1.0 / (1.0 + scaled * scaled)
                 for i in range(3):
@@ -108,6 +109,23 @@ def lay(walls: Walls, points: Array, moved: Array, information: Array, counts: I
                 largest = max(largest, abs(step[i]))
         if number >= WIDE_ROUNDS and largest < SETTLED:
             break
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def pulls_at(walls: Walls, points: Array, moved: Array) -> Array:
+    """What each point (n, 2) adds to a motion's information: its normal by the root of its weight."""
+    pulls = np.zeros((len(points), 2))
+    along, across = cos(moved[2]), sin(moved[2])
+    for j in range(len(points)):
+        x = along * points[j, 0] - across * points[j, 1] + moved[0]
+        y = along * points[j, 1] + across * points[j, 0] + moved[1]
+        line, distance2, seen = _nearest(walls, x, y)
+        if seen and distance2 <= NEAR * NEAR:
+            nx, ny = walls.normals[line, 0], walls.normals[line, 1]
+            scaled = (nx * (x - walls.xy[line, 0]) + ny * (y - walls.xy[line, 1])) / (2.0 * NOISE)
+            root = 1.0 / sqrt(1.0 + scaled * scaled)
+            pulls[j, 0], pulls[j, 1] = root * nx, root * ny
+    return pulls
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from eigenscan.geometry.inner import inner
-from eigenscan.ingest.laying import NOISE, Array, Flags, Index, Walls, eigen, lay, walls_of
+from eigenscan.ingest.laying import NOISE, Array, Flags, Index, Walls, eigen, lay, pulls_at, walls_of
 from numba import njit, types
 
 Pose = tuple[float, float, float]
@@ -44,6 +44,9 @@ SHIFTS = (-0.3, -0.15, 0.15, 0.3)
 APART_M, AS_WELL = 0.05, 0.12
 """Distance along it, m, from which two motions differ, and the share of beams that decides between them: a
 person who walks ahead of the robot is up to a tenth of what it sees."""
+THING_M = 0.5
+"""m around a point, within which beams may be of one thing that moves: a person, a cart. No direction is
+fixed by one alone (benchmarks/scan_motion.py)."""
 FITS = 0.4
 """Share of the later scan that the earlier one has to explain."""
 
@@ -107,7 +110,7 @@ def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
     x, y, heading = before.mount
     delta, information, explained, points = _motion(
         before.ranges, before.xy, before.normals, before.lined, after.ranges, after.xy, after.ranged,
-        (x, y, heading + before.angle_min, before.step), guess, HELD_SUPPORT,
+        (x, y, heading + before.angle_min, before.step), guess, HELD_SUPPORT, THING_M,
     )  # fmt: skip
     return Motion(delta, information, explained, points) if points else NOTHING_IN_COMMON
 
@@ -156,63 +159,110 @@ def _points(
     return xy, normals, ranged, lined
 
 
-class Match(NamedTuple):
-    """Where points came to lie: the motion (3,), its information (3, 3), the share on lines, how many."""
+class Matches(NamedTuple):
+    """Where points came to lie from k starts.
+
+    The motions (k, 3), their information (k, 3, 3), what they explain (k,), of how many points (k,), and
+    which are on a line (k, n).
+    """
 
     moved: Array
     information: Array
-    explained: float
-    points: int
+    explained: Array
+    points: Index
+    on: Flags
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def _laid(walls: Walls, points: Array, moved: Array) -> tuple[Array, Array, Index]:
-    """Corrects motions (k, 3); their information (k, 3, 3), what they explain (k,) and of how many points."""
-    information, counts = np.empty((len(moved), 3, 3)), np.empty((len(moved), 3), dtype=np.intp)
-    lay(walls, points, moved, information, counts)
+def _laid(walls: Walls, points: Array, moved: Array) -> Matches:
+    """The motions (k, 3), corrected in place, and what they explain."""
+    information, counts = np.empty((len(moved), 3, 3)), np.empty((len(moved), 2), dtype=np.intp)
+    on = np.zeros((len(moved), len(points)), dtype=np.bool_)
+    lay(walls, points, moved, information, counts, on)
     explained, found = np.zeros(len(moved)), np.zeros(len(moved), dtype=np.intp)
     for k in range(len(moved)):
         if counts[k, 1] < LEAST_POINTS:
-            moved[k], information[k] = 0.0, 0.0
+            moved[k], information[k], on[k] = 0.0, 0.0, False
             continue
         information[k] /= NOISE * NOISE
-        explained[k], found[k] = counts[k, 2] / max(counts[k, 0], LEAST_POINTS), counts[k, 1]
-    return information, explained, found
+        explained[k], found[k] = on[k].sum() / max(counts[k, 0], LEAST_POINTS), counts[k, 1]
+    return Matches(moved, information, explained, found, on)
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def _held_along(walls: Walls, points: Array, found: Match, held_support: float) -> Match:
-    """The motion, or one further along that fits better; if two fit alike, their difference is undetermined.
+def _neighbours(points: Array, thing: float) -> Flags:
+    """Which of the points (n, 2) may be of one thing with which (n, n): no more than `thing`, m, apart."""
+    near = np.empty((len(points), len(points)), dtype=np.bool_)
+    for j in range(len(points)):
+        for i in range(len(points)):
+            x, y = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
+            near[j, i] = x * x + y * y <= thing * thing
+    return near
 
-    In a hallway, walls fit at any distance along it, and few beams show the distance. The fit then does not
-    leave a wrong minimum.
-    """
-    own = found.information
-    smaller, _, x, y = eigen(own[0, 0], own[1, 0], own[1, 1])
-    if smaller * NOISE * NOISE >= held_support * len(points):
-        return found
-    moved = np.empty((len(SHIFTS), 3))
-    for k in range(len(SHIFTS)):
-        moved[k, 0], moved[k, 1] = found.moved[0] + SHIFTS[k] * x, found.moved[1] + SHIFTS[k] * y
-        moved[k, 2] = found.moved[2]
-    information, explained, counts = _laid(walls, points, moved)
-    best = found
-    for k in range(len(moved)):
-        if explained[k] > best.explained:
-            best = Match(moved[k], information[k], explained[k], counts[k])
-    is_rivalled = _is_rival(best, found.moved, found.explained, x, y)
-    for k in range(len(moved)):
-        is_rivalled = is_rivalled or _is_rival(best, moved[k], explained[k], x, y)
-    if is_rivalled:
-        _forget(best.information, x, y)
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _beyond_one(worth: Array, near: Flags) -> float:
+    """The sum of what points (n,) are worth, less that of the one thing that is worth most."""
+    total, most = 0.0, 0.0
+    for j in range(len(worth)):
+        if worth[j] > 0.0:
+            total += worth[j]
+            thing = 0.0
+            for i in range(len(worth)):
+                thing += worth[i] if near[j, i] else 0.0
+            most = max(most, thing)
+    return total - most
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _ahead(one: Flags, other: Flags, near: Flags) -> float:
+    """By how many points a match explains more than another does; those of one thing decide nothing."""
+    mine, its = np.zeros(len(one)), np.zeros(len(one))
+    for j in range(len(one)):
+        mine[j] = one[j] and not other[j]
+        its[j] = other[j] and not one[j]
+    return _beyond_one(mine, near) - _beyond_one(its, near)
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _best(tried: Matches, near: Flags) -> int:
+    """The match that explains most; of several that explain alike the first."""
+    best = 0
+    for k in range(1, len(tried.moved)):
+        if _ahead(tried.on[k], tried.on[best], near) > 0.0:
+            best = k
     return best
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def _is_rival(best: Match, moved: Array, explained: float, x: float, y: float) -> bool:
-    """Whether another motion (3,) fits as well as the best, at another distance along x, y."""
-    off = x * (moved[0] - best.moved[0]) + y * (moved[1] - best.moved[1])
-    return abs(off) > APART_M and explained >= best.explained - AS_WELL
+def _is_weak(own: Array, least: float) -> bool:
+    """Whether fewer points than `least` fix the worst determined direction of the information (3, 3)."""
+    smaller, _, _, _ = eigen(own[0, 0], own[1, 0], own[1, 1])
+    return bool(smaller * NOISE * NOISE < least)
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _held_along(walls: Walls, points: Array, tried: Matches, first: int, near: Flags) -> tuple[Matches, int]:
+    """The match, or one further along that fits better; if two fit alike, their difference is undetermined.
+
+    In a hallway, walls fit at any distance along it, and few beams show the distance. The fit then does not
+    leave a wrong minimum.
+    """
+    own = tried.information[first]
+    _, _, x, y = eigen(own[0, 0], own[1, 0], own[1, 1])
+    moved = np.empty((len(SHIFTS) + 1, 3))
+    moved[:] = tried.moved[first]
+    for k in range(len(SHIFTS)):
+        moved[k + 1, 0] += SHIFTS[k] * x
+        moved[k + 1, 1] += SHIFTS[k] * y
+    again = _laid(walls, points, moved)
+    best = _best(again, near)
+    for k in range(len(moved)):
+        off = x * (moved[k, 0] - moved[best, 0]) + y * (moved[k, 1] - moved[best, 1])
+        if abs(off) > APART_M and _ahead(again.on[best], again.on[k], near) <= AS_WELL * len(points):
+            _forget(again.information[best], x, y)
+            break
+    return again, best
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
@@ -230,14 +280,14 @@ def _forget(information: Array, x: float, y: float) -> None:
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def _support(match: Match) -> None:
-    """Takes out the information on directions that too few points support."""
-    own, least = match.information, LEAST_SUPPORT * match.points
-    smaller, larger, x, y = eigen(own[0, 0], own[1, 0], own[1, 1])
-    if smaller * NOISE * NOISE < least:
-        _forget(own, x, y)
-    if larger * NOISE * NOISE < least:
-        _forget(own, -y, x)
+def _support(walls: Walls, points: Array, found: Matches, best: int, near: Flags) -> None:
+    """Takes out the information on directions that too few points support, beside those of one thing."""
+    own, least = found.information[best], LEAST_SUPPORT * found.points[best]
+    _, _, x, y = eigen(own[0, 0], own[1, 0], own[1, 1])
+    pulls = pulls_at(walls, points, found.moved[best])
+    for along, across in ((x, y), (-y, x)):
+        if _beyond_one((along * pulls[:, 0] + across * pulls[:, 1]) ** 2, near) < least:
+            _forget(own, along, across)
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
@@ -270,7 +320,7 @@ def _first_turn(before: Array, after: Array, step: float) -> float:
 
 @njit(  # pragma: no cover - compiled
     types.Tuple((_THREE, _ROWS, _FLOAT, types.int64))(
-        _ROW, _ROWS, _ROWS, _MARKS, _ROW, _ROWS, _MARKS, _FOUR, _THREE, _FLOAT
+        _ROW, _ROWS, _ROWS, _MARKS, _ROW, _ROWS, _MARKS, _FOUR, _THREE, _FLOAT, _FLOAT
     ),
     cache=True,
     error_model="numpy",
@@ -278,7 +328,7 @@ def _first_turn(before: Array, after: Array, step: float) -> float:
 )
 def _motion(
     earlier: Array, earlier_xy: Array, normals: Array, lined: Flags, later: Array, later_xy: Array,
-    ranged: Flags, lidar: tuple[float, float, float, float], guess: Pose, held_support: float,
+    ranged: Flags, lidar: tuple[float, float, float, float], guess: Pose, held_support: float, thing: float,
 ) -> tuple[Pose, Array, float, int]:  # fmt: skip
     """The motion, its information (3, 3), the share that it explains, and on how many points; 0: none."""
     chosen = np.flatnonzero(ranged)
@@ -289,11 +339,11 @@ def _motion(
     moved = np.zeros((2, 3))
     moved[0, 0], moved[0, 1], moved[0, 2] = guess
     moved[1, 2] = _first_turn(earlier, later, walls.step)
-    information, explained, found = _laid(walls, points, moved)
-    best = int(np.argmax(explained))
-    match = Match(moved[best], information[best], explained[best], found[best])
-    if match.explained >= FITS:
-        match = _held_along(walls, points, match, held_support)
-    _support(match)
-    x, y, turn = match.moved
-    return (x, y, turn), match.information, match.explained, match.points
+    near = _neighbours(points, thing)
+    tried = _laid(walls, points, moved)
+    best = _best(tried, near)
+    if tried.explained[best] >= FITS and _is_weak(tried.information[best], held_support * len(points)):
+        tried, best = _held_along(walls, points, tried, best, near)
+    _support(walls, points, tried, best, near)
+    x, y, turn = tried.moved[best]
+    return (x, y, turn), tried.information[best], tried.explained[best], tried.points[best]
