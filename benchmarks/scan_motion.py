@@ -43,8 +43,9 @@ LOGS = {
 SUPPORTS = (-np.inf, 0.1, 0.15, 0.2, HELD_SUPPORT, 0.3, 0.35, 0.51)
 APART_M = 0.02, 0.05
 AHEAD_M, WIDTH_M = (0.7, 1.0, 1.5), 0.5
-"""m ahead of the lidar, where somebody of such a width walks; and from how much on a match ends elsewhere."""
+"""m ahead of the lidar, where somebody of such a width walks."""
 ELSEWHERE_M, SURE_M = 0.1, 0.1
+"""m, from which on a match ends elsewhere, and sigma up to which it is sure."""
 APART_SCANS = 100
 """Between two of one lidar, from which they are taken to be of two places."""
 

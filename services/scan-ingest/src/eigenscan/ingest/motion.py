@@ -42,8 +42,8 @@ SHIFTS = (-0.3, -0.15, 0.15, 0.3)
 """m along the worst determined direction, from which the match starts again: what a robot drives meanwhile.
 """
 APART_M, AS_WELL = 0.05, 0.12
-"""Distance along it, m, from which two motions differ, and the share of beams that decides between them: a
-person who walks ahead of the robot is up to a tenth of what it sees."""
+"""Distance along it, m, from which two motions differ, and the share of beams that decides between them,
+beside those of one thing."""
 THING_M = 0.5
 """m around a point, within which beams may be of one thing that moves: a person, a cart. No direction is
 fixed by one alone (benchmarks/scan_motion.py)."""
@@ -177,7 +177,7 @@ class Matches(NamedTuple):
 def _laid(walls: Walls, points: Array, moved: Array) -> Matches:
     """The motions (k, 3), corrected in place, and what they explain."""
     information, counts = np.empty((len(moved), 3, 3)), np.empty((len(moved), 2), dtype=np.intp)
-    on = np.zeros((len(moved), len(points)), dtype=np.bool_)
+    on = np.empty((len(moved), len(points)), dtype=np.bool_)
     lay(walls, points, moved, information, counts, on)
     explained, found = np.zeros(len(moved)), np.zeros(len(moved), dtype=np.intp)
     for k in range(len(moved)):
