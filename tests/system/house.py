@@ -30,6 +30,11 @@ PATIENCE_S = 240.0
 """What a step may take on a machine that is busy; nothing is judged by time unless stated."""
 
 
+PATIENT = ("--behind-after", "inf")
+"""A busy machine must not lose what a test compares."""
+PATIENT_PROJECTOR = (*PATIENT, "--request-within", "inf")
+
+
 @dataclass(frozen=True)
 class Drive:
     """A stretch of a real log as a recording."""

@@ -21,7 +21,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import encode
 
 from tests import environment
-from tests.system.house import ONE_THREAD, PATIENCE_S, Drive, House
+from tests.system.house import ONE_THREAD, PATIENCE_S, PATIENT, PATIENT_PROJECTOR, Drive, House
 
 pytestmark = pytest.mark.slow
 
@@ -53,9 +53,10 @@ def test_together_and_separate_publish_the_same_bytes(
     drive: Drive, models: Path, house: House, tmp_path: Path
 ) -> None:
     one, many = tmp_path / "one.mcap", tmp_path / "many.mcap"
-    common = ["--site", house.site, "--zenoh", house.config, "--behind-after", "inf"]
+    common = ["--site", house.site, "--zenoh", house.config, *PATIENT]
     words = [
-        *(",".join(QUICK), *common), "--", *("mapbuilder", *common, "--model", models),
+        *("scan-ingest,tracker", *common), "--", *("projector", *common, *PATIENT_PROJECTOR),
+        "--", *("mapbuilder", *common, "--model", models),
         "--", *("recorder", *common, "--robot", "*", "--mcap", one),
     ]  # fmt: skip
     with (tmp_path / "together.log").open("wb") as log:
@@ -71,7 +72,7 @@ def test_together_and_separate_publish_the_same_bytes(
     house.start("recorder", "--mcap", many, "--robot", "*")
     house.start("mapbuilder", "--model", models)
     for service in QUICK:
-        house.start(service, "--behind-after", "inf")
+        house.start(service, *(PATIENT_PROJECTOR if service == "projector" else PATIENT))
     play(house, drive)
     for service in (*QUICK, "mapbuilder", "recorder"):
         assert house.terminate(service) == 0

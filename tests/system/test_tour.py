@@ -16,14 +16,12 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from typer.testing import CliRunner
 
 from tests.environment import PROGRAMS
-from tests.system.house import Drive, House, reference
+from tests.system.house import PATIENT, Drive, House, reference
 
 SERVICES = ("scan-ingest", "projector", "tracker")
 SHORT_S = 8
 SPEED = 2
 RIGHT_M = 0.5
-PATIENT = ("--behind-after", "inf")
-"""A busy machine must not lose what the test counts."""
 
 Truth = Callable[[np.ndarray], np.ndarray]
 """Positions (n, 2) at stamps (n,), ns."""

@@ -1,12 +1,13 @@
 """Scans wait for the tracker's request: answers follow from messages, not from which one came first."""
 
+import math
 from collections import Counter, deque
 
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.projector.local import KEPT, LONGEST_NS
-from eigenscan.projector.waiting_scans import MOST_NS, WaitingScans
+from eigenscan.projector.waiting_scans import WaitingScans
 from eigenscan.schemas.channels import SCAN, SEARCH
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses
@@ -18,6 +19,7 @@ from tests.services.projector.office import ADDRESS, envelopes, free_poses, read
 from tests.services.projector.test_local import MOUNT, START, STEP, ask, request, scan
 
 LIDAR = ("r17", "front")
+WITHIN_S = 0.3
 PLACE = compose(free_poses(1, 171)[0], inverse(np.array(MOUNT)))
 
 
@@ -38,9 +40,9 @@ def in_time(waiting: WaitingScans, at: int) -> None:
 
 @given(lags=st.lists(st.integers(0, 2), min_size=1, max_size=60))
 def test_each_scan_has_the_request_of_the_one_before_whatever_comes_first(lags: list[int]) -> None:
-    """Each request comes after `lag` more scans: 2 of 100 ms are less than MOST_NS."""
+    """Each request comes after `lag` more scans: 2 of 100 ms are less than WITHIN_S."""
     counts, asked = Counter[str](), deque[int]()
-    waiting = WaitingScans(counts)
+    waiting = WaitingScans(counts, WITHIN_S)
     in_time(waiting, START)
     passed, requested = [START], START
 
@@ -64,27 +66,40 @@ def test_each_scan_has_the_request_of_the_one_before_whatever_comes_first(lags: 
 
 
 def test_without_requests_none_waits() -> None:
-    waiting = WaitingScans(Counter())
+    waiting = WaitingScans(Counter(), WITHIN_S)
     for at in range(START, START + 20 * STEP, STEP):
         assert stamps(waiting.receive(LIDAR, seen(at))) == [at]
 
 
 def test_who_stops_requesting_is_waited_for_once() -> None:
     counts = Counter[str]()
-    waiting = WaitingScans(counts)
+    waiting = WaitingScans(counts, WITHIN_S)
     in_time(waiting, START)
     passed, coming = [], range(START + STEP, START + 20 * STEP, STEP)
     for at in coming:
         due = stamps(waiting.receive(LIDAR, seen(at)))
-        assert all(at - one <= MOST_NS for one in due)
+        assert all(at - one <= WITHIN_S * 1e9 for one in due)
         passed += due
     assert passed == list(coming)
     assert counts["request_missing"] == 1
 
 
+def test_who_waits_for_long_still_keeps_few_scans() -> None:
+    counts = Counter[str]()
+    waiting = WaitingScans(counts, math.inf)
+    in_time(waiting, START)
+    assert waiting.receive(LIDAR, seen(START + STEP))
+    for i in range(2, KEPT + 1):
+        assert waiting.receive(LIDAR, seen(START + i * STEP)) == []
+    assert stamps(waiting.receive(LIDAR, seen(START + (KEPT + 1) * STEP))) == [
+        START + i * STEP for i in range(2, KEPT + 2)
+    ]
+    assert counts["request_missing"] == 1
+
+
 @pytest.mark.parametrize("later", [-STEP, -(10**12), 0, 1])
 def test_scans_do_not_gather_where_the_clock_is_set_back_or_stands(later: int) -> None:
-    waiting, passed = WaitingScans(Counter()), 0
+    waiting, passed = WaitingScans(Counter(), WITHIN_S), 0
     in_time(waiting, START)
     assert waiting.receive(LIDAR, seen(START + STEP))
     for number in range(100):
@@ -94,7 +109,7 @@ def test_scans_do_not_gather_where_the_clock_is_set_back_or_stands(later: int) -
 
 
 def test_requests_that_come_in_time_again_are_waited_for_again() -> None:
-    waiting = WaitingScans(Counter())
+    waiting = WaitingScans(Counter(), WITHIN_S)
     in_time(waiting, START)
     for i in range(1, 20):
         waiting.receive(LIDAR, seen(START + i * STEP))
@@ -105,14 +120,14 @@ def test_requests_that_come_in_time_again_are_waited_for_again() -> None:
 
 @pytest.mark.parametrize("apart", [0, -STEP, LONGEST_NS + 1])
 def test_a_scan_that_no_request_can_be_for_does_not_wait(apart: int) -> None:
-    waiting = WaitingScans(Counter())
+    waiting = WaitingScans(Counter(), WITHIN_S)
     in_time(waiting, START)
     assert waiting.receive(LIDAR, seen(START + STEP))
     assert stamps(waiting.receive(LIDAR, seen(START + STEP + apart))) == [START + STEP + apart]
 
 
 def test_after_a_scan_without_a_list_none_waits() -> None:
-    waiting = WaitingScans(Counter())
+    waiting = WaitingScans(Counter(), WITHIN_S)
     in_time(waiting, START)
     assert waiting.receive(LIDAR, seen(START + STEP))
     waiting.has_no_list(LIDAR)
@@ -120,7 +135,7 @@ def test_after_a_scan_without_a_list_none_waits() -> None:
 
 
 def test_each_lidar_waits_for_its_own_and_the_rest_is_not_lost() -> None:
-    waiting = WaitingScans(Counter())
+    waiting = WaitingScans(Counter(), WITHIN_S)
     in_time(waiting, START)
     assert waiting.receive(LIDAR, seen(START + STEP))
     assert waiting.receive(LIDAR, seen(START + 2 * STEP)) == []

@@ -105,7 +105,7 @@ class ProjectorCore:
 
     def forget_robots(self) -> None:
         """Forgets what robots asked for and where they were; the map stays."""
-        self._waiting = WaitingScans(self._counts)
+        self._waiting = WaitingScans(self._counts, self._settings.request_within)
         self._forget_places()
 
     def _forget_places(self) -> None:

@@ -67,6 +67,12 @@ class ProjectorSettings(BaseModel):
     robot_radius: float = Field(
         0.3, ge=0, description="m: an advised move keeps so far away from the map's walls"
     )
+    request_within: float = Field(
+        0.3,
+        ge=0,
+        description="s, by stamps, that a scan waits for a request; with several lidars "
+        "less than the tracker's late",
+    )
     least_beams: int = Field(12, ge=1, description="beams with a return, 2 degrees apart, that a scan needs")
 
     @property

@@ -13,9 +13,6 @@ from eigenscan.projector.local import KEPT, LONGEST_NS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.recently_used import RecentlyUsed
 
-MOST_NS = 300_000_000
-"""How long a scan waits, by the stamps of its lidar: less than lists may be late (`late` of the tracker)."""
-
 
 @dataclass
 class _Lidar:
@@ -30,10 +27,13 @@ class _Lidar:
 class WaitingScans:
     """Passes the scans of each lidar on in their order."""
 
-    def __init__(self, counts: Counter[str]) -> None:
-        """`counts`: where a request that was waited for and did not come is counted."""
+    def __init__(self, counts: Counter[str], within: float) -> None:
+        """`counts`: where a request that was waited for and did not come is counted.
+
+        `within`: how long a scan waits, s, by the stamps of its lidar.
+        """
         self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
-        self._counts = counts
+        self._counts, self._within_ns = counts, within * 1e9
 
     def receive(self, lidar: tuple[str, str], scan: Envelope) -> list[Envelope]:
         """Takes a scan of a lidar, by its robot's and its own name; gives the scans to answer now."""
@@ -72,7 +72,7 @@ class WaitingScans:
                 and 0 < stamp - known.passed <= LONGEST_NS
             )
             # also where the clock was set back, or stands
-            if waits and 0 <= known.waiting[-1].stamp - stamp < MOST_NS and len(known.waiting) < KEPT:
+            if waits and 0 <= known.waiting[-1].stamp - stamp < self._within_ns and len(known.waiting) < KEPT:
                 break
             if waits:
                 known.in_time = False
