@@ -16,6 +16,8 @@ import yaml
 
 from tests.environment import ROOT
 
+pytestmark = pytest.mark.timeout(3600)  # a build takes over ten minutes beside others
+
 
 def _release(root: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(root / "tools/release"), *map(str, arguments)]

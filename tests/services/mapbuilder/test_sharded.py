@@ -111,6 +111,7 @@ def test_one_build_at_a_time(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.timeout(1800)
 def test_a_build_that_was_killed_goes_on_and_nothing_half_is_ever_there(
     office: GridMap, tmp_path: Path
 ) -> None:
