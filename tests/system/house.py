@@ -28,11 +28,10 @@ SPACING = 0.5
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 PATIENCE_S = 240.0
 """What a step may take on a machine that is busy; nothing is judged by time unless stated."""
-
-
 PATIENT = ("--behind-after", "inf")
 """A busy machine must not lose what a test compares."""
-PATIENT_PROJECTOR = (*PATIENT, "--request-within", "inf")
+AWAITS_REQUESTS = ("--request-within", "inf")
+"""The same of a projector: the tracker's requests come late there."""
 
 
 @dataclass(frozen=True)

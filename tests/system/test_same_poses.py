@@ -13,7 +13,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.workbench.evaluation.reference import nanoseconds_of
 
 from tests.environment import PROGRAMS
-from tests.system.house import INTEL, PATIENT, PATIENT_PROJECTOR, SPACING, Drive, House
+from tests.system.house import AWAITS_REQUESTS, INTEL, PATIENT, SPACING, Drive, House
 
 pytestmark = pytest.mark.slow
 
@@ -60,7 +60,7 @@ def test_processes_and_one_process_agree_pose_for_pose(drive: Drive, house: Hous
     recording = tmp_path / "site.mcap"
     house.start("recorder", "--mcap", recording)
     house.start("mapbuilder", "--map", drive.map, "--spacing", SPACING)
-    house.start("projector", *PATIENT_PROJECTOR)
+    house.start("projector", *PATIENT, *AWAITS_REQUESTS)
     for service in ("tracker", "scan-ingest"):
         house.start(service, *PATIENT)
     house.until("projector", lambda health: health.status == Health.STATUS_OK, "has models")

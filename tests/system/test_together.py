@@ -21,7 +21,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.wire import encode
 
 from tests import environment
-from tests.system.house import ONE_THREAD, PATIENCE_S, PATIENT, PATIENT_PROJECTOR, Drive, House
+from tests.system.house import AWAITS_REQUESTS, ONE_THREAD, PATIENCE_S, PATIENT, Drive, House
 
 pytestmark = pytest.mark.slow
 
@@ -55,7 +55,7 @@ def test_together_and_separate_publish_the_same_bytes(
     one, many = tmp_path / "one.mcap", tmp_path / "many.mcap"
     common = ["--site", house.site, "--zenoh", house.config, *PATIENT]
     words = [
-        *("scan-ingest,tracker", *common), "--", *("projector", *common, *PATIENT_PROJECTOR),
+        *("scan-ingest,tracker", *common), "--", *("projector", *common, *AWAITS_REQUESTS),
         "--", *("mapbuilder", *common, "--model", models),
         "--", *("recorder", *common, "--robot", "*", "--mcap", one),
     ]  # fmt: skip
@@ -72,7 +72,7 @@ def test_together_and_separate_publish_the_same_bytes(
     house.start("recorder", "--mcap", many, "--robot", "*")
     house.start("mapbuilder", "--model", models)
     for service in QUICK:
-        house.start(service, *(PATIENT_PROJECTOR if service == "projector" else PATIENT))
+        house.start(service, *PATIENT, *(AWAITS_REQUESTS if service == "projector" else ()))
     play(house, drive)
     for service in (*QUICK, "mapbuilder", "recorder"):
         assert house.terminate(service) == 0

@@ -30,7 +30,7 @@ class WaitingScans:
     def __init__(self, counts: Counter[str], within: float) -> None:
         """`counts`: where a request that was waited for and did not come is counted.
 
-        `within`: how long a scan waits, s, by the stamps of its lidar.
+        `within`: how long a scan waits, s, by the stamps of its lidar; fewer than KEPT wait in any case.
         """
         self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
         self._counts, self._within_ns = counts, within * 1e9
