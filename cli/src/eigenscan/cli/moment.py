@@ -9,10 +9,9 @@ from datetime import UTC, datetime, timedelta
 
 import typer
 from eigenscan.runtime.errors import UsageError
+from eigenscan.workbench.playback.controls import MOST_S
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
-MOST_S = 1e9
-"""Thirty years: more seconds than a recording has, fewer than a stamp can count."""
 METAVAR = "<s or hh:mm[:ss]>"
 
 

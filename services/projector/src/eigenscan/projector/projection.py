@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from eigenscan.projector.first_look import first_look
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
 from eigenscan.projector.from_eigenspace import answer
+from eigenscan.projector.halves import halves, is_unsure
 from eigenscan.projector.likelihood import log_likelihood, ordinary_support
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.refinement import SLIDE, Fit, cost_at, fit
@@ -30,7 +32,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 TraceCallback = Callable[[str, Array], None]
-"""Called after each stage with its name and the sensor poses (n, 3) that it leaves."""
+"""Called after each stage with its name and the sensor poses (n, 3) that it leaves.
+
+The names of a second search's stages end with AGAIN.
+"""
+AGAIN = " again"
 
 PATCH_M, PATCH_RAD = 0.4, np.deg2rad(9.0)
 """Of candidates this near to each other only the best is refined."""
@@ -55,6 +61,22 @@ SLIDE_POINTS = 32
 """Beams that are enough for the coarse refinement."""
 
 
+@dataclass(frozen=True)
+class _Slid:
+    """Poses (n, 3) after the coarse refinement; the position beside each (n,), the region of each (n,)."""
+
+    poses: Array
+    home: Index
+    region: Index
+
+    def joined(self, other: _Slid) -> _Slid:
+        return _Slid(
+            np.concatenate([self.poses, other.poses]),
+            np.concatenate([self.home, other.home]),
+            np.concatenate([self.region, other.region]),
+        )
+
+
 class Search(Protocol):
     """Searches for a scan in the regions of a scope, as `find_candidates` does."""
 
@@ -73,7 +95,14 @@ def find_candidates(
     trace: TraceCallback = lambda *_: None,
     scope: Scope = WHOLE,
 ) -> Candidates:
-    """Candidate poses of the sensor in the map frame, of the regions in `scope`."""
+    """Candidate poses of the sensor in the map frame, of the regions in `scope`.
+
+    Where none is sure, the scan is searched for again by halves of its beams.
+    """
+
+    def again(stage: str, poses: Array) -> None:
+        trace(stage + AGAIN, poses)
+
     by_eigenspace = settings.verification == "eigenspace"
     masks = [np.isfinite(seen.coarse)] if by_eigenspace else _masks(seen.coarse)
     waiting = _prepare(site, view, seen, masks, scope)
@@ -81,13 +110,15 @@ def find_candidates(
     if by_eigenspace:
         found = answer(site, view, seen, projected, matches, settings.published)
         return replace(found, waiting=waiting if waiting.any() else None)
-    refined = settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA))
-    seeds, home, region = _verified(site, view, seen, matches, round(refined), trace)
-    slid = fit(site.coarse_walls, seeds, _sliding(seen), SLIDE)
-    trace("slid", slid.poses)
-    best = _promising(site, view, seen, slid.poses, home)
-    trace("kept to polish", slid.poses[best])
-    found = _weigh(site, seen, slid.poses[best], region[best], projected, settings, trace, scope)
+    refined = round(settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA)))
+    slid = _slide(site, view, seen, matches, refined, trace)
+    found = _weigh_promising(site, view, seen, slid, projected, settings, trace, scope)
+    if is_unsure(found) and view.tables.sweep is not None:
+        _, matches = _associate(view, seen, halves(masks[0]), settings.candidates, scope)
+        slid = slid.joined(_slide(site, view, seen, matches, refined, again))
+        found = _weigh_promising(site, view, seen, slid, projected, settings, again, scope)
+    trace("published", found.poses)
+    trace("first", found.poses[:1])
     if not waiting.any():
         return found
     return replace(found, waiting=waiting, unlisted_log_likelihood=0.0)  # of what waits nothing is known
@@ -157,7 +188,7 @@ def _associate(
     """The scan in every region's space, and the poses nearest to it there, as many for each of the masks."""
     projected = [project(view, seen, used, scope) for used in masks]
     matches = [_nearest(view, one, len(seen.coarse), count) for one in projected]
-    return projected[0], matches[0] if len(matches) == 1 else matches[0].joined(matches[1])
+    return projected[0], reduce(Matches.joined, matches)
 
 
 def project(view: SensorView, seen: Observation, used: NDArray[np.bool_], scope: Scope = WHOLE) -> Projected:
@@ -221,10 +252,20 @@ def _verified(
     return poses[best], position[best], region
 
 
-def _promising(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Index:
+def _slide(
+    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, trace: TraceCallback
+) -> _Slid:
+    """The best verified poses, `count` at most, after the coarse refinement."""
+    seeds, home, region = _verified(site, view, seen, matches, count, trace)
+    poses = fit(site.coarse_walls, seeds, _sliding(seen), SLIDE).poses
+    trace("slid", poses)
+    return _Slid(poses, home, region)
+
+
+def _promising(site: Site, view: SensorView, seen: Observation, slid: _Slid) -> Index:
     """Which slid poses to polish: the best supported, by ranges that the panoramas foresee."""
-    order = np.argsort(doubts(site, view, seen, slid, home))
-    return best_of_neighbourhoods(slid, order, SAME_M, SAME_RAD, POLISHED)
+    order = np.argsort(doubts(site, view, seen, slid.poses, slid.home))
+    return best_of_neighbourhoods(slid.poses, order, SAME_M, SAME_RAD, POLISHED)
 
 
 def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
@@ -234,16 +275,19 @@ def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tu
     )
 
 
-def _weigh(
+def _weigh_promising(
     site: Site,
+    view: SensorView,
     seen: Observation,
-    slid: Array,
-    region: Index,
+    among: _Slid,
     projected: Projected,
     settings: ProjectorSettings,
     trace: TraceCallback,
     scope: Scope,
 ) -> Candidates:
+    best = _promising(site, view, seen, among)
+    slid, region = among.poses[best], among.region[best]
+    trace("kept to polish", slid)
     weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
     found = []
     for reading, (polished, supported, explained) in zip(site.readings, weighed, strict=True):
@@ -260,8 +304,6 @@ def _weigh(
     covariances = pose_covariances(polished.information[kept], site.inexactness)
     likelihood = log_likelihood(supports, ordinary, seen.returned)
     likelihood -= _spread(site, polished.information[kept], covariances)
-    trace("published", poses)
-    trace("first", poses[:1])
     return Candidates(
         poses,
         covariances,

@@ -19,10 +19,8 @@ if TYPE_CHECKING:
     from blessed import Terminal
 
 STEP_S, LEAP_S = 5.0, 60.0
-
-
 MOST_S = 1e9
-"""Thirty years: farther than any recording goes."""
+"""Thirty years: farther than any recording goes, and fewer than a stamp can count."""
 
 
 class Do(Enum):
