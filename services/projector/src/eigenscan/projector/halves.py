@@ -7,6 +7,7 @@ the whole scan resembles others more. The rest of the beams alone may still find
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.circle import difference
 from eigenscan.projector.candidates import Candidates
 from numpy.typing import NDArray
 
@@ -23,9 +24,9 @@ def is_unsure(found: Candidates) -> bool:
     """Whether another place explains the scan nearly as well as the best pose does."""
     if not len(found.poses):
         return False
-    away = found.poses - found.poses[0]
-    turn = np.abs((away[:, 2] + np.pi) % (2 * np.pi) - np.pi)
-    other = (np.hypot(away[:, 0], away[:, 1]) > APART_M) | (turn > APART_RAD)
+    away = np.hypot(*(found.poses - found.poses[0])[:, :2].T)
+    turn = np.abs(difference(found.poses[:, 2], found.poses[0, 2]))
+    other = (away > APART_M) | (turn > APART_RAD)
     next_best = found.log_likelihoods[other].max(initial=-np.inf)
     return bool(found.log_likelihoods[0] - next_best < SURE_LEAD)
 

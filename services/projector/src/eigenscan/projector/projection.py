@@ -63,16 +63,16 @@ SLIDE_POINTS = 32
 
 @dataclass(frozen=True)
 class _Slid:
-    """Poses (n, 3) after the coarse refinement; the position beside each (n,), the region of each (n,)."""
+    """Poses (n, 3) after the coarse refinement; what speaks against each (n,), the region of each (n,)."""
 
     poses: Array
-    home: Index
+    doubts: Array
     region: Index
 
     def joined(self, other: _Slid) -> _Slid:
         return _Slid(
             np.concatenate([self.poses, other.poses]),
-            np.concatenate([self.home, other.home]),
+            np.concatenate([self.doubts, other.doubts]),
             np.concatenate([self.region, other.region]),
         )
 
@@ -112,11 +112,11 @@ def find_candidates(
         return replace(found, waiting=waiting if waiting.any() else None)
     refined = round(settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA)))
     slid = _slide(site, view, seen, matches, refined, trace)
-    found = _weigh_promising(site, view, seen, slid, projected, settings, trace, scope)
-    if is_unsure(found) and view.tables.sweep is not None:
+    found = _weigh_promising(site, seen, slid, projected, settings, trace, scope)
+    if view.tables.sweep is not None and is_unsure(found):
         _, matches = _associate(view, seen, halves(masks[0]), settings.candidates, scope)
         slid = slid.joined(_slide(site, view, seen, matches, refined, again))
-        found = _weigh_promising(site, view, seen, slid, projected, settings, again, scope)
+        found = _weigh_promising(site, seen, slid, projected, settings, again, scope)
     trace("published", found.poses)
     trace("first", found.poses[:1])
     if not waiting.any():
@@ -259,13 +259,7 @@ def _slide(
     seeds, home, region = _verified(site, view, seen, matches, count, trace)
     poses = fit(site.coarse_walls, seeds, _sliding(seen), SLIDE).poses
     trace("slid", poses)
-    return _Slid(poses, home, region)
-
-
-def _promising(site: Site, view: SensorView, seen: Observation, slid: _Slid) -> Index:
-    """Which slid poses to polish: the best supported, by ranges that the panoramas foresee."""
-    order = np.argsort(doubts(site, view, seen, slid.poses, slid.home))
-    return best_of_neighbourhoods(slid.poses, order, SAME_M, SAME_RAD, POLISHED)
+    return _Slid(poses, doubts(site, view, seen, poses, home), region)
 
 
 def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
@@ -277,7 +271,6 @@ def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tu
 
 def _weigh_promising(
     site: Site,
-    view: SensorView,
     seen: Observation,
     among: _Slid,
     projected: Projected,
@@ -285,7 +278,9 @@ def _weigh_promising(
     trace: TraceCallback,
     scope: Scope,
 ) -> Candidates:
-    best = _promising(site, view, seen, among)
+    """What is published of slid poses: those best supported by the panoramas are polished and weighed."""
+    order = np.argsort(among.doubts)
+    best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, POLISHED)
     slid, region = among.poses[best], among.region[best]
     trace("kept to polish", slid)
     weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
