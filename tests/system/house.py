@@ -32,6 +32,8 @@ PATIENT = ("--behind-after", "inf")
 """A busy machine must not lose what a test compares."""
 AWAITS_REQUESTS = ("--request-within", "inf")
 """The same of a projector: the tracker's requests come late there."""
+MISSED = ("dropped", "request_missing")
+"""Counters of what a busy machine loses."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,12 @@ class House:
 
     def _words(self, service: str) -> int:
         return sum(e.channel is HEALTH and e.address["service"] == service for e in self.ear.received)
+
+    def missed(self, service: str) -> dict[str, int]:
+        """Counters of what a service lost on a busy machine, as of its last word on itself."""
+        health = self.ear.health(service)
+        assert health, service
+        return {name: n for name, n in health.counters.items() if n and name.startswith(MISSED)}
 
     def until(self, service: str, holds: Callable[[Health], bool], about: str) -> Health:
         """The first word of a service on itself that `holds`."""

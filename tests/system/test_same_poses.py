@@ -17,9 +17,6 @@ from tests.system.house import AWAITS_REQUESTS, INTEL, PATIENT, SPACING, Drive, 
 
 pytestmark = pytest.mark.slow
 
-MISSED = ("dropped", "request_missing")
-"""Counters of what a busy machine loses."""
-
 Published = dict[int, tuple[float, float, float, int]]
 
 
@@ -70,10 +67,7 @@ def test_processes_and_one_process_agree_pose_for_pose(drive: Drive, house: Hous
         "tracker", lambda health: health.counters["heard_hypotheses"] == scans, "hears all hypotheses"
     )
     for service in ("scan-ingest", "projector", "tracker"):
-        health = house.ear.health(service)
-        assert health
-        missed = {name: n for name, n in health.counters.items() if n and name.startswith(MISSED)}
-        assert not missed, service
+        assert not house.missed(service), service
     # the tracker publishes what it held back when it is asked to stop
     for service in ("scan-ingest", "projector", "tracker", "mapbuilder", "recorder"):
         assert house.terminate(service) == 0

@@ -46,6 +46,8 @@ def play(house: House, drive: Drive) -> None:
     house.until(
         "tracker", lambda health: health.counters["heard_hypotheses"] == scans, "hears all hypotheses"
     )
+    for service in QUICK:
+        assert not house.missed(service), service
 
 
 @pytest.mark.dataset

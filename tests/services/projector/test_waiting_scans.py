@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.projector.local import KEPT, LONGEST_NS
-from eigenscan.projector.waiting_scans import WaitingScans
+from eigenscan.projector.waiting_scans import MOST_WAITING, WaitingScans
 from eigenscan.schemas.channels import SCAN, SEARCH
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses
@@ -84,15 +84,15 @@ def test_who_stops_requesting_is_waited_for_once() -> None:
     assert counts["request_missing"] == 1
 
 
-def test_who_waits_for_long_still_keeps_few_scans() -> None:
+def test_who_waits_for_any_time_waits_from_the_first_scan_on_and_keeps_few() -> None:
+    """A tracker that lags from the start: its first scans, too, wait for what it asks for."""
     counts = Counter[str]()
     waiting = WaitingScans(counts, math.inf)
-    in_time(waiting, START)
-    assert waiting.receive(LIDAR, seen(START + STEP))
-    for i in range(2, KEPT + 1):
+    assert stamps(waiting.receive(LIDAR, seen(START))) == [START]
+    for i in range(1, MOST_WAITING):
         assert waiting.receive(LIDAR, seen(START + i * STEP)) == []
-    assert stamps(waiting.receive(LIDAR, seen(START + (KEPT + 1) * STEP))) == [
-        START + i * STEP for i in range(2, KEPT + 2)
+    assert stamps(waiting.receive(LIDAR, seen(START + MOST_WAITING * STEP))) == [
+        START + i * STEP for i in range(1, MOST_WAITING + 1)
     ]
     assert counts["request_missing"] == 1
 

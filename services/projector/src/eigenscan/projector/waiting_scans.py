@@ -8,19 +8,23 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from math import isinf
 
 from eigenscan.projector.local import KEPT, LONGEST_NS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.recently_used import RecentlyUsed
+
+MOST_WAITING = 256
+"""Scans of a lidar: a tracker that hangs must not fill the memory. 25 s of a lidar of 10 Hz."""
 
 
 @dataclass
 class _Lidar:
     """Stamp of the last scan that was passed on, and of the last request; whether requests come in time."""
 
+    in_time: bool
     passed: int | None = None
     requested: int | None = None
-    in_time: bool = False
     waiting: deque[Envelope] = field(default_factory=deque)
 
 
@@ -30,27 +34,33 @@ class WaitingScans:
     def __init__(self, counts: Counter[str], within: float) -> None:
         """`counts`: where a request that was waited for and did not come is counted.
 
-        `within`: how long a scan waits, s, by the stamps of its lidar; fewer than KEPT wait in any case.
+        `within`: how long a scan waits, s, by the stamps of its lidar, while fewer than KEPT wait. Infinite:
+        from the first scan on, before any request has come in time, while fewer than MOST_WAITING wait.
         """
         self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
         self._counts, self._within_ns = counts, within * 1e9
+        self._always = isinf(within)
+        self._most = MOST_WAITING if self._always else KEPT
+
+    def _begin(self) -> _Lidar:
+        return _Lidar(in_time=self._always)
 
     def receive(self, lidar: tuple[str, str], scan: Envelope) -> list[Envelope]:
         """Takes a scan of a lidar, by its robot's and its own name; gives the scans to answer now."""
-        known = self._lidars.use(lidar, _Lidar)
+        known = self._lidars.use(lidar, self._begin)
         known.waiting.append(scan)
         return self._due(known)
 
     def requested(self, lidar: tuple[str, str], stamp: int) -> list[Envelope]:
         """Takes the stamp, ns, of a request; gives the scans to answer now."""
-        known = self._lidars.use(lidar, _Lidar)
+        known = self._lidars.use(lidar, self._begin)
         known.requested = stamp
         known.in_time = known.in_time or stamp == known.passed
         return self._due(known)
 
     def has_no_list(self, lidar: tuple[str, str]) -> None:
         """Says that no list is published of the last scan that was passed on: no request follows."""
-        known = self._lidars.use(lidar, _Lidar)
+        known = self._lidars.use(lidar, self._begin)
         known.requested = known.passed
 
     def rest(self) -> list[Envelope]:
@@ -72,7 +82,8 @@ class WaitingScans:
                 and 0 < stamp - known.passed <= LONGEST_NS
             )
             # also where the clock was set back, or stands
-            if waits and 0 <= known.waiting[-1].stamp - stamp < self._within_ns and len(known.waiting) < KEPT:
+            in_order = 0 <= known.waiting[-1].stamp - stamp < self._within_ns
+            if waits and in_order and len(known.waiting) < self._most:
                 break
             if waits:
                 known.in_time = False
