@@ -14,7 +14,8 @@ another place in between: what shows that it was (services/tracker, continuity.p
 
 And the rates of hiding and showing that make what the true pose meets most likely, by these figures.
 
-And how often one list leaves out what the lists before and after it have (services/tracker, belief.py).
+And how often one list leaves out what the lists before and after it have (services/tracker, belief.py); and
+of the true poses that a list leaves out, how many are left out 1 to 8 steps on, and all the way until there.
 
 And aliases: of the wrong tracks those that look right, by this table; and how many of these still do so 1 to
 15 steps on. Were scans from new places independent evidence, no more of them would than of all.
@@ -51,6 +52,7 @@ from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goe
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
 from eigenscan.tracker.evidence import (
     ALIASES,
+    EMERGES,
     ENDS,
     ENDS_LASTING,
     EVEN,
@@ -83,6 +85,7 @@ STRANGERS = 100
 LOOKS_RIGHT = 2.0
 """Nats by which a hypothesis speaks for its track, from which on the track looks right."""
 GOES_ON = (1, 2, 4, 6, 10, 15)
+STAYS_OUT = (1, 2, 4, 8)
 AWAY_M = 3.0
 """A place nearer than this is none that a robot was carried to."""
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
@@ -290,6 +293,18 @@ def missing(windows: list[list[Answer]]) -> dict[str, float]:
     return {"missing": left_out / max(lists, 1)}
 
 
+def staying_out(windows: list[list[Answer]]) -> dict[int, float]:
+    """Of the steps at which the true pose is not listed, after how many it is in none of the next ones."""
+    found = {steps: list[bool]() for steps in STAYS_OUT}
+    for scans in windows:
+        way = independent_way(scans) if len(scans) > 1 else np.zeros(1)
+        at = np.unique(np.searchsorted(way, np.arange(0.0, way[-1], 1.0)))
+        out = np.array([scans[k].at(scans[k].truth) is None for k in at], dtype=bool)
+        for steps, kept in found.items():
+            kept += [bool(out[k : k + steps + 1].all()) for k in np.flatnonzero(out[:-steps])]
+    return {steps: float(np.mean(kept)) if kept else float("nan") for steps, kept in found.items()}
+
+
 def continuity(windows: list[list[Answer]]) -> dict[str, list[float]]:
     """Shares of lists of which 0 to COMPARED go on: in the next one, and in one at least AWAY_M off."""
     together, apart = np.zeros(COMPARED + 1), np.zeros(COMPARED + 1)
@@ -352,6 +367,7 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
         }
         | hiding(windows)
         | missing(windows)
+        | {"stays_out": staying_out(windows)}
         | continuity(windows)
         | aliases(windows)
         | {"squared_errors": squared_errors(windows)}
@@ -363,6 +379,9 @@ def show(row: dict[str, Any]) -> None:
     print(f"a step: hides {row['hides']:.3f} (tracker {HIDES}), shows {row['shows']:.3f} ({SHOWS}), ", end="")
     print(f"{row['hiding_nats']:.3f} nats a step ({row['hiding_nats_of_the_tracker']:.3f})")
     print(f"left out between two lists that have it: {row['missing']:.1%} (tracker {MISSES:.1%})")
+    remain = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["stays_out"].items())
+    tracker = ", ".join(f"{np.exp(-EMERGES * steps):.0%}" for steps in STAYS_OUT)
+    print(f"of true poses that are left out, still left out: {remain} (tracker {tracker})")
     for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
         print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))
     ratio = [max(BY_CHANCE - count, np.log(LEAST)) for count in range(COMPARED + 1)]
@@ -382,9 +401,9 @@ def show(row: dict[str, Any]) -> None:
         print(f"   missed {row['ratio'][name]['missed']:+.1f}")
     quantiles = ", ".join(f"{each:.1f}" for each in np.percentile(row["strangers"], [10, 50, 90]))
     print(f"scans of another building, their best: 10, 50, 90 % are below {quantiles}")
-    tracker = np.exp(poorness((LIKELIHOODS[:-1] + LIKELIHOODS[1:]) / 2.0))
+    divisor = np.exp(poorness((LIKELIHOODS[:-1] + LIKELIHOODS[1:]) / 2.0))
     print("squared error, 3 were right; what the tracker divides it by")
-    for low, error, less in zip(LIKELIHOODS[:-1], row["squared_errors"], tracker, strict=True):
+    for low, error, less in zip(LIKELIHOODS[:-1], row["squared_errors"], divisor, strict=True):
         print(f"{low:>9g}..   " + ("-" if error is None else f"{error:.1f}") + f" ({less:.1f})", flush=True)
 
 

@@ -22,6 +22,7 @@ from eigenscan.tracker.covariance import (
 from eigenscan.tracker.evidence import (
     ALIASES,
     ALIKE_M,
+    EMERGES,
     ENDS,
     ENDS_LASTING,
     EVEN,
@@ -105,7 +106,7 @@ class Readable(Belief):
         old, others = tracks.pick(mine), tracks.pick(~mine)
         merit = Merit.of(seen)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
-        emerging = rest.searched[frame, source] * -np.expm1(-SHOWS * share.progress)
+        emerging = rest.searched[frame, source] * -np.expm1(-EMERGES * share.progress)
         findable = 1.0 - rest.searched[frame, source] + emerging
         density = rest.log_weight[frame] + np.log(findable / (rest.area[frame] * 2.0 * np.pi))
         alone = merit.alone + log_volume(seen.covariances) + density

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -9,8 +10,9 @@ from eigenscan.schemas.channels import TRACKS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate, Tracks
-from eigenscan.tracker.belief import Belief
+from eigenscan.tracker.belief import MISSES, Belief
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.evidence import EMERGES, SHOWN_YET_MISSED
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -477,6 +479,22 @@ def test_a_first_list_leaves_the_odds_that_the_robot_is_off_the_map(one: float, 
         belief.observe(seen, Share(1.0, 1.0, 1.0))
         odds.append(belief.elsewhere.log_weight[0] - belief.tracks.log_weight[0] - logit(share))
     assert odds[0] == pytest.approx(odds[1], abs=1e-9)
+
+
+@given(st.floats(0.0, 1.0), st.integers(1, 40))
+def test_what_lists_leave_out_is_less_and_less_on_the_map(progress: float, lists: int) -> None:
+    """Against the sum over when the place would have been listed first, list by list."""
+    belief, none = Belief(TrackerSettings()), np.zeros(0)
+    seen = Observation(0, "a/0", "a", "map", np.zeros((0, 3)), np.zeros((0, 3, 3)), none, 0.0, 400.0, True)
+    belief.observe(seen, Share(1.0, 1.0, 1.0))
+    before = belief.elsewhere.log_weight[1] - belief.elsewhere.log_weight[0]
+    left_out = 1.0
+    for k in range(lists):
+        belief.observe(seen, Share(1.0, progress, 1.0))
+        emerging = (1.0 - MISSES ** (k + 1)) * left_out * -math.expm1(-EMERGES * progress)
+        left_out -= emerging * -math.expm1(SHOWN_YET_MISSED)
+    after = belief.elsewhere.log_weight[1] - belief.elsewhere.log_weight[0]
+    assert after - before == pytest.approx(math.log(left_out), abs=1e-9)
 
 
 def test_a_lidar_that_sees_all_around_learns_nothing_by_a_turn(make_core: MakeCore, speaker: Speaker) -> None:

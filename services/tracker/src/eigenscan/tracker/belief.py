@@ -185,6 +185,7 @@ def _constants(off_map_share: float) -> Constants:
         evidence.SHOWN_YET_MISSED,
         evidence.HIDES,
         evidence.SHOWS,
+        evidence.EMERGES,
         evidence.ALIASES,
         evidence.ENDS,
         evidence.LASTING,

@@ -117,7 +117,7 @@ def _move_on(tracks: Columns, rest: Rest, scan: Scan, c: Constants) -> None:
 
 @inner()  # pragma: no cover - compiled
 def _emerging(rest: Rest, frame: int, scan: Scan, c: Constants) -> float:
-    return float(rest.searched[frame, scan.source] * -np.expm1(-c.shows * scan.progress))
+    return float(rest.searched[frame, scan.source] * -np.expm1(-c.emerges * scan.progress))
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
