@@ -8,7 +8,7 @@ import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, within_gate
-from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere
+from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere, emerges
 from eigenscan.tracker.covariance import (
     determinant,
     fuse,
@@ -22,7 +22,6 @@ from eigenscan.tracker.covariance import (
 from eigenscan.tracker.evidence import (
     ALIASES,
     ALIKE_M,
-    EMERGES,
     ENDS,
     ENDS_LASTING,
     EVEN,
@@ -106,7 +105,7 @@ class Readable(Belief):
         old, others = tracks.pick(mine), tracks.pick(~mine)
         merit = Merit.of(seen)
         pairs = associate(old.x, old.C, seen.poses, seen.covariances, self.gate)
-        emerging = rest.searched[frame, source] * -np.expm1(-EMERGES * share.progress)
+        emerging = rest.searched[frame, source] * -np.expm1(-emerges(self.off_map_share) * share.progress)
         findable = 1.0 - rest.searched[frame, source] + emerging
         density = rest.log_weight[frame] + np.log(findable / (rest.area[frame] * 2.0 * np.pi))
         alone = merit.alone + log_volume(seen.covariances) + density

@@ -10,9 +10,9 @@ from eigenscan.schemas.channels import TRACKS
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate, Tracks
-from eigenscan.tracker.belief import MISSES, Belief
+from eigenscan.tracker.belief import MISSES, Belief, emerges
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.evidence import EMERGES, SHOWN_YET_MISSED
+from eigenscan.tracker.evidence import EMERGES, SHOWN_YET_MISSED, SHOWS
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -495,6 +495,14 @@ def test_what_lists_leave_out_is_less_and_less_on_the_map(progress: float, lists
         left_out -= emerging * -math.expm1(SHOWN_YET_MISSED)
     after = belief.elsewhere.log_weight[1] - belief.elsewhere.log_weight[0]
     assert after - before == pytest.approx(math.log(left_out), abs=1e-9)
+
+
+@given(st.floats(1e-9, 0.5), st.floats(1e-9, 0.5))
+def test_the_more_of_the_building_a_map_lacks_the_longer_lists_leave_a_robot_out(
+    one: float, other: float
+) -> None:
+    mapped, lacking = emerges(min(one, other)), emerges(max(one, other))
+    assert SHOWS < lacking <= mapped <= EMERGES
 
 
 def test_a_lidar_that_sees_all_around_learns_nothing_by_a_turn(make_core: MakeCore, speaker: Speaker) -> None:
