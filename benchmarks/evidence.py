@@ -168,6 +168,12 @@ def independent_way(scans: list[Answer]) -> np.ndarray:
     return np.append(0.0, np.cumsum(moved + turned))
 
 
+def at_each_step(scans: list[Answer], begin: float = 0.0) -> NDArray[np.intp]:
+    """Indices of the first scans that are as many steps on, from `begin` steps."""
+    way = independent_way(scans)
+    return np.unique(np.searchsorted(way, np.arange(begin, way[-1], 1.0)))
+
+
 @dataclass
 class Counts:
     """How often tracks had a hypothesis of a likelihood and lead, (L, A), and how often none."""
@@ -262,10 +268,8 @@ def hiding(windows: list[list[Answer]]) -> dict[str, float]:
 
 def at_steps(scans: list[Answer]) -> Iterator[np.ndarray]:
     """The true pose's worth in nats at every step; twice, the second time half a step on."""
-    way = independent_way(scans)
     for begin in (0.0, 0.5):
-        at = np.unique(np.searchsorted(way, np.arange(begin, way[-1], 1.0)))
-        yield np.array([worth(scans[k], scans[k].truth) for k in at])
+        yield np.array([worth(scans[k], scans[k].truth) for k in at_each_step(scans, begin)])
 
 
 def explained(met: list[np.ndarray], hides: float, shows: float) -> float:
@@ -297,9 +301,9 @@ def staying_out(windows: list[list[Answer]]) -> dict[int, float]:
     """Of the steps at which the true pose is not listed, after how many it is in none of the next ones."""
     found = {steps: list[bool]() for steps in STAYS_OUT}
     for scans in windows:
-        way = independent_way(scans) if len(scans) > 1 else np.zeros(1)
-        at = np.unique(np.searchsorted(way, np.arange(0.0, way[-1], 1.0)))
-        out = np.array([scans[k].at(scans[k].truth) is None for k in at], dtype=bool)
+        if len(scans) < 2:
+            continue
+        out = np.array([scans[k].at(scans[k].truth) is None for k in at_each_step(scans)], dtype=bool)
         for steps, kept in found.items():
             kept += [bool(out[k : k + steps + 1].all()) for k in np.flatnonzero(out[:-steps])]
     return {steps: float(np.mean(kept)) if kept else float("nan") for steps, kept in found.items()}
@@ -381,7 +385,7 @@ def show(row: dict[str, Any]) -> None:
     print(f"left out between two lists that have it: {row['missing']:.1%} (tracker {MISSES:.1%})")
     remain = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["stays_out"].items())
     tracker = ", ".join(f"{np.exp(-EMERGES * steps):.0%}" for steps in STAYS_OUT)
-    print(f"of true poses that are left out, still left out: {remain} (tracker {tracker})")
+    print(f"of true poses that are left out, still left out: {remain} (tracker, whole map: {tracker})")
     for name, what in (("together", "of ten go on in the next list"), ("apart", "where carried away")):
         print(f"{what:<30} " + "".join(f"{share:>7.1%}" for share in row[name]))
     ratio = [max(BY_CHANCE - count, np.log(LEAST)) for count in range(COMPARED + 1)]

@@ -82,8 +82,8 @@ class WaitingScans:
                 and 0 < stamp - known.passed <= LONGEST_NS
             )
             # also where the clock was set back, or stands
-            in_order = 0 <= known.waiting[-1].stamp - stamp < self._within_ns
-            if waits and in_order and len(known.waiting) < self._most:
+            is_patient = 0 <= known.waiting[-1].stamp - stamp < self._within_ns
+            if waits and is_patient and len(known.waiting) < self._most:
                 break
             if waits:
                 known.in_time = False
