@@ -19,10 +19,10 @@ from eigenscan.projector.first_look import first_look
 from eigenscan.projector.focus import WHOLE, Scope
 from eigenscan.projector.foreground import foreground
 from eigenscan.projector.from_eigenspace import answer
-from eigenscan.projector.halves import halves, is_unsure
 from eigenscan.projector.likelihood import log_likelihood, ordinary_support
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.refinement import SLIDE, Fit, cost_at, fit
+from eigenscan.projector.second_search import is_unsure, most_alike
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Reading, SensorView, Site
 from eigenscan.projector.verification import verify
@@ -46,6 +46,8 @@ SAME_M, SAME_RAD = 0.25, np.deg2rad(5.0)
 """Refined poses this near to each other are one."""
 ONE_M, ONE_RAD = 0.05, float(np.deg2rad(2.0))
 """The same of slid poses around one place: the polish moves them into one."""
+AGAIN_REFINED = 2
+"""Times as many candidates are refined in a second search: the right one is seldom among the best."""
 POLISHED = 48
 """Slid poses that are polished and weighed."""
 FOREGROUND_SHARE = 0.1
@@ -97,7 +99,7 @@ def find_candidates(
 ) -> Candidates:
     """Candidate poses of the sensor in the map frame, of the regions in `scope`.
 
-    Where none is sure, the scan is searched for again by halves of its beams.
+    Where none is sure, the scan is searched for again without the eigenspace.
     """
 
     def again(stage: str, poses: Array) -> None:
@@ -111,11 +113,11 @@ def find_candidates(
         found = answer(site, view, seen, projected, matches, settings.published)
         return replace(found, waiting=waiting if waiting.any() else None)
     refined = round(settings.refined * max(1.0, np.sqrt(site.area(scope.regions) / USUAL_AREA)))
-    slid = _slide(site, view, seen, matches, refined, trace)
+    slid = _slide(site, view, seen, _seeds(view, matches), refined, trace)
     found = _weigh_promising(site, seen, slid, projected, settings, trace, scope)
     if view.tables.sweep is not None and is_unsure(found):
-        _, matches = _associate(view, seen, halves(masks[0]), settings.candidates, scope)
-        slid = slid.joined(_slide(site, view, seen, matches, refined, again))
+        alike = _alike(site, view, seen, settings.candidates, scope)
+        slid = slid.joined(_slide(site, view, seen, alike, AGAIN_REFINED * refined, again))
         found = _weigh_promising(site, seen, slid, projected, settings, again, scope)
     trace("published", found.poses)
     trace("first", found.poses[:1])
@@ -222,10 +224,21 @@ def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> 
     return found if view.ratios is None else view.ratios.interpolate(found, projected.coefficients)
 
 
-def _verified(
-    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, trace: TraceCallback
-) -> tuple[Array, Index, Index]:
-    """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
+@dataclass(frozen=True)
+class _Seeds:
+    """Positions (n,) of the lattice and windows (n,) of their panoramas, and a region (n,) of each.
+
+    `offset` (n, 3): from there, m, m, rad, None without interpolation.
+    """
+
+    home: Index
+    window: Index
+    region: Index
+    offset: Array | None = None
+
+
+def _seeds(view: SensorView, matches: Matches) -> _Seeds:
+    """The poses nearest to the scan in eigenspace, each once."""
     offset = None
     if matches.between is None:
         rows, home, window = view.distinct_places(matches.sorted_rows)
@@ -235,6 +248,25 @@ def _verified(
         home, window = view.places(rows)
         window += np.rint(offset[:, 2] * (ANALYSIS_TURN / TURN)).astype(np.int64)
         window %= ANALYSIS_TURN
+    return _Seeds(home, window, np.searchsorted(view.bounds, rows, side="right") - 1, offset)
+
+
+def _alike(site: Site, view: SensorView, seen: Observation, count: int, scope: Scope) -> _Seeds:
+    """The poses of the regions in `scope` whose predicted scans are most like the scan."""
+    ready = view.tables.ready if scope.regions is None else view.tables.ready & scope.regions
+    own = [site.lattice.searched[region] for region in np.flatnonzero(ready)]
+    if not own:
+        return _Seeds(*np.zeros((3, 0), dtype=np.int64))
+    positions = np.unique(np.concatenate(own))
+    home, window = most_alike(view.windows, view.leaves, positions, seen.coarse, seen.sensor.range_max, count)
+    return _Seeds(home, window, site.lattice.region_of[home])
+
+
+def _verified(
+    site: Site, view: SensorView, seen: Observation, seeds: _Seeds, count: int, trace: TraceCallback
+) -> tuple[Array, Index, Index]:
+    """Poses to refine (k, 3), positions beside them (k,), their regions (k,): the best of neighbourhoods."""
+    home, window, offset = seeds.home, seeds.window, seeds.offset
     positions, angle_min = site.lattice.positions, seen.sensor.angle_min
     position, window, cost = verify(
         view.windows, view.leaves, site.lattice, home, window, seen.coarse, seen.sensor.range_max, CLIMBING
@@ -248,15 +280,14 @@ def _verified(
     by_ends = np.argsort(cost_at(site.coarse_walls, poses, _sliding(seen), SLIDE.first))
     best = best_of_neighbourhoods(poses, np.append(best, by_ends), PATCH_M, PATCH_RAD, count)
     trace("verified", poses[best])
-    region = np.searchsorted(view.bounds, rows[best], side="right") - 1
-    return poses[best], position[best], region
+    return poses[best], position[best], seeds.region[best]
 
 
 def _slide(
-    site: Site, view: SensorView, seen: Observation, matches: Matches, count: int, trace: TraceCallback
+    site: Site, view: SensorView, seen: Observation, found: _Seeds, count: int, trace: TraceCallback
 ) -> _Slid:
     """The best verified poses, `count` at most, after the coarse refinement."""
-    seeds, home, region = _verified(site, view, seen, matches, count, trace)
+    seeds, home, region = _verified(site, view, seen, found, count, trace)
     poses = fit(site.coarse_walls, seeds, _sliding(seen), SLIDE).poses
     trace("slid", poses)
     return _Slid(poses, doubts(site, view, seen, poses, home), region)
@@ -292,7 +323,8 @@ def _weigh_promising(
         found.append((polished, supported, explained, kept, ordinary, reading))
     # whether walls are as thick as they are drawn is the same for all beams: the whole scan shows
     polished, supported, explained, kept, ordinary, reading = max(
-        found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum())
+        found,
+        key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum()),
     )
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]

@@ -79,10 +79,8 @@ def verify(
     `windows` and `leaves` as of `predicted`; `coarse` (J,) the scan; the `climbing` best also move in
     position.
     """
-    most = cap(range_max)
-    counted = by_reach(np.minimum(coarse[np.isfinite(coarse)], most))
-    scan, weight = np.zeros((2, _room(len(coarse))), dtype=np.int16)
-    unit = STEPS * max(_weigh(coarse, most, counted, 0.0 < range_max <= RANGE_CAP, scan, weight), 1)
+    scan, weight, total = in_steps(coarse, range_max)
+    unit = STEPS * max(total, 1)
     best_heading, cost = np.empty_like(heading), np.empty(len(position), dtype=np.int32)
     _turn(windows, leaves, position, heading, scan, weight, best_heading, cost)
     if lattice.finer:
@@ -91,6 +89,14 @@ def verify(
             better = np.argpartition(cost, climbing)[:climbing]
         _climb(windows, leaves, lattice.neighbours, better, position, best_heading, scan, weight, cost)
     return position, best_heading, (cost / unit).astype(np.float32)
+
+
+def in_steps(coarse: NDArray[np.float32], range_max: float) -> tuple[Steps, Steps, int]:
+    """A scan (J,) in STEPS and its beams' weights, filled up to whole vectors; and the sum of the weights."""
+    most = cap(range_max)
+    counted = by_reach(np.minimum(coarse[np.isfinite(coarse)], most))
+    scan, weight = np.zeros((2, _room(len(coarse))), dtype=np.int16)
+    return scan, weight, _weigh(coarse, most, counted, 0.0 < range_max <= RANGE_CAP, scan, weight)
 
 
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
@@ -187,7 +193,8 @@ def find_overshot(
 
 
 @njit(cache=True, nogil=True, inline="always")  # pragma: no cover - compiled
-def _cost(scan: np.int16, enter: np.int16, leave: np.int16, weight: np.int16) -> np.int32:
+def cost_of_beam(scan: np.int16, enter: np.int16, leave: np.int16, weight: np.int16) -> np.int32:
+    """What a beam of this range costs whose wall is from `enter` to `leave`, all in STEPS."""
     # each step narrow, so that a vector holds many
     beyond, before = np.int16(scan - leave), np.int16(enter - scan)
     steps = max(min(beyond, np.int16(LONG * STEPS)), min(before, np.int16(SHORT * STEPS)), np.int16(0))
@@ -203,9 +210,9 @@ def _best_of_three(enter: Steps, leave: Steps, scan: Steps, weight: Steps) -> tu
     left, middle, right = np.int32(0), np.int32(0), np.int32(0)
     for j in range(len(scan)):
         s, w = scan[j], weight[j]
-        left = np.int32(left + _cost(s, enter[j], leave[j], w))
-        middle = np.int32(middle + _cost(s, enter[j + 1], leave[j + 1], w))
-        right = np.int32(right + _cost(s, enter[j + 2], leave[j + 2], w))
+        left = np.int32(left + cost_of_beam(s, enter[j], leave[j], w))
+        middle = np.int32(middle + cost_of_beam(s, enter[j + 1], leave[j + 1], w))
+        right = np.int32(right + cost_of_beam(s, enter[j + 2], leave[j + 2], w))
     least, step = middle, 0
     if left < least:
         least, step = left, -1
