@@ -76,9 +76,7 @@ def building(*boxes: tuple[float, float, float, float, int]) -> Site:
 def of_map(grid: GridMap) -> Site:
     """All that advice needs of a site."""
     walls, caster = WallField.of(DistanceField.of(grid)), RayCaster.of(grid)
-    site = SimpleNamespace(
-        frame_id="map", drawn=walls, caster=caster, readings=(Reading(walls, caster),), sure_of_walls=1.0
-    )
+    site = SimpleNamespace(frame_id="map", drawn=walls, caster=caster, readings=(Reading(walls, caster),))
     return cast(Site, site)
 
 

@@ -17,7 +17,7 @@ from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
 from eigenscan.projector.intervals import clearance, leaving
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.likelihood import beyond_walls, support, sure_of_walls
+from eigenscan.projector.likelihood import Exactness, beyond_walls, support
 from eigenscan.projector.observation import by_reach, observe
 from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
@@ -290,7 +290,17 @@ def test_support_counts_walls_and_beams_through_them() -> None:
 
 @pytest.mark.parametrize(("inexactness", "sure"), [(0.0, 1.0), (0.05, 0.5), (0.15, 0.1)])
 def test_a_map_is_as_sure_of_its_walls_as_they_are_exact(inexactness: float, sure: float) -> None:
-    assert sure_of_walls(inexactness) == pytest.approx(sure)
+    assert Exactness.of(inexactness).sure == pytest.approx(sure)
+
+
+@pytest.mark.parametrize("inexactness", [0.0, 0.05, 0.15])
+def test_by_chance_an_end_point_lacks_as_much_in_any_map(inexactness: float) -> None:
+    distance = np.linspace(0.0, 1.0, 10_001)
+    lacking = []
+    for exactness in (Exactness.of(0.0), Exactness.of(inexactness)):
+        counts = exactness.scale**2 / (exactness.scale**2 + distance**2)
+        lacking.append(exactness.gain * np.mean(1.0 - counts))
+    assert lacking[1] == pytest.approx(lacking[0], rel=1e-3)
 
 
 def test_many_beams_on_one_near_thing_show_little_more_than_one() -> None:

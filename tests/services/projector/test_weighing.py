@@ -5,7 +5,7 @@ import pytest
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.projector.intervals import clearance
-from eigenscan.projector.likelihood import beyond_walls, support
+from eigenscan.projector.likelihood import Exactness, beyond_walls, support
 from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.publishing import to_base
@@ -30,12 +30,12 @@ def office() -> Site:
     return Site(whole, ProjectorSettings())
 
 
-@pytest.mark.parametrize("sure", [0.2, 1.0])
+@pytest.mark.parametrize("inexactness", [0.0, 0.1])
 @pytest.mark.parametrize("field_of_view", [np.pi, 2.0 * np.pi])
 def test_weighing_is_fitting_casting_clearing_and_supporting(
-    office: Site, field_of_view: float, sure: float
+    office: Site, field_of_view: float, inexactness: float
 ) -> None:
-    rng = np.random.default_rng(5)
+    rng, exactness = np.random.default_rng(5), Exactness.of(inexactness)
     for number, truth in enumerate(free_poses(12, 31)):
         seen = observe(scan_at(truth, field_of_view=field_of_view, seed=number))
         slid = truth + rng.uniform(-1.0, 1.0, (5, 3)) * [0.5, 0.5, 0.2]
@@ -43,20 +43,22 @@ def test_weighing_is_fitting_casting_clearing_and_supporting(
         reading = office.readings[0]
         bearings, ranges = seen.weighed
         found, supported, explained = weigh(
-            reading.walls, reading.caster, office.drawn, slid, seen.points, seen.weighed, sure
+            reading.walls, reading.caster, office.drawn, slid, seen.points, seen.weighed, exactness
         )
 
         polished = fit(reading.walls, slid, seen.points, POLISH)
         entered = reading.caster.cast(polished.poses, bearings, ranges)
         clear = clearance(office.drawn, polished.poses, bearings, entered, ranges)
-        mean, share = support(reading.walls, polished.poses, bearings, ranges, sure * beyond_walls(clear))
+        through = exactness.sure * beyond_walls(clear, exactness.scale)
+        mean, share = support(reading.walls, polished.poses, bearings, ranges, through, exactness.scale)
         assert np.allclose(difference(found.poses[:, 2], polished.poses[:, 2]), 0.0, atol=1e-6)
         assert np.allclose(found.poses[:, :2], polished.poses[:, :2], atol=1e-6)
         assert np.allclose(found.cost, polished.cost, atol=1e-6)
         assert np.allclose(found.information, polished.information, rtol=1e-4, atol=1e-2)
         dark = office.caster.in_dark(polished.poses[:, :2])
         assert dark[4]
-        assert np.allclose(supported, mean - UNKNOWN_GROUND * dark, atol=1e-5)
+        counted = 1.0 - exactness.gain * (1.0 - mean)
+        assert np.allclose(supported, counted - UNKNOWN_GROUND * dark, atol=1e-5)
         assert np.allclose(explained, share, atol=1.0 / len(ranges))
 
 

@@ -14,7 +14,7 @@ from eigenscan.eigenspace.panorama import Sensor
 from eigenscan.geometry.pose import compose
 from eigenscan.geometry.raycast import cast_rays, in_cells
 from eigenscan.projector.intervals import find_clearance
-from eigenscan.projector.likelihood import FULL_BEAMS, NATS, find_support, sure_beyond
+from eigenscan.projector.likelihood import FULL_BEAMS, NATS, Exactness, find_support, sure_beyond
 from eigenscan.projector.observation import NEAREST
 from eigenscan.projector.site import Site
 from eigenscan.projector.wall_field import cells_of
@@ -94,7 +94,7 @@ def odds(site: Site, lidars: Sequence[Lidar], moved: Array) -> Array:
             bearings,
             lidar.reach,
             full,
-            site.sure_of_walls,
+            site.readings[0].exactness,
             out,
         )
         total += out
@@ -119,7 +119,7 @@ def fitted_odds(site: Site, lidars: Sequence[Lidar], places: Array) -> Array:
             points = np.column_stack([beams[1] * np.cos(beams[0]), beams[1] * np.sin(beams[0])])
             reading = site.readings[0]
             _, support, _ = weigh(
-                reading.walls, reading.caster, site.drawn, sensors, points, beams, site.sure_of_walls
+                reading.walls, reading.caster, site.drawn, sensors, points, beams, reading.exactness
             )
             worth = NATS * SUPPOSED * min(1.0, int(back.sum()) / full)
             total[a] += worth * np.maximum(support[a] - support - UNSURE, 0.0)
@@ -143,7 +143,7 @@ def _odds(
     bearings: Array,
     reach: float,
     full: float,
-    sure: float,
+    exactness: Exactness,
     out: Array,
 ) -> None:
     leap, map_in_grid, resolution, turned = rays
@@ -173,13 +173,21 @@ def _odds(
             find_clearance(cells, cell, cells_of(map_in_field, cell, poses), along, there, seen, through)
             for b in range(places):
                 for j in range(count):
-                    through[b, j] = sure_beyond(through[b, j]) * sure
+                    through[b, j] = sure_beyond(through[b, j], exactness.scale) * exactness.sure
             cells, cell, map_in_field = surface
             support = np.empty((2, places))
             find_support(
-                cells, cell, cells_of(map_in_field, cell, poses), along, seen, share, through, support
+                cells,
+                cell,
+                cells_of(map_in_field, cell, poses),
+                along,
+                seen,
+                share,
+                through,
+                exactness.scale,
+                support,
             )
-            worth = NATS * SUPPOSED * min(1.0, count / full)
+            worth = NATS * SUPPOSED * exactness.gain * min(1.0, count / full)
             for b in range(places):
                 if b != a:
                     out[i, a, b] = worth * max(support[0, a] - support[0, b] - UNSURE, 0.0)

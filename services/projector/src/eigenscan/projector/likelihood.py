@@ -7,17 +7,20 @@ merely look similar.
 
 from __future__ import annotations
 
+from math import atan, hypot
+from typing import NamedTuple
+
 import numpy as np
 from eigenscan.projector.covariance import POINT_SIGMA
 from eigenscan.projector.observation import by_reach
-from eigenscan.projector.wall_field import WallField, unpack
+from eigenscan.projector.wall_field import REACH, WallField, unpack
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WALL_SCALE = 0.15
-"""m from a wall at which an end point counts half: noise, the map's resolution, rest of the pose's error."""
+HALF = 3.0
+"""Standard deviations from a wall at which an end point counts half: the map's error, and the scan's."""
 THROUGH_WEIGHT = 0.8
 """Weight of a beam through a wall against a pose, in beams on a wall."""
 ORDINARY_RANK = 10
@@ -35,21 +38,57 @@ What a depth camera sees of a wall fits many places that its list leaves out: be
 """
 
 
+class Exactness(NamedTuple):
+    """What follows from how far a map's surfaces are off: for compiled code, too.
+
+    `scale`, m from a wall, at which an end point counts half. `sure`: how surely a wall is there, 0 to 1.
+    `gain`: how much more counts what support lacks, for a wide scale makes it alike everywhere.
+    """
+
+    scale: float
+    sure: float
+    gain: float
+
+    @classmethod
+    def of(cls, inexactness: float) -> Exactness:
+        """For surfaces that are off by `inexactness`, m, standard deviation.
+
+        An inexact map draws walls that are not there, and beams from the right pose go through them. What is
+        left is the share of a scan's information that such walls leave. The gain is such that an end point
+        anywhere within REACH of a wall lacks as much as in an exact map (benchmarks/maps.py --way smeared
+        --way fatter --way "thick, coarse, warped").
+        """
+        scale = HALF * hypot(POINT_SIGMA, inexactness)
+        sure = POINT_SIGMA**2 / (POINT_SIGMA**2 + inexactness**2)
+        return cls(scale, sure, (1.0 - _by_chance(HALF * POINT_SIGMA)) / (1.0 - _by_chance(scale)))
+
+
+def _by_chance(scale: float) -> float:
+    """Mean of what end points count whose distances from a wall, up to REACH, are equally likely."""
+    return scale / REACH * atan(REACH / scale)
+
+
+EXACT = Exactness.of(0.0)
+
+
 def support(
     field: WallField,
     poses: Array,
     bearings: Array,
     seen: NDArray[np.float32],
     through: NDArray[np.float32],
+    scale: float = EXACT.scale,
 ) -> tuple[Array, Array]:
     """Mean support (n,) of a scan for sensor poses (n, 3), at most 1, and the share (n,) of explained beams.
 
     `seen` (B,) are finite ranges along `bearings` (B,); `through` (n, B), 0 to 1, shows how surely beams went
-    through a wall. A beam is explained that ends at a wall, and more likely than not at the first one. Beams
-    count `by_reach`.
+    through a wall. `scale` as of `Exactness`. A beam is explained that ends at a wall, and more likely than
+    not at the first one. Beams count `by_reach`.
     """
     out = np.empty((2, len(poses)))
-    find_support(field.cells, field.cell, field.cells_of(poses), bearings, seen, share_of(seen), through, out)
+    find_support(
+        field.cells, field.cell, field.cells_of(poses), bearings, seen, share_of(seen), through, scale, out
+    )
     return out[0], out[1]
 
 
@@ -58,30 +97,21 @@ def share_of(seen: NDArray[np.float32]) -> Array:
     return by_reach(seen) / max(len(seen), 1)
 
 
-def beyond_walls(clear: NDArray[np.float32]) -> NDArray[np.float32]:
+def beyond_walls(clear: NDArray[np.float32], scale: float = EXACT.scale) -> NDArray[np.float32]:
     """How surely beams went through a wall, 0 to 1, that got so far, m, away from every wall behind it.
 
     What an end point as far from a wall lacks of counting whole.
     """
     square = clear * clear
-    sure: NDArray[np.float32] = square / (square + np.float32(WALL_SCALE**2))
+    sure: NDArray[np.float32] = square / (square + np.float32(scale**2))
     return sure
 
 
 @njit(inline="always")  # pragma: no cover - compiled
-def sure_beyond(clear: np.float32) -> np.float32:
+def sure_beyond(clear: np.float32, scale: float) -> np.float32:
     """For compiled code: `beyond_walls` of one beam."""
     square = clear * clear
-    return np.float32(square / (square + np.float32(WALL_SCALE**2)))
-
-
-def sure_of_walls(inexactness: float) -> float:
-    """How surely a wall is there, 0 to 1, in a map whose surfaces are off by `inexactness`, m.
-
-    Such a map draws walls that are not there, and beams from the right pose go through them. What is left is
-    the share of a scan's information that such walls leave (benchmarks/maps.py --way smeared --way fatter).
-    """
-    return POINT_SIGMA**2 / (POINT_SIGMA**2 + inexactness**2)
+    return np.float32(square / (square + np.float32(scale**2)))
 
 
 def ordinary_support(supports: Array, parts: int = 1) -> float:
@@ -115,6 +145,7 @@ def find_support(
     seen: NDArray[np.float32],
     share: Array,
     through: NDArray[np.float32],
+    scale: float,
     out: Array,
 ) -> None:
     """For compiled code: `support` of poses (n, 3) in the field; each beam's `share` (B,); `out` (2, n)."""
@@ -122,7 +153,7 @@ def find_support(
     one, half, zero, unit = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(cell)
     flat, columns = cells.reshape(-1), np.int32(cells.shape[1])
     right, top = np.float32(cells.shape[1]) - half, np.float32(cells.shape[0]) - half
-    s2, against = np.float32(WALL_SCALE**2), np.float32(THROUGH_WEIGHT)
+    s2, against = np.float32(scale**2), np.float32(THROUGH_WEIGHT)
     px, py = (seen * np.cos(bearings) / cell).astype(np.float32), np.empty(len(seen), dtype=np.float32)
     py[:] = seen * np.sin(bearings) / cell
     weight = share.astype(np.float32)

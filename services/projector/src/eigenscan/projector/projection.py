@@ -296,7 +296,7 @@ def _slide(
 def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
     """Slid poses polished on a reading's surfaces, with their support and the share of explained beams."""
     return weigh(
-        reading.walls, reading.caster, site.drawn, slid, seen.points, seen.weighed, site.sure_of_walls
+        reading.walls, reading.caster, site.drawn, slid, seen.points, seen.weighed, reading.exactness
     )
 
 

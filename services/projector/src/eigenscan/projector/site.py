@@ -18,7 +18,7 @@ from eigenscan.projector.association.manifold import Association
 from eigenscan.projector.association.ratios import Ratios
 from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.likelihood import sure_of_walls
+from eigenscan.projector.likelihood import EXACT, Exactness
 from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.share import own_share, shared_area
@@ -155,11 +155,12 @@ def _distinct_places(
 
 @dataclass(frozen=True)
 class Reading:
-    """Where the surfaces of the walls are taken to be: the distance to them, and rays."""
+    """Where the surfaces of the walls are taken to be: the distance to them, and rays; how exact they are."""
 
     walls: WallField
     caster: RayCaster
     surfaces: Stated = SURFACES_UNSPECIFIED
+    exactness: Exactness = EXACT
 
 
 class Site:
@@ -167,7 +168,7 @@ class Site:
 
     `readings`: where the walls' surfaces may be, in their middle and, where they are thick, at their faces;
     each scan shows which. `caster` is the first one's, `drawn` of the walls as the map draws them.
-    `inexactness`, m: how far surfaces may be from there; `sure_of_walls`: how surely walls are there.
+    `inexactness`, m: how far surfaces may be from there.
     `boxes` (R, 4): corners of the regions, x and y from, x and y to, m, map frame.
     Raises ModelError where its share is empty.
     """
@@ -186,14 +187,16 @@ class Site:
         self.searched_area_m2 = shared_area(whole.regions, own, whole.free_area_m2)
         found = Surfaces.of(whole.grid)
         surfaces, self.inexactness = found.grid, found.inexactness
-        self.sure_of_walls = sure_of_walls(self.inexactness)
         field = DistanceField.of(whole.grid)
         self.drawn = WallField.of(field)
         as_drawn = Reading(self.drawn, RayCaster.of(whole.grid))
         self.readings: tuple[Reading, ...] = (as_drawn,)
         if surfaces is not whole.grid:
             middle = Reading(
-                WallField.of(DistanceField.of(surfaces)), RayCaster.of(surfaces), SURFACES_MIDDLE
+                WallField.of(DistanceField.of(surfaces)),
+                RayCaster.of(surfaces),
+                SURFACES_MIDDLE,
+                Exactness.of(self.inexactness),
             )
             faces = WallField.of(DistanceField.of(faces_of(whole.grid)))
             self.readings = middle, replace(as_drawn, walls=faces, surfaces=SURFACES_FACES)

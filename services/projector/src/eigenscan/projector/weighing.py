@@ -10,7 +10,7 @@ import numpy as np
 from eigenscan.geometry.raycast import RayCaster, cast_rays, in_cells, stop_at
 from eigenscan.geometry.trace import DARK
 from eigenscan.projector.intervals import find_clearance
-from eigenscan.projector.likelihood import find_support, share_of, sure_beyond
+from eigenscan.projector.likelihood import Exactness, find_support, share_of, sure_beyond
 from eigenscan.projector.observation import Observation
 from eigenscan.projector.refinement import POLISH, Fit, Flat, fit_poses, flat
 from eigenscan.projector.site import SensorView, Site
@@ -38,12 +38,14 @@ def weigh(
     slid: Array,
     points: Array,
     beams: tuple[Array, Singles],
-    sure: float,
+    exactness: Exactness,
 ) -> tuple[Fit, Array, Array]:
     """Poses `slid` (n, 3) polished on `walls`, with their support (n,) and share of explained beams (n,).
 
+    What support lacks of 1 counts by the gain.
+
     `caster` shows where beams enter these walls, `drawn` when they are beyond them. `points` (B, 2) of the
-    whole scan are fitted; `beams`, bearings (b,) and finite ranges (b,), are weighed. `sure`: of the walls.
+    whole scan are fitted; `beams`, bearings (b,) and finite ranges (b,), are weighed.
     """
     count = len(slid)
     found = Fit(np.empty((count, 3)), np.empty(count), np.empty((count, 3, 3)))
@@ -58,7 +60,7 @@ def weigh(
         POLISH.squares,
         beams[0],
         beams[1],
-        sure,
+        exactness,
         (found.poses, found.cost, found.information),
         out,
     )
@@ -85,7 +87,7 @@ def doubts(site: Site, view: SensorView, seen: Observation, slid: Array, home: I
         bearings,
         ranges,
         share_of(ranges),
-        site.sure_of_walls,
+        site.readings[0].exactness,
         out,
     )
     return out
@@ -105,15 +107,25 @@ def _doubt(
     bearings: Array,
     seen: Singles,
     share: Array,
-    sure: float,
+    exactness: Exactness,
     out: Array,
 ) -> None:
     through = np.empty((len(slid), len(beams)), dtype=np.float32)
     find_overshot(leaves, lattice, home, slid, angle_min, beams, seen, most, through)
-    through *= np.float32(sure)
+    through *= np.float32(exactness.sure)
     cells, cell, map_in_field = drawn
     found = np.empty((2, len(slid)))
-    find_support(cells, cell, cells_of(map_in_field, cell, slid), bearings, seen, share, through, found)
+    find_support(
+        cells,
+        cell,
+        cells_of(map_in_field, cell, slid),
+        bearings,
+        seen,
+        share,
+        through,
+        exactness.scale,
+        found,
+    )
     leap, map_in_grid, resolution, _ = rays
     stops = stop_at(leap, in_cells(map_in_grid, resolution, np.ascontiguousarray(slid[:, :2])))
     for i in range(len(slid)):
@@ -132,7 +144,7 @@ def _weigh(
     scales: Array,
     bearings: Array,
     seen: Singles,
-    sure: float,
+    exactness: Exactness,
     fitted: tuple[Array, Array, Array],
     out: Array,
 ) -> None:
@@ -156,10 +168,13 @@ def _weigh(
     find_clearance(cells, cell, cells_of(map_in_field, cell, poses), bearings, entered, seen, through)
     for i in range(len(poses)):
         for j in range(len(seen)):
-            through[i, j] = sure_beyond(through[i, j]) * sure
+            through[i, j] = sure_beyond(through[i, j], exactness.scale) * exactness.sure
     cells, cell, map_in_field = walls
-    find_support(cells, cell, cells_of(map_in_field, cell, poses), bearings, seen, share, through, out)
+    find_support(
+        cells, cell, cells_of(map_in_field, cell, poses), bearings, seen, share, through, exactness.scale, out
+    )
     stops = stop_at(leap, ground)
     for i in range(len(poses)):
+        out[0, i] = 1.0 - exactness.gain * (1.0 - out[0, i])
         if stops[i] == DARK:
             out[0, i] -= UNKNOWN_GROUND
