@@ -7,7 +7,7 @@ merely look similar.
 
 from __future__ import annotations
 
-from math import atan, hypot
+from math import atan, hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-HALF = 3.0
-"""Standard deviations from a wall at which an end point counts half: the map's error, and the scan's."""
+WALL_SCALE = 0.15
+"""m from an exact map's wall at which an end point counts half: noise, cells, rest of the pose's error."""
 THROUGH_WEIGHT = 0.8
 """Weight of a beam through a wall against a pose, in beams on a wall."""
 ORDINARY_RANK = 10
@@ -51,16 +51,21 @@ class Exactness(NamedTuple):
 
     @classmethod
     def of(cls, inexactness: float) -> Exactness:
-        """For surfaces that are off by `inexactness`, m, standard deviation.
+        """For surfaces that are off by `inexactness`, m, standard deviation: anywhere in walls.
 
-        An inexact map draws walls that are not there, and beams from the right pose go through them. What is
-        left is the share of a scan's information that such walls leave. The gain is such that an end point
-        anywhere within REACH of a wall lacks as much as in an exact map (benchmarks/maps.py --way smeared
-        --way fatter --way "thick, coarse, warped").
+        An end point half of the walls' thickness away counts about half. An inexact map draws walls that
+        are not there, and beams from the right pose go through them: what is left is the share of a scan's
+        information that such walls leave. The gain is such that an end point anywhere within REACH of a wall
+        lacks as much as in an exact map (benchmarks/maps.py --way smeared --way fatter --way "thick, coarse,
+        warped").
         """
-        scale = HALF * hypot(POINT_SIGMA, inexactness)
+        scale = hypot(WALL_SCALE, sqrt(3.0) * inexactness)
         sure = POINT_SIGMA**2 / (POINT_SIGMA**2 + inexactness**2)
-        return cls(scale, sure, (1.0 - _by_chance(HALF * POINT_SIGMA)) / (1.0 - _by_chance(scale)))
+        return cls(scale, sure, (1.0 - _by_chance(WALL_SCALE)) / (1.0 - _by_chance(scale)))
+
+    def as_drawn(self) -> Exactness:
+        """For walls that are as thick as the same map draws them: exact, and no surer to be there."""
+        return EXACT._replace(sure=self.sure)
 
 
 def _by_chance(scale: float) -> float:

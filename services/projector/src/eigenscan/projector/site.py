@@ -5,7 +5,7 @@ from __future__ import annotations
 import mmap
 from collections import OrderedDict
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN, HEADING_STRIDE, coarse_sensor
@@ -192,14 +192,15 @@ class Site:
         as_drawn = Reading(self.drawn, RayCaster.of(whole.grid))
         self.readings: tuple[Reading, ...] = (as_drawn,)
         if surfaces is not whole.grid:
+            exactness = Exactness.of(self.inexactness)
             middle = Reading(
-                WallField.of(DistanceField.of(surfaces)),
-                RayCaster.of(surfaces),
-                SURFACES_MIDDLE,
-                Exactness.of(self.inexactness),
+                WallField.of(DistanceField.of(surfaces)), RayCaster.of(surfaces), SURFACES_MIDDLE, exactness
             )
             faces = WallField.of(DistanceField.of(faces_of(whole.grid)))
-            self.readings = middle, replace(as_drawn, walls=faces, surfaces=SURFACES_FACES)
+            self.readings = (
+                middle,
+                Reading(faces, as_drawn.caster, SURFACES_FACES, exactness.as_drawn()),
+            )
         self.caster = self.readings[0].caster
         self.coarse_walls = WallField.of(field, COARSE_CELL)
         self.models, self.analysis = own, own[0].space.analysis
