@@ -16,7 +16,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from typer.testing import CliRunner
 
 from tests.environment import PROGRAMS
-from tests.system.house import PATIENT, Drive, House, reference
+from tests.system.house import AWAITS_REQUESTS, PATIENT, Drive, House, reference
 
 SERVICES = ("scan-ingest", "projector", "tracker")
 SHORT_S = 8
@@ -59,7 +59,7 @@ def tour(drive: Drive, truth: Truth, site: tuple[object, ...], house: House, fol
     recording = folder / "site.mcap"
     house.start("recorder", "--mcap", recording)
     house.start("mapbuilder", *site)
-    house.start("projector", "--published", 20, *PATIENT)
+    house.start("projector", "--published", 20, *PATIENT, *AWAITS_REQUESTS)
     # nor may odometry count as missing where it is only late
     house.start("tracker", "--trust", 0.9, "--patience", 5)
     house.start("scan-ingest", *PATIENT)

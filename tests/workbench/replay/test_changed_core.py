@@ -4,9 +4,11 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import pytest
+from eigenscan.projector.options import ProjectorOptions
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, Channel
 from eigenscan.schemas.envelope import Condition, Core, Envelope
@@ -159,3 +161,8 @@ def test_settings_that_are_reported_make_the_same_service(tmp_path: Path) -> Non
     reported = json.loads(settings.answering_json())
     assert not {"metrics_port", "metrics_host", "zenoh", "log_level", "log_format"} & reported.keys()
     assert TrackerOptions.model_validate(reported) == TrackerOptions(trust=0.6, robot="r7")
+
+
+def test_a_setting_without_an_end_is_reported_as_such() -> None:
+    settings = ProjectorOptions(request_within=inf)
+    assert ProjectorOptions.model_validate(json.loads(settings.answering_json())) == settings

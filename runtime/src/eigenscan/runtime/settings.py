@@ -52,7 +52,7 @@ class ServiceSettings(BaseModel):
     A service's options derive from this class and from its core's settings, which change its answers.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
 
     site: str = Field(DEFAULT_SITE, description="name of the site; the first part of every key")
     robot: str = Field(

@@ -13,7 +13,9 @@ from eigenscan.geometry.raycast import RayCaster
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.first_look import first_look
 from eigenscan.projector.lattice import Lattice
+from eigenscan.projector.second_search import most_alike
 from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.verification import predicted
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN, SEARCH, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
@@ -47,13 +49,16 @@ def warm_up(settings: ProjectorSettings) -> int:
         third,
         Envelope(TRACKS, address, _tracks(third.stamp)),
     ]
-    _look_at(model)  # only what is large needs it
+    _look_at(model)  # only what is large needs it, or what no place is sure of
     return sum(len(list(core.handle(envelope))) for envelope in received)
 
 
 def _look_at(model: RegionModel) -> None:
     lattice = Lattice.of((model,))
-    first_look(lattice, lattice.panoramas[0], np.isfinite(lattice.panoramas[0]))
+    seen = lattice.panoramas[0]
+    first_look(lattice, seen, np.isfinite(seen))
+    shown = np.ascontiguousarray(predicted(lattice.panoramas, _BEAMS, _CAP_M))
+    most_alike(shown, shown, np.arange(len(shown)), seen, _CAP_M, len(shown))
 
 
 def _room() -> GridMap:
