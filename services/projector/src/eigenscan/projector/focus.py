@@ -30,6 +30,10 @@ class Scope:
     regions: NDArray[np.bool_] | None = None
     ordinary: float = -np.inf
 
+    def among(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the regions that the flags (R,) name are searched."""
+        return flags if self.regions is None else flags & self.regions
+
 
 WHOLE = Scope()
 

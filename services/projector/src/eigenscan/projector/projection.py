@@ -172,7 +172,7 @@ def _prepare(
     tables = view.tables
     if tables.ready.all():
         return ~tables.ready
-    wanted = ~tables.ready if scope.regions is None else ~tables.ready & scope.regions
+    wanted = scope.among(~tables.ready)
     if tables.is_known:
         explained = [project(view, seen, used, scope).explained for used in masks]
         wanted &= np.logical_or.reduce(explained)
@@ -195,9 +195,8 @@ def _associate(
 
 def project(view: SensorView, seen: Observation, used: NDArray[np.bool_], scope: Scope = WHOLE) -> Projected:
     """The scan in the space of every region in `scope`; only the beams `used` (J,) take part."""
-    tables, among = view.tables, scope.regions
-    if not tables.is_known:
-        among = tables.ready if among is None else tables.ready & among
+    tables = view.tables
+    among = scope.regions if tables.is_known else scope.among(tables.ready)
     channels = view.embedding(np.where(used, seen.coarse, np.float32(0)))
     coefficients, square, part = view.spaces.project(channels, used, among)
     explained = explaining(square, view.usual_error)
@@ -253,11 +252,11 @@ def _seeds(view: SensorView, matches: Matches) -> _Seeds:
 
 def _alike(site: Site, view: SensorView, seen: Observation, count: int, scope: Scope) -> _Seeds:
     """The poses of the regions in `scope` whose predicted scans are most like the scan."""
-    ready = view.tables.ready if scope.regions is None else view.tables.ready & scope.regions
-    own = [site.lattice.searched[region] for region in np.flatnonzero(ready)]
-    if not own:
-        return _Seeds(*np.zeros((3, 0), dtype=np.int64))
-    positions = np.unique(np.concatenate(own))
+    # regions overlap
+    wanted = np.zeros(len(site.lattice.positions), dtype=bool)
+    for region in np.flatnonzero(scope.among(view.tables.ready)):
+        wanted[site.lattice.searched[region]] = True
+    positions = np.flatnonzero(wanted)
     home, window = most_alike(view.windows, view.leaves, positions, seen.coarse, seen.sensor.range_max, count)
     return _Seeds(home, window, site.lattice.region_of[home])
 
@@ -284,11 +283,11 @@ def _verified(
 
 
 def _slide(
-    site: Site, view: SensorView, seen: Observation, found: _Seeds, count: int, trace: TraceCallback
+    site: Site, view: SensorView, seen: Observation, seeds: _Seeds, count: int, trace: TraceCallback
 ) -> _Slid:
     """The best verified poses, `count` at most, after the coarse refinement."""
-    seeds, home, region = _verified(site, view, seen, found, count, trace)
-    poses = fit(site.coarse_walls, seeds, _sliding(seen), SLIDE).poses
+    verified, home, region = _verified(site, view, seen, seeds, count, trace)
+    poses = fit(site.coarse_walls, verified, _sliding(seen), SLIDE).poses
     trace("slid", poses)
     return _Slid(poses, doubts(site, view, seen, poses, home), region)
 
@@ -323,8 +322,7 @@ def _weigh_promising(
         found.append((polished, supported, explained, kept, ordinary, reading))
     # whether walls are as thick as they are drawn is the same for all beams: the whole scan shows
     polished, supported, explained, kept, ordinary, reading = max(
-        found,
-        key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum()),
+        found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum())
     )
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]

@@ -157,10 +157,7 @@ def local_message(scan: Scan, site: Site, seen: Observation, mount: Array, found
 
 def _searched(scope: Scope, found: Candidates) -> NDArray[np.bool_] | None:
     """Regions (R,) that the answer is about; None: all."""
-    waiting = found.waiting
-    if waiting is None:
-        return scope.regions
-    return ~waiting if scope.regions is None else scope.regions & ~waiting
+    return scope.regions if found.waiting is None else scope.among(~found.waiting)
 
 
 def reported_regions(found: Candidates) -> NDArray[np.int64]:

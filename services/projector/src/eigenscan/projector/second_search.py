@@ -8,9 +8,10 @@ compared with the predicted one of every searched position and heading, by every
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.eigenspace.analysis import ANALYSIS_TURN, HEADING_STRIDE
+from eigenscan.eigenspace.analysis import HEADING_STRIDE
 from eigenscan.geometry.circle import difference
 from eigenscan.projector.candidates import Candidates
+from eigenscan.projector.tables import HEADINGS
 from eigenscan.projector.verification import Steps, cost_of_beam, in_steps
 from numba import njit
 from numpy.typing import NDArray
@@ -23,7 +24,6 @@ SURE_LEAD = 5.0
 the tracker."""
 APART_M, APART_RAD = 0.5, np.deg2rad(10.0)
 """Poses this far from each other are two places."""
-HEADINGS = ANALYSIS_TURN // HEADING_STRIDE
 _BINS = 2048
 """By which costs are chosen, from the least to the largest."""
 

@@ -197,10 +197,7 @@ class Site:
                 WallField.of(DistanceField.of(surfaces)), RayCaster.of(surfaces), SURFACES_MIDDLE, exactness
             )
             faces = WallField.of(DistanceField.of(faces_of(whole.grid)))
-            self.readings = (
-                middle,
-                Reading(faces, as_drawn.caster, SURFACES_FACES, exactness.as_drawn()),
-            )
+            self.readings = middle, Reading(faces, as_drawn.caster, SURFACES_FACES, exactness.as_drawn())
         self.caster = self.readings[0].caster
         self.coarse_walls = WallField.of(field, COARSE_CELL)
         self.models, self.analysis = own, own[0].space.analysis
