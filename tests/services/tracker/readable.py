@@ -109,7 +109,7 @@ class Readable(Belief):
         findable = 1.0 - rest.searched[frame, source] + emerging
         density = rest.log_weight[frame] + np.log(findable / (rest.area[frame] * 2.0 * np.pi))
         alone = merit.alone + log_volume(seen.covariances) + density
-        alone = np.logaddexp(alone, slipped(old, seen, merit, pairs))
+        alone = np.logaddexp(alone, slipped(old, seen, merit, pairs, share.progress))
         first = merit.at_first(pairs, old.observations)
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         begun = np.zeros((len(alone), len(self.sources)))
@@ -345,11 +345,12 @@ def present_evidence(tracks: Tracks) -> Array:
     return result
 
 
-def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Array:
+def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs, progress: float = 0.0) -> Array:
     """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
 
     A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby is worth no more
-    than how much oftener a right track gets one than a wrong track does.
+    than how much oftener a right track gets one than a wrong track does. The farther the robot came since the
+    last list, the likelier it slipped.
     """
     log_mass = tracks.log_weight - present_evidence(tracks)
     sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[:, [0, 0, 1]]
@@ -361,7 +362,8 @@ def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs) -> Ar
     mass = log_mass[:, None] + np.minimum(merit.predicted, merit.alone + overlap)
     mass[log_mass <= LEAST_MASS] = -np.inf
     mass[pairs.track, pairs.hypothesis] = -np.inf
-    result: Array = np.log(SLIPS) + np.logaddexp.reduce(mass, axis=0, initial=-np.inf)
+    share = -np.expm1(-SLIPS * max(progress, 1.0))
+    result: Array = np.log(share) + np.logaddexp.reduce(mass, axis=0, initial=-np.inf)
     return result
 
 

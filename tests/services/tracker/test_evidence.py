@@ -49,6 +49,7 @@ SLIP_M = 0.1
 SLIP_RAD = 0.1
 SLIP_SHARE = 1.0
 SLIPS = 0.02
+SLIPPED = 1.0 - np.exp(-SLIPS)
 ALIASES = 0.015
 
 R = np.diag([0.05, 0.05, 0.02]) ** 2
@@ -167,7 +168,9 @@ def test_slipped_mass_is_a_wide_gaussian_about_each_track() -> None:
         off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
         density = multivariate_normal(np.zeros(3), R + R + np.diag(sigma**2)).pdf(off)
         volume = np.sqrt((2.0 * np.pi) ** 3 * np.linalg.det(R))
-        expected += SLIPS * mass * np.minimum(np.exp(merit.predicted), np.exp(merit.alone) * volume * density)
+        expected += (
+            SLIPPED * mass * np.minimum(np.exp(merit.predicted), np.exp(merit.alone) * volume * density)
+        )
     found = slipped(tracks, seen, merit, within_gates(tracks, seen))
     np.testing.assert_allclose(found, np.log(expected), rtol=1e-9)
 
@@ -176,7 +179,18 @@ def test_a_hypothesis_nearby_shows_no_more_of_a_slip_than_of_a_track() -> None:
     tracks, seen = track([2.0, 3.0, 0.5], way=0.5), listed([[2.4, 3.0, 0.5]], [40.0])
     merit = Merit.of(seen)
     found = slipped(tracks, seen, merit, within_gates(tracks, seen))
-    assert found[0] == pytest.approx(np.log(SLIPS) + merit.predicted[0])
+    assert found[0] == pytest.approx(np.log(SLIPPED) + merit.predicted[0])
+
+
+def test_the_farther_a_robot_came_without_a_list_the_likelier_its_wheels_slipped() -> None:
+    tracks, seen = track([2.0, 3.0, 0.5]), listed([[2.4, 3.0, 0.5]], [40.0])
+    none = within_gates(track([9, 9, 0]), seen)
+    stood, near, far, farther = (
+        slipped(tracks, seen, Merit.of(seen), none, steps)[0] for steps in (0.0, 1.0, 10.0, 1e6)
+    )
+    assert stood == near
+    assert far - near == pytest.approx(np.log(10.0), abs=0.1)
+    assert farther - near == pytest.approx(-np.log(SLIPPED))  # no more than all of it
 
 
 def test_a_track_has_not_slipped_to_what_is_in_its_gate() -> None:

@@ -70,7 +70,8 @@ way: benchmarks/evidence.py.
 
 
 SLIPS = 0.02
-"""Of the tracks, how many odometry has misled by more than its noise since they were last confirmed."""
+"""Of the tracks, how many odometry misleads by more than its noise between two lists, and at least over the
+way that makes a scan new evidence."""
 SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, 0.1, 1.0
 """Sigma of what it is then off by: this much, and this share of the way and of the turn."""
 TAIL = 3.0
@@ -262,12 +263,13 @@ def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
-def slipped(t: Columns, seen: Listed, pairs: Pairs, c: Constants) -> Array:
+def slipped(t: Columns, seen: Listed, pairs: Pairs, progress: float, c: Constants) -> Array:
     """Ln of the mass of tracks whose wheels have slipped, to each of the hypotheses (k,) seen.
 
     A track has not slipped to those in its gate, `pairs`. As there, a hypothesis nearby is worth no more
     than how much oftener a right track gets one than a wrong track does. If the robot slipped just now, the
-    track was shown where it was predicted by chance: then its present place's evidence does not count.
+    track was shown where it was predicted by chance: then its present place's evidence does not count. The
+    farther the robot came since the last list, `progress`, the likelier it slipped: no scan corrected that.
     """
     out = np.full(len(seen.poses), -np.inf)
     pair = 0
@@ -287,7 +289,7 @@ def slipped(t: Columns, seen: Listed, pairs: Pairs, c: Constants) -> Array:
             overlap = 0.5 * np.log(determinant(own) / determinant(total))
             overlap -= 0.5 * square(inverse(total), apart(seen.poses[k], t.x[i]))
             out[k] = log_sum(out[k], log_mass + min(seen.predicted[k], seen.alone[k] + overlap))
-    result: Array = np.log(c.slips) + out
+    result: Array = np.log(-np.expm1(-c.slips * max(progress, 1.0))) + out
     return result
 
 

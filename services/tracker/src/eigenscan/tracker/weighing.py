@@ -131,7 +131,7 @@ def _mass_alone(
     """
     findable = 1.0 - rest.searched[frame, scan.source] + _emerging(rest, frame, scan, c)
     density = rest.log_weight[frame] + np.log(findable / (rest.area[frame] * 2.0 * np.pi))
-    alone = slipped(old, seen, pairs, c)
+    alone = slipped(old, seen, pairs, scan.progress, c)
     for k in range(len(alone)):
         volume = 1.5 * np.log(2.0 * np.pi) + 0.5 * np.log(determinant(triangle(seen.covariances[k])))
         alone[k] = log_sum(alone[k], seen.alone[k] + volume + density)
