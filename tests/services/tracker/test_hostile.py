@@ -13,7 +13,7 @@ from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
 from eigenscan.schemas.scan_pb2 import ScanMotion
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -180,6 +180,22 @@ def test_odometry_from_the_past_is_set_aside(
     after = standing(core, speaker, poses_of, 10.6, 5)
     assert core.condition().counters["odometry_from_past"] == 1
     assert all(is_right(m) and m.confidence > 0.89 for m in after)
+
+
+def test_nothing_is_claimed_while_odometrys_stamps_have_gone_back(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """simtest, seed 8310757: a scan of a clock set back by 1.6 s was matched with odometry of before."""
+    core, seen = make_core(), ([TRUTH, np.add(TRUTH, [5, 0, 0])], [30.0, 15.0])
+    standing(core, speaker, poses_of, 10.0, 5)
+    core.handle(speaker.odometry(10.0, np.array([1.0, 1.0, 0.0])))  # a message was overtaken
+    late = poses_of(core.handle(speaker.hypotheses(10.42, *seen)))
+    core.handle(speaker.odometry(9.7, np.array([1.0, 1.0, 0.0])))
+    set_back = poses_of(core.handle(speaker.hypotheses(10.47, *seen)))
+    assert [m.state for m in (*late, *set_back)] == [STATE_LOCALIZED, STATE_AMBIGUOUS]
+    assert "odometry's stamps went back by 0.7 s" in core.condition().detail
+    assert all(is_right(m) for m in standing(core, speaker, poses_of, 10.6, 5)[-2:])
+    assert "went back" not in core.condition().detail
 
 
 def test_a_jump_of_odometry_lowers_the_confidence_until_a_scan_confirms(

@@ -91,6 +91,8 @@ class OdometryTrail:
         self._asked: dict[int, Sample] = {}
         self._past_in_row = 0
         self._delay = 0
+        self.behind = 0
+        """How far the last message's stamp lay behind the newest, ns: a clock may have been set back."""
 
     @property
     def newest(self) -> Sample | None:
@@ -118,7 +120,7 @@ class OdometryTrail:
         last = self._samples[-1]
         if stamp <= last.stamp:
             return self._from_the_past(stamp, pose, last)
-        self._past_in_row = 0
+        self._past_in_row = self.behind = 0
         seconds = (stamp - last.stamp) * 1e-9
         step = between(last.raw, pose)
         reading = self._gate.judge(step, seconds)
@@ -129,9 +131,10 @@ class OdometryTrail:
         if stamp == last.stamp:
             return "odometry_duplicate"
         self._past_in_row += 1
+        self.behind = last.stamp - stamp
         if self._past_in_row < RESTART_AFTER:
             return "odometry_from_past"
-        self._past_in_row = 0
+        self._past_in_row = self.behind = 0
         self._gate.forget()
         del self._samples[:], self._stamps[:]
         self._keep(Sample(stamp, pose, pose))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import exp
 
 import numpy as np
-from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_LOST, State, Track
+from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.branching import follow
@@ -55,6 +55,7 @@ UNCONFIRMED = 2.0
 
 What is hidden for so long is more often wrong (benchmarks/mechanisms.py).
 """
+CLOCK_SET_BACK = "odometry's stamps went back by {:.1f} s: was the robot's clock set?"
 HISTORY_STEP = (0.1, 0.1, 0.17)
 """m, m, rad between two kept poses of a trajectory."""
 
@@ -231,7 +232,13 @@ class RobotTracker:
             or self._silence.reason
             or self._rivals.reason(self.belief.stamp)
             or self._silence.odometry_ends
+            or (CLOCK_SET_BACK.format(self._trail.behind * 1e-9) if self._is_set_back else "")
         )
+
+    @property
+    def _is_set_back(self) -> bool:
+        """Whether odometry's clock may have been set back: its motion is then of another time than a scan."""
+        return self._trail.behind > self._settings.late * 1e9
 
     @property
     def note(self) -> str:
@@ -413,6 +420,8 @@ class RobotTracker:
             self._settings,
             confirmed=self._is_confirmed(verdict.track),
         )
+        if self._is_set_back and state == STATE_LOCALIZED:
+            state = STATE_AMBIGUOUS
         self.state = self._claim.held_back(state, belief.tracks, verdict.track)
         odometry = self._trail.at(seen.stamp) if self._near_odometry(seen.stamp) else None
         frame = belief.frames[int(belief.tracks.frame[verdict.track])] if verdict.track >= 0 else seen.frame

@@ -45,7 +45,12 @@ class TrackerSettings(BaseModel):
         True,
         description="while localized, fit most scans around the pose",
     )
-    late: float = Field(0.5, ge=0, le=3600, description="s; hypotheses that come later are rejected")
+    late: float = Field(
+        0.5,
+        ge=0,
+        le=3600,
+        description="s; later hypotheses are rejected, and odometry set back by more ends claims",
+    )
     independence_m: float = Field(
         0.5, gt=0, description="m driven after which a scan counts as independent evidence"
     )
