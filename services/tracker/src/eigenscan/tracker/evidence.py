@@ -70,8 +70,8 @@ way: benchmarks/evidence.py.
 
 
 SLIPS = 0.02
-"""Of the tracks, how many odometry misleads by more than its noise between two lists, and at least over the
-way that makes a scan new evidence."""
+"""Of the tracks, how many odometry misleads by more than its noise, over the way that makes a scan new
+evidence. As many over less: lists that follow each other closely are not told apart."""
 SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, 0.1, 1.0
 """Sigma of what it is then off by: this much, and this share of the way and of the turn."""
 TAIL = 3.0

@@ -236,14 +236,14 @@ class RobotTracker:
         )
 
     @property
-    def _is_set_back(self) -> bool:
-        """Whether odometry's clock may have been set back: its motion is then of another time than a scan."""
-        return self._trail.behind > self._settings.late * 1e9
-
-    @property
     def note(self) -> str:
         """What is wrong and has no effect on poses; empty: nothing."""
         return self._agreement.note or self._silence.note
+
+    @property
+    def _is_set_back(self) -> bool:
+        """Whether odometry's clock may have been set back: its motion is then of another time than a scan."""
+        return self._trail.behind > self._settings.late * 1e9
 
     def map_to_odom(self) -> Pose | None:
         """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""
