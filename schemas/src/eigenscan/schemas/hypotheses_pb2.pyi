@@ -78,8 +78,24 @@ class SearchRequest(_message.Message):
     least_log_likelihood: float
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., search: _Optional[_Union[Search, str]] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., velocity: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., least_log_likelihood: _Optional[float] = ...) -> None: ...
 
+class RangeError(_message.Message):
+    __slots__ = ("factor", "offset", "gain")
+    FACTOR_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_FIELD_NUMBER: _ClassVar[int]
+    GAIN_FIELD_NUMBER: _ClassVar[int]
+    factor: float
+    offset: float
+    gain: float
+    def __init__(self, factor: _Optional[float] = ..., offset: _Optional[float] = ..., gain: _Optional[float] = ...) -> None: ...
+
+class RangeCheck(_message.Message):
+    __slots__ = ("errors",)
+    ERRORS_FIELD_NUMBER: _ClassVar[int]
+    errors: _containers.RepeatedCompositeFieldContainer[RangeError]
+    def __init__(self, errors: _Optional[_Iterable[_Union[RangeError, _Mapping]]] = ...) -> None: ...
+
 class Hypotheses(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search", "surfaces")
+    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search", "surfaces", "range_check")
     class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATUS_UNSPECIFIED: _ClassVar[Hypotheses.Status]
@@ -100,6 +116,7 @@ class Hypotheses(_message.Message):
     MOTION_FIELD_NUMBER: _ClassVar[int]
     SEARCH_FIELD_NUMBER: _ClassVar[int]
     SURFACES_FIELD_NUMBER: _ClassVar[int]
+    RANGE_CHECK_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     status: Hypotheses.Status
@@ -112,7 +129,8 @@ class Hypotheses(_message.Message):
     motion: _scan_pb2.ScanMotion
     search: Search
     surfaces: Surfaces
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ..., surfaces: _Optional[_Union[Surfaces, str]] = ...) -> None: ...
+    range_check: RangeCheck
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ..., surfaces: _Optional[_Union[Surfaces, str]] = ..., range_check: _Optional[_Union[RangeCheck, _Mapping]] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("timestamp", "frame_id", "pose", "mask", "error", "error_energy", "confidence", "sensor_x", "sensor_y", "map_x", "map_y", "model_version")

@@ -24,6 +24,7 @@ from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
 from eigenscan.projector.projection import Search, find_candidates, fit_around
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
+from eigenscan.projector.range_check import check
 from eigenscan.projector.set_aside import Sizes, size_of_space
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
@@ -279,7 +280,10 @@ class ProjectorCore:
         if scope.regions is None:
             self._focus.searched_whole(*lidar, at, candidates.ordinary)
             self._local.searched_whole(lidar, at, candidates.ordinary)
-        yield Envelope(HYPOTHESES, address, hypotheses_message(scan, site, seen, mount, candidates, scope))
+        message = hypotheses_message(scan, site, seen, mount, candidates, scope)
+        if self._settings.verification == "walls":
+            message.range_check.CopyFrom(check(site, seen, candidates))
+        yield Envelope(HYPOTHESES, address, message)
         if len(candidates.poses):
             best = candidates.poses[0]
             yield Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, best, candidates))

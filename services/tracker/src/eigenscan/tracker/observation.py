@@ -13,6 +13,7 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.symmetric import MATRICES, put
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
+from eigenscan.tracker.range_errors import RangeError, gains
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.symmetric import WEIGHTS, is_covariance_each, wrapped
 from numba import njit, types
@@ -66,6 +67,8 @@ class Observation:
     """Which surfaces of thick walls the poses fit."""
     unseen: float = TURN
     """rad of the place's surroundings that the scan does not show: turning by as much shows all of them."""
+    range_gains: Mapping[RangeError, float] | None = None
+    """Nats by which the scan is likelier if its ranges have such an error; None: not checked."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -114,6 +117,7 @@ def observe(
         message.search == SEARCH_LOCAL,
         message.surfaces,
         TURN * max(0.0, 1.0 - message.used_beams / ALL_AROUND),
+        gains(message.range_check) if message.HasField("range_check") else None,
     )
 
 

@@ -29,6 +29,7 @@ from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion, OdometryTrail, Sample
 from eigenscan.tracker.planar import Pose, compose, inverse
 from eigenscan.tracker.prediction import predict
+from eigenscan.tracker.range_errors import RangeErrors
 from eigenscan.tracker.reckoning import leg
 from eigenscan.tracker.relocation import SAME_TIME_NS, Hint, heed
 from eigenscan.tracker.search import SURE, Request, Searches
@@ -137,7 +138,7 @@ class RobotTracker:
     def _begin(self) -> None:
         """Knows no source of hypotheses."""
         self._timeline = Timeline(self._settings.patience, self._settings.late, self._counts)
-        self._silence = Silence(self._timeline)
+        self._silence, self._ranges = Silence(self._timeline), RangeErrors()
         self._names: set[tuple[str, str]] = set()
         self._reset()
 
@@ -229,11 +230,17 @@ class RobotTracker:
             return f"more than {MOST_NAMES} sources or map frames of hypotheses: do projectors change names?"
         return (
             self._agreement.fault
+            or self._ranges.fault
             or self._silence.reason
             or self._rivals.reason(self.belief.stamp)
             or self._silence.odometry_ends
             or (CLOCK_SET_BACK.format(self._trail.behind * 1e-9) if self._is_set_back else "")
         )
+
+    @property
+    def _trust(self) -> float:
+        """Probability that scans show the robot's motion, and the map."""
+        return min(self._agreement.trust, self._ranges.trust)
 
     @property
     def note(self) -> str:
@@ -275,6 +282,7 @@ class RobotTracker:
             belief.predict(moved)
             self._claim.predict(moved)
             self._claim.advance(moved.seconds, self._progress(moved))
+            self._ranges.move(self._progress(moved) * self._agreement.change())
             self._correct(seen.stamp)
         belief.stamp = seen.stamp
         belief.forget_innovations()
@@ -284,6 +292,8 @@ class RobotTracker:
         elif seen.usable and seen.local:
             self._follow(seen)
         elif seen.usable:
+            if seen.range_gains is not None:
+                self._ranges.take(seen.lidar, seen.range_gains)
             self._heed_hint(seen)
             share = self._share(seen)
             belief.observe(seen, share)
@@ -483,11 +493,11 @@ class RobotTracker:
         if verdict.track < 0:
             return verdict
         share = self._rivals.share(int(tracks.frame[verdict.track]))
-        confidence = min(verdict.confidence, share) * self._agreement.trust
+        confidence = min(verdict.confidence, share) * self._trust
         return Verdict(verdict.track, confidence, self._agreement.proven)
 
     def _protection(self, verdict: Verdict) -> Protection | None:
-        if self.state != STATE_LOCALIZED or self._agreement.trust < self._settings.localized_above:
+        if self.state != STATE_LOCALIZED or self._trust < self._settings.localized_above:
             return None
         if self._rivals.since is not None:  # mass that another frame may still get is risk
             return None

@@ -32,6 +32,7 @@ TOLERANCES: dict[str, Tolerance] = {
     # natural logarithms and probabilities
     "log_likelihood": (1e-4, 1e-6),
     "unlisted_log_likelihood": (1e-4, 1e-6),
+    "gain": (2e-4, 2e-6),
     "explained": (1e-6, 0.0),
     "confidence": (1e-5, 0.0),
     "probability": (1e-5, 0.0),

@@ -18,7 +18,7 @@ CHANNELS = {
 """Those of its recording."""
 LACKED: dict[str, tuple[str, ...]] = {
     "eigenscan.Scan": ("motion",),
-    "eigenscan.Hypotheses": ("motion", "search", "surfaces"),
+    "eigenscan.Hypotheses": ("motion", "search", "surfaces", "range_check"),
     "eigenscan.RegionModel": ("space",),
     "eigenscan.ModelSet": ("floors",),
     "eigenscan.PoseEstimate": (

@@ -1,0 +1,164 @@
+"""How soon it shows that ranges are measured wrongly, and whether it seems so where they are right.
+
+    .venv/bin/python benchmarks/range_errors.py [--only jarvis] [--way exact] [--metres 200] [--json OUT]
+
+The first metres of each log are played on maps that are right and worse (benchmarks/worse_maps.py), its
+ranges as they are and with errors. Whole searches only, by the reference's motion. A row: share of scans that
+fit as they are; of the others, nats (median) for the error that the ranges have, or else for the likeliest;
+after how many metres an error was named, and which; `-`: none. The constants were chosen on these logs, with
+their maps and five worse ones.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from eigenscan.geometry.pose import between
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import Plan, build_site
+from eigenscan.projector.candidates import Candidates
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.observation import observe
+from eigenscan.projector.projection import find_candidates
+from eigenscan.projector.range_check import check
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.projector.site import Site
+from eigenscan.schemas.channels import SCAN, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.hypotheses_pb2 import RangeCheck
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
+from eigenscan.tracker.range_errors import RangeErrors, gains
+from eigenscan.tracker.settings import TrackerSettings
+from evaluate import DATASETS
+from maps import LOGS, Case, read_case, worsened
+from numpy.typing import NDArray
+from worse_maps import WAYS
+
+Array = NDArray[np.float64]
+
+ERRORS: dict[str, tuple[float, float]] = {
+    "none": (1.0, 0.0),
+    "10 % short": (0.9, 0.0),
+    "10 % long": (1.1, 0.0),
+    "25 % long": (1.25, 0.0),
+    "0.3 m short": (1.0, -0.3),
+    "0.3 m long": (1.0, 0.3),
+}
+"""Factor and offset, m, of a range."""
+SEED = 7
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--datasets", type=Path, default=DATASETS)
+    parser.add_argument("--only", action="append", help="name of one log; may be given again")
+    parser.add_argument("--way", action="append", choices=list(WAYS), help="default: exact")
+    parser.add_argument("--error", action="append", choices=list(ERRORS), help="default: all")
+    parser.add_argument("--metres", type=float, default=200.0)
+    parser.add_argument("--json", type=Path, help="write all figures here")
+    options = parser.parse_args()
+    rows = list[dict[str, Any]]()
+    print(f"{'log':<12}{'map':<28}{'ranges':<13}{'scans':>6}{'fit':>6}{'nats':>7}{'named after':>13}  as")
+    for listed in LOGS:
+        if options.only and listed.name not in options.only:
+            continue
+        case = read_case(listed.name, options.datasets / listed.folder, listed.log, listed.reference)
+        for way in options.way or ["exact"]:
+            site = _site(case, way)
+            for error in options.error or ERRORS:
+                rows.append(_judge(case, way, site, error, options.metres))
+                print(_line(rows[-1]), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+def _site(case: Case, way: str) -> Site:
+    worse, _ = worsened(case, way, SEED)
+    core = ProjectorCore(ProjectorSettings())
+    for model in MapbuilderCore(MapbuilderSettings(), build_site(worse.grid, Plan())).start():
+        if model.channel in core.inputs:
+            list(core.handle(model))
+    if core._site is None:
+        sys.exit(f"{case.name}, {way}: the projector refuses the model")
+    return core._site
+
+
+def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[str, Any]:
+    ranges, driven, fit, named = RangeErrors(), 0.0, 0, None
+    nats = list[float]()
+    scans = 0
+    factor, offset = ERRORS[error]
+    for found, way_m, new in _checks(case, site, lambda r: factor * r + offset, metres):
+        driven += way_m
+        ranges.move(new)
+        by_error = gains(found)
+        ranges.take("lidar", by_error)
+        fit += not by_error
+        scans += 1
+        if by_error:
+            nats.append(by_error.get(ERRORS[error], max(by_error.values())))  # type: ignore[call-overload]
+        if named is None and ranges.fault:
+            named = driven, ranges.fault
+    return {
+        "log": case.name,
+        "map": way,
+        "ranges": error,
+        "scans": scans,
+        "fit": fit / max(scans, 1),
+        "nats": float(np.median(nats)) if nats else None,
+        "named_after_m": named and named[0],
+        "named": named and named[1],
+        "driven_m": driven,
+    }
+
+
+def _checks(
+    case: Case, site: Site, measured: Callable[[Array], Array], metres: float
+) -> Iterator[tuple[RangeCheck, float, float]]:
+    """What is found of a scan, and how far, m and in new scans, the robot has come since the last."""
+    ingest, settings, tracker = ScanIngestCore(ScanIngestSettings()), ProjectorSettings(), TrackerSettings()
+    before, driven = None, 0.0
+    for received in case.log.whole:
+        if received.channel is not SCAN_RAW or driven > metres:
+            continue
+        (pose,), (known,) = case.reference.at([received.stamp])
+        if not known:
+            continue
+        step = np.zeros(3) if before is None else between(before, pose)
+        way, turn = float(np.hypot(*step[:2])), float(abs(step[2]))
+        new = way / tracker.independence_m + turn / tracker.independence_rad
+        if before is not None and new < 0.1:  # it stands
+            continue
+        before, driven = pose, driven + way
+        raw = RawScan()
+        raw.CopyFrom(received.open(RawScan))
+        changed = measured(np.asarray(raw.ranges))
+        del raw.ranges[:]
+        raw.ranges.extend(changed.tolist())
+        for scan in ingest.handle(Envelope(SCAN_RAW, received.address, raw)):
+            if scan.channel is SCAN:
+                seen = observe(scan.open(Scan))
+                found: Candidates = find_candidates(site, site.view(seen.sensor), seen, settings)
+                yield check(site, seen, found), way, new
+
+
+def _line(row: dict[str, Any]) -> str:
+    nats = "-" if row["nats"] is None else f"{row['nats']:.1f}"
+    after = "-" if row["named"] is None else f"{row['named_after_m']:.1f} m"
+    return (
+        f"{row['log']:<12}{row['map']:<28}{row['ranges']:<13}{row['scans']:>6}{row['fit']:>6.0%}{nats:>7}"
+        f"{after:>13}  {(row['named'] or '').partition(':')[0]}"
+    )
+
+
+if __name__ == "__main__":
+    main()

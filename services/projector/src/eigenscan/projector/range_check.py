@@ -1,0 +1,49 @@
+"""Whether a scan fits the map better with other ranges: of a wrong scale, or with an offset.
+
+A lidar whose unit or offset is wrong sees each wall at another place, and a map of a wrong resolution has it
+there. Neither odometry nor the scans' own motion shows an offset. The map does: at the right pose, the scan
+with its ranges set right is by far the likelier one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from eigenscan.projector.candidates import Candidates
+from eigenscan.projector.observation import NEAREST, Observation
+from eigenscan.projector.projection import fit_around
+from eigenscan.projector.site import Site
+from eigenscan.schemas.hypotheses_pb2 import RangeCheck, RangeError
+
+TRIED = (
+    *((factor, 0.0) for factor in (0.8, 0.9, 1.1, 1.25)),
+    *((1.0, offset) for offset in (-0.6, -0.3, 0.3, 0.6)),
+)
+"""Factors and offsets, m, of a measured range: so little off, a fit still finds the pose."""
+FITS = 0.9
+"""Share of explained beams from which a scan fits as it is: benchmarks/range_errors.py."""
+AMONG = 5
+"""Poses of the list from which each is tried, for the best one may be another."""
+
+
+def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
+    """The errors of its ranges that were tried for a scan for which these candidates were `found`."""
+    if not len(found.poses) or found.explained[0] >= FITS:
+        return RangeCheck()
+    return RangeCheck(errors=_errors(site, seen, found))
+
+
+def _errors(site: Site, seen: Observation, found: Candidates) -> Iterable[RangeError]:
+    starts = found.poses[:AMONG]
+    as_it_is = fit_around(site, seen, starts, found.ordinary).log_likelihood
+    for factor, offset in TRIED:
+        fitted = fit_around(site, set_right(seen, factor, offset), starts, found.ordinary)
+        yield RangeError(factor=factor, offset=offset, gain=fitted.log_likelihood - as_it_is)
+
+
+def set_right(seen: Observation, factor: float, offset: float) -> Observation:
+    """The scan with the ranges of the analysis grid as they are if they were measured so wrongly."""
+    right = np.maximum((seen.coarse - np.float32(offset)) / np.float32(factor), np.float32(NEAREST))
+    return replace(seen, coarse=right)

@@ -1,0 +1,116 @@
+"""Ranges that are measured wrongly are named, by what scans of new places state."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import numpy as np
+import pytest
+from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, RangeCheck
+from eigenscan.schemas.hypotheses_pb2 import RangeError as Stated
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED
+from eigenscan.tracker.range_errors import MOST_NATS, TRIED, RangeError, RangeErrors, gains
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
+
+SHORT, LONG = RangeError(0.9, 0.0), RangeError(1.0, 0.3)
+FITS: dict[RangeError, float] = {}
+
+
+def after(gain: float, scans: int, new: float = 1.0) -> RangeErrors:
+    found = RangeErrors()
+    for _ in range(scans):
+        found.take("front", {SHORT: gain, LONG: -1.0})
+        found.move(new)
+    return found
+
+
+def test_scans_of_new_places_add_up() -> None:
+    assert not after(MOST_NATS, 1).fault
+    assert "1.11 times as long" in after(MOST_NATS, 4).fault
+    assert after(MOST_NATS, 4).trust < 0.01
+
+
+def test_scans_of_one_place_do_not() -> None:
+    assert not after(MOST_NATS, 1000, new=0.0).fault
+
+
+def test_no_scan_counts_more_than_others() -> None:
+    assert not after(1000.0, 1).fault
+
+
+@given(st.lists(st.tuples(st.floats(-20.0, 0.0), st.floats(0.0, 3.0)), max_size=50))
+def test_ranges_that_fit_are_trusted(scans: list[tuple[float, float]]) -> None:
+    found = RangeErrors()
+    for gain, new in scans:
+        found.take("front", {SHORT: gain, LONG: gain / 2.0} if gain < -1.0 else FITS)
+        found.move(new)
+    assert found.trust > 0.999
+    assert not found.fault
+
+
+def test_what_is_mended_is_forgotten() -> None:
+    found = after(MOST_NATS, 100)
+    for _ in range(5):
+        found.take("front", FITS)
+        found.move(1.0)
+    assert not found.fault
+    assert found.trust > 0.99
+
+
+def test_one_of_two_lidars_is_named() -> None:
+    found = RangeErrors()
+    for _ in range(4):
+        found.take("front", FITS)
+        found.take("rear", {LONG: MOST_NATS})
+        found.move(1.0)
+    assert found.fault.startswith("rear: scans fit the map only with ranges 0.3 m shorter: ")
+    assert found.trust < 0.01
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (RangeError(1.25, 0.0), "0.80 times as long"),
+        (RangeError(1.0, -0.6), "0.6 m longer"),
+        (RangeError(1.0, 0.3), "0.3 m shorter"),
+    ],
+)
+def test_the_words_name_what_would_mend_it(error: RangeError, words: str) -> None:
+    assert words in str(error)
+
+
+def test_what_is_no_number_is_left_out() -> None:
+    wrong = [(nan, 0.0, 1.0), (1.0, inf, 1.0), (0.9, 0.0, nan), (0.0, 0.3, 5.0), (-1.0, 0.0, 5.0)]
+    errors = [Stated(factor=f, offset=o, gain=g) for f, o, g in [*wrong, (0.9, 0.0, 5.0)]]
+    assert gains(RangeCheck(errors=errors)) == {SHORT: 5.0}
+
+
+def test_a_stranger_cannot_make_it_grow() -> None:
+    found = RangeErrors()
+    for start in range(0, 1000, TRIED):
+        found.take("front", {RangeError(1.0, start + k): -1.0 for k in range(TRIED)})
+    assert len(found._lidars["front"].odds) <= TRIED
+
+
+def test_a_robot_whose_ranges_are_wrong_is_not_localized(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    core, states = make_core(), list[int]()
+    for step in range(80):
+        pose = np.array([0.1 * step, 0.0, 0.0])
+        list(core.handle(speaker.odometry(0.1 * step, pose)))
+        envelope = speaker.hypotheses(0.1 * step, [pose], [25.0])
+        message = envelope.open(Hypotheses)
+        message.range_check.SetInParent()
+        if 40 <= step < 60:
+            message.range_check.errors.add(factor=1.0, offset=0.3, gain=10.0)
+        states += [pose.state for pose in poses_of(core.handle(envelope))]
+        if step == 59:
+            assert core.condition().status == Health.STATUS_DEGRADED
+            assert "0.3 m shorter" in core.condition().detail
+    assert states[39] == states[79] == STATE_LOCALIZED != states[59]
+    assert core.condition().status == Health.STATUS_OK
