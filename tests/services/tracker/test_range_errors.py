@@ -10,7 +10,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, RangeCheck
 from eigenscan.schemas.hypotheses_pb2 import RangeError as Stated
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED
-from eigenscan.tracker.range_errors import MOST_NATS, TRIED, RangeError, RangeErrors, gains
+from eigenscan.tracker.range_errors import FOR, TRIED, RangeError, RangeErrors, gains
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,13 +29,13 @@ def after(gain: float, scans: int, new: float = 1.0) -> RangeErrors:
 
 
 def test_scans_of_new_places_add_up() -> None:
-    assert not after(MOST_NATS, 1).fault
-    assert "1.11 times as long" in after(MOST_NATS, 4).fault
-    assert after(MOST_NATS, 4).trust < 0.01
+    assert not after(FOR, 1).fault
+    assert "1.11 times as long" in after(FOR, 4).fault
+    assert after(FOR, 4).trust < 0.01
 
 
 def test_scans_of_one_place_do_not() -> None:
-    assert not after(MOST_NATS, 1000, new=0.0).fault
+    assert not after(FOR, 1000, new=0.0).fault
 
 
 def test_no_scan_counts_more_than_others() -> None:
@@ -53,8 +53,8 @@ def test_ranges_that_fit_are_trusted(scans: list[tuple[float, float]]) -> None:
 
 
 def test_what_is_mended_is_forgotten() -> None:
-    found = after(MOST_NATS, 100)
-    for _ in range(5):
+    found = after(FOR, 100)
+    for _ in range(12):
         found.take("front", FITS)
         found.move(1.0)
     assert not found.fault
@@ -65,7 +65,7 @@ def test_one_of_two_lidars_is_named() -> None:
     found = RangeErrors()
     for _ in range(4):
         found.take("front", FITS)
-        found.take("rear", {LONG: MOST_NATS})
+        found.take("rear", {LONG: FOR})
         found.move(1.0)
     assert found.fault.startswith("rear: scans fit the map only with ranges 0.3 m shorter: ")
     assert found.trust < 0.01
@@ -100,17 +100,17 @@ def test_a_robot_whose_ranges_are_wrong_is_not_localized(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     core, states = make_core(), list[int]()
-    for step in range(80):
+    for step in range(120):
         pose = np.array([0.1 * step, 0.0, 0.0])
         list(core.handle(speaker.odometry(0.1 * step, pose)))
         envelope = speaker.hypotheses(0.1 * step, [pose], [25.0])
         message = envelope.open(Hypotheses)
         message.range_check.SetInParent()
-        if 40 <= step < 60:
+        if 30 <= step < 50:
             message.range_check.errors.add(factor=1.0, offset=0.3, gain=10.0)
         states += [pose.state for pose in poses_of(core.handle(envelope))]
-        if step == 59:
+        if step == 49:
             assert core.condition().status == Health.STATUS_DEGRADED
             assert "0.3 m shorter" in core.condition().detail
-    assert states[39] == states[79] == STATE_LOCALIZED != states[59]
+    assert states[29] == states[119] == STATE_LOCALIZED != states[49]
     assert core.condition().status == Health.STATUS_OK

@@ -224,3 +224,20 @@ def test_hypotheses_that_show_nothing(make_core: MakeCore, speaker: Speaker) -> 
     speaker.clutter, speaker.unlisted = 0, 20.0
     assert not published_poses(core, lists(speaker, 3.0))
     assert "none is likelier than a pose that is not listed" in degraded(core)
+
+
+def test_scans_that_fit_nowhere_in_the_map(make_core: MakeCore, speaker: Speaker) -> None:
+    """Of another floor: its best place fits as places of any map do."""
+    core, reasons = make_core(), list[str]()
+    for time in np.arange(0.0, 20.0, RATE_S):
+        pose = np.array([0.5 * time, 0.0, 0.0])
+        list(core.handle(speaker.odometry(float(time), pose)))
+        chance = np.random.default_rng(round(10 * time)).uniform(0.0, 20.0, 3)
+        fits = time >= 15.0
+        list(
+            core.handle(speaker.hypotheses(float(time), [pose if fits else chance], [25.0 if fits else 2.5]))
+        )
+        reasons.append(degraded(core))
+    assert reasons[: round(9.0 / RATE_S)] == [""] * round(9.0 / RATE_S)
+    assert reasons[round(14.0 / RATE_S)].startswith("r: scans fit no place of the map: ")
+    assert reasons[-1] == ""

@@ -25,9 +25,11 @@ class StartMemory:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._due = clock() + FIRST_S if sys.platform == "linux" else float("inf")
         self._clock, self._is_first = clock, True
+        self._parts: list[tuple[int, int]] = []
+        """Addresses of the linker's; what nobody can write to stays as it is in the file."""
 
     def tend(self) -> None:
-        """Gives memory back if it is time for it. That takes some 15 ms where there is a linker."""
+        """Gives memory back if it is time for it."""
         if self._clock() < self._due:
             return
         self._due = self._clock() + EVERY_S
@@ -37,9 +39,10 @@ class StartMemory:
         self._is_first = False
         if ITS_MODULE not in sys.modules:
             return
-        with _MAPPINGS.open(encoding="utf-8", errors="replace") as lines:
-            unchanged = [*unchanged_parts(LINKER, lines)]
-        for start, end in unchanged:
+        if not self._parts:  # once: to list all that is mapped takes 40 ms
+            with _MAPPINGS.open(encoding="utf-8", errors="replace") as lines:
+                self._parts = [*unchanged_parts(LINKER, lines)]
+        for start, end in self._parts:
             libc.madvise(ctypes.c_void_p(start), ctypes.c_size_t(end - start), _MADV_DONTNEED)
 
 

@@ -26,6 +26,8 @@ FITS = 0.9
 """Share of explained beams from which a scan fits as it is: benchmarks/range_errors.py."""
 AMONG = 5
 """Poses of the list from which each is tried, for the best one may be another."""
+BY_CHANCE = 12.0
+"""Log-likelihood of the best place in a map of another building: of 20 scans, one comes to more."""
 
 
 def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
@@ -40,7 +42,8 @@ def _errors(site: Site, seen: Observation, found: Candidates) -> Iterable[RangeE
     as_it_is = fit_around(site, seen, starts, found.ordinary).log_likelihood
     for factor, offset in TRIED:
         fitted = fit_around(site, set_right(seen, factor, offset), starts, found.ordinary)
-        yield RangeError(factor=factor, offset=offset, gain=fitted.log_likelihood - as_it_is)
+        gain = fitted.log_likelihood - max(as_it_is, BY_CHANCE)
+        yield RangeError(factor=factor, offset=offset, gain=gain)
 
 
 def set_right(seen: Observation, factor: float, offset: float) -> Observation:

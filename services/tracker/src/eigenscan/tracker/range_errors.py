@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 
-MOST_NATS = 6.0
-"""Of one scan, for or against: errors of neighbouring scans are alike (benchmarks/range_errors.py)."""
-FIRST, LEAST, MOST = log(1e-4), -10.0 * MOST_NATS, 3.0 * MOST_NATS
-"""Ln odds of each error before the first scan; the least, for it may begin later: ten scans then show it; and
-the most, for it may be mended. On parts of a map that are missing or displaced, many scans in a row seem to
-have such an error: with a least of 30 nats there were six false alarms on 7 km of worse maps, not one.
+FOR, AGAINST = 6.0, 2.0
+"""Nats of one scan at most: neighbouring scans err alike, and of some the list lacks the pose."""
+FIRST, LEAST, MOST = log(1e-4), -30.0, 18.0
+"""Ln odds of each error before the first scan; the least, for it may begin later: five scans then show it;
+the most, for it may be mended. On maps with missing or displaced parts many scans in a row seem to have such
+an error (benchmarks/range_errors.py prints how often it is named rightly and wrongly).
 """
 TRIED = 32
 """Errors that are followed at most."""
@@ -60,7 +60,7 @@ class _Lidar:
 
     def take(self, found: Mapping[RangeError, float]) -> None:
         for error in [*self.odds, *(each for each in found if each not in self.odds)][:TRIED]:
-            gain = min(max(found.get(error, -MOST_NATS), -MOST_NATS), MOST_NATS)
+            gain = min(max(found.get(error, -AGAINST), -AGAINST), FOR)
             odds = self.odds.get(error, FIRST) + self.new * gain
             self.odds[error] = min(max(odds, LEAST), MOST)
         self.new = 0.0

@@ -234,6 +234,7 @@ class RobotTracker:
             or self._silence.reason
             or self._rivals.reason(self.belief.stamp)
             or self._silence.odometry_ends
+            or self._silence.no_place
             or (CLOCK_SET_BACK.format(self._trail.behind * 1e-9) if self._is_set_back else "")
         )
 
@@ -255,7 +256,7 @@ class RobotTracker:
     def map_to_odom(self) -> Pose | None:
         """Odom frame's origin in the map as of the newest odometry; none while no pose is claimed."""
         newest = self._trail.newest
-        if self._anchor is None or newest is None or self.state != STATE_LOCALIZED:
+        if self._anchor is None or newest is None or self.state != STATE_LOCALIZED or self._is_set_back:
             return None
         if newest.stamp - (self.belief.stamp or 0) > BLIND_NS and not self._is_claimed_at(newest.stamp):
             return None
@@ -305,7 +306,12 @@ class RobotTracker:
             self._counts["scan_unusable"] += 1
         self._remember()
         estimate = self._conclude(seen)
-        self._silence.answer(seen, repeated=repeated, has_pose=estimate.verdict.track >= 0)
+        self._silence.answer(
+            seen,
+            repeated=repeated,
+            has_pose=estimate.verdict.track >= 0,
+            none=estimate.none_probability,
+        )
         return estimate
 
     def _correct(self, now: int) -> None:

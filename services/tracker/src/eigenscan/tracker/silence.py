@@ -1,4 +1,4 @@
-"""Why poses are missing, or odometry, in words; by stamps and counts alone, without a clock."""
+"""Why poses are missing, a place, or odometry, in words; by stamps and counts alone, without a clock."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ SILENT_LISTS = 20
 """The same where stamps do not go on: 2 s of a lidar of 10 Hz."""
 GONE_NS = 10_000_000_000
 """A source without a list for so long sends none any more: the time after which health misses an input."""
+NO_PLACE, NO_PLACE_NS = 0.9, 10_000_000_000
+"""Probability of no place of the map, from which on for so long it is a fault: a robot that was switched on
+finds its place within seconds.
+"""
 RESTARTS_WITHIN = 30
 """Lists between two set-backs of the clock, up to which they are two clocks."""
 
@@ -68,6 +72,8 @@ class Silence:
         self._newest: int | None = None
         self._first: int | None = None
         """Stamp of the first list since the clock was set back."""
+        self._placed: int | None = None
+        """Stamp of the last list by which the robot may have been in the map, or of the first one."""
 
     def receive_odometry(self, stamp: int) -> None:
         """Odometry has come as far as `stamp`, ns."""
@@ -79,7 +85,7 @@ class Silence:
         self._newest = self._timeline.newest
         self._since_restart += 1
         if outcome is Outcome.RESTARTED or self._first is None:
-            self._first = seen.stamp
+            self._first = self._placed = seen.stamp
         if outcome is Outcome.RESTARTED:
             self._two_clocks = self._since_restart <= RESTARTS_WITHIN
             self._since_restart = 0
@@ -88,8 +94,13 @@ class Silence:
         if outcome in _REFUSED:
             self._add(seen, _REFUSED[outcome], behind_s)
 
-    def answer(self, seen: Observation, *, repeated: bool, has_pose: bool) -> None:
-        """A list that was taken became an estimate; `repeated`: its scan showed nothing new."""
+    def answer(self, seen: Observation, *, repeated: bool, has_pose: bool, none: float) -> None:
+        """A list that was taken became an estimate; `repeated`: its scan showed nothing new.
+
+        `none`: probability that no place of the map is right.
+        """
+        if none < NO_PLACE:
+            self._placed = seen.stamp
         if has_pose:
             self._runs.pop(seen.source, None)
         elif not seen.usable:
@@ -137,6 +148,13 @@ class Silence:
         if missing <= SILENT_NS:
             return ""
         return f"no odometry of the last {missing * 1e-9:.1f} s: does its driver still run?"
+
+    @property
+    def no_place(self) -> str:
+        """That scans fit nowhere in the map; empty: they fit somewhere, or did lately."""
+        if self._gone_on_since(self._placed) <= NO_PLACE_NS:
+            return ""
+        return "scans fit no place of the map: is it the map of this floor, and has it this part?"
 
     @property
     def note(self) -> str:
