@@ -19,7 +19,7 @@ def _received(view: FleetView, **fields: float) -> list[PoseEstimate]:
     confidence, on_floor = fields.pop("confidence", 0.5), Pose2(x=fields.pop("floor_x", 0.0))
     pose = PoseEstimate(pose=Pose2(**fields), confidence=confidence, floor="ground", floor_pose=on_floor)
     key = POSE.key({"site": "s", "robot": "r1"})
-    return view._receive(Arrival(POSE, key, encode(pose), encoding(POSE)), 1.0, 0)
+    return [one for _, one in view._receive(Arrival(POSE, key, encode(pose), encoding(POSE)), 1.0, 0)]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
 
@@ -15,10 +16,15 @@ from eigenscan.cli.launch.services import lacking
 from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.runtime.bus import Bus
+from eigenscan.schemas.channels import POSE
+from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
+
+from tests.command import eigenscan
 
 pytestmark = pytest.mark.slow
 
@@ -42,11 +48,17 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], t
             assert process.poll() is None
             view.update()
             time.sleep(0.05)
+        write_map(replace(grid, origin=grid.origin + 1.0), tmp_path / "other.yaml")
+        second = eigenscan("run", tmp_path / "other.yaml", "--robot", "r18", "--site", site, "--zenoh", zenoh)
+        assert second.returncode == 2
+        assert "its mapbuilder 'r17' publishes another map: give that one, or choose" in second.stderr
+        other = PoseEstimate(state=STATE_LOCALIZED, confidence=1.0, pose=Pose2(x=1234.0))
+        view.publish(Envelope(POSE, {"site": site, "robot": "r18"}, other))
         stage.epoch = time.time_ns()
         publish(stage.messages(), view.publish)
         poses: list[PoseEstimate] = []
         while time.monotonic() < deadline and not any(pose.state == STATE_LOCALIZED for pose in poses):
-            poses += view.update()
+            poses += view.update("r17")
             time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
         assert len(children) == (1 if way else 5)
@@ -55,6 +67,8 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], t
     assert any(pose.state == STATE_LOCALIZED for pose in poses)
     assert process.returncode == 0
     assert "ready" in output
+    assert "localized" in output
+    assert "1234" not in output  # the pose of another robot on the site
     assert not [child for child in children if child.is_running() and child.status() != "zombie"]
     assert list((tmp_path / "out/mcap").glob("*.mcap"))
 

@@ -114,8 +114,27 @@ def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None
         list(read(damaged))
     done = eigenscan("repair", damaged, "-o", tmp_path / "saved.mcap")
     assert done.returncode == 0, done.stderr
-    assert "1 damaged chunks are lost" in done.stdout
+    assert "damaged chunks, lost: 1" in done.stdout
     assert stamps(tmp_path / "saved.mcap") == [n for n in range(1, COUNT + 1) if not 70 < n <= 80]
+
+
+@pytest.mark.parametrize("size", [40, 3000])
+def test_a_hole_across_chunks_costs_those_that_it_touches(whole: Path, tmp_path: Path, size: int) -> None:
+    """The index at the file's end still finds all that follow."""
+    content = bytearray(whole.read_bytes())
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    begins = [one.chunk_start_offset for one in summary.chunk_indexes]
+    begin = begins[7] + 1  # the chunk's own length
+    content[begin : begin + size] = b"\xff" * size
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    found = repair(damaged, tmp_path / "saved.mcap")
+    touched = sum(1 for one in begins[7:] if one < begin + size)
+    lost = range(71, 71 + 10 * touched)
+    assert stamps(tmp_path / "saved.mcap") == [n for n in range(1, COUNT + 1) if n not in lost]
+    assert (found.lost_chunks, found.cut) == (touched, False)
 
 
 def chunks_of(path: Path) -> list[Chunk]:

@@ -139,7 +139,7 @@ def _summarize(
         "scans": f"{len(mapped.numbers)} of {scans.received} in the map, {odometry} with odometry",
         **on_map,
         "way": f"{mapped.way:.0f} m in {scans.seconds:.0f} s",
-        "keyframes": f"{mapped.keyframes}, {mapped.closures} edges close loops, {mapped.rejected} rejected",
+        "keyframes": f"{mapped.keyframes}; loop closures: {mapped.closures}; rejected: {mapped.rejected}",
         "free area": f"{mapped.grid.free_area:.0f} m²",
         "mapped in": f"{seconds:.0f} s",
         "map": f"{target}, {target.with_suffix('.pgm').name}",

@@ -42,8 +42,8 @@ def repair(
         write_figures({"whole": True, "recording": str(file)}, json_file)
         return
     lost = [
-        f"{found.lost_chunks} damaged chunks are lost" if found.lost_chunks else "",
-        f"{found.lost_messages} messages of channels that they name" if found.lost_messages else "",
+        f"damaged chunks, lost: {found.lost_chunks}" if found.lost_chunks else "",
+        f"messages of channels that they name: {found.lost_messages}" if found.lost_messages else "",
         "it breaks off" if found.cut else "",
     ]
     words = ", ".join(part for part in lost if part) or "its index was missing"

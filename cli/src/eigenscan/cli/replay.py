@@ -18,7 +18,7 @@ def replay(
         str, typer.Option(help="scan-ingest, projector, tracker, or pipeline: all three in a row")
     ],
     compare: Annotated[
-        bool, typer.Option("--compare", help="compare the answers with the recorded ones")
+        bool, typer.Option("--compare", help="exit code 1 if the answers differ from the recorded ones")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="write inputs and answers, MCAP")] = None,
     model: Annotated[Path | None, typer.Option(help="model folder, instead of the recorded models")] = None,

@@ -108,10 +108,10 @@ def run(
         map_or_model = _take_map(ros2_flags, folder / "map.yaml")
         ros2_flags += ["--map", ""]  # the robot publishes its own map
     assert map_or_model is not None
-    flags, mcap = _model_flags(map_or_model, method), folder / "mcap"
+    (flags, version), mcap = _model_flags(map_or_model, method), folder / "mcap"
     pipeline = Pipeline(
         site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or (),
-        flags=chosen, together=together, foxglove=foxglove,
+        flags=chosen, together=together, foxglove=foxglove, map_version=version,
     )  # fmt: skip
     prepare(json_file)
     with events(json_file) as written:
@@ -141,18 +141,18 @@ def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None
         )
 
 
-def _model_flags(map_or_model: Path, method: str) -> list[str]:
-    """The mapbuilder's flags. Reads the map or folder first, so that an error shows at once."""
+def _model_flags(map_or_model: Path, method: str) -> tuple[list[str], str]:
+    """The mapbuilder's flags, and the map's version. Reads all of it, so that an error shows at once."""
     from eigenscan.eigenspace.folder import read_models
     from eigenscan.geometry.gridmap import read_map
 
     if not map_or_model.exists():
         raise UsageError(f"{map_or_model}: no such file or folder: give a map_server yaml or a model folder")
     if map_or_model.is_dir():
-        read_models(map_or_model).check_method(method)
-        return ["--model", str(map_or_model)]
-    read_map(map_or_model)
-    return ["--map", str(map_or_model)]
+        models = read_models(map_or_model)
+        models.check_method(method)
+        return ["--model", str(map_or_model)], models.grid.version
+    return ["--map", str(map_or_model)], read_map(map_or_model).version
 
 
 def _take_map(ros2_flags: list[str], path: Path) -> Path:

@@ -15,7 +15,7 @@ import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.session import open_meanwhile
+from eigenscan.runtime.session import MEETING, open_meanwhile
 from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.advice_words import HOLDS_S, words_of
 from eigenscan.schemas.channels import (
@@ -62,9 +62,12 @@ def connect(path: Path | None) -> zenoh.Session:
     try:
         return open_meanwhile(path, "peer").result(OPEN_S)
     except TimeoutError as error:
-        raise NoRouterError(
-            f"nobody answers within {OPEN_S:.0f} s: start the router, or correct connect.endpoints in {path}"
-        ) from error
+        what = (
+            f"start the router, or correct connect.endpoints in {path}"
+            if path
+            else f"{MEETING} is in use by another program: end it, or give --zenoh FILE with another address"
+        )
+        raise NoRouterError(f"nobody answers within {OPEN_S:.0f} s: {what}") from error
 
 
 @lru_cache(maxsize=1024)
@@ -174,7 +177,7 @@ class FleetView:
         self.site = site
         self.robots: dict[str, Robot] = {}
         self.services: dict[tuple[str, str], Service] = {}
-        self.model_version = ""
+        self.model_version = self.map_version = ""
         self._inbox = Inbox()
         self._tokens: list[tuple[str, bool]] = []
         self._bus = Bus(session)
@@ -200,16 +203,20 @@ class FleetView:
         """Publishes something to the site."""
         self._bus.publish(envelope)
 
-    def update(self) -> list[PoseEstimate]:
-        """Takes the messages since the last call and returns their poses; ages count from now."""
-        poses = []
+    def update(self, of: str | None = None) -> list[PoseEstimate]:
+        """Takes the messages since the last call; ages count from now.
+
+        Returns their poses, those of one robot or of every one.
+        """
+        poses = list[PoseEstimate]()
         while self._tokens:
             key, there = self._tokens.pop(0)
             _, _, name, instance, contract = key.split("/")
             contracts = self._service(name, instance).contracts
             (contracts.add if there else contracts.discard)(contract)
         while (arrival := self._inbox.take(0.0)) is not None:
-            poses += self._receive(arrival, time.monotonic(), time.time_ns())
+            for robot, pose in self._receive(arrival, time.monotonic(), time.time_ns()):
+                poses += [pose] * (of in (None, robot))
         since = time.monotonic() - FORGOTTEN_S
         self.robots = {name: each for name, each in self.robots.items() if each.received_at > since}
         self.services = {
@@ -227,20 +234,20 @@ class FleetView:
             self.update()
         return True
 
-    def _receive(self, arrival: Arrival, now: float, wall: int) -> list[PoseEstimate]:
+    def _receive(self, arrival: Arrival, now: float, wall: int) -> list[tuple[str, PoseEstimate]]:
         try:
             message = decode(arrival.channel, arrival.payload, arrival.encoding)
         except ContractError:
             return []  # not of this contract, and not ours to judge
         address = arrival.channel.parse(arrival.key) or {}
         if isinstance(message, ModelSet):
-            self.model_version = message.version
+            self.model_version, self.map_version = message.version, message.map_version
         elif isinstance(message, PoseEstimate):
             if not _is_sound(message):
                 return []  # anyone may publish one; no tracker of ours does
             robot = self.robots.setdefault(address["robot"], Robot(address["robot"]))
             robot.pose, robot.received_at = message, now
-            return [message]
+            return [(robot.name, message)]
         elif isinstance(message, Advice):
             robot = self.robots.setdefault(address["robot"], Robot(address["robot"], received_at=now))
             robot.advice, robot.advised_at = message, now
@@ -265,9 +272,13 @@ class FleetView:
         }
         return sorted(served | set(self.robots))
 
-    def health(self, name: str) -> Health | None:
-        """The newest word of a service of that name on itself."""
-        text = [each for each in self.services.values() if each.name == name and each.health is not None]
+    def health(self, name: str, instance: str | None = None) -> Health | None:
+        """The newest word of a service of that name on itself; of one instance of it, if that is named."""
+        text = [
+            each
+            for each in self.services.values()
+            if each.name == name and instance in (None, each.instance) and each.health is not None
+        ]
         return max(text, key=lambda each: each.received_at).health if text else None
 
     def serving(self, robot: str, names: Collection[str] = ROBOT_SERVICES) -> Iterator[Service]:

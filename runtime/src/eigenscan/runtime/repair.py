@@ -11,6 +11,7 @@ from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeRe
 from eigenscan.runtime.recording.files import refuse_bomb
 from eigenscan.runtime.whole import whole
 from mcap.exceptions import EndOfFile, InvalidMagic
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
@@ -80,24 +81,57 @@ def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
     with path.open("rb") as file:
         whole = cast(IO[bytes], WholeReads(file))
         records = StreamReader(whole, emit_chunks=True, record_size_limit=found.size).records
-        first = True
+        begins = 0
         while True:
             try:
                 record = next(records, None)
             except (EndOfFile, *DAMAGE) as error:
-                if first:
-                    what = "no MCAP" if isinstance(error, InvalidMagic) else error
+                if not begins:
+                    what = _what(error) or "it ends before its first record"
                     raise RecordingError(f"{path}: is no readable recording: {what}") from error
-                found.cut = True
+                yield from _after(file, begins, found, moved)
                 return
             if record is None:
                 return
-            first = False
-            moved(file.tell())
+            begins = file.tell()
+            moved(begins)
             if isinstance(record, Chunk):
                 yield from _of_chunk(record, found)
             else:
                 yield record
+
+
+def _what(error: Exception) -> str:
+    return "no MCAP" if isinstance(error, InvalidMagic) else str(error)
+
+
+def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
+    """What the index at the end still finds from an unreadable place on, a number of bytes into the file."""
+    try:
+        file.seek(0)
+        index = SeekingReader(file).get_summary()
+    except (EndOfFile, *DAMAGE):
+        index = None
+    if index is None or not index.chunk_indexes:
+        found.cut = True
+        return
+    yield from index.schemas.values()
+    yield from index.channels.values()
+    for begins in sorted(one.chunk_start_offset for one in index.chunk_indexes):
+        if begins < place:
+            continue
+        file.seek(begins)
+        whole = cast(IO[bytes], WholeReads(file))
+        reader = StreamReader(whole, skip_magic=True, emit_chunks=True, record_size_limit=found.size)
+        try:
+            record = next(reader.records, None)
+        except (EndOfFile, *DAMAGE):
+            record = None
+        moved(file.tell())
+        if isinstance(record, Chunk):
+            yield from _of_chunk(record, found)
+        else:
+            found.lost_chunks += 1
 
 
 def _of_chunk(chunk: Chunk, found: Salvage) -> list[McapRecord]:

@@ -21,6 +21,7 @@ from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import from_message
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.errors import StoppedError
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.channels import IN_PLAY, TRACKS
@@ -32,6 +33,7 @@ from eigenscan.workbench.simulation.recorded import Recorded
 from eigenscan.workbench.simulation.stage import Stage
 from eigenscan.workbench.simulation.verdict import Sighting, Stretch, judge
 
+EARLY = "before the robot was found again"
 OPEN_S = 30.0
 """Time that the robot waits for a visitor to open the viewer, s."""
 LOADED_S = 4.0
@@ -69,7 +71,7 @@ class Demonstration:
     def run(self) -> bool:
         """Runs to the end; True if the robot was found, and found again after the kidnap.
 
-        Raises FailedError if a service dies or does not get ready.
+        Raises FailedError if a service dies or does not get ready, StoppedError if it is ended before.
         """
         scenario, folder = self._stage.scenario, self._folder
         with ExitStack() as stack:
@@ -94,14 +96,14 @@ class Demonstration:
             )
             pipeline.start(supervisor)
             if not wait_until_ready(supervisor, pipeline.services, view, self._line, self._stop):
-                return self._ended_early()
+                raise StoppedError(EARLY)
             stack.callback(self._bus_of(session).close)
             if link := viewer_link(supervisor):
                 self._line.keep(f"watch it here: {link}")
                 self._wait_for_viewer(supervisor, link)
             sightings = self._play(view, supervisor)
             if self._stop.stopping:
-                return self._ended_early()
+                raise StoppedError(EARLY)
             supervisor.stop(keep=["recorder"] if self._viewer else [])
             found = self._conclude(sightings)
             if self._viewer:
@@ -133,10 +135,6 @@ class Demonstration:
             if isinstance(message, Tracks):
                 number = sum(track.probability >= IN_PLAY for track in message.tracks)
                 self._candidates[self._time(nanoseconds(message.timestamp))] = number
-
-    def _ended_early(self) -> bool:
-        self._line.keep("ended before the robot was found again")
-        return False
 
     def _play(self, view: FleetView, supervisor: Supervisor) -> list[Sighting]:
         """Publishes the simulation and receives the poses, until both are through."""

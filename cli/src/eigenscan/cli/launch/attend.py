@@ -45,10 +45,13 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
         line = stack.enter_context(StatusLine(to_stderr))
         session = _open(pipeline)
         view = stack.enter_context(FleetView(session, pipeline.site))
-        _refuse_second(session, pipeline)
+        running = _running(session, pipeline.site)
+        _refuse_second(running, pipeline)
+        _refuse_other_map(running, view, pipeline)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
         pipeline.start(supervisor)
-        if not wait_until_ready(supervisor, pipeline.services, view, line, stop):
+        own = instance_name(pipeline.robot)
+        if not wait_until_ready(supervisor, pipeline.services, view, line, stop, own):
             return
         line.keep(
             f"ready: listening for robot {pipeline.robot!r} of site {pipeline.site!r} at {_where(pipeline)}; "
@@ -63,12 +66,14 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
         received_at = 0.0
         while not stop.stopping:
             supervisor.check()
-            for pose in view.update():
+            for pose in view.update(pipeline.robot):
                 newest, received_at = pose, time.monotonic()
                 pose_events.receive(pose)
             robot = view.robots.get(pipeline.robot)
             advised = robot.advised if robot is not None else ""
-            line.show(pose_text(newest, time.monotonic() - received_at, _lacking(view), advised))
+            line.show(
+                pose_text(newest, time.monotonic() - received_at, _lacking(view, pipeline.robot), advised)
+            )
             stop.wait(0.2)
         events.write("ended", folder=str(folder))
         line.keep(f"ended; recording and logs are in {folder}")
@@ -86,23 +91,34 @@ def _where(pipeline: Pipeline) -> str:
     return str(pipeline.zenoh) if pipeline.zenoh else ", ".join([MEETING, *pipeline.listen])
 
 
-def _refuse_second(session: zenoh.Session, pipeline: Pipeline) -> None:
+def _running(session: zenoh.Session, site: str) -> list[tuple[str, str]]:
+    """Names and instances of the services of a pipeline that run on a site."""
+    tokens = ALIVE_TEMPLATE.format(site=site, service="*", instance="*", contract="*")
+    replies = session.liveliness().get(tokens, timeout=ASK_S)
+    keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok]
+    return sorted((key[2], key[3]) for key in keys if key[2] in SERVICES)
+
+
+def _refuse_second(running: Sequence[tuple[str, str]], pipeline: Pipeline) -> None:
     """Two pipelines under one robot's name would publish two poses. Raises UsageError."""
-    tokens = ALIVE_TEMPLATE.format(
-        site=pipeline.site, service="*", instance=instance_name(pipeline.robot), contract="*"
-    )
-    running = sorted(
-        {
-            str(reply.ok.key_expr).split("/")[2]
-            for reply in session.liveliness().get(tokens, timeout=ASK_S)
-            if reply.ok
-        }
-        & {*SERVICES}
-    )
-    if running:
+    own = instance_name(pipeline.robot)
+    names = [name for name, instance in running if instance == own]
+    if names:
         raise UsageError(
-            f"--robot {pipeline.robot}: its {', '.join(running)} already run on site {pipeline.site!r}: "
+            f"--robot {pipeline.robot}: its {', '.join(names)} already run on site {pipeline.site!r}: "
             "end it, or choose another --robot or --site"
+        )
+
+
+def _refuse_other_map(running: Sequence[tuple[str, str]], view: FleetView, pipeline: Pipeline) -> None:
+    """A site has one map: another one would replace it under its other robots. Raises UsageError."""
+    others = [instance for name, instance in running if name == "mapbuilder"]
+    if not others or not view.until(lambda: bool(view.map_version), ASK_S):
+        return
+    if pipeline.map_version != view.map_version:
+        raise UsageError(
+            f"--site {pipeline.site}: its mapbuilder {others[0]!r} publishes another map: "
+            "give that one, or choose another --site"
         )
 
 
@@ -129,12 +145,15 @@ class _PoseEvents:
         )
 
 
-def _lacking(view: FleetView) -> list[str]:
-    """The faults that services report."""
+def _lacking(view: FleetView, robot: str) -> list[str]:
+    """The faults that the services of a robot's run report."""
     return [
         f"{each.name}: {each.health.detail}"
         for _, each in sorted(view.services.items())
-        if each.health and each.health.status != Health.STATUS_OK and each.health.detail
+        if each.instance == instance_name(robot)
+        and each.health
+        and each.health.status != Health.STATUS_OK
+        and each.health.detail
     ]
 
 

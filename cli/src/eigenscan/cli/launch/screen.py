@@ -33,19 +33,24 @@ class StatusLine:
     def show(self, text: str) -> None:
         """Puts `text` in the line."""
         if self.console.is_terminal:
-            self._status.update(escape(printable(text)))
+            self._status.update(escape(_printable(text)))
         elif time.monotonic() >= self._due:
             self.keep(text)
 
     def keep(self, text: str) -> None:
         """Prints a line that stays."""
         self._due = time.monotonic() + QUIET_PERIOD_S
-        self.console.print(printable(text), markup=False, soft_wrap=True)
+        self.console.print(_printable(text), markup=False, soft_wrap=True)
 
     def keep_own(self, text: str) -> None:
         """Prints this program's own text as it is, with its lines and columns."""
         self._due = time.monotonic() + QUIET_PERIOD_S
         self.console.print(text, markup=False, soft_wrap=True)
+
+
+def _printable(text: str) -> str:
+    """Printable, with the gaps between its columns."""
+    return "  ".join(map(printable, text.split("  ")))
 
 
 def state_name(state: int) -> str:

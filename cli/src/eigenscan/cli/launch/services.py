@@ -41,6 +41,7 @@ class Pipeline:
     flags: Mapping[str, Sequence[str]] = field(default_factory=dict)  # flags of single services, by name
     together: bool = False  # all services in one process
     foxglove: bool = False  # serve Foxglove too
+    map_version: str = ""  # what the mapbuilder will publish
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it receives everything."""
@@ -71,11 +72,14 @@ class Pipeline:
         return [name for name in NODES if name in SERVICES or self.ros2_flags is not None]
 
 
-def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
-    """What `services` still wait for: missing names, and what each health reports as missing."""
+def lacking(view: FleetView, services: Iterable[str], instance: str | None = None) -> list[str]:
+    """What `services` still wait for: missing names, and what each health reports as missing.
+
+    `instance`: of these alone, where others run on the site.
+    """
     found = []
     for service in services:
-        health = view.health(service)
+        health = view.health(service, instance)
         if health is None:
             found.append(service)
         elif service in AWAIT_MODEL and health.status == Health.STATUS_WAITING:
@@ -84,7 +88,12 @@ def lacking(view: FleetView, services: Iterable[str]) -> list[str]:
 
 
 def wait_until_ready(
-    supervisor: Supervisor, services: Iterable[str], view: FleetView, line: StatusLine, stop: StopEvent
+    supervisor: Supervisor,
+    services: Iterable[str],
+    view: FleetView,
+    line: StatusLine,
+    stop: StopEvent,
+    instance: str | None = None,
 ) -> bool:
     """Waits until each of `services` is alive and has its model; False if the end was requested.
 
@@ -94,7 +103,7 @@ def wait_until_ready(
     while not stop.stopping:
         supervisor.check()
         view.update()
-        missing = lacking(view, services)
+        missing = lacking(view, services, instance)
         if not missing:
             return True
         if time.monotonic() > deadline:

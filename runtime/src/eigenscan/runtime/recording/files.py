@@ -144,7 +144,9 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}: check the path") from error
     except DAMAGE as error:
-        raise RecordingError(f"{path}: is no readable recording: {error}") from error
+        raise RecordingError(
+            f"{path}: is damaged ({error}): eigenscan repair {path.name} saves what can be read"
+        ) from error
 
 
 def _refuse_others(path: Path, file: IO[bytes]) -> None:

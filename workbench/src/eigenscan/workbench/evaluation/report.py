@@ -90,14 +90,14 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
         ("reference", f["reference"] + (": agreement, not accuracy" if own else "")),
         (
             "windows",
-            f"{f['windows']} ({f['windows_left_out']} left out: too few scans with a reference, or --limit)",
+            f"{f['windows']} ({f['windows_left_out']} left out)",
         ),
         (
             words["success"],
             f"{_percent(f['success_rate'])}: claimed and {words['right']} for the last third or more",
         ),
-        (f"windows with a {words['right']} claim", _percent(f["right_claim_rate"])),
-        (f"windows with a {words['false']} claim", _percent(f["false_claim_rate"])),
+        (f"windows with {words['right']} claims", _percent(f["right_claim_rate"])),
+        (f"windows with {words['false']} claims", _percent(f["false_claim_rate"])),
         (f"share of {words['false']} claims", _percent(f["false_share_of_claims"], 2)),
         (
             "of claims, at another place",

@@ -11,7 +11,7 @@ from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.options import ProjectorOptions
 from eigenscan.runtime.settings import ServiceSettings
-from eigenscan.schemas.channels import ADVICE, TRANSFORM, Channel
+from eigenscan.schemas.channels import ADVICE, LIDAR_KIND, TRANSFORM, Channel
 from eigenscan.schemas.envelope import Core
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.options import TrackerOptions
@@ -57,6 +57,7 @@ ARRIVAL: dict[Channel, str] = {
     "an accident of arrival",
     ADVICE: "one follows each second of those poses and tracks that the projector had received in pairs: "
     "an accident of arrival",
+    LIDAR_KIND: "the projector asks only until the eigenspaces for a lidar have come: an accident of arrival",
 }
 """What is not judged for a recording over Zenoh, and why. The poses and tracks behind it are judged."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -177,7 +178,9 @@ def _judged(files: Sequence[Path], plan: Plan, jobs: int) -> Iterator[Iterable[C
     if jobs <= 1:
         yield from (judge(path, plan) for path in files)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+    # by Ctrl-C they end at once, without a trace each
+    quiet = signal.signal, (signal.SIGINT, signal.SIG_DFL)
+    with ProcessPoolExecutor(jobs, get_context("spawn"), *quiet) as pool:
         yield from pool.map(partial(_all_of, plan=plan), files)
 
 

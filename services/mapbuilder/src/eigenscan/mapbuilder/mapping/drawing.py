@@ -41,7 +41,7 @@ def draw_way(mapped: Mapped, given: GridMap | None = None) -> bytes:
     view.legend(
         pen,
         f"{mapped.grid.free_area:.0f} m2 free; the robot's way, {mapped.way:.0f} m, from blue to red;"
-        f"\n{mapped.keyframes} keyframes, {mapped.closures} edges that close loops{note}",
+        f"\nkeyframes: {mapped.keyframes}, loop closures: {mapped.closures}{note}",
     )
     file = BytesIO()
     image.convert("RGB").save(file, format="PNG", optimize=True)
