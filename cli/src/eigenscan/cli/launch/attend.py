@@ -23,8 +23,8 @@ from eigenscan.schemas.group import instance_name
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
-ASK_S = 1.0
-"""Longest wait for liveliness tokens, s; on one machine they take milliseconds."""
+ASK_S = 5.0
+"""Longest wait for liveliness tokens, and for the map of a site that has one, s; usually milliseconds."""
 
 OLD_S = 2.0
 """Age beyond which a pose is not shown, s: 20 scans of a 10 Hz lidar."""
