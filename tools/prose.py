@@ -27,8 +27,9 @@ ROOT = Path(__file__).parents[1]
 LONGEST = 30
 """Words of a sentence; the aim is 20."""
 
-MOST_WORDS = 22_000
-"""Words of all pages together."""
+MOST_WORDS = 20_200
+"""Words of all pages together, but for those that are made of the code."""
+MADE = ("docs/settings.md",)
 
 CODE = ("schemas", "geometry", "eigenspace", "runtime", "services", "library", "workbench", "fleet", "cli")
 BESIDE = ("tests", "benchmarks", "examples", "tools")
@@ -165,8 +166,8 @@ def faults() -> Iterator[str]:
         yield from foreign_words(text, banned["text"])
     for text in names_in_code():
         yield from foreign_words(text, banned["code"])
-    if (whole := sum(map(words, read.values()))) > MOST_WORDS:
-        yield f"all pages: {whole} words, {MOST_WORDS} at most"
+    if (whole := sum(words(page) for name, page in read.items() if name not in MADE)) > MOST_WORDS:
+        yield f"all pages but settings.md: {whole} words, {MOST_WORDS} at most: shorten one"
 
 
 def main() -> None:

@@ -77,7 +77,7 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
         ({"resolution": 5.0}, "resolution = 5.0: give metres per pixel, such as 0.05"),
         ({"resolution": ".nan"}, "resolution"),
         ({"resolution": "fine"}, "resolution = 'fine'"),
-        ({"origin": None}, "origin = None"),
+        ({"origin": None}, "origin is missing"),
         ({"origin": "[0, 0]"}, "origin"),
         ({"origin": "[0, 0, .inf]"}, "origin"),
         ({"mode": "binary"}, "mode = 'binary'"),
@@ -97,6 +97,13 @@ def test_a_bad_field_is_named_with_its_file(tmp_path: Path, meta: dict[str, Any]
     with pytest.raises(MapError, match=stated) as error:
         read_map(path)
     assert str(path) in str(error.value)
+
+
+def test_a_mistake_in_the_yaml_is_named_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "map.yaml"
+    path.write_text("image: map.pgm\norigin: [0, 0\nresolution: 0.05\n")
+    with pytest.raises(MapError, match=r"map\.yaml, line 3: is no map_server yaml"):
+        read_map(path)
 
 
 @pytest.mark.parametrize("text", ["", "- a\n- b", "image: [", "just words"])

@@ -111,13 +111,17 @@ def read_map(path: Path) -> GridMap:
     except MapError:
         raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # no date, a number of 5,000 digits, ...
-        raise MapError(f"{path}: is no map_server yaml: give the yaml that names the image") from error
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f", line {mark.line + 1}"
+        raise MapError(f"{path}{where}: is no map_server yaml: give the yaml that names the image") from error
     if not isinstance(meta, dict):
         raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
     resolution = _number(path, meta, "resolution", None)
     if not FINEST_M <= resolution <= COARSEST_M:
         raise MapError(f"{path}: resolution = {resolution}: give metres per pixel, such as 0.05")
     origin = meta.get("origin")
+    if origin is None:
+        raise MapError(f"{path}: origin is missing: give [x, y, yaw] in metres and radians")
     if not (
         isinstance(origin, list)
         and len(origin) == 3

@@ -99,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._reply(200, "text/plain; version=0.0.4; charset=utf-8", self.server.metrics.text())
         elif path == "/healthz":
             code, body = self.server.monitor.probe()
-            self._reply(code, "application/json", json.dumps(body).encode())
+            self._reply(code, "application/json", f"{json.dumps(body)}\n".encode())
         else:
             self._reply(404, "text/plain", b"see /metrics and /healthz\n")
 

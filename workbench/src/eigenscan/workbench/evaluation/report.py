@@ -35,15 +35,13 @@ def verdict(f: Figures) -> str:
     good = round(f["success_rate"] * f["windows"])
     wrong = round((f["false_claim_rate"] or 0.0) * f["windows"])
     scans = _number(f["to_localize"]["scans"]["median"])
+    after = f", typically after {scans} scans" if good else ""
     if f["reference"] == WHOLE_DRIVE:
         return (
-            f"Verdict: {good} of {f['windows']} starts agree with the log played as a whole, typically after "
-            f"{scans} scans; {wrong} disagree at some claim. This shows agreement, not accuracy."
+            f"Verdict: {good} of {f['windows']} starts agree with the log played as a whole{after}; "
+            f"{wrong} disagree at some claim. This shows agreement, not accuracy."
         )
-    return (
-        f"Verdict: {good} of {f['windows']} starts succeed, typically after {scans} scans; "
-        f"{wrong} have a false claim."
-    )
+    return f"Verdict: {good} of {f['windows']} starts succeed{after}; {wrong} have a false claim."
 
 
 def remarks(f: Figures) -> list[str]:
@@ -174,8 +172,10 @@ def _consistency(found: Figures) -> str:
     text = f"mean {_number(mean)} of {found['n']} scans {found['apart_m']:g} m apart"
     if mean is None or low is None or high is None:
         return text
-    fit = "too large" if mean < low else "too small" if mean > high else "right"
-    return f"{text}; stated errors are {fit} ({_number(low)} to {_number(high)}: right)"
+    if low <= mean <= high:
+        return f"{text}: stated errors are right"
+    fit = "too large" if mean < low else "too small"
+    return f"{text}: stated errors are {fit} ({_number(low)} to {_number(high)} would be right)"
 
 
 def _windows(rows: list[Figures], words: dict[str, str]) -> Table:
