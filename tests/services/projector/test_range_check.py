@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.range_check import TRIED, check, set_right
+from eigenscan.projector.range_check import check, set_right
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
@@ -48,16 +48,15 @@ def test_a_scan_that_fits_is_not_tried_otherwise(pose: Array) -> None:
 
 
 @pytest.mark.parametrize(("factor", "offset"), [(0.9, 0.0), (1.1, 0.0), (1.25, 0.0), (1.0, 0.3), (1.0, -0.3)])
-def test_where_the_pose_is_listed_the_true_error_makes_the_scan_likelier(
-    factor: float, offset: float
-) -> None:
+def test_where_the_pose_is_listed_the_error_is_found(factor: float, offset: float) -> None:
+    found = list[tuple[float, float]]()
     for number, pose in enumerate(POSES):
-        tried = checked(pose, factor, offset, seed=number, listed=pose).errors
-        assert [(each.factor, each.offset) for each in tried] == list(TRIED)
-        nats = {(each.factor, each.offset): each.gain for each in tried}
-        assert nats[factor, offset] > 0.0
+        (stated,) = checked(pose, factor, offset, seed=number, listed=pose).errors
+        found.append((stated.factor, stated.offset))
+        assert stated.gain > 0.0
         # a tenth of a small room is much like an offset
-        assert nats[factor, offset] > max(nats.values()) - 3.0
+        assert np.sign(stated.factor - 1.0 + stated.offset) == np.sign(factor - 1.0 + offset)
+    assert found.count((factor, offset)) > len(POSES) / 3
 
 
 def test_ranges_are_set_right() -> None:

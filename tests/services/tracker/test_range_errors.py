@@ -52,6 +52,15 @@ def test_ranges_that_fit_are_trusted(scans: list[tuple[float, float]]) -> None:
     assert not found.fault
 
 
+def test_an_error_that_is_not_stated_fits_no_better() -> None:
+    found = after(FOR, 4)
+    for gain, named in ((FOR, True), (-10.0, True), (-10.0, False)):
+        for _ in range(4):
+            found.take("front", {LONG: gain})
+            found.move(1.0)
+        assert bool(found.fault) == named
+
+
 def test_what_is_mended_is_forgotten() -> None:
     found = after(FOR, 100)
     for _ in range(12):

@@ -131,7 +131,7 @@ def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) ->
 
     `ordinary`: support of an ordinary place, for here no other place is looked at.
     """
-    slid = fit(site.coarse_walls, starts, _sliding(seen), SLIDE)
+    slid = slide_around(site, seen, starts)
     kept = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), ONE_M, ONE_RAD, len(starts))
     weighed = [_weighed(site, reading, seen, slid.poses[kept]) for reading in site.readings]
     polished, supported, explained = max(weighed, key=lambda each: float(each[1].max()))
@@ -141,6 +141,11 @@ def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) ->
     likelihood = log_likelihood(supported[best : best + 1], ordinary, seen.returned)
     likelihood -= _spread(site, information, covariance)
     return Fitted(polished.poses[best], covariance[0], float(likelihood[0]), float(explained[best]))
+
+
+def slide_around(site: Site, seen: Observation, starts: Array) -> Fit:
+    """Where the scan slides from sensor poses `starts` (n, 3), by some of its beams."""
+    return fit(site.coarse_walls, starts, _sliding(seen), SLIDE)
 
 
 def _sliding(seen: Observation) -> Array:

@@ -7,13 +7,12 @@ with its ranges set right is by far the likelier one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.observation import NEAREST, Observation
-from eigenscan.projector.projection import fit_around
+from eigenscan.projector.projection import fit_around, slide_around
 from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck, RangeError
 
@@ -31,19 +30,16 @@ BY_CHANCE = 12.0
 
 
 def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
-    """The errors of its ranges that were tried for a scan for which these candidates were `found`."""
+    """Of the errors that are tried, the one with which the scan fits best for which these were `found`."""
     if not len(found.poses) or found.explained[0] >= FITS:
         return RangeCheck()
-    return RangeCheck(errors=_errors(site, seen, found))
-
-
-def _errors(site: Site, seen: Observation, found: Candidates) -> Iterable[RangeError]:
     starts = found.poses[:AMONG]
-    as_it_is = fit_around(site, seen, starts, found.ordinary).log_likelihood
-    for factor, offset in TRIED:
-        fitted = fit_around(site, set_right(seen, factor, offset), starts, found.ordinary)
-        gain = fitted.log_likelihood - max(as_it_is, BY_CHANCE)
-        yield RangeError(factor=factor, offset=offset, gain=gain)
+    right = {error: set_right(seen, *error) for error in TRIED}
+    # by few beams first: to weigh a scan costs more
+    best = min(TRIED, key=lambda error: float(slide_around(site, right[error], starts).cost.min()))
+    fitted = fit_around(site, right[best], starts, found.ordinary)
+    gain = fitted.log_likelihood - max(float(found.log_likelihoods[0]), BY_CHANCE)
+    return RangeCheck(errors=[RangeError(factor=best[0], offset=best[1], gain=gain)])
 
 
 def set_right(seen: Observation, factor: float, offset: float) -> Observation:
