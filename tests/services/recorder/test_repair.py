@@ -9,7 +9,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -135,6 +137,27 @@ def test_a_hole_across_chunks_costs_those_that_it_touches(whole: Path, tmp_path:
     lost = range(71, 71 + 10 * touched)
     assert stamps(tmp_path / "saved.mcap") == [n for n in range(1, COUNT + 1) if n not in lost]
     assert (found.lost_chunks, found.cut) == (touched, False)
+
+
+def test_an_index_that_points_anywhere_does_no_harm(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = bytearray(whole.read_bytes())
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    begins = [one.chunk_start_offset for one in summary.chunk_indexes]
+    content[begins[7] + 1 : begins[7] + 40] = b"\xff" * 39
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    wrong = [2**64 - 1, len(content), 0, begins[9] + 3, *begins, *begins]
+    indexes = [replace(summary.chunk_indexes[0], chunk_start_offset=begin) for begin in wrong]
+    summary.chunk_indexes = indexes
+    reader = SimpleNamespace(get_summary=lambda: summary)
+    monkeypatch.setattr("eigenscan.runtime.repair.SeekingReader", lambda *_, **__: reader)
+    found = repair(damaged, tmp_path / "saved.mcap")
+    assert found.messages == COUNT - 10
+    assert sorted(stamps(tmp_path / "saved.mcap")) == [n for n in range(1, COUNT + 1) if not 70 < n <= 80]
 
 
 def chunks_of(path: Path) -> list[Chunk]:

@@ -94,6 +94,7 @@ def test_the_words_name_what_would_mend_it(error: RangeError, words: str) -> Non
 
 def test_what_is_no_number_is_left_out() -> None:
     wrong = [(nan, 0.0, 1.0), (1.0, inf, 1.0), (0.9, 0.0, nan), (0.0, 0.3, 5.0), (-1.0, 0.0, 5.0)]
+    wrong += [(1e300, 0.0, 5.0), (1.0, -1e300, 5.0)]
     errors = [Stated(factor=f, offset=o, gain=g) for f, o, g in [*wrong, (0.9, 0.0, 5.0)]]
     assert gains(RangeCheck(errors=errors)) == {SHORT: 5.0}
 

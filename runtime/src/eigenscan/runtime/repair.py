@@ -109,7 +109,7 @@ def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterato
     """What the index at the end still finds from an unreadable place on, a number of bytes into the file."""
     try:
         file.seek(0)
-        index = SeekingReader(file).get_summary()
+        index = SeekingReader(file, record_size_limit=found.size).get_summary()
     except (EndOfFile, *DAMAGE):
         index = None
     if index is None or not index.chunk_indexes:
@@ -117,8 +117,8 @@ def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterato
         return
     yield from index.schemas.values()
     yield from index.channels.values()
-    for begins in sorted(one.chunk_start_offset for one in index.chunk_indexes):
-        if begins < place:
+    for begins in sorted({one.chunk_start_offset for one in index.chunk_indexes}):
+        if not place <= begins < found.size:  # before it, or an index that nobody wrote in earnest
             continue
         file.seek(begins)
         whole = cast(IO[bytes], WholeReads(file))
@@ -129,6 +129,7 @@ def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterato
             record = None
         moved(file.tell())
         if isinstance(record, Chunk):
+            place = file.tell()
             yield from _of_chunk(record, found)
         else:
             found.lost_chunks += 1

@@ -21,6 +21,8 @@ an error (benchmarks/range_errors.py prints how often it is named rightly and wr
 """
 TRIED = 32
 """Errors that are followed at most."""
+LARGEST = 10.0
+"""Factor, and m: with a larger error no scan would fit anywhere."""
 FAULT = (
     "scans fit the map only with ranges {}: has the lidar another scale or an offset, "
     "or the map another resolution?"
@@ -42,10 +44,12 @@ class RangeError(NamedTuple):
 
 
 def gains(checked: RangeCheck) -> dict[RangeError, float]:
-    """What a projector's check states, without what is no number."""
+    """What a projector's check states, without what is no number or no such error."""
     found = {RangeError(one.factor, one.offset): one.gain for one in checked.errors[:TRIED]}
     return {
-        error: gain for error, gain in found.items() if error.factor > 0.0 and isfinite(gain + sum(error))
+        error: gain
+        for error, gain in found.items()
+        if 1.0 / LARGEST < error.factor < LARGEST and abs(error.offset) < LARGEST and isfinite(gain)
     }
 
 
