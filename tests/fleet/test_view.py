@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from eigenscan.cli.fleet.status import rows
 from eigenscan.fleet.view import FleetView
-from eigenscan.runtime.inbox import Arrival
+from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -20,6 +20,22 @@ def _received(view: FleetView, **fields: float) -> list[PoseEstimate]:
     pose = PoseEstimate(pose=Pose2(**fields), confidence=confidence, floor="ground", floor_pose=on_floor)
     key = POSE.key({"site": "s", "robot": "r1"})
     return [one for _, one in view._receive(Arrival(POSE, key, encode(pose), encoding(POSE)), 1.0, 0)]
+
+
+def test_poses_of_one_robot_are_given_alone() -> None:
+    """`eigenscan run` once showed the pose of another robot on its site."""
+    view: Any = FleetView.__new__(FleetView)
+    view.site, view.robots, view.services, view._tokens, view._inbox = "s", {}, {}, [], Inbox()
+
+    def put() -> None:
+        for x, robot in enumerate(("r1", "r2", "r1"), start=1):
+            message, key = PoseEstimate(pose=Pose2(x=x)), POSE.key({"site": "s", "robot": robot})
+            view._inbox.put(POSE, key, encode(message), encoding(POSE))
+
+    for of, expected in (("r1", [1.0, 3.0]), ("r2", [2.0]), ("r3", []), (None, [1.0, 2.0, 3.0])):
+        put()
+        assert [pose.pose.x for pose in view.update(of)] == expected
+    assert set(view.robots) == {"r1", "r2"}
 
 
 @pytest.mark.parametrize(
