@@ -4,18 +4,22 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from uuid import uuid4
 
 import psutil
 import pytest
-from eigenscan.cli.launch.attend import pose_text
+from eigenscan.cli.launch.attend import _refuse_other_map, pose_text
 from eigenscan.cli.launch.network import open_hub
-from eigenscan.cli.launch.services import lacking
+from eigenscan.cli.launch.services import Pipeline, lacking
 from eigenscan.fleet.view import FleetView
 from eigenscan.geometry.gridmap import write_map
+from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -46,12 +50,6 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], t
             assert process.poll() is None
             view.update()
             time.sleep(0.05)
-        write_map(replace(grid, origin=grid.origin + 1.0), tmp_path / "other.yaml")
-        other_map = [*EIGENSCAN, "run", str(tmp_path / "other.yaml"), "--robot", "r18", "--no-viewer",
-                     "--site", site, "--zenoh", str(zenoh), "--out", str(tmp_path / "second")]  # fmt: skip
-        second = subprocess.run(other_map, capture_output=True, text=True, timeout=240, check=False)
-        assert second.returncode == 2
-        assert "its mapbuilder 'r17' publishes another map: give that one, or choose" in second.stderr
         other = PoseEstimate(state=STATE_LOCALIZED, confidence=1.0, pose=Pose2(x=1234.0))
         view.publish(Envelope(POSE, {"site": site, "robot": "r18"}, other))
         stage.epoch = time.time_ns()
@@ -104,6 +102,29 @@ def test_an_open_endpoint_must_be_asked_for_in_words(tmp_path: Path) -> None:
 def test_a_name_that_is_no_part_of_a_key_starts_nothing(tmp_path: Path) -> None:
     write_map(office().render(), tmp_path / "map.yaml")
     _expect_one_line(tmp_path, ["--map", str(tmp_path / "map.yaml"), "--robot", "r 17"], "--robot 'r 17'")
+
+
+@pytest.mark.parametrize(
+    ("running", "published", "refused"),
+    [
+        ([("mapbuilder", "r17"), ("tracker", "r17")], "other", True),
+        ([("mapbuilder", "r17")], "own", False),
+        ([("mapbuilder", "r17")], "", False),  # it builds its first models
+        ([("tracker", "r17")], "other", False),  # from a mapbuilder that is gone
+        ([], "", False),
+    ],
+)
+def test_a_site_has_one_map(running: list[tuple[str, str]], published: str, refused: bool) -> None:
+    """A second `run` with another map once replaced that of a robot, which stayed localized."""
+    grid = office().render()
+    own = build_site(grid, Plan()).to_message().map_version
+    assert own == grid.version
+    view: Any = SimpleNamespace(map_version=own if published == "own" else published)
+    view.until = lambda holds, _seconds: holds()
+    pipeline = Pipeline("s", "r18", [], None, Path(), None, viewer=False, map_version=grid.version)
+    words = r"--site s: its mapbuilder 'r17' publishes another map: give that one, or choose another --site"
+    with pytest.raises(UsageError, match=words) if refused else nullcontext():
+        _refuse_other_map(running, view, pipeline)
 
 
 def test_an_old_pose_is_not_reported_as_where_the_robot_is() -> None:
