@@ -4,9 +4,8 @@
 
 The first metres of each log are played on maps that are right and worse (benchmarks/worse_maps.py), its
 ranges as they are and with errors. Whole searches only, by the reference's motion. A row: share of scans that
-fit as they are; of the others, nats (median) for the error that the ranges have, or else for the likeliest;
-after how many metres an error was named, and which; `-`: none. The constants were chosen on these logs, with
-their maps and five worse ones.
+fit as they are; of the others, nats (median) for the error that fits best; after how many metres an error was
+named, and which; `-`: none. The constants were chosen on these logs, with their maps and five worse ones.
 """
 
 import argparse
@@ -37,6 +36,7 @@ from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.tracker.range_errors import RangeErrors, gains
 from eigenscan.tracker.settings import TrackerSettings
 from evaluate import DATASETS
+from integrity_faults import put
 from maps import LOGS, Case, read_case, worsened
 from numpy.typing import NDArray
 from worse_maps import WAYS
@@ -105,7 +105,7 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
         fit += not by_error
         scans += 1
         if by_error:
-            nats.append(by_error.get(ERRORS[error], max(by_error.values())))  # type: ignore[call-overload]
+            nats.append(max(by_error.values()))
         if named is None and ranges.fault:
             named = driven, ranges.fault
     return {
@@ -141,9 +141,7 @@ def _checks(
         before, driven = pose, driven + way
         raw = RawScan()
         raw.CopyFrom(received.open(RawScan))
-        changed = measured(np.asarray(raw.ranges))
-        del raw.ranges[:]
-        raw.ranges.extend(changed.tolist())
+        put(raw, measured(np.asarray(raw.ranges)))
         for scan in ingest.handle(Envelope(SCAN_RAW, received.address, raw)):
             if scan.channel is SCAN:
                 seen = observe(scan.open(Scan))

@@ -216,7 +216,8 @@ class FleetView:
             (contracts.add if there else contracts.discard)(contract)
         while (arrival := self._inbox.take(0.0)) is not None:
             for robot, pose in self._receive(arrival, time.monotonic(), time.time_ns()):
-                poses += [pose] * (of in (None, robot))
+                if of in (None, robot):
+                    poses.append(pose)
         since = time.monotonic() - FORGOTTEN_S
         self.robots = {name: each for name, each in self.robots.items() if each.received_at > since}
         self.services = {

@@ -87,7 +87,8 @@ def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
                 record = next(records, None)
             except (EndOfFile, *DAMAGE) as error:
                 if not begins:
-                    what = _what(error) or "it ends before its first record"
+                    what = "no MCAP" if isinstance(error, InvalidMagic) else str(error)
+                    what = what or "it ends before its first record"
                     raise RecordingError(f"{path}: is no readable recording: {what}") from error
                 yield from _after(file, begins, found, moved)
                 return
@@ -99,10 +100,6 @@ def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
                 yield from _of_chunk(record, found)
             else:
                 yield record
-
-
-def _what(error: Exception) -> str:
-    return "no MCAP" if isinstance(error, InvalidMagic) else str(error)
 
 
 def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterator[McapRecord]:

@@ -45,12 +45,11 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
         line = stack.enter_context(StatusLine(to_stderr))
         session = _open(pipeline)
         view = stack.enter_context(FleetView(session, pipeline.site))
-        running = _running(session, pipeline.site)
-        _refuse_second(running, pipeline)
+        running, own = _running(session, pipeline.site), instance_name(pipeline.robot)
+        _refuse_second(running, own, pipeline)
         _refuse_other_map(running, view, pipeline)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
         pipeline.start(supervisor)
-        own = instance_name(pipeline.robot)
         if not wait_until_ready(supervisor, pipeline.services, view, line, stop, own):
             return
         line.keep(
@@ -71,9 +70,7 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
                 pose_events.receive(pose)
             robot = view.robots.get(pipeline.robot)
             advised = robot.advised if robot is not None else ""
-            line.show(
-                pose_text(newest, time.monotonic() - received_at, _lacking(view, pipeline.robot), advised)
-            )
+            line.show(pose_text(newest, time.monotonic() - received_at, _lacking(view, own), advised))
             stop.wait(0.2)
         events.write("ended", folder=str(folder))
         line.keep(f"ended; recording and logs are in {folder}")
@@ -99,9 +96,8 @@ def _running(session: zenoh.Session, site: str) -> list[tuple[str, str]]:
     return sorted((key[2], key[3]) for key in keys if key[2] in SERVICES)
 
 
-def _refuse_second(running: Sequence[tuple[str, str]], pipeline: Pipeline) -> None:
+def _refuse_second(running: Sequence[tuple[str, str]], own: str, pipeline: Pipeline) -> None:
     """Two pipelines under one robot's name would publish two poses. Raises UsageError."""
-    own = instance_name(pipeline.robot)
     names = [name for name, instance in running if instance == own]
     if names:
         raise UsageError(
@@ -145,12 +141,12 @@ class _PoseEvents:
         )
 
 
-def _lacking(view: FleetView, robot: str) -> list[str]:
-    """The faults that the services of a robot's run report."""
+def _lacking(view: FleetView, instance: str) -> list[str]:
+    """The faults that services of an instance report."""
     return [
         f"{each.name}: {each.health.detail}"
         for _, each in sorted(view.services.items())
-        if each.instance == instance_name(robot)
+        if each.instance == instance
         and each.health
         and each.health.status != Health.STATUS_OK
         and each.health.detail

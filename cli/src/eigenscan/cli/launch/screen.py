@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from math import degrees
 
-from eigenscan.runtime.printable import printable
+from eigenscan.runtime.printable import MOST, printable
 from eigenscan.schemas.tracking_pb2 import State
 from rich.console import Console
 from rich.markup import escape
@@ -49,8 +49,9 @@ class StatusLine:
 
 
 def _printable(text: str) -> str:
-    """Printable, with the gaps between its columns."""
-    return "  ".join(map(printable, text.split("  ")))
+    """Printable and cut as a whole, with the gaps between its columns."""
+    cut = text if len(text) <= MOST else f"{text[:MOST]}…"
+    return "  ".join(map(printable, cut.split("  ")))
 
 
 def state_name(state: int) -> str:

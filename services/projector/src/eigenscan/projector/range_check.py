@@ -30,7 +30,7 @@ BY_CHANCE = 12.0
 
 
 def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
-    """Of the errors that are tried, the one with which the scan fits best for which these were `found`."""
+    """Of the errors that are tried, the one with which a scan fits best; `found`: its candidates."""
     if not len(found.poses) or found.explained[0] >= FITS:
         return RangeCheck()
     starts = found.poses[:AMONG]

@@ -1,7 +1,8 @@
 """Whether a lidar's ranges are measured wrongly, or the map has another scale: by how scans fit the map.
 
-A projector states now and then how much likelier a scan is with its ranges set right in several ways. What
-scans of new places state adds up (CUSUM; Page, "Continuous inspection schemes", Biometrika 1954).
+With each list of the whole map a projector states which errors of its ranges would make the scan likelier,
+and by how much. What scans of new places state adds up (CUSUM; Page, "Continuous inspection schemes",
+Biometrika 1954).
 """
 
 from __future__ import annotations

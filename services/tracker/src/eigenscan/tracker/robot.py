@@ -283,7 +283,7 @@ class RobotTracker:
             belief.predict(moved)
             self._claim.predict(moved)
             self._claim.advance(moved.seconds, self._progress(moved))
-            self._ranges.move(self._progress(moved) * self._agreement.change())
+            self._ranges.move(self._changed(moved))
             self._correct(seen.stamp)
         belief.stamp = seen.stamp
         belief.forget_innovations()
@@ -394,10 +394,12 @@ class RobotTracker:
 
     def _news(self, moved: Motion) -> float:
         """How far scans are new evidence after a motion: also where the robot stands, for people pass."""
-        # what was driven counts as far as the scans changed by it
-        progress = self._progress(moved) * self._agreement.change()
         seconds = max(moved.seconds, 1e-3)
-        return progress + STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
+        return self._changed(moved) + STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
+
+    def _changed(self, moved: Motion) -> float:
+        """How far scans are new evidence by a motion alone: what was driven counts as far as they changed."""
+        return self._progress(moved) * self._agreement.change()
 
     def _progress(self, moved: Motion) -> float:
         """How far the robot has come, 1: a scan is new evidence."""

@@ -86,10 +86,7 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
     own = f["reference"] == WHOLE_DRIVE
     lines = [
         ("reference", f["reference"] + (": agreement, not accuracy" if own else "")),
-        (
-            "windows",
-            f"{f['windows']} ({f['windows_left_out']} left out)",
-        ),
+        ("windows", f"{f['windows']} ({f['windows_left_out']} left out)"),
         (
             words["success"],
             f"{_percent(f['success_rate'])}: claimed and {words['right']} for the last third or more",

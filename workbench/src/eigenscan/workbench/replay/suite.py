@@ -179,8 +179,8 @@ def _judged(files: Sequence[Path], plan: Plan, jobs: int) -> Iterator[Iterable[C
         yield from (judge(path, plan) for path in files)
         return
     # by Ctrl-C they end at once, without a trace each
-    quiet = signal.signal, (signal.SIGINT, signal.SIG_DFL)
-    with ProcessPoolExecutor(jobs, get_context("spawn"), *quiet) as pool:
+    initial = signal.SIGINT, signal.SIG_DFL
+    with ProcessPoolExecutor(jobs, get_context("spawn"), signal.signal, initial) as pool:
         yield from pool.map(partial(_all_of, plan=plan), files)
 
 
