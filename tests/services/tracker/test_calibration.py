@@ -10,6 +10,7 @@ import pytest
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.tracker.calibration import FIRST_INFORMATION, RIGHT, Calibration, _update
+from eigenscan.tracker.mount import FIXED_RAD
 from filterpy.kalman import update
 from hypothesis import given
 from hypothesis import strategies as st
@@ -31,7 +32,7 @@ def seen_from(moved: Array, mount: Array, scale: float = 1.0) -> Array:
 
 def calibrated(mount: Array, scale: float = 1.0, noise: float = 0.01, back: bool = False) -> Calibration:
     """After 60 motions of 0.2 m ahead or back, with turns to both sides."""
-    rng, calibration = np.random.default_rng(5), Calibration()
+    rng, calibration = np.random.default_rng(5), Calibration(FIXED_RAD)
     for number in range(60):
         moved = np.array([-0.2 if back and number > 30 else 0.2, 0.0, 0.15 * sin(0.5 * number)])
         x, y, turn = seen_from(moved, mount, scale) + noise * rng.standard_normal(3) * [1.0, 1.0, 0.2]
@@ -63,7 +64,7 @@ def test_an_update_is_that_of_a_kalman_filter(seed: int) -> None:
 def test_however_often_a_knock_is_suspected_no_more_is_forgotten_than_motion_has_shown(
     turn: float, noise: float, every: int, by_turn: bool, seed: int
 ) -> None:
-    rng, found = np.random.default_rng(seed), Calibration()
+    rng, found = np.random.default_rng(seed), Calibration(FIXED_RAD)
     for number in range(100):
         x, y = (0.3, 0.0) + rng.normal(size=2) * noise
         found.take((0.3, 0.0, turn), SPREAD, (x, y, turn), 0.3)
@@ -79,7 +80,7 @@ def test_wheels_that_slipped_are_no_fault_once_they_grip_again(
     slip: float, intervals: int, seed: int
 ) -> None:
     """As they slip on an arc, another scale or a displaced mount may explain it; other arcs show neither."""
-    rng, found = np.random.default_rng(seed), Calibration()
+    rng, found = np.random.default_rng(seed), Calibration(FIXED_RAD)
     for number in range(intervals + 40):
         counted = 0.3 * (slip if number < intervals else 1.0)
         turn = 0.2 * (1.0 if number < intervals else sin(0.5 * number))
@@ -172,7 +173,7 @@ def test_a_right_mount_is_proven_also_where_encoders_have_no_sign(back: bool) ->
 
 
 def test_a_straight_way_shows_the_angle_and_not_the_place() -> None:
-    found = Calibration()
+    found = Calibration(FIXED_RAD)
     for _ in range(60):
         found.take((0.2, 0.0, 0.0), SPREAD, (0.2, 0.0, 0.0), 0.2)
     yaw, lever, _ = found.sigmas
@@ -184,7 +185,7 @@ def test_a_straight_way_shows_the_angle_and_not_the_place() -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_arc_without_end_shows_no_scale_however_noisy_odometry_is(seed: int) -> None:
-    rng, found = np.random.default_rng(seed), Calibration()
+    rng, found = np.random.default_rng(seed), Calibration(FIXED_RAD)
     for _ in range(600):
         x, y = (0.36, 0.01) + rng.normal(size=2) * (0.018, 0.002)
         found.take((0.36, 0.01, 0.057), SPREAD, (x, y, 0.057), x)
@@ -209,3 +210,21 @@ def test_a_wrong_mount_is_named_and_never_claimed_above_nine_in_ten(
     assert core.condition().status == Health.STATUS_DEGRADED
     assert words in core.condition().detail
     assert output[-1].confidence < 0.5
+
+
+@pytest.mark.parametrize("still", [30, 300])
+def test_a_loose_mount_that_turns_on_is_never_claimed_above_nine_in_ten_once_it_is_ten_degrees_off(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, still: int
+) -> None:
+    def mount(scan: int) -> Array:
+        return np.array([0.0, 0.0, radians(0.1) * max(scan - still, 0)])
+
+    def scans(scan: int) -> Step:
+        moved = compose(compose(inverse(mount(scan)), np.array(weaving(scan))), mount(scan + 1))
+        x, y, turn = (moved + rng.normal(size=3) * (0.008, 0.008, 0.002)).tolist()
+        return x, y, turn
+
+    core, rng = make_core(), np.random.default_rng(4)
+    output = drive(core, speaker, poses_of, weaving, scans, count=still + 250, step=weaving)
+    assert max(pose.confidence for pose in output[still + 100 :]) <= 0.9 + 1e-9
+    assert "is the lidar's mount turned" in core.condition().detail

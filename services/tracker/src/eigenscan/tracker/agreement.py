@@ -92,6 +92,11 @@ class Agreement:
         return min(each.proven for each in self._faults.values() or (UNSEEN,))
 
     @property
+    def right(self) -> float:
+        """The same by how probably a mount is loose: what a protection level rests on."""
+        return min(each.right for each in self._faults.values() or (UNSEEN,))
+
+    @property
     def reversed(self) -> bool:
         """Whether odometry counted backwards as forwards when it was last compared."""
         return any(each.backwards for each in self._faults.values())

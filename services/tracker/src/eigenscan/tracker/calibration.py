@@ -52,9 +52,6 @@ several in a row, from which what was found no longer holds (CUSUM; Page, "Conti
 Biometrika 1954). Wheels have slipped. `eigenscan simtest` draws such slips.
 """
 
-DRIFT_RAD = float(np.radians(0.2))
-"""From one interval to the next a loose mount turns by as much: what motion showed long ago counts less."""
-
 TURNED = "scans move {}° off odometry's way: is the lidar's mount turned by as much?"
 AWAY = (
     "in turns scans move like those of a lidar {:.1f} m away from this one's mount: is it measured rightly?"
@@ -69,7 +66,9 @@ class Calibration:
     from it: so what is forgotten or left out never costs more than was shown.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, drift_rad: float) -> None:
+        """From one interval to the next the mount may turn by `drift_rad`."""
+        self._drift_rad = drift_rad
         self._found, self._spread = RIGHT, np.diag(START**2)
         """The four numbers and their covariance, without what noise alone may show of the scale."""
         self.fault = ""
@@ -89,23 +88,29 @@ class Calibration:
         self._intervals = self._squares = FIRST
         self._again_right = 0.0
 
-    def take(self, scans: Pose, spread: tuple[float, float, float], driven: Pose, way: float) -> None:
-        """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long."""
-        self._loosen(DRIFT_RAD**2)
+    def take(self, scans: Pose, spread: tuple[float, float, float], driven: Pose, way: float) -> float:
+        """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long.
+
+        Gives the log-density of that motion, as predicted by what was found before.
+        """
+        self._loosen(self._drift_rad**2)
         x, y, _ = driven
         noise = (SIGMA_M + SIGMA_SHARE * way) ** 2
         if abs(scans[2]) < LEAST_TURN:
             scans = scans[0], scans[1], 0.0
         scale = self._squares / self._intervals
-        squares, better = _update(self._information, self._sums, scans, spread, noise, x, y, scale, TAIL)
+        squares, better, fits = _update(
+            self._information, self._sums, scans, spread, noise, x, y, scale, TAIL
+        )
         self._again_right = max(self._again_right + min(better, MOST_NATS), 0.0)
         if self._again_right > AGAIN_RIGHT:
             self._forget()
             self._judge()
-            return
+            return fits
         self._intervals += 1.0
         self._squares += 0.5 * squares
         self._judge()
+        return fits
 
     def suspect_turn(self, seen: float, driven: float) -> None:
         """The mount may have been turned where scans turn and odometry does not, rad."""
@@ -154,23 +159,9 @@ class Calibration:
         shown = np.maximum(1.0 / np.diag(self._spread) - START**-2, 0.0)
         return np.asarray(shown * (self._intervals / self._squares))
 
-    def _without_noise(self) -> tuple[Array, Array]:
-        """What was found (4,) and its covariance (4, 4), with less information on the scale: NOISE_SHOWS.
-
-        At most what motion shows of the scale beside the others.
-        """
-        information, sums = self._information.copy(), self._sums.copy()
-        explained = information[0, 1:] @ np.linalg.pinv(information[1:, 1:], hermitian=True)
-        own = information[0, 0] - explained @ information[1:, 0]
-        noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)
-        if own > 0.0:
-            left_out = min(noise / own, 1.0)
-            information[0, 0] -= left_out * own
-            sums[0] -= left_out * (sums[0] - explained @ sums[1:])
-        return _found(information, sums)
-
     def _judge(self) -> None:
-        self._found, self._spread = self._without_noise()
+        noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)
+        self._found, self._spread = _without_noise(self._information, self._sums, noise)
         yaw, lever, scale = self.sigmas
         self.within = _below(NEAR_RAD, abs(self.yaw), yaw) * _below(NEAR_M, self.lever, lever)
         along, turned, *away = self._shown.tolist()
@@ -215,15 +206,35 @@ def _found(information: Array, sums: Array) -> tuple[Array, Array]:
 
 
 @njit(  # pragma: no cover - compiled
-    "UniTuple(f8, 2)(f8[:,::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8, f8, f8, f8, f8)", cache=True
+    "Tuple((f8[::1], f8[:,::1]))(f8[:,::1], f8[::1], f8)", cache=True
+)
+def _without_noise(information: Array, sums: Array, noise: float) -> tuple[Array, Array]:
+    """What was found (4,) and its covariance (4, 4), less what `noise` may show of the scale: NOISE_SHOWS.
+
+    At most what motion shows of the scale beside the others.
+    """
+    explained = information[0, 1:] @ np.linalg.pinv(information[1:, 1:].copy())
+    own = information[0, 0] - explained @ information[1:, 0].copy()
+    if own <= 0.0:
+        return _found(information, sums)
+    left_out = min(noise / own, 1.0)
+    less, rest = information.copy(), sums.copy()
+    less[0, 0] -= left_out * own
+    rest[0] -= left_out * (sums[0] - explained @ sums[1:])
+    return _found(less, rest)
+
+
+@njit(  # pragma: no cover - compiled
+    "UniTuple(f8, 3)(f8[:,::1], f8[::1], UniTuple(f8, 3), UniTuple(f8, 3), f8, f8, f8, f8, f8)", cache=True
 )
 def _update(
     information: Array, sums: Array, scans: Pose, spread: tuple[float, float, float], noise: float, x: float,
     y: float, scale: float, tail: float,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float, float]:  # fmt: skip
     """Adds a motion to `information` (4, 4) and `sums` (4,); gives the innovation's squared length.
 
-    And by how many nats what is stated explains the motion better than what was found.
+    By how many nats what is stated explains the motion better than what was found. And the motion's
+    log-density (Student's t), as predicted.
 
     Variances are in units of `scale`, the noise's share of what is assumed. Heavy tails: `surprise`. Encoders
     may have no sign, so the direction counts that fits better.
@@ -242,9 +253,11 @@ def _update(
     forth, backwards = seen - H[:, 0], seen + H[:, 0]
     stated = min(forth @ np.linalg.solve(R, forth), backwards @ np.linalg.solve(R, backwards))
     better = 0.5 * (off @ np.linalg.solve(R, off) - stated) / scale
+    distance2 = float(off @ np.linalg.solve(S + R, off)) / scale
+    fits = -0.5 * (np.log(np.linalg.det(scale * (S + R))) + (tail + 2.0) * np.log1p(distance2 / tail))
     # the noise is larger by how surprising the innovation is
-    R *= surprise(float(off @ np.linalg.solve(S + R, off)) / scale, tail)
+    R *= surprise(distance2, tail)
     weighed = H.T @ np.linalg.inv(R)
     information += weighed @ H
     sums += weighed @ seen
-    return float(off @ np.linalg.solve(S + R, off)), float(better)
+    return float(off @ np.linalg.solve(S + R, off)), float(better), float(fits)

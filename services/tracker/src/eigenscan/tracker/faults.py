@@ -15,8 +15,8 @@ from math import degrees, log, radians
 
 import numpy as np
 from eigenscan.tracker.calibration import TURNED as TURNED_BY
-from eigenscan.tracker.calibration import Calibration
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
+from eigenscan.tracker.mount import Mount
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.past import PastOdometry, PastScans
 from eigenscan.tracker.planar import IDENTITY, Pose, wrap
@@ -31,7 +31,7 @@ from eigenscan.tracker.scan_motion import (
     log_gaussian,
     unpredicted,
 )
-from eigenscan.tracker.set_up import SetUp
+from eigenscan.tracker.set_up import BEGINS, ENDS, SetUp
 from eigenscan.tracker.turning import Turning
 from numba import njit
 from numpy.typing import NDArray
@@ -56,8 +56,6 @@ FAULTY = 0.011
 """Prior of each kind of fault: a hundredth of the robots has it. So no confidence above 0.99 is stated before
 the robot's own motion has excluded each.
 """
-BEGINS, ENDS = 5e-4, 0.002
-"""Chances, an interval, that each kind of sensor fault begins, and that it ends."""
 SET_UP_BEGINS, SET_UP_ENDS = 1e-6, 1e-4
 """The same for a set-up, which hardly ever changes while the robot drives."""
 EARLY_PRIOR = 1e-4
@@ -173,7 +171,7 @@ class Faults:
     def __init__(self) -> None:
         self.probability, self._change = _start()
         self._set_up = SetUp(len(WRONG_SET_UPS), len(EXACT))
-        self._calibration, self._turning = Calibration(), Turning()
+        self._mount, self._turning = Mount(), Turning()
         self.without_sign = False
         """Whether the robot was seen to drive backwards while odometry counted on."""
         self._past, self._seen = PastOdometry(LATEST_S, LATE_STEP_S), PastScans(LATEST_S, LATE_STEP_S)
@@ -187,7 +185,7 @@ class Faults:
         """Probability that the scans show the robot's motion, of a lidar that is mounted as stated."""
         # of wheels that slip the scans know better
         right = self.agrees + float(self.probability[SLIPPING])
-        return right * (self._calibration.within if self._calibration.fault else 1.0)
+        return right * (self._mount.within if self._mount.fault else 1.0)
 
     @property
     def agrees(self) -> float:
@@ -199,12 +197,17 @@ class Faults:
     @property
     def proven(self) -> float:
         """Probability that the set-up is right, of the least that motion leaves of it: see `set_up`."""
-        return min(self._set_up.proven, self._calibration.proven)
+        return min(self._set_up.proven, self._mount.proven)
+
+    @property
+    def right(self) -> float:
+        """The same where a mount is as seldom loose as motion shows: what a protection level rests on."""
+        return min(self._set_up.proven, self._mount.right)
 
     @property
     def fault(self) -> str:
         """What is rather wrong, in words for the person who can mend it; empty: nothing that shows."""
-        return self.cause if self.agrees < 0.5 else self._calibration.fault
+        return self.cause if self.agrees < 0.5 else self._mount.fault
 
     @property
     def note(self) -> str:
@@ -243,11 +246,11 @@ class Faults:
         likelihood[UNRELATED] = NO_FIT_UNRELATED
         self._weigh(np.log(likelihood))
         self._no_fit += NEWEST * (1.0 - self._no_fit)
-        self._calibration.suspect_any()
+        self._mount.suspect_any()
 
     def take_far(self, scans: Pose, driven: Motion) -> None:
         """The motion between two scans is too large to be found surely."""
-        self._calibration.suspect_turn(scans[2], driven.delta[2])
+        self._mount.suspect_turn(scans[2], driven.delta[2])
 
     def take(
         self, scans: Pose, spread: tuple[float, float, float], turn_variance: float, driven: Motion,
@@ -281,10 +284,10 @@ class Faults:
         for way, state in enumerate((AGREE, BACKWARDS)):
             self._ways[way] += driven.way * float(self.probability[state])
         if scans != IDENTITY:
-            self._calibration.suspect_turn(scans[2], driven.delta[2])
+            self._mount.suspect_turn(scans[2], driven.delta[2])
             # wheels that slip, or a lidar that is late, show nothing of the mount
             if self.agrees >= 0.5 and not _stands(predicted[AGREE]):
-                self._calibration.take(scans, spread, driven.delta, driven.way)
+                self._mount.take(scans, spread, driven.delta, driven.way)
                 self._turning.take(scans[2], turn_variance, driven.delta[2], driven.seconds)
         if self.backwards and not self.without_sign:
             self.without_sign = True

@@ -510,7 +510,7 @@ class RobotTracker:
         if self._rivals.since is not None:  # mass that another frame may still get is risk
             return None
         # a set-up that may be wrong is risk as well
-        left = self._settings.protection_risk - (1.0 - verdict.proven)
+        left = self._settings.protection_risk - (1.0 - self._agreement.right)
         return protect(self.belief.tracks, verdict.track, left) if left > 0.0 else None
 
     def _near_odometry(self, stamp: int) -> bool:

@@ -20,6 +20,8 @@ WRONG = 0.1
 """Share of robots in new set-ups that are set up wrongly. In each way at most: a robot that was never seen to
 turn may be mirrored.
 """
+BEGINS, ENDS = 5e-4, 0.002
+"""Chances, an interval, that each kind of sensor fault begins, and that it ends."""
 PROVEN = 0.99
 """Probability from which a set-up counts as proven.
 
