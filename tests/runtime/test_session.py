@@ -111,3 +111,11 @@ def test_shared_memory_is_off_unless_the_file_sets_it_up(
     monkeypatch.setattr(zenoh, "open", lambda config: config.get_json("transport/shared_memory/enabled"))
     opened: object = open_session(file)
     assert opened == ("true" if own else "false")
+
+
+def test_a_certificate_that_is_missing_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "operator.json5"
+    tls = {"connect_private_key": str(tmp_path / "key.pem")}
+    path.write_text(json.dumps({"mode": "client", "transport": {"link": {"tls": tls}}}))
+    with pytest.raises(ContractError, match=r"operator\.json5: connect_private_key = .*key\.pem.*No such file"):
+        open_session(path)

@@ -203,7 +203,7 @@ def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
     except FileNotFoundError as error:
         raise MapError(f"{path}: image {file} is missing: correct 'image', or put it there") from error
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, *_DAMAGE) as error:
-        raise MapError(f"{path}: image {file} cannot be read: {error}") from error
+        raise MapError(f"{path}: image {file} cannot be read: {error}: is it whole? Copy it again") from error
 
 
 def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:

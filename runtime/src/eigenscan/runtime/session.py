@@ -46,7 +46,8 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     """Opens a session as the JSON5 file configures it; without a file, one for this machine alone.
 
     `mode` ("peer", "router") and `listen` (more endpoints, such as tcp/0.0.0.0:7447) apply without a file.
-    Raises ContractError that names the file if it is no Zenoh configuration, or if no session opens.
+    Raises ContractError that names the file if it is no Zenoh configuration, a certificate that cannot be
+    read, or why no session opens.
     """
     if mode != "router":
         os.environ.setdefault(*ONE_RECEIVER)
@@ -60,6 +61,7 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     except zenoh.ZError as error:
         what = f"{path}: is no Zenoh configuration (JSON5)" if path else f"--listen {' '.join(listen)}"
         raise ContractError(f"{what}: {_reason(error)}") from error
+    _check_certificates(path, config)
     _deepen_urgent_queues(config)
     _leave_shared_memory(config)
     try:
@@ -69,6 +71,22 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
             f"{path or f'{mode} of this machine'}: no Zenoh session: {_reason(error)}: "
             "check its listen and connect endpoints"
         ) from error
+
+
+def _check_certificates(path: Path | None, config: zenoh.Config) -> None:
+    """Raises ContractError that names a certificate or key that cannot be read: Zenoh names none."""
+    tls: dict[str, Any] = json.loads(config.get_json("transport/link/tls"))
+    for name in ("root_ca", "connect", "listen"):
+        for field in (f"{name}_certificate", f"{name}_private_key"):
+            file = tls.get(field)
+            try:
+                if file:
+                    Path(file).read_bytes()
+            except OSError as error:
+                raise ContractError(
+                    f"{path}: {field} = {file!r}: cannot be read: {error.strerror}: "
+                    "copy the certificates there, or correct the path"
+                ) from error
 
 
 def _is_another_json(path: Path) -> bool:

@@ -169,7 +169,9 @@ def validated(kind: type[M], given: Mapping[str, Given]) -> M:
 
 
 def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
-    field, *inner = [str(part) for part in problem["loc"]] or ["settings"]
+    if not problem["loc"]:  # of several settings together
+        return plain(problem["msg"])[:MOST_SHOWN]
+    field, *inner = [str(part) for part in problem["loc"]]
     return explained(problem, ".".join([given[field].place if field in given else field, *inner]))
 
 
