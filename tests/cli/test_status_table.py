@@ -1,13 +1,15 @@
 """The fleet's table shows a robot's floor, with the pose in that floor's own map; and its advice."""
 
 import time
+from collections.abc import Sequence
 
 import pytest
 from eigenscan.cli.fleet.status import rows, table
 from eigenscan.cli.launch.attend import pose_text
-from eigenscan.fleet.view import Robot
+from eigenscan.fleet.view import Robot, Service
 from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, State
 from rich.console import Console
 
@@ -22,8 +24,10 @@ class View:
     def robot_names(self) -> list[str]:
         return [*self.robots]
 
-    def serving(self, _robot: str) -> list[object]:
-        return []
+    services: Sequence[Service] = ()
+
+    def serving(self, _robot: str) -> Sequence[Service]:
+        return self.services
 
 
 @pytest.mark.parametrize(
@@ -69,3 +73,24 @@ def test_advice_is_below_the_table_while_it_holds(state: State, age_s: float, sh
     (row,) = rows(view)  # type: ignore[arg-type]
     assert row["advice"] == (words if shown else "")
     assert (words in pose_text(robot.pose, 0.0, [], robot.advised)) == shown
+
+
+def test_a_terminal_of_80_columns_shows_every_word() -> None:
+    pose = PoseEstimate(
+        state=STATE_LOCALIZED, confidence=0.97, pose=Pose2(x=-17.3, y=42.0), model_version="2c0ffee1a"
+    )
+    view = View(pose)
+    view.robots["r1"].received_at -= 90.0
+    view.model_version = "another"
+    view.services = [Service("tracker", "r1", {"1"}, Health(counters={"dropped_pose": 3}))]
+    view.services[0].offsets.append(-7.0)
+    console = Console(width=80)
+    with console.capture() as printed:
+        console.print(table(view))  # type: ignore[arg-type]
+    first, heading, *lines = printed.get().splitlines()
+    assert "0 of 1 robots localized" in first
+    assert heading.split() == ["robot", "state", "confidence", "x,", "y", "(m)", "age", "map", "health"]
+    for words in ("r1", "was localized", "0.97", "-17.3, 42.0", "2 min", "2c0ffee1 old"):
+        assert words in lines[0]
+    wrong = " ".join(line[heading.index("health") :].strip() for line in lines)
+    assert wrong == "no scan-ingest, no projector, tracker unspecified, 3 drops, clock -7 s"

@@ -117,5 +117,7 @@ def test_a_certificate_that_is_missing_is_named(tmp_path: Path) -> None:
     path = tmp_path / "operator.json5"
     tls = {"connect_private_key": str(tmp_path / "key.pem")}
     path.write_text(json.dumps({"mode": "client", "transport": {"link": {"tls": tls}}}))
-    with pytest.raises(ContractError, match=r"operator\.json5: connect_private_key = .*key\.pem.*No such file"):
+    with pytest.raises(
+        ContractError, match=r"operator\.json5: connect_private_key = .*key\.pem.*No such file"
+    ):
         open_session(path)

@@ -113,15 +113,19 @@ def _clock(serving: list[Service]) -> float | None:
 
 
 def table(view: FleetView) -> Table:
-    """The rows as a table; red and yellow cells name what needs attention."""
+    """The rows as a table that fits 80 columns; red and yellow cells name what needs attention."""
     from rich.table import Table
     from rich.text import Text
 
     found = rows(view)
     sure = sum(row["state"] == "localized" and (row["pose_age_s"] or 0) <= OLD_S for row in found)
-    shown = Table(title=f"site {view.site}: {sure} of {len(found)} robots localized", title_justify="left")
-    for heading in ("robot", "state", "confidence", "x, y (m)", "age", "map", "services", "drops", "clock"):
-        shown.add_column(heading, justify="right" if heading in ("confidence", "age", "drops") else "left")
+    title = f"site {view.site}: {sure} of {len(found)} robots localized"
+    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+    for heading in ("robot", "state", "confidence", "x, y (m)", "age", "map"):
+        shown.add_column(
+            heading, justify="right" if heading in ("confidence", "age") else "left", no_wrap=True
+        )
+    shown.add_column("health")
     for row in found:
         shown.add_row(*_cells(row, view.model_version))
     advised = [f"{printable(row['robot'])}: {row['advice']}" for row in found if row["advice"]]
@@ -135,7 +139,7 @@ def table(view: FleetView) -> Table:
 def _cells(row: dict[str, Any], newest: str) -> list[str]:
     from rich.markup import escape
 
-    age, offset = row["pose_age_s"], row["clock_offset_s"]
+    age = row["pose_age_s"]
     old = age is not None and age > OLD_S
     colour = "red" if old or row["state"] in ("lost", "unknown") else _COLOURS.get(row["state"], "yellow")
     state = f"[{colour}]{'was ' if old else ''}{row['state']}[/]"
@@ -145,31 +149,25 @@ def _cells(row: dict[str, Any], newest: str) -> list[str]:
     model = printable(row["model"][:8])
     if newest and model and row["model"] != newest:
         model = f"[yellow]{model} old[/]"
-    drops = f"[yellow]{row['drops']}[/]" if row["drops"] else "0"
-    clock = "" if offset is None else (f"[red]{offset:+.0f} s[/]" if abs(offset) > OLD_S else "ok")
     confidence = "" if row["confidence"] is None else f"{row['confidence']:.2f}"
-    return [
-        escape(printable(row["robot"])),
-        state,
-        confidence,
-        place,
-        age_text(age),
-        model,
-        _services(row),
-        drops,
-        clock,
-    ]
+    name = escape(printable(row["robot"]))
+    return [name, state, confidence, place, age_text(age), model, _health(row)]
 
 
 _COLOURS = {"localized": "green", "ambiguous": "yellow"}
 
 
-def _services(row: dict[str, Any]) -> str:
-    """Missing and unwell services, or `ok`."""
+def _health(row: dict[str, Any]) -> str:
+    """Missing and unwell services, drops and a wrong clock, or `ok`."""
     from eigenscan.fleet.view import ROBOT_SERVICES
 
     troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
     troubles += [f"[yellow]{name} {word}[/]" for name, word in row["services"].items() if word != "ok"]
+    if row["drops"]:
+        troubles.append(f"[yellow]{row['drops']} drops[/]")
+    offset = row["clock_offset_s"]
+    if offset is not None and abs(offset) > OLD_S:
+        troubles.append(f"[red]clock {offset:+.0f} s[/]")
     return ", ".join(troubles) or "ok"
 
 

@@ -75,7 +75,7 @@ def _lines(outcome: Outcome) -> Iterator[str]:
         then = f", recorded with version {reported.version}" if reported and reported.version else ""
         yield f"{instance.service.name} {instance.name}: {instance.source}{then}"
     received = ", ".join(f"{count} {channel.name}" for channel, count in outcome.received.items() if count)
-    yield f"heard {received}; {pace(outcome)}"
+    yield f"received {received}; {pace(outcome)}"
     yield from (f"note: {note}" for note in outcome.notes)
     yield from _table(outcome.comparison)
     first = outcome.comparison.first
@@ -93,6 +93,8 @@ def _table(comparison: Comparison) -> Iterator[str]:
             yield f"not judged: {channel.name}: {reason}"
     for name in sorted(comparison.terms.ignored):
         yield f"not judged: {name}: --ignore"
+    if any(count.within for count in comparison.counts.values()):
+        yield "within: other bytes, but the same within tolerances and but for ignored fields"
     if any(count.outside for count in comparison.counts.values()):
         yield "outside: before the first or after the last recorded stamp of its key, not judged"
 
