@@ -27,6 +27,7 @@ from eigenscan.runtime.clock import Clock, Later, later
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.errors import one_line
 from eigenscan.runtime.exchange import Exchange
+from eigenscan.runtime.first_start import HINT, compiling, start_again
 from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.interruptions import Interruptions
@@ -71,7 +72,8 @@ class Service(Generic[S]):
     with the open session. `quick`: the core needs milliseconds for a message, so such services share a thread
     if they share a process. `batch_s`: messages wait up to this long and are then handled in a row; for a
     core whose answers nobody waits for. `patience_s`: the same for `patient` inputs alone; any other message
-    ends their wait too. `lives_on`: without this input the service is WAITING.
+    ends their wait too. `lives_on`: without this input the service is WAITING. `compiles`: numba compiles
+    while the core is made, if nothing compiled is kept.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Service(Generic[S]):
     patient: tuple[Channel, ...] = ()
     patience_s: Callable[[S], float] = lambda _: 0.0
     lives_on: Channel | None = None
+    compiles: bool = False
 
 
 def main(service: Service[Any]) -> None:
@@ -187,6 +190,8 @@ class Node:
         self._tried_at = 0.0
         self._port: Port = service.make_port(settings) if service.make_port else NoPort()
         self.fault: BaseException | None = None
+        self.compiled: list[str] = []
+        """What numba compiled while the core was made."""
         self.is_deaf = False
         self._looked = self._clock.monotonic()
 
@@ -301,6 +306,8 @@ class Node:
         settings, shared = self.settings, self._shared
         opening = shared.opening if shared else open_meanwhile(settings.zenoh, self.service.mode)
         core = self._made_core()
+        if self.compiled and not shared and not self._stop.stopping:
+            start_again()
         session = opening.result()
         if self.service.attend:
             self.service.attend(settings, session)
@@ -331,7 +338,10 @@ class Node:
         """Makes the core. Its imports stay in memory, so the garbage collector skips them now and later."""
         gc.disable()
         try:
-            return self.service.make_core(self.settings)
+            if not self.service.compiles:
+                return self.service.make_core(self.settings)
+            with compiling(lambda: self._log.info("compiling", hint=HINT)) as self.compiled:
+                return self.service.make_core(self.settings)
         finally:
             gc.freeze()
             gc.enable()

@@ -18,6 +18,7 @@ from typing import Any
 
 import zenoh
 from eigenscan.runtime.exchange import Exchange
+from eigenscan.runtime.first_start import start_again
 from eigenscan.runtime.logs import configure
 from eigenscan.runtime.memory import StartMemory
 from eigenscan.runtime.node import (
@@ -163,6 +164,8 @@ class Together:
                 works.insert(0, (node, node.begin()))
             if node.fault:
                 return
+        if any(node.compiled for node in nodes) and not self._stop.stopping:
+            start_again()
         for number, (_, work) in enumerate(works[1:], start=1):
             work.let_go_first = partial(self._work_off, works[:number])
         longest_s = min([CONDITION_PERIOD_S, *(node.inbox.batch_s for node in nodes if node.inbox.batch_s)])

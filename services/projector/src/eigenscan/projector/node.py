@@ -37,6 +37,7 @@ SERVICE = Service(
     make_port=lambda _: _PORT,
     attend=_PORT.attend,
     quick=True,
+    compiles=True,
 )
 
 

@@ -19,7 +19,7 @@ def make_core(options: ScanIngestOptions) -> Core:
     return ScanIngestCore(options)
 
 
-SERVICE = Service("scan-ingest", ScanIngestOptions, make_core, quick=True, lives_on=SCAN_RAW)
+SERVICE = Service("scan-ingest", ScanIngestOptions, make_core, quick=True, lives_on=SCAN_RAW, compiles=True)
 
 
 def main() -> None:

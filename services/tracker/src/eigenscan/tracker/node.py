@@ -43,6 +43,7 @@ SERVICE = Service(
     patient=(ODOMETRY, HEADING, SCAN_MOTION),
     patience_s=patience_s,
     lives_on=HYPOTHESES,
+    compiles=True,
 )
 
 
