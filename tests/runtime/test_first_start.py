@@ -7,11 +7,11 @@ from pathlib import Path
 
 PROGRAM = """
 import os, sys
-from eigenscan.runtime.first_start import compiling, start_again
+from eigenscan.runtime.first_start import compiling, should_start_again, start_again
 with compiling(lambda: print("compiling")) as compiled:
     import kernel
 print("made", os.getpid(), len(compiled), *sys.argv[1:])
-if compiled:
+if should_start_again(compiled):
     start_again()
 print("ready", kernel.twice(21.0) + kernel.half(4.0))
 """

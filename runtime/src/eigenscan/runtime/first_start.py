@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
 
 STARTED_AGAIN = "EIGENSCAN_STARTED_AGAIN"
 """Environment variable: a process starts again once, even if nothing compiled could be kept."""
@@ -44,10 +44,13 @@ def compiling(log: Callable[[], object]) -> Iterator[list[str]]:
         event.unregister("numba:compile", listener)
 
 
-def start_again() -> None:
-    """This process begins anew, with the same command and process id; returns if it did so before."""
-    if STARTED_AGAIN in os.environ:
-        return
+def should_start_again(compiled: list[str]) -> bool:
+    """Whether numba compiled, and this process has not started again yet."""
+    return bool(compiled) and STARTED_AGAIN not in os.environ
+
+
+def start_again() -> NoReturn:
+    """This process begins anew, with the same command and process id."""
     sys.stdout.flush()
     sys.stderr.flush()
     os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], os.environ | {STARTED_AGAIN: "1"})

@@ -27,7 +27,7 @@ from eigenscan.runtime.clock import Clock, Later, later
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.errors import one_line
 from eigenscan.runtime.exchange import Exchange
-from eigenscan.runtime.first_start import HINT, compiling, start_again
+from eigenscan.runtime.first_start import HINT, compiling, should_start_again, start_again
 from eigenscan.runtime.health import DUPLICATE_HINT, Monitor
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.interruptions import Interruptions
@@ -190,8 +190,9 @@ class Node:
         self._tried_at = 0.0
         self._port: Port = service.make_port(settings) if service.make_port else NoPort()
         self.fault: BaseException | None = None
-        self.compiled: list[str] = []
-        """What numba compiled while the core was made."""
+        self._core: Core | None = None
+        self.starts_again = False
+        """Whether numba compiled while the core was made: the process should start without its memory."""
         self.is_deaf = False
         self._looked = self._clock.monotonic()
 
@@ -305,8 +306,8 @@ class Node:
         """Makes the core, connects it and publishes its first messages."""
         settings, shared = self.settings, self._shared
         opening = shared.opening if shared else open_meanwhile(settings.zenoh, self.service.mode)
-        core = self._made_core()
-        if self.compiled and not shared and not self._stop.stopping:
+        core = self.make_core()
+        if self.starts_again and not shared and not self._stop.stopping:
             start_again()
         session = opening.result()
         if self.service.attend:
@@ -334,14 +335,21 @@ class Node:
         self._log.info("ready", site=settings.site, robot=settings.robot)
         return work
 
+    def make_core(self) -> Core:
+        """Makes the core, once. Its imports stay, so the garbage collector skips them now and later."""
+        if self._core is None:
+            self._core = self._made_core()
+        return self._core
+
     def _made_core(self) -> Core:
-        """Makes the core. Its imports stay in memory, so the garbage collector skips them now and later."""
         gc.disable()
         try:
             if not self.service.compiles:
                 return self.service.make_core(self.settings)
-            with compiling(lambda: self._log.info("compiling", hint=HINT)) as self.compiled:
-                return self.service.make_core(self.settings)
+            with compiling(lambda: self._log.info("compiling", hint=HINT)) as compiled:
+                core = self.service.make_core(self.settings)
+            self.starts_again = should_start_again(compiled)
+            return core
         finally:
             gc.freeze()
             gc.enable()

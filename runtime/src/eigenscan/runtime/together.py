@@ -103,6 +103,7 @@ class Together:
         self._ready = threading.Condition()
         opening = open_meanwhile(first.zenoh, chosen[0][0].mode)
         self._shared = Shared(opening, Exchange(), self._ready)
+        self._starts_again = False
         self._stop_s = max(settings.stop_s for _, settings in chosen)
         self.nodes = [
             Node(
@@ -130,6 +131,7 @@ class Together:
             if node not in (*quick, *last):
                 threads[node.service.name] = self._thread(node.run_core, node.service.name)
         self._tend(threads)
+        starts_again = self._starts_again and not self._stop.stopping
         faulthandler.dump_traceback_later(STOP_ALL * self._stop_s, exit=True)
         try:
             unfinished = not self._end(threads, last)
@@ -138,7 +140,10 @@ class Together:
         for node in self.nodes:
             if node.fault:
                 raise node.fault
-        return max([node.code(unfinished=unfinished) for node in self.nodes])
+        code = max([node.code(unfinished=unfinished) for node in self.nodes])
+        if starts_again:
+            start_again()
+        return code
 
     def _thread(self, run: Callable[[], None], name: str) -> threading.Thread:
         thread = threading.Thread(target=run, name=name, daemon=True)
@@ -159,13 +164,19 @@ class Together:
     def _run_quick(self, nodes: Sequence[Node]) -> None:
         """Runs all quick cores in this thread."""
         works: list[tuple[Node, Work]] = []
+        for node in nodes:  # all before the first is seen, for the process may start again
+            with node.faults():
+                node.make_core()
+            if node.fault:
+                return
+        self._starts_again = any(node.starts_again for node in nodes)
+        if self._starts_again:
+            return
         for node in nodes:
             with node.faults():
                 works.insert(0, (node, node.begin()))
             if node.fault:
                 return
-        if any(node.compiled for node in nodes) and not self._stop.stopping:
-            start_again()
         for number, (_, work) in enumerate(works[1:], start=1):
             work.let_go_first = partial(self._work_off, works[:number])
         longest_s = min([CONDITION_PERIOD_S, *(node.inbox.batch_s for node in nodes if node.inbox.batch_s)])
