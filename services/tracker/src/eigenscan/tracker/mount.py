@@ -31,7 +31,7 @@ class Mount:
     @property
     def fault(self) -> str:
         """What is wrong with the mount or the scale, in words for the person who can mend it; or empty."""
-        return self._likelier.fault or self._fixed.fault
+        return self._likelier.fault
 
     @property
     def within(self) -> float:
@@ -50,7 +50,9 @@ class Mount:
 
     @property
     def _likelier(self) -> Calibration:
-        return self._loose if self._is_loose > 0.5 else self._fixed
+        """The loose one where it is likelier, unless only the fixed one has a fault."""
+        is_loose = self._is_loose > 0.5 and (self._loose.fault or not self._fixed.fault)
+        return self._loose if is_loose else self._fixed
 
     def take(self, scans: Pose, spread: tuple[float, float, float], driven: Pose, way: float) -> None:
         """Takes the motion between two scans, its covariance, m^2, and odometry's motion, `way` m long."""
