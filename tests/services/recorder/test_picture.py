@@ -774,3 +774,11 @@ def test_the_board_counts_robots_as_people_do() -> None:
 )
 def test_no_picture_states_more_than_the_tracker(confidence: float, step: int, expected: int) -> None:
     assert percent(confidence, step) == expected
+
+
+def test_a_file_alone_is_waited_for_longer_than_a_live_viewer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("eigenscan.recorder.rerun_sink.FLUSH_S", 1e-9)
+    draw(tmp_path / "drive.rrd", Site("s", "r1", seconds=3.0).messages())
+    assert {chunk.entity_path for chunk in RrdReader(str(tmp_path / "drive.rrd")).stream()} >= {"/world/map"}

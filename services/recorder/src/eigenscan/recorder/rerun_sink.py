@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 import rerun as rr
 from eigenscan.recorder.options import RecorderOptions
@@ -13,8 +13,9 @@ from eigenscan.recorder.web_viewer import free_port, serve_viewer
 from eigenscan.schemas.envelope import Envelope
 
 APPLICATION = "eigenscan"
-FLUSH_S = 0.3
-"""Time to send data at the end, s; the rest is dropped."""
+FLUSH_S, FILE_S = 0.3, 60.0
+"""Time to send data to a live viewer at the end, s, whose rest is dropped; and to a file alone, which is
+waited for: on a busy machine or a slow disk that takes longer."""
 
 
 class RerunSink:
@@ -61,7 +62,11 @@ class RerunSink:
     def flush(self) -> None:
         """Hands over all that was drawn."""
         self._picture.flush()
-        self._stream.flush(timeout_sec=FLUSH_S)
+        if not self.url:
+            self._stream.flush(timeout_sec=FILE_S)
+            return
+        with suppress(RuntimeError):  # what a slow viewer misses harms nobody
+            self._stream.flush(timeout_sec=FLUSH_S)
 
     def tick(self) -> None:
         """Nothing is held back."""
