@@ -99,6 +99,7 @@ def test_a_robot_more_changes_nothing_but_the_routers_rules(folder: Path) -> Non
         (("certify", "--site", "other"), ("--site", "fleet.toml")),
         (("certify", "--robot", "a/b"), ("a/b", "chunk")),
         (("certify", "--robot", "recorder"), ("recorder", "service of the site")),
+        (("certify", "--robot", "site"), ("site", "service of the site")),
         (("certify", "--robot", "r" * 80), ("too long", "shorten")),
         (("revoke", "r99"), ("r99", "r17")),
     ],

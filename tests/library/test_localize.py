@@ -157,6 +157,11 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
         (lambda _: Sweep(np.ones((2, 361))), ScanError, r"\(2, 361\).* such as ranges\[0\]"),
         (lambda _: Sweep(["far"]), ScanError, "no numbers in m"),
         (lambda _: Sweep([1.0], mount=(0.1, 0.0)), ScanError, "mount .* x, y and heading"),
+        (
+            lambda it: it.track(GOOD, (1, np.nan, 0)),
+            ValueError,
+            r"odometry = \[1.0, nan, 0.0\]: must be finite",
+        ),
         (lambda it: it.track(GOOD, (1, 2)), ValueError, r"odometry of shape \(2,\): give x, y and heading"),
     ],
 )

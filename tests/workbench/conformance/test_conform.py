@@ -167,6 +167,7 @@ def test_what_is_right_otherwise_fails_at_nothing_else(ended: dict[str, Ended]) 
             "nothing: choose one of scan-ingest, projector, tracker, mapbuilder, recorder",
         ),
         (("tracker", "--", "no-such-program"), 2, "no-such-program: is no program that can be started"),
+        (("projector", "--", "no-such-program"), 2, "no-such-program: is no program that can be started"),
         (("tracker", "--", "false"), 1, "does not conform to tracker: presence"),
     ],
 )

@@ -74,8 +74,7 @@ def conform(
         elif profile.asks is None:
             places["map"] = str(vectors.folder() / vectors.MAP_FILE)
         trial = Trial(session, others, seen, Terms(start, speed=speed, patience=patience))
-        trial.prepare()
-        with Candidate(command, places) as candidate:
+        with trial.prepared(), Candidate(command, places) as candidate:
             trial.run(candidate)
         if profile.records:
             seen.kept = judge_whole(Path(place) / "ended", seen.published)

@@ -82,8 +82,11 @@ def _chunk(name: str) -> str:
 
 
 def _robot(name: str) -> str:
-    if {".", ","} & {*_chunk(name)} or name in {role.value for role in Role}:
-        raise ValueError("a robot's name has no dot and no comma, and is not that of a service of the site")
+    # "site": the instance of the site's own services, for whose keys such a robot would have rights
+    if {".", ","} & {*_chunk(name)} or name in {"site", *(role.value for role in Role)}:
+        raise ValueError(
+            "a robot's name has no dot and no comma, and is not site or that of a service of the site"
+        )
     return name
 
 

@@ -203,4 +203,6 @@ def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:
     pose = np.asarray(given, np.float64)
     if pose.shape != (3,):
         raise ValueError(f"{name} of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
+    if not np.isfinite(pose).all():
+        raise ValueError(f"{name} = {pose.tolist()}: must be finite: leave out what is not known")
     return pose

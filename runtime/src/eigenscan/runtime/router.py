@@ -57,7 +57,10 @@ class RouterCore:
 def _end_on_change(path: Path) -> None:
     """Ends this process cleanly when `path` holds another configuration that Zenoh can read."""
     log = logger()
-    seen = path.read_bytes()
+    try:
+        seen = path.read_bytes()
+    except OSError:  # whoever opens the session names it
+        return
     while True:
         time.sleep(LOOK_EVERY_S)
         with contextlib.suppress(OSError):  # the file is being replaced

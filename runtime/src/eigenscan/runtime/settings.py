@@ -182,7 +182,11 @@ def explained(problem: ErrorDetails, place: str) -> str:
     message = plain(problem["msg"])
     if problem["type"] in {"list_type", "dict_type", "tuple_type", "set_type"}:
         message += ', written as JSON such as ["a", "b"]'
-    return f"{place} = {repr(problem['input'])[:MOST_SHOWN]}: {message[:MOST_SHOWN]}"
+    return f"{place} = {repr(problem['input'])[:MOST_SHOWN]}: {_shortened(message)}"
+
+
+def _shortened(message: str) -> str:
+    return message if len(message) <= MOST_SHOWN else f"{message[:MOST_SHOWN]}…"
 
 
 def plain(message: str) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,11 +107,17 @@ class Trial:
         self._newest: dict[str, Envelope] = {}
         self._token_s = TOKEN_S * terms.patience
 
-    def prepare(self) -> None:
-        """Publishes the messages that a late subscriber has to fetch."""
+    @contextmanager
+    def prepared(self) -> Iterator[None]:
+        """Publishes the messages that a late subscriber has to fetch. An error ends that, too."""
         self._bus.offer(self._seen.profile.latched, self._seen.address)
-        for envelope in self._seen.vectors.latched:
-            self._publish(envelope)
+        try:
+            for envelope in self._seen.vectors.latched:
+                self._publish(envelope)
+            yield
+        except BaseException:  # such as a candidate that cannot be started
+            self._bus.close()
+            raise
 
     def run(self, candidate: Candidate) -> Observed:
         """Everything, from the candidate's start to its end."""
