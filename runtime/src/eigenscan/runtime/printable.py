@@ -13,4 +13,9 @@ def printable(text: str) -> str:
     shown = " ".join(text[: 2 * MOST].split())
     # Cc: escape sequences; Cf: marks that turn the order of the text around; Cs: bytes that are no UTF-8
     shown = "".join("?" if unicodedata.category(each) in ("Cc", "Cf", "Cs") else each for each in shown)
-    return shown if len(shown) <= MOST else f"{shown[:MOST]}…"
+    return shortened(shown, MOST)
+
+
+def shortened(text: str, most: int) -> str:
+    """`text` of at most so many characters, and a mark where it is cut."""
+    return text if len(text) <= most else f"{text[:most]}…"

@@ -76,17 +76,16 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
 def _check_certificates(path: Path | None, config: zenoh.Config) -> None:
     """Raises ContractError that names a certificate or key that cannot be read: Zenoh names none."""
     tls: dict[str, Any] = json.loads(config.get_json("transport/link/tls"))
-    for name in ("root_ca", "connect", "listen"):
-        for field in (f"{name}_certificate", f"{name}_private_key"):
-            file = tls.get(field)
-            try:
-                if file:
-                    Path(file).read_bytes()
-            except OSError as error:
-                raise ContractError(
-                    f"{path}: {field} = {file!r}: cannot be read: {error.strerror}: "
-                    "copy the certificates there, or correct the path"
-                ) from error
+    for field, file in tls.items():
+        if not (file and field.endswith(("_certificate", "_private_key"))):
+            continue
+        try:
+            Path(file).read_bytes()
+        except OSError as error:
+            raise ContractError(
+                f"{path}: {field} = {file!r}: cannot be read: {error.strerror}: "
+                "copy the certificates there, or correct the path"
+            ) from error
 
 
 def _is_another_json(path: Path) -> bool:

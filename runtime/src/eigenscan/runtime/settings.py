@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from eigenscan.runtime.printable import shortened
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 from eigenscan.schemas.group import EVERY, chunk_of, instance_name, patterns
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -170,7 +171,7 @@ def validated(kind: type[M], given: Mapping[str, Given]) -> M:
 
 def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
     if not problem["loc"]:  # of several settings together
-        return plain(problem["msg"])[:MOST_SHOWN]
+        return shortened(plain(problem["msg"]), MOST_SHOWN)
     field, *inner = [str(part) for part in problem["loc"]]
     return explained(problem, ".".join([given[field].place if field in given else field, *inner]))
 
@@ -182,11 +183,7 @@ def explained(problem: ErrorDetails, place: str) -> str:
     message = plain(problem["msg"])
     if problem["type"] in {"list_type", "dict_type", "tuple_type", "set_type"}:
         message += ', written as JSON such as ["a", "b"]'
-    return f"{place} = {repr(problem['input'])[:MOST_SHOWN]}: {_shortened(message)}"
-
-
-def _shortened(message: str) -> str:
-    return message if len(message) <= MOST_SHOWN else f"{message[:MOST_SHOWN]}…"
+    return f"{place} = {repr(problem['input'])[:MOST_SHOWN]}: {shortened(message, MOST_SHOWN)}"
 
 
 def plain(message: str) -> str:

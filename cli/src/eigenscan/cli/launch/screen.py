@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from math import degrees
 
-from eigenscan.runtime.printable import MOST, printable
+from eigenscan.runtime.printable import MOST, printable, shortened
 from eigenscan.schemas.tracking_pb2 import State
 from rich.console import Console
 from rich.markup import escape
@@ -50,8 +50,7 @@ class StatusLine:
 
 def _printable(text: str) -> str:
     """Printable and cut as a whole, with the gaps between its columns."""
-    cut = text if len(text) <= MOST else f"{text[:MOST]}…"
-    return "  ".join(map(printable, cut.split("  ")))
+    return "  ".join(map(printable, shortened(text, MOST).split("  ")))
 
 
 def state_name(state: int) -> str:

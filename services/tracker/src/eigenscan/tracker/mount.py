@@ -11,7 +11,7 @@ from math import exp, radians
 
 from eigenscan.tracker.calibration import Calibration
 from eigenscan.tracker.planar import Pose
-from eigenscan.tracker.set_up import BEGINS, ENDS
+from eigenscan.tracker.set_up import BEGINS, ENDS, FARTHEST
 
 FIXED_RAD, LOOSE_RAD = radians(0.2), radians(0.8)
 """From one interval to the next a mount may turn by as much.
@@ -59,7 +59,7 @@ class Mount:
         fixed = self._fixed.take(scans, spread, driven, way)
         loose = self._loose.take(scans, spread, driven, way)
         before = self._is_loose * (1.0 - ENDS) + (1.0 - self._is_loose) * BEGINS
-        self._is_loose = before / (before + (1.0 - before) * exp(fixed - loose))
+        self._is_loose = before / (before + (1.0 - before) * exp(min(fixed - loose, FARTHEST)))
 
     def suspect_turn(self, seen: float, driven: float) -> None:
         """The mount may have been turned where scans turn and odometry does not, rad."""
