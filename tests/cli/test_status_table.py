@@ -19,6 +19,7 @@ class View:
 
     def __init__(self, pose: PoseEstimate) -> None:
         self.site, self.model_version = "s", ""
+        self.expected: frozenset[str] = frozenset()
         self.robots = {"r1": Robot("r1", pose=pose, received_at=time.monotonic())}
 
     def robot_names(self) -> list[str]:
@@ -94,3 +95,17 @@ def test_a_terminal_of_80_columns_shows_every_word() -> None:
         assert words in lines[0]
     wrong = " ".join(line[heading.index("health") :].strip() for line in lines)
     assert wrong == "no scan-ingest, no projector, tracker unspecified, 3 drops, clock -7 s"
+
+
+def test_a_robot_of_the_fleet_that_is_not_there_has_its_row() -> None:
+    view = View(PoseEstimate(state=STATE_LOCALIZED))
+    view.expected = frozenset({"r1", "r2"})
+    assert [(row["robot"], row["state"]) for row in rows(view)] == [  # type: ignore[arg-type]
+        ("r1", "localized"),
+        ("r2", "unknown"),
+    ]
+    console = Console(width=80)
+    with console.capture() as shown:
+        console.print(table(view))  # type: ignore[arg-type]
+    assert "1 of 2 robots localized" in shown.get()
+    assert shown.get().count("not there") == 2  # r1's services do not answer here either

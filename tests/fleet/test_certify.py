@@ -14,6 +14,7 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from eigenscan.fleet.configuration import robots_in
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.projector.options import ProjectorOptions
 from eigenscan.recorder.options import RecorderOptions
@@ -82,12 +83,13 @@ def test_certificates_are_for_what_they_are_for_and_not_without_end(folder: Path
     assert "10.0.0.5" in [str(one) for one in names.value.get_values_for_type(x509.IPAddress)]
 
 
-def test_a_robot_more_changes_nothing_but_the_routers_rules(folder: Path) -> None:
+def test_a_robot_more_changes_the_routers_rules_and_the_operators_list(folder: Path) -> None:
     before = content(folder)
     assert run("certify", "--robot", "r18", "-o", folder).exit_code == 0
     after = content(folder)
     changed = {path for path, was in before.items() if after[path] != was}
-    assert changed == {folder / "site/router.json5"}
+    assert changed == {folder / "site/router.json5", folder / "operator/operator.json5"}
+    assert robots_in(folder / "operator/operator.json5") == ("r17", "r18")
     assert {path.parent for path in set(after) - set(before)} == {folder / "robots/r18"}
 
 

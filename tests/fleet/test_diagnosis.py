@@ -15,6 +15,7 @@ def site(**details: str) -> FleetView:
     """A robot r17 whose services wait, each with its detail."""
     view = FleetView.__new__(FleetView)
     view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
+    view.expected = frozenset({"r17"})
     for service, detail in details.items():
         name = service.replace("_", "-")
         health = Health(service=name, instance="r17", status=Health.STATUS_WAITING, detail=detail)
@@ -36,6 +37,19 @@ def test_missing_scans_are_looked_for_where_they_come_from(
     services: dict[str, str], what: str, mend: str
 ) -> None:
     view = site(scan_ingest="no scan", **services)
-    (found,) = [each for each in diagnose(view, ("r17",)) if "no scans arrive" in each.what]
+    (found,) = [each for each in diagnose(view) if "no scans arrive" in each.what]
     assert what in found.what
     assert mend in found.mend
+
+
+def test_a_robot_of_which_nothing_is_there_is_one_fault() -> None:
+    view = site(scan_ingest="no scan")
+    view.expected = frozenset({"r17", "r18"})
+    (found,) = [each for each in diagnose(view) if each.where == "robot r18"]
+    assert "nothing of it is there" in found.what
+
+
+def test_a_site_without_any_robot_is_not_well() -> None:
+    view = site(mapbuilder="no map")
+    view.expected = frozenset()
+    assert "no robot is there" in [each.what for each in diagnose(view)]

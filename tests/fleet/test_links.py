@@ -12,6 +12,9 @@ import psutil
 import pytest
 import zenoh
 from eigenscan.fleet.authority import Authority
+from eigenscan.fleet.diagnosis import diagnose
+from eigenscan.fleet.view import FleetView
+from eigenscan.schemas.health_pb2 import Health
 
 from tests.fleet.conftest import Fleet, until
 from tests.network import free_port
@@ -121,3 +124,38 @@ def test_a_robots_own_router_is_reached_from_the_robot_only(fleet: Fleet) -> Non
         with socket.socket() as probe:
             reached = probe.connect_ex((address, fleet.ports["r17"])) == 0
         assert reached == address.startswith("127."), address
+
+
+def test_a_robots_router_reports_why_it_has_no_link(fleet: Fleet, tmp_path: Path) -> None:
+    """It was OK, "routing", and the site's doctor advised to start scan-ingest."""
+    own = fleet.install("r18")
+    Authority.load(fleet.folder / "authority").issue(tmp_path, "robot", "robot.r18", days=0)
+    for name in ("robot.crt", "robot.key"):
+        shutil.copy(tmp_path / name, own / name)
+    fleet.start("r18")
+    with FleetView(fleet.on_robot("r18"), "hospital") as view:
+        until(lambda: _router_of(view, "DEGRADED", "has expired"), "the certificate is not named")
+        (found,) = [each for each in diagnose(view) if each.where == "router r18"]
+        assert "robot.crt has expired" in found.what
+
+
+def test_a_robots_router_reports_a_site_that_is_out_of_reach(fleet: Fleet) -> None:
+    if "r17" not in fleet.routers:
+        fleet.start("r17")
+    with FleetView(fleet.on_robot("r17"), "hospital") as view:
+        until(lambda: _router_of(view, "OK", "routing"), "it has no link")
+        fleet.routers["site"].terminate()
+        until(lambda: _router_of(view, "DEGRADED", "no link to tls/localhost"), "its end is not reported")
+        fleet.routers["site"].wait()
+        fleet.start("site")
+        until(lambda: _router_of(view, "OK", "routing"), "the new link is not reported")
+
+
+def _router_of(view: FleetView, status: str, detail: str) -> bool:
+    view.update()
+    health = view.health("router")
+    return (
+        health is not None
+        and health.status == Health.Status.Value(f"STATUS_{status}")
+        and detail in health.detail
+    )

@@ -244,6 +244,7 @@ def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
         from rich.console import Console
 
         view: Any = FleetView.__new__(FleetView)
+        view.expected = frozenset()
         view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
         for number, received in enumerate(row):
             arrival = Arrival(

@@ -233,7 +233,7 @@ from eigenscan.runtime.router import RouterCore, RouterSettings
 asked = []
 Bus.is_deaf = property(lambda _: asked.append(1) or len(asked) > 1)
 sys.argv[1:] = ["--site", "s", "--robot", "r"]
-node.main(node.Service("tracker", RouterSettings, lambda _: RouterCore()))
+node.main(node.Service("tracker", RouterSettings, RouterCore))
 """
 
 

@@ -180,3 +180,11 @@ def test_an_eigenspace_of_no_ranges_is_refused(field: str, value: float) -> None
         message.total_variance = value
     with pytest.raises(ValueError, match="no ranges"):
         space_from_message(message)
+
+
+def test_an_eigenspace_with_a_cap_that_no_range_has_is_refused() -> None:
+    """Its square was an OverflowError."""
+    message = space_to_message(site().regions[0].space)
+    message.cap = 1e200
+    with pytest.raises(ValueError, match="give metres above 0"):
+        space_from_message(message)

@@ -154,6 +154,7 @@ def test_odometry_that_is_no_number_is_set_aside(
         {"motion": Pose2(), "covariance": Covariance3(xx=1e-4, xy=2e-4, yy=1e-4)},
         {"motion": Pose2(), "covariance": Covariance3(xx=1e9, yy=1e9)},
         {"motion": Pose2(), "covariance": Covariance3(tt=np.inf)},
+        {"motion": Pose2(), "covariance": Covariance3(xx=1e-4, xy=1e200, yy=1e-4)},
         {"motion": Pose2(), "since": stamp(10_900_000_000)},
     ],
 )

@@ -54,8 +54,16 @@ class Run:
         return path
 
 
-def drive(models: Sequence[Envelope], scenario: Scenario, tracker: TrackerSettings) -> list[Timed]:
-    """All messages of a run, models after the first inputs, as a recorder that came late would log them."""
+def drive(
+    models: Sequence[Envelope],
+    scenario: Scenario,
+    tracker: TrackerSettings,
+    exchanged: Sequence[Envelope] = (),
+) -> list[Timed]:
+    """All messages of a run, models after the first inputs, as a recorder that came late would log them.
+
+    `exchanged` models replace them half-way.
+    """
     stage = Stage(office().render(), scenario)
     loop = Loopback(
         [
@@ -68,7 +76,11 @@ def drive(models: Sequence[Envelope], scenario: Scenario, tracker: TrackerSettin
     for model in models:
         loop.receive(model)
     logged = []
-    for timed in stage.messages():
+    inputs = list(stage.messages())
+    for place, timed in enumerate(inputs):
+        for model in exchanged if place == len(inputs) // 2 else ():
+            logged.append(Timed(timed.time, model))
+            loop.receive(model)
         logged.append(timed)
         logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.receive(timed.envelope)]
     logged += [Timed(timed.time + LATENCY_NS, published) for published in loop.finish()]

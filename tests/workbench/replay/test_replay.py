@@ -8,6 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.plan import Plan
+from eigenscan.mapbuilder.regions import Division
+from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import build_site
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import (
     ADVICE,
@@ -35,6 +40,7 @@ from eigenscan.schemas.wire import encode
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.simulation.stage import Scenario, Timed
+from eigenscan.workbench.simulation.world import office
 from rerun.chunk import RrdReader
 
 from tests.workbench.replay.conftest import SECONDS, Command, Run, changed, drive
@@ -439,3 +445,22 @@ def test_wrong_usage(recording: Path, eigenscan: Command, options: tuple[object,
     assert ended.code == 2
     assert stated in ended.err
     assert ended.err.count("\n") == 1
+
+
+def test_a_map_that_was_exchanged_in_the_night_is_exchanged_in_the_replay(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """The second set has regions that the first lacks: they came at the start, and were dropped."""
+    site = build_site(office().render(), Plan(spacing=0.6, division=Division(largest=15.0)))
+    other = tuple(MapbuilderCore(MapbuilderSettings(), site).start())
+    first, second = ({one.key for one in models} for models in (run.models, other))
+    assert second - first
+    messages = drive(run.models, Scenario(seconds=SECONDS), TrackerSettings(), other)
+    path = run.write(
+        tmp_path / "exchanged.mcap", messages, dict.fromkeys(("projector", "tracker"), '{"robot": "*"}')
+    )
+    used = {one.envelope.open(PoseEstimate).model_version for one in only(messages, POSE)}
+    assert len(used - {""}) == 2
+    for service in ("projector", "tracker"):
+        ended = eigenscan("replay", path, "--service", service, "--compare", "--strict")
+        assert ended.code == 0, ended.out + ended.err

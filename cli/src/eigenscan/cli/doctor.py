@@ -55,6 +55,7 @@ def doctor(
 
 
 def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds: float) -> list[Finding]:
+    from eigenscan.fleet.configuration import robots_in
     from eigenscan.fleet.diagnosis import Finding, diagnose
     from eigenscan.fleet.view import FleetView, NoRouterError, connect
 
@@ -63,9 +64,9 @@ def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds
     except NoRouterError as error:
         what, _, mend = str(error).partition(": ")
         return [Finding("router", what, mend)]
-    with FleetView(session, site) as view:
+    with FleetView(session, site, {*robots, *robots_in(zenoh)}) as view:
         view.until(lambda: False, seconds)
-        return diagnose(view, robots)
+        return diagnose(view)
 
 
 def _of_certificates(zenoh: Path | None) -> list[Finding]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from eigenscan.geometry.normalize import FARTHEST
 from numpy.typing import ArrayLike, NDArray
 
 Kind = Literal["ring", "range"]
@@ -34,11 +35,11 @@ class Embedding:
     cap: float
 
     def __post_init__(self) -> None:
-        """Raises ValueError for an unknown kind, or a cap that is not positive."""
+        """Raises ValueError for an unknown kind, or a cap that no range has."""
         if self.kind not in KINDS:
             raise ValueError(f"embedding = {self.kind!r}: choose one of {', '.join(KINDS)}")
-        if not (np.isfinite(self.cap) and self.cap > 0):
-            raise ValueError(f"range cap = {self.cap}: give metres above 0")
+        if not 0 < self.cap <= FARTHEST:
+            raise ValueError(f"range cap = {self.cap}: give metres above 0, at most {FARTHEST:g}")
 
     @classmethod
     def of(cls, kind: Kind, cap: float | None = None) -> Embedding:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import zenoh
 from eigenscan.fleet import access
 from eigenscan.runtime.session import URGENT_BATCHES
 from eigenscan.schemas.channels import CHANNELS, Role
@@ -25,6 +27,9 @@ together, only the first passes. A higher factor loses fewer of them.
 """
 LARGEST_BYTES = 1_000_000
 """Largest message from a robot; a raw scan has some tens of kilobytes."""
+
+ROBOTS = "robots"
+"""Field of `metadata`, which Zenoh leaves to users."""
 
 SETTINGS = """\
 # Settings of the services here; eigenscan-SERVICE --help has all. Yours to edit: it is written once.
@@ -136,9 +141,28 @@ def robot_service() -> dict[str, Any]:
     return _client(f"tcp/127.0.0.1:{PORT}")
 
 
-def site_service(name: str, router: str = "localhost") -> dict[str, Any]:
-    """A service of the site, or an operator's tool, with the certificate `name`."""
-    return _client(_endpoint(router)) | {"transport": {"link": {"tls": _tls(name, "connect")}}}
+def site_service(name: str, router: str = "localhost", robots: Sequence[str] = ()) -> dict[str, Any]:
+    """A service of the site, or an operator's tool, with the certificate `name`.
+
+    `robots`: those that the tool misses if they are not there.
+    """
+    return (
+        _client(_endpoint(router))
+        | {"transport": {"link": {"tls": _tls(name, "connect")}}}
+        | ({"metadata": {ROBOTS: list(robots)}} if robots else {})
+    )
+
+
+def robots_in(path: Path | None) -> tuple[str, ...]:
+    """The robots that a configuration names for `doctor` and `fleet status`."""
+    if path is None:
+        return ()
+    try:
+        metadata = json.loads(zenoh.Config.from_file(str(path)).get_json("metadata"))
+    except (zenoh.ZError, ValueError):  # whoever opens the session reports it
+        return ()
+    named = metadata.get(ROBOTS) if isinstance(metadata, dict) else None
+    return tuple(str(one) for one in named) if isinstance(named, list) else ()
 
 
 def settings(site: str, robot: str | None = None) -> str:

@@ -31,8 +31,8 @@ class Finding:
     mend: str
 
 
-def diagnose(view: FleetView, expected: tuple[str, ...] = ()) -> list[Finding]:
-    """All findings of a view that has listened for some seconds; `expected`: robots that must be there."""
+def diagnose(view: FleetView) -> list[Finding]:
+    """All findings of a view that has listened for some seconds."""
     if not any(service.contracts for service in view.services.values()):
         return [
             Finding(
@@ -44,7 +44,12 @@ def diagnose(view: FleetView, expected: tuple[str, ...] = ()) -> list[Finding]:
     found = [*_of_the_site(view)]
     for service in view.services.values():
         found += _of_a_service(service)
-    for robot in sorted({*view.robot_names(), *expected}):
+    robots = sorted({*view.robot_names(), *view.expected})
+    if not robots:
+        found.append(
+            Finding(f"site {view.site}", "no robot is there", "start a robot's services, or name it: --robot")
+        )
+    for robot in robots:
         found += _of_a_robot(view, robot)
     return found
 
@@ -125,6 +130,13 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
     for service in view.serving(robot):
         if service.contracts:
             there[service.name].append(service)
+    if not any(there.values()):
+        yield Finding(
+            where,
+            "nothing of it is there: it is off, or its link is",
+            "on the robot: eigenscan doctor --zenoh FILE, with the file of its services",
+        )
+        return
     for name, services in there.items():
         if not services:
             yield Finding(

@@ -187,8 +187,9 @@ def configure(folder: Path) -> None:
         )
     certified = {role: own for role, own in services(folder).items() if (own / f"{role.value}.crt").exists()}
     for role, own in certified.items():
-        router = fleet.addresses[0] if role is Role.OPERATOR else "localhost"
-        _write(own / f"{role.value}.json5", configuration.site_service(role.value, router))
+        is_operator = role is Role.OPERATOR
+        router, missed = (fleet.addresses[0], members) if is_operator else ("localhost", ())
+        _write(own / f"{role.value}.json5", configuration.site_service(role.value, router, missed))
     groups = {
         name: (common_name(own / "projector.crt"), fleet.groups[name])
         for name in fleet.groups

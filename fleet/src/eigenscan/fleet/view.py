@@ -13,6 +13,7 @@ from typing import Any
 
 import zenoh
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.session import MEETING, open_meanwhile
@@ -62,8 +63,11 @@ def connect(path: Path | None) -> zenoh.Session:
     try:
         return open_meanwhile(path, "peer").result(OPEN_S)
     except TimeoutError as error:
+        if fault := fault_in(path):
+            raise NoRouterError(f"no router takes this certificate: {fault}") from error
         what = (
-            f"start the router, or correct connect.endpoints in {path}"
+            f"start the router, or correct connect.endpoints in {path}; a "
+            "router of another fleet does not answer"
             if path
             else f"{MEETING} is in use by another program: end it, or give --zenoh FILE with another address"
         )
@@ -171,10 +175,13 @@ class Robot:
 
 
 class FleetView:
-    """Listens to a site; `update` takes the messages since the last call."""
+    """Listens to a site; `update` takes the messages since the last call.
 
-    def __init__(self, session: zenoh.Session, site: str) -> None:
-        self.site = site
+    `expected`: robots that belong to it, whether or not they are there.
+    """
+
+    def __init__(self, session: zenoh.Session, site: str, expected: Collection[str] = ()) -> None:
+        self.site, self.expected = site, frozenset(expected)
         self.robots: dict[str, Robot] = {}
         self.services: dict[tuple[str, str], Service] = {}
         self.model_version = self.map_version = ""

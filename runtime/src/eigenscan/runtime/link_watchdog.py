@@ -28,7 +28,7 @@ def await_dead_link(config: Path, session: zenoh.Session) -> bool:
 
     Returns False if the session ends first.
     """
-    ports = set(ports_of(json.loads(zenoh.Config.from_file(str(config)).get_json("connect/endpoints"))))
+    ports = set(ports_of(endpoints_in(config)))
     since = time.monotonic()
     while time.monotonic() - since < DEAD_S:
         time.sleep(LOOK_EVERY_S)
@@ -47,17 +47,35 @@ def is_linked(session: zenoh.Session) -> bool:
     return bool(session.info.routers_zid() or session.info.peers_zid())
 
 
-def ports_of(endpoints: Any) -> Iterator[int]:
-    """Ports of Zenoh's endpoints: one, a list, or lists by mode."""
-    if isinstance(endpoints, str):
-        found = re.search(r":(\d+)(?:[?#]|$)", endpoints)
+def endpoints_in(config: Path | None) -> list[str]:
+    """Endpoints that a configuration connects to; none if it cannot be read, as whoever opens it reports."""
+    if config is None:
+        return []
+    try:
+        return list(
+            endpoints_of(json.loads(zenoh.Config.from_file(str(config)).get_json("connect/endpoints")))
+        )
+    except (zenoh.ZError, ValueError):
+        return []
+
+
+def endpoints_of(stated: Any) -> Iterator[str]:
+    """Zenoh's endpoints as a configuration states them: one, a list, or lists by mode."""
+    if isinstance(stated, str):
+        yield stated
+    elif isinstance(stated, dict):
+        yield from endpoints_of(list(stated.values()))
+    elif isinstance(stated, list):
+        for one in stated:
+            yield from endpoints_of(one)
+
+
+def ports_of(stated: Any) -> Iterator[int]:
+    """Their ports."""
+    for endpoint in endpoints_of(stated):
+        found = re.search(r":(\d+)(?:[?#]|$)", endpoint)
         if found:
             yield int(found[1])
-    elif isinstance(endpoints, dict):
-        yield from ports_of(list(endpoints.values()))
-    elif isinstance(endpoints, list):
-        for one in endpoints:
-            yield from ports_of(one)
 
 
 def is_connected(ports: set[int]) -> bool:

@@ -23,6 +23,7 @@ from typing import Any, Generic, TypeVar
 
 import zenoh
 from eigenscan.runtime.bus import Bus
+from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.clock import Clock, Later, later
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.errors import one_line
@@ -309,6 +310,8 @@ class Node:
         core = self.make_core()
         if self.starts_again and not shared and not self._stop.stopping:
             start_again()
+        if not shared and (fault := fault_in(settings.zenoh)):
+            self._log.error("certificate_refused", hint=fault)
         session = opening.result()
         if self.service.attend:
             self.service.attend(settings, session)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from eigenscan.runtime.certificates import check_readable, tls_of
 from eigenscan.schemas.channels import ContractError
 
 LOG_FILTER = "error,zenoh::net::routing=off,zenoh_transport::unicast::establishment=off"
@@ -61,31 +62,21 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     except zenoh.ZError as error:
         what = f"{path}: is no Zenoh configuration (JSON5)" if path else f"--listen {' '.join(listen)}"
         raise ContractError(f"{what}: {_reason(error)}") from error
-    _check_certificates(path, config)
+    check_readable(path, tls_of(config))
     _deepen_urgent_queues(config)
     _leave_shared_memory(config)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
+        reason = _reason(error)
+        mend = (
+            "another process listens there; where that is the router, give a service's configuration"
+            if "already in use" in reason
+            else "check its listen and connect endpoints"
+        )
         raise ContractError(
-            f"{path or f'{mode} of this machine'}: no Zenoh session: {_reason(error)}: "
-            "check its listen and connect endpoints"
+            f"{path or f'{mode} of this machine'}: no Zenoh session: {reason}: {mend}"
         ) from error
-
-
-def _check_certificates(path: Path | None, config: zenoh.Config) -> None:
-    """Raises ContractError that names a certificate or key that cannot be read: Zenoh names none."""
-    tls: dict[str, Any] = json.loads(config.get_json("transport/link/tls"))
-    for field, file in tls.items():
-        if not (file and field.endswith(("_certificate", "_private_key"))):
-            continue
-        try:
-            Path(file).read_bytes()
-        except OSError as error:
-            raise ContractError(
-                f"{path}: {field} = {file!r}: cannot be read: {error.strerror}: "
-                "copy the certificates there, or correct the path"
-            ) from error
 
 
 def _is_another_json(path: Path) -> bool:

@@ -13,7 +13,7 @@ from eigenscan.schemas.channels import DEFAULT_SITE
 
 if TYPE_CHECKING:
     from eigenscan.fleet.view import FleetView, Service
-    from rich.table import Table
+    from rich.console import Group
 
 OLD_S = 3.0
 """Age of a pose, s, beyond which nobody may act on it."""
@@ -39,12 +39,13 @@ def status(
       eigenscan fleet status --site hospital --once
       eigenscan fleet status --site hospital --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
+    from eigenscan.fleet.configuration import robots_in
     from eigenscan.fleet.view import FleetView, connect
     from rich.console import Console
     from rich.live import Live
 
     console = Console()
-    with FleetView(connect(zenoh), site) as view:
+    with FleetView(connect(zenoh), site, robots_in(zenoh)) as view:
         if once or json_file is not None:
             view.until(lambda: False, seconds)
             if wants_words(json_file):
@@ -63,7 +64,7 @@ def status(
 def rows(view: FleetView) -> list[dict[str, Any]]:
     """A row for each robot, by name."""
     now = time.monotonic()
-    return [_row(view, name, now) for name in view.robot_names()]
+    return [_row(view, name, now) for name in sorted({*view.robot_names(), *view.expected})]
 
 
 def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
@@ -112,8 +113,9 @@ def _clock(serving: list[Service]) -> float | None:
     return None if worst is None else round(worst, 2)
 
 
-def table(view: FleetView) -> Table:
+def table(view: FleetView) -> Group:
     """The rows as a table that fits 80 columns; red and yellow cells name what needs attention."""
+    from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
@@ -128,12 +130,10 @@ def table(view: FleetView) -> Table:
     shown.add_column("health")
     for row in found:
         shown.add_row(*_cells(row, view.model_version))
-    advised = [f"{printable(row['robot'])}: {row['advice']}" for row in found if row["advice"]]
-    if advised:
-        shown.caption, shown.caption_justify = Text("\n".join(advised)), "left"
+    below = [f"{printable(row['robot'])}: {row['advice']}" for row in found if row["advice"]]
     if not found:
-        shown.caption = "no robot answers: eigenscan doctor shows why"
-    return shown
+        below = ["no robot answers: eigenscan doctor shows why"]
+    return Group(shown, *map(Text, below))  # a caption would be as narrow as the table
 
 
 def _cells(row: dict[str, Any], newest: str) -> list[str]:
@@ -161,6 +161,8 @@ def _health(row: dict[str, Any]) -> str:
     """Missing and unwell services, drops and a wrong clock, or `ok`."""
     from eigenscan.fleet.view import ROBOT_SERVICES
 
+    if not row["services"]:
+        return "[red]not there[/]"
     troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
     troubles += [f"[yellow]{name} {word}[/]" for name, word in row["services"].items() if word != "ok"]
     if row["drops"]:

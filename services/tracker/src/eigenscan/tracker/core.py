@@ -233,7 +233,7 @@ def _is_spread(c: Covariance3) -> bool:
     """Whether way and turn have a covariance within a pose's limits; 0 is one."""
     x, y, turn = SIGMA_LIMITS[:, 1] ** 2
     within = 0.0 <= c.xx <= x and 0.0 <= c.yy <= y and 0.0 <= c.tt <= turn
-    return bool(within and c.xy**2 <= c.xx * c.yy * (1.0 + 1e-6))
+    return bool(within and c.xy * c.xy <= c.xx * c.yy * (1.0 + 1e-6))  # ** raises an error for 1e200
 
 
 def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:

@@ -12,15 +12,18 @@ from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import (
     HEADING,
     MODEL,
+    MODEL_SET,
     ODOMETRY,
     POSE,
     RELOCATION,
     SCAN_MOTION,
     SEARCH,
+    SPACE,
     TRACKS,
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet, RegionModel, RegionSpace
 from eigenscan.workbench.replay.casting import Instance
 from eigenscan.workbench.replay.services import Service, published_by, received_by
 from eigenscan.workbench.replay.survey import Survey
@@ -55,15 +58,15 @@ def play(
 ) -> Iterator[Event]:
     """All events, in order of the recording's log time; `moved` is called with it.
 
-    Maps and models come first, because a recorder may receive them late; `models` replace the recorded ones.
-    Each answer follows its input. Raises UsageError if the cores lack an input.
+    The first map and its models come first, because a recorder may receive them late; `models` replace all
+    that were recorded. Each answer follows its input. Raises UsageError if the cores lack an input.
     """
     published = published_by(services)
     received = received_by(instances, published)
     _check(survey, services)
     loop = Loopback(instances)
     yield from _replayed(survey.begin, loop.start())
-    early = {key: envelope for key, envelope in survey.latched.items() if envelope.channel in received}
+    early = {key: one for key, one in _first_set(survey).items() if one.channel in received}
     first = models or early.values()
     wanted = [envelope for envelope in first if envelope.channel in received]
     for envelope in sorted(wanted, key=lambda one: received.index(one.channel)):
@@ -80,6 +83,21 @@ def play(
             yield Event(Side.RECEIVED, record.log_time, envelope)
             yield from _replayed(record.log_time, loop.receive(envelope))
     yield from _replayed(survey.end, loop.finish())
+
+
+def _first_set(survey: Survey) -> dict[str, Envelope]:
+    """The first message of each latched key, without models of a later set: a projector would drop them."""
+    announced = next((one for one in survey.latched.values() if one.channel is MODEL_SET), None)
+    if announced is None:
+        return survey.latched
+    wanted = {entry.version for entry in announced.open(ModelSet).entries}
+
+    def is_later(one: Envelope) -> bool:
+        if one.channel is MODEL:
+            return one.open(RegionModel).version not in wanted
+        return one.channel is SPACE and one.open(RegionSpace).model_version not in wanted
+
+    return {key: one for key, one in survey.latched.items() if not is_later(one)}
 
 
 def _is_early(envelope: Envelope, early: dict[str, Envelope], models: Sequence[Envelope]) -> bool:
