@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from eigenscan.fleet.diagnosis import diagnose
 from eigenscan.fleet.view import FleetView
@@ -47,6 +49,21 @@ def test_a_robot_of_which_nothing_is_there_is_one_fault() -> None:
     view.expected = frozenset({"r17", "r18"})
     (found,) = [each for each in diagnose(view) if each.where == "robot r18"]
     assert "nothing of it is there" in found.what
+
+
+def test_two_machines_under_one_name_are_a_fault_and_a_restart_is_none() -> None:
+    """One robot's certificate on two machines was one healthy robot whose position jumped."""
+    view = site(tracker="no scan")
+    (tracker,) = view.services.values()
+    first, second = (Health(counters={"heard_scan": count, "waiting": 1000 - count}) for count in (900, 100))
+    now = time.monotonic()
+    for n, health in enumerate((first, second)):
+        tracker.receive(health, now + n)
+    assert not tracker.is_twice
+    for n, health in enumerate((first, second)):
+        tracker.receive(health, now + 2 + n)
+    assert tracker.is_twice
+    assert any("two machines publish under this name" in each.what for each in diagnose(view))
 
 
 def test_a_site_without_any_robot_is_not_well() -> None:

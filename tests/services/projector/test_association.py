@@ -157,3 +157,20 @@ def test_a_site_of_one_position_has_no_neighbours_and_is_no_fault(kind: Kind) ->
     sheets = Sheets(np.ones((1, 6, 2), np.float32), np.zeros((1, 2)), np.zeros((1, 2), int))
     found = association(kind, [sheets], 0.5).nearest(np.ones((1, 2)), np.zeros(1), 10)
     assert len(found.rows) == {"triangles": 0, "tetrahedra": 0}.get(kind, 6)
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_the_square_of_a_pose_is_its_distance_from_the_scan(kind: Kind) -> None:
+    rng = np.random.default_rng(9)
+    sheets = [random_sheets(rng) for _ in range(3)]
+    alphas, residuals = random_query(rng, sheets)
+    direct = direct_squares(sheets, alphas, residuals)
+    found = association(kind, sheets, 0.5).nearest(alphas, residuals, 60)
+    found.check(len(direct))
+    assert len(found.rows)
+    if found.between is None:
+        assert np.allclose(
+            found.squares, direct[found.rows], rtol=0.03
+        )  # the sweep keeps a byte a coefficient
+    else:  # of what lies between poses, the scan is no farther than what is analysed of both
+        assert (found.squares >= residuals.min()).all()

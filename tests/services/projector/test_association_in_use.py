@@ -5,6 +5,8 @@ from typing import get_args
 import numpy as np
 import pytest
 from eigenscan.projector.association.kinds import Kind
+from eigenscan.projector.association.manifold import Matches
+from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import explaining, find_candidates
@@ -96,3 +98,25 @@ def test_some_regions_are_pruned_and_none_that_holds_the_pose() -> None:
         assert {h.region for h in message.hypotheses} <= searched
         assert is_right(poses_of(message), truth).any()
     assert pruned
+
+
+@pytest.mark.parametrize(
+    ("rows", "squares", "words"),
+    [
+        ([-1], [1.0], "rows -1 to -1, of poses 0 to"),
+        ([10**9], [1.0], "rows 1000000000 to"),
+        ([0, 1], [1.0], "squares (1,)"),
+        ([0.5], [1.0], "rows (1,) float64"),
+        ([0], [np.nan], "not finite"),
+    ],
+)
+def test_what_is_no_match_is_an_error_and_no_crash(
+    rows: list[float], squares: list[float], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A row out of range ended the process, without a line."""
+    wrong = Matches(np.array(rows), np.array(squares, np.float32))
+    monkeypatch.setattr(SweepTable, "nearest", lambda *_: wrong)
+    core = ready(association="sweep")
+    with pytest.raises(ValueError, match="an association gave") as raised:
+        receive(core, scan_at(free_poses(1, 61)[0]))
+    assert words in str(raised.value)

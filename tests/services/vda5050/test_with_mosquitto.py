@@ -347,6 +347,8 @@ def test_health_names_why_a_broker_cannot_be_reached(
         (["--version", "1.1"], "--version"),
         (["--manufacturer", "a/b"], "--manufacturer"),
         (["--broker", "mqtts://127.0.0.1", "--ca-file", "/nowhere/ca.crt"], "ca_file: /nowhere/ca.crt"),
+        (["--password-file", "/nowhere/password"], "password_file"),
+        (["--password-file", __file__], "give username too"),
     ],
 )
 def test_wrong_settings_end_it_with_one_line(flags: list[str], words: str) -> None:

@@ -142,6 +142,13 @@ def test_a_recording_without_scans_is_refused(tmp_path: Path) -> None:
         keys(record(tmp_path / "a.mcap", [moved(1)]))
 
 
+def test_a_lidar_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    """The library gave an empty list."""
+    path = record(tmp_path / "a.mcap", [scan(1), scan(1, "robot", "left")])
+    with pytest.raises(LogError, match=r"a\.mcap: no lidar rear: choose one of front, left"):
+        keys(path, lidars=("front", "rear"))
+
+
 def test_stamps_as_logged_survive_an_import(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "a.mcap", {"import": {"source": "a.clf"}}) as writer:
         writer.write(scan(1), S)

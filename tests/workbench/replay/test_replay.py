@@ -464,3 +464,18 @@ def test_a_map_that_was_exchanged_in_the_night_is_exchanged_in_the_replay(
     for service in ("projector", "tracker"):
         ended = eigenscan("replay", path, "--service", service, "--compare", "--strict")
         assert ended.code == 0, ended.out + ended.err
+
+
+def test_a_core_that_fails_is_a_failure_without_a_comparison_too(
+    recording: Path, eigenscan: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It wrote a recording without an answer, and ended with 0."""
+
+    def fail(_self: TrackerCore, _received: Envelope) -> list[Envelope]:
+        raise ArithmeticError("no answer")
+
+    monkeypatch.setattr(TrackerCore, "handle", fail)
+    ended = eigenscan("replay", recording, "--service", "tracker", "--out", tmp_path / "out.mcap")
+    assert ended.code == 1, ended.out
+    assert "tracker 0 failed on" in ended.err
+    assert "ArithmeticError" in ended.err

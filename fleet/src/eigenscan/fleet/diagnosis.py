@@ -82,6 +82,12 @@ def _of_a_service(service: Service) -> Iterator[Finding]:
         yield Finding(
             where, "is alive, but publishes no health", "see its log; machine or link may be overloaded"
         )
+    if service.is_twice:
+        yield Finding(
+            where,
+            "two machines publish under this name, or it restarts every few seconds",
+            "a certificate is for one machine: certify another robot (docs/fleet.md); else see its log",
+        )
     offset = service.clock_offset_s or 0.0
     if abs(offset) > CLOCK_S:
         yield Finding(

@@ -15,6 +15,7 @@ import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.errors import FailedError
+from eigenscan.runtime.health import WAITING
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.session import MEETING, open_meanwhile
 from eigenscan.schemas.advice_pb2 import Advice
@@ -49,6 +50,9 @@ MOST_SETTINGS = 20_000
 
 FARTHEST_M = 1e7
 """m from the map frame's origin, at most: as far as maps may lie from it."""
+
+TWICE_S = 6.0
+"""Two falls of a service's counters within this time, s, are none of a restart, which takes longer."""
 
 OFFSETS = 10
 """Words by which a clock is judged: on a busy machine or link some are late."""
@@ -110,6 +114,8 @@ class Service:
     health: Health | None = None
     first: Health | None = None
     received_at: float = 0.0
+    falls: deque[float] = field(default_factory=lambda: deque(maxlen=2))
+    """When a counter was last below its value before: a restart, or another process under the same name."""
     offsets: deque[float] = field(default_factory=lambda: deque(maxlen=OFFSETS))
     """How far the stamps of its latest words were before our clock, s."""
 
@@ -117,6 +123,19 @@ class Service:
     def clock_offset_s(self) -> float | None:
         """How far its clock is before ours, by the word that was quickest on its way."""
         return min(self.offsets, key=abs, default=None)
+
+    def receive(self, health: Health, now: float) -> None:
+        """Takes its next health, at `now`, monotonic s."""
+        before = self.health.counters if self.health is not None else {}
+        if any(health.counters.get(name, 0) < count for name, count in before.items() if name != WAITING):
+            self.falls.append(now)
+        self.first = self.first or health
+        self.health, self.received_at = health, now
+
+    @property
+    def is_twice(self) -> bool:
+        """Whether its counters fall again and again: two processes publish under its name."""
+        return len(self.falls) == 2 and time.monotonic() - self.falls[0] < TWICE_S
 
     @property
     def robot(self) -> str:
@@ -262,8 +281,7 @@ class FleetView:
         elif isinstance(message, Health):
             service = self._service(address["service"], address["instance"])
             service.offsets.append((nanoseconds(message.timestamp) - wall) * 1e-9)
-            service.first = service.first or message
-            service.health, service.received_at = message, now
+            service.receive(message, now)
         return []
 
     def _service(self, name: str, instance: str) -> Service:

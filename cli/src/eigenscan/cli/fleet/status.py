@@ -86,6 +86,7 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
         "services": {service.name: service.status for service in serving},
         "drops": sum(sum(service.drops.values()) for service in serving),
         "clock_offset_s": _clock(serving),
+        "twice": sorted(service.name for service in serving if service.is_twice),
         "advice": robot.advised if robot is not None else "",
     }
     if robot is not None and robot.pose is not None:
@@ -165,6 +166,7 @@ def _health(row: dict[str, Any]) -> str:
         return "[red]not there[/]"
     troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
     troubles += [f"[yellow]{name} {word}[/]" for name, word in row["services"].items() if word != "ok"]
+    troubles += [f"[red]{name} twice[/]" for name in row["twice"]]
     if row["drops"]:
         troubles.append(f"[yellow]{row['drops']} drops[/]")
     offset = row["clock_offset_s"]

@@ -225,6 +225,7 @@ def _nearest(view: SensorView, projected: Projected, beams: int, count: int) -> 
     square = projected.error_energy**2 * (view.embedding.channels * beams)
     square[~projected.searched] = np.inf
     found = view.association.nearest(projected.coefficients, square, count)
+    found.check(int(view.bounds[-1]))
     return found if view.ratios is None else view.ratios.interpolate(found, projected.coefficients)
 
 

@@ -53,8 +53,11 @@ class MqttPort:
         self._client = Client(CallbackAPIVersion.VERSION2, client_id=f"eigenscan-{options.serial}")
         if not options.only_visualization:
             self._client.will_set(self._topic(CONNECTION), self._connection(broken), qos=1, retain=True)
+        password = self._password()
         if options.username:
-            self._client.username_pw_set(options.username, self._password())
+            self._client.username_pw_set(options.username, password)
+        elif password:
+            raise SettingsError("password_file: without a username: give username too")
         if options.address[2]:
             self._client.tls_set_context(self._tls())
         self._client.reconnect_delay_set(*RECONNECT_S)

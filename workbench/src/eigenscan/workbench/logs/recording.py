@@ -39,19 +39,25 @@ class RecordingLog:
         self.progress = 1.0
 
     def _robot(self) -> str:
-        scans = Counter(
-            record.envelope.address["robot"]
-            for record in self._records()
-            if record.envelope.channel == SCAN_RAW
-        )
-        if not scans:
+        """The robot to take. Raises LogError where it, or a lidar that is asked for, is not there."""
+        lidars: dict[str, set[str]] = {}
+        for record in self._records():
+            if record.envelope.channel == SCAN_RAW:
+                address = record.envelope.address
+                lidars.setdefault(address["robot"], set()).add(address["lidar"])
+        if not lidars:
             raise LogError(f"{self.path}: holds no raw scan: record the channel {SCAN_RAW.template}")
-        if self._options.robot in scans:
-            return self._options.robot
-        if len(scans) > 1 or self._options.robot != DEFAULT_ROBOT:
-            names = ", ".join(sorted(scans))
-            raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
-        return next(iter(scans))
+        robot = self._options.robot
+        if robot not in lidars:
+            if len(lidars) > 1 or robot != DEFAULT_ROBOT:
+                names = ", ".join(sorted(lidars))
+                raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
+            robot = next(iter(lidars))
+        missing = sorted(set(self._options.lidars) - lidars[robot])
+        if missing:
+            known = ", ".join(sorted(lidars[robot]))
+            raise LogError(f"{self.path}: no lidar {missing[0]}: choose one of {known}")
+        return robot
 
     def _is_complete(self) -> bool:
         """False also for an index that is damaged."""

@@ -61,6 +61,22 @@ class Matches:
     squares: NDArray[np.float32]
     between: Array | None = None
 
+    def check(self, rows: int) -> None:
+        """Raises ValueError unless these are matches of poses 0 to `rows` - 1: compiled code reads there."""
+        k = self.rows.size
+        shapes = self.rows.shape, self.squares.shape, (k, 3) if self.between is None else self.between.shape
+        if shapes != ((k,), (k,), (k, 3)) or self.rows.dtype.kind not in "iu":
+            raise ValueError(
+                f"an association gave rows {shapes[0]} {self.rows.dtype}, squares {shapes[1]} and between "
+                f"{shapes[2]}: give (k,) integers, (k,) and (k, 3)"
+            )
+        if k and not 0 <= int(self.rows.min()) <= int(self.rows.max()) < rows:
+            raise ValueError(
+                f"an association gave rows {self.rows.min()} to {self.rows.max()}, of poses 0 to {rows - 1}"
+            )
+        if not np.isfinite(self.squares).all():
+            raise ValueError("an association gave squares that are not finite")
+
     @property
     def offsets(self) -> Array:
         """`between` (k, 3), 0 without interpolation."""
