@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from eigenscan.schemas.channels import POSE, RELOCATION, SCAN_MOTION
@@ -12,6 +14,8 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.silence import Silence
+from eigenscan.tracker.timeline import Outcome
 
 from tests.services.tracker.conftest import MakeCore, Speaker
 
@@ -241,3 +245,21 @@ def test_scans_that_fit_nowhere_in_the_map(make_core: MakeCore, speaker: Speaker
     assert reasons[: round(9.0 / RATE_S)] == [""] * round(9.0 / RATE_S)
     assert reasons[round(14.0 / RATE_S)].startswith("r: scans fit no place of the map: ")
     assert reasons[-1] == ""
+
+
+def test_one_scan_that_seems_to_fit_does_not_end_it() -> None:
+    """In a wrong map health changed every few seconds."""
+    timeline: Any = SimpleNamespace(newest=0, longest_waiting=None)
+    silence = Silence(timeline)
+
+    def stated(time: float, none: float) -> bool:
+        seen: Any = SimpleNamespace(stamp=round(time * 1e9), source="front")
+        timeline.newest = seen.stamp
+        silence.receive(seen, Outcome.TAKEN)
+        silence.answer(seen, repeated=False, has_pose=True, none=none)
+        return bool(silence.no_place)
+
+    found = [
+        stated(time, 0.5 if time in (8.0, 20.0) else 0.05 if time == 30.0 else 1.0) for time in range(40)
+    ]
+    assert found == [18 < time < 30 for time in range(40)]

@@ -99,7 +99,8 @@ class Silence:
 
         `none`: probability that no place of the map is right.
         """
-        if none < NO_PLACE:
+        # once stated it ends where a place is as probable: in a wrong map single scans look as if they fit
+        if none < (1.0 - NO_PLACE if self.no_place else NO_PLACE):
             self._placed = seen.stamp
         if has_pose:
             self._runs.pop(seen.source, None)
