@@ -300,6 +300,21 @@ def test_what_came_before_a_pause_is_readable_during_it(tmp_path: Path) -> None:
     sink.close()
 
 
+def test_a_clock_that_is_set_ahead_and_back_between_messages_delays_nothing(tmp_path: Path) -> None:
+    """simtest, seed 9821872: a tick flushed by the wrong clock, and nothing was flushed until that time."""
+    clock = Clock()
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    sink.write(pose(1))
+    clock.now += 822 * S
+    sink.tick()
+    clock.now -= 102 * S
+    sink.write(pose(2))
+    clock.now += S
+    sink.write(pose(3))
+    assert [record.publish_time for record in read(tmp_path / "a.mcap")] == [1, 2, 3]
+    sink.close()
+
+
 def test_no_recording_is_ever_overwritten(tmp_path: Path) -> None:
     clock = Clock()
     for number in (1, 2, 3):

@@ -137,7 +137,8 @@ class McapSink:
         self._retry_at -= back
 
     def _flush(self, writer: RecordingWriter, now: int) -> None:
-        if now - self._flushed_at >= self._flush_ns:
+        # before the last flush: the clock was set back since, or the message arrived before that tick
+        if not 0 <= now - self._flushed_at < self._flush_ns:
             self._flushed_at = now
             writer.flush()
             self._settle("mcap_written")
@@ -190,7 +191,8 @@ class McapSink:
 
     def _reopen(self, now: int) -> RecordingWriter | None:
         """The next file, with the latched messages; None if it is too early to try."""
-        return None if now < self._retry_at else self._begin(now)
+        wait = self._retry_at - now  # longer than RETRY_S: the clock was set back since
+        return None if 0 < wait <= RETRY_S * 1e9 else self._begin(now)
 
     def _begin(self, now: int) -> RecordingWriter:
         """The next file; deleted again if there is no room for the latched messages."""
