@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -23,10 +24,10 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
 from eigenscan.recorder.options import RecorderOptions
-from eigenscan.recorder.picture import status
+from eigenscan.recorder.picture import curves, status
 from eigenscan.recorder.picture.belief import probabilities
 from eigenscan.recorder.picture.blueprint import blueprint
-from eigenscan.recorder.picture.board import MOST_BARS, Line, draw_board, shown
+from eigenscan.recorder.picture.board import ASPECT, MOST_BARS, Line, draw_board, shown
 from eigenscan.recorder.picture.canvas import Pace
 from eigenscan.recorder.picture.floor import scale_length
 from eigenscan.recorder.picture.layout import Layout
@@ -664,6 +665,17 @@ def test_the_curves_are_the_scan_and_what_its_coefficients_stand_for(embedding: 
     assert 0.3 < shares.sum() < 1
 
 
+def test_no_curve_leaves_its_panel() -> None:
+    """Long beams through a doorway went through its top."""
+    model, bearings = hallway(64), np.radians(np.arange(-20, 21))
+    scan = Scan(angle_min=bearings[0], angle_increment=math.radians(1.0), ranges=[3.0] * 40 + [900.0])
+    manifold, drawn = Manifold(model, analysis_of(model, scan)), list[Any]()
+    canvas: Any = SimpleNamespace(style=lambda *_: None, draw=lambda _stamp, _path, what: drawn.append(what))
+    curves.draw_scan(canvas, 0, "curves", manifold, scan, [0.0] * manifold.components)
+    top = min(y for what in drawn for strip in what.strips.as_arrow_array().to_pylist() for _, y in strip)
+    assert top == pytest.approx(-curves.SCAN_HEIGHT)
+
+
 @pytest.mark.parametrize("robots", [2, 40])
 def test_the_board_shows_who_needs_somebody_first(robots: int) -> None:
     """Few robots stay where they are; of many, those in need come first, in the colour of their state."""
@@ -682,6 +694,14 @@ def test_the_board_shows_who_needs_somebody_first(robots: int) -> None:
     share = len(red) / (len(red) + len(green))
     assert share == pytest.approx(1 / robots, rel=0.3)
     assert (red[:, 0].min() < green[:, 0].max()) == (robots > MOST_BARS)
+
+
+@pytest.mark.parametrize("robots", [7, 12, 50, 200])
+def test_the_board_of_many_robots_fills_its_panel(robots: int) -> None:
+    """Twelve robots took two thirds of it, two hundred a third of its width."""
+    lines = [Line(f"r{n:03}", "LOCALIZED", 0, LOCALIZED, "", "") for n in range(robots)]
+    height, width, _ = draw_board(lines).shape
+    assert 0.7 < (width / height) / ASPECT < 1.4
 
 
 def origins(panel: Any) -> set[str]:

@@ -14,7 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 BAR_PX = (1000, 46)
 FIELD_PX = (240, 30)
-FIELDS_A_ROW = 8
+ASPECT = 6.2
+"""Width over height of the panel of many robots on a usual screen."""
 MOST_BARS = 6
 """Robots that get a bar each."""
 SUMMARY: Colour = (30, 30, 30)
@@ -65,17 +66,31 @@ def _bars(lines: Sequence[Line]) -> NDArray[np.uint8]:
     return np.asarray(image)
 
 
+def _rows(robots: int, columns: int) -> int:
+    """Rows of fields, with the summary."""
+    return 1 + -(-robots // columns)
+
+
+def _columns(robots: int) -> int:
+    """The fields a row with which they are largest in the panel."""
+    width, height = FIELD_PX
+    return max(
+        range(1, robots + 1),
+        key=lambda columns: min(ASPECT / (width * columns), 1.0 / (height * _rows(robots, columns))),
+    )
+
+
 def _fields(lines: Sequence[Line]) -> NDArray[np.uint8]:
     width, height = FIELD_PX
-    rows = 1 + -(-len(lines) // FIELDS_A_ROW)
-    image = Image.new("RGB", (width * FIELDS_A_ROW, height * rows), SUMMARY)
+    columns = _columns(len(lines))
+    image = Image.new("RGB", (width * columns, height * _rows(len(lines), columns)), SUMMARY)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(18)
     counts = Counter(line.state for line in lines)
     words = ", ".join(f"{counts[state]} {state}" for state in dict.fromkeys(line.state for line in lines))
     pen.text((8, height // 2), f"{len(lines)} robots: {words}", font=font, fill="white", anchor="lm")
     for number, line in enumerate(lines):
-        row, column = divmod(number, FIELDS_A_ROW)
+        row, column = divmod(number, columns)
         left, top = column * width, (row + 1) * height
         pen.rectangle((left, top, left + width - 3, top + height - 3), fill=line.colour)
         pen.text((left + 8, top + 14), f"{line.robot}: {line.state}", font=font, fill="white", anchor="lm")

@@ -38,7 +38,7 @@ def draw_scan(
     again = manifold.kept(alpha, seen)
     for name, values, style in (("kept", again, _kept_style), ("seen", seen, _seen_style)):
         canvas.style(f"{path}/{name}", style)
-        height = -values * np.float32(SCAN_HEIGHT / manifold.far)
+        height = -np.minimum(values, manifold.far) * np.float32(SCAN_HEIGHT / manifold.far)
         canvas.draw(stamp, f"{path}/{name}", rr.LineStrips2D(_unbroken(bearings, height)))
 
 

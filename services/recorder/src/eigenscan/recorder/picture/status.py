@@ -15,8 +15,8 @@ from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 
 REFRESH_NS = 2_000_000_000
-MANY_NS = 500_000_000
-"""Least interval between boards of many robots, ns, because they take long to draw."""
+ROBOT_NS = 2_500_000
+"""Least interval between boards of many robots, ns for each: drawing one takes 0.4 ms or more."""
 SILENT_NS = 3_000_000_000
 """Time without a pose after which a robot is shown as silent, ns; or as waiting, if it never had one."""
 SILENCE = "SILENT"
@@ -89,7 +89,7 @@ class StatusBoard:
     def _refresh(self, stamp: int) -> None:
         wait = REFRESH_NS
         if self._news:
-            wait = 0 if len(self._lines) <= MOST_BARS else MANY_NS
+            wait = 0 if len(self._lines) <= MOST_BARS else len(self._lines) * ROBOT_NS
         if abs(stamp - self._looked_at) < wait:
             return
         self._looked_at, self._news = stamp, False
