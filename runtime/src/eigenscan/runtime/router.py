@@ -19,6 +19,7 @@ from eigenscan.runtime.logs import logger
 from eigenscan.runtime.settings import ServiceSettings
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.group import EVERY
 from eigenscan.schemas.health_pb2 import Health
 from pydantic import Field
 
@@ -32,6 +33,7 @@ CHECK_EVERY_S = 60.0
 class RouterSettings(ServiceSettings):
     """Routes a site's traffic. Without a Zenoh configuration it listens on 127.0.0.1:7448."""
 
+    robot: str = Field(EVERY, description="the robot that it is on; * is the site")
     end_on_change: bool = Field(
         False,
         description="end when the Zenoh configuration changes or the link passes nothing, to be restarted",
