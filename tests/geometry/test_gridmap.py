@@ -10,6 +10,7 @@ from eigenscan.geometry.gridmap import (
     UNKNOWN,
     GridMap,
     MapError,
+    check_grid,
     from_message,
     read_map,
     to_message,
@@ -151,6 +152,40 @@ def test_map_and_grid_coordinates_are_each_others_inverse(x: float, y: float, ya
     cells = np.array([[0.5, 0.5], [10.2, 3.3], [-4.0, 99.0]])
     np.testing.assert_allclose(grid.to_grid(grid.to_map(cells)), cells, atol=1e-9)
     np.testing.assert_allclose(grid.to_map([0.0, 0.0]), [x, y], atol=1e-12)
+
+
+@given(yaw=st.one_of(st.floats(-7, 7), st.sampled_from([k * np.pi / 4 for k in range(-8, 9)])))
+def test_who_receives_a_turned_map_finds_the_version_that_was_announced(yaw: float) -> None:
+    """Of four in five yaws it was another one, and no projector ever had the map."""
+    grid = some_map((1.5, -2.25, yaw))
+    message = to_message(grid, "map")
+    received = from_message(type(message).FromString(message.SerializeToString()))
+    assert received.version == grid.version
+    assert np.allclose(received.to_map([3.0, 4.0]), grid.to_map([3.0, 4.0]))
+
+
+def test_numbers_with_an_exponent_alone_are_numbers(tmp_path: Path) -> None:
+    """YAML 1.1 takes 1e-17 for a text."""
+    grid = read_map(saved(tmp_path, PIXELS, resolution="5e-2", origin="[-1, 2, 1e-17]"))
+    assert grid.resolution == 0.05
+    assert grid.origin.tolist() == [-1.0, 2.0, 1e-17]
+
+
+@pytest.mark.parametrize(
+    ("grid", "words"),
+    [
+        (np.zeros((3, 3), np.uint8), "ndarray is no GridMap"),
+        (GridMap(np.zeros((3, 3)), 0.05, np.zeros(3)), "cells: float64"),  # type: ignore[arg-type]
+        (GridMap([[0]], 0.05, np.zeros(3)), "cells: list"),  # type: ignore[arg-type]
+        (GridMap(np.zeros((0, 3), np.uint8), 0.05, np.zeros(3)), "of shape"),
+        (GridMap(np.zeros((3, 3), np.uint8), 0.0, np.zeros(3)), "resolution = 0.0"),
+        (GridMap(np.zeros((3, 3), np.uint8), 0.05, np.zeros(2)), "origin = "),
+        (GridMap(np.zeros((3, 3), np.uint8), 0.05, np.full(3, np.nan)), "origin = "),
+    ],
+)
+def test_what_is_no_grid_is_named(grid: object, words: str) -> None:
+    with pytest.raises(MapError, match=words):
+        check_grid(grid)
 
 
 def test_cells_are_found_in_a_turned_map_and_unknown_is_outside() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.gridmap import OCCUPIED, MapError, write_map
+from eigenscan.geometry.gridmap import OCCUPIED, GridMap, MapError, write_map
 from eigenscan.localize import Estimate, Localizer, Scan, ScanError, read_log
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.workbench.simulation.lidar import Lidar
@@ -66,6 +66,7 @@ def test_probabilities_sum_to_one_and_what_is_known_leaves_out_the_rest(
     near = localizer.localize(scan, near=there, radius=0.4, turn=0.3)
     assert len(near.poses)
     assert (np.hypot(*(near.poses[:, :2] - there[:2]).T) <= 0.4).all()
+    assert len(localizer.localize(scan, near=there, radius=1e300).poses) == len(found.poses)
     with pytest.raises(ValueError, match="radius"):
         localizer.localize(scan, near=there)
     with pytest.raises(ValueError, match=r"near of shape \(2,\)"):
@@ -156,6 +157,10 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
         (lambda it: it.track([1.0] * 361), TypeError, "list is no Scan"),
         (lambda _: Sweep(np.ones((2, 361))), ScanError, r"\(2, 361\).* such as ranges\[0\]"),
         (lambda _: Sweep(["far"]), ScanError, "no numbers in m"),
+        (lambda _: Sweep([True]), ScanError, "no numbers in m: bool"),
+        (lambda _: Sweep([1.0], time=np.inf), ScanError, "time = inf: give a number, finite, s"),
+        (lambda _: Sweep([1.0], range_max="12"), ScanError, "range_max = '12': give a number, m"),
+        (lambda _: Untyped.from_grid(STAGE.grid.cells), MapError, "ndarray is no GridMap"),
         (lambda _: Sweep([1.0], mount=(0.1, 0.0)), ScanError, "mount .* x, y and heading"),
         (
             lambda it: it.track(GOOD, (1, np.nan, 0)),
@@ -194,6 +199,27 @@ def test_a_scan_that_shows_nothing_has_no_poses(localizer: Localizer) -> None:
     assert found.poses.shape == (0, 3)
     assert found.covariances.shape == (0, 3, 3)
     localizer.plot(found)
+
+
+def test_a_masked_range_is_missing() -> None:
+    """It was taken for a return, as far as the mask's own value."""
+    masked = Scan(np.ma.masked_greater([2.0, 900.0, 3.0], 100.0), -1.57, 0.0087, 30.0)
+    assert np.array_equal(masked.raw().ranges, [2.0, np.nan, 3.0], equal_nan=True)
+
+
+@pytest.mark.parametrize("turns", [1, 3])
+def test_a_map_whose_frame_is_turned_gives_the_same_poses(
+    localizer: Localizer, drive: Path, turns: int
+) -> None:
+    """A quarter of a turn: `no answer yet`, for ever."""
+    grid, yaw = STAGE.grid, -turns * np.pi / 2
+    cells = np.ascontiguousarray(np.rot90(grid.cells, -turns))  # rows go north: a turn to the right
+    corner = {1: (0, grid.cells.shape[0]), 3: (grid.cells.shape[1], 0)}[turns]
+    origin = np.array([*grid.to_map(corner), grid.origin[2] + yaw])
+    turned = Localizer.from_grid(GridMap(cells, grid.resolution, origin))
+    scan, _ = read_log(drive / "drive.mcap")[20]
+    found, expected = turned.localize(scan), localizer.localize(scan)
+    assert found.poses[0] == pytest.approx(expected.poses[0], abs=0.02)
 
 
 def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:

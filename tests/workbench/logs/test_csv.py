@@ -70,6 +70,15 @@ def test_a_line_a_beam_stands_where_it_looked(
     assert np.isnan(seen).sum() == 1
 
 
+def test_a_first_scan_of_few_beams_does_not_thin_out_the_next_ones(tmp_path: Path) -> None:
+    """All scans of the log had as few."""
+    lines = ["time_s,angle_deg,range_m"]
+    for second, degrees in ((1, (0, 90)), (2, range(0, 360, 3)), (3, range(0, 360, 3))):
+        lines += [f"{second},{angle},{2 + angle / 100}" for angle in degrees]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    assert [len(scan.ranges) for scan in _scans(tmp_path / "a.csv")] == [2, 120, 120]
+
+
 def test_odometry_limits_lidars_and_mount(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(
         "time_s,lidar,x_m,y_m,heading_deg,range_max_m,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"

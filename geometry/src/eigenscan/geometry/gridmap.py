@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -48,11 +48,13 @@ class GridMap:
     """Cells (H, W) uint8 of FREE, OCCUPIED or UNKNOWN; row 0 and column 0 at the origin.
 
     `origin` (3,): pose of the outer corner of cell (0, 0) in the map frame; `resolution` in m per cell.
+    `is_received`: the origin is as a message states it.
     """
 
     cells: NDArray[np.uint8]
     resolution: float
     origin: NDArray[np.float64]
+    is_received: bool = field(default=False, compare=False, repr=False)
 
     @property
     def free_area(self) -> float:
@@ -61,9 +63,11 @@ class GridMap:
 
     @property
     def version(self) -> str:
-        """SHA-256 of the content, hex."""
+        """SHA-256 of the message's content, hex: who receives it finds the same."""
+        # of most yaws the quaternion gives another one back, by the last digit or a turn
+        origin = self.origin if self.is_received else from_pose3(to_pose3(self.origin))
         digest = hashlib.sha256(self.cells.tobytes())
-        digest.update(np.array([self.resolution, *self.origin, *self.cells.shape]).tobytes())
+        digest.update(np.array([self.resolution, *origin, *self.cells.shape]).tobytes())
         return digest.hexdigest()
 
     @cached_property
@@ -94,6 +98,23 @@ class GridMap:
         return np.where(inside, values, np.uint8(UNKNOWN)).astype(np.uint8)
 
 
+def check_grid(grid: object) -> None:
+    """Raises MapError that names the field where a grid of a caller is none."""
+    if not isinstance(grid, GridMap):
+        raise MapError(f"{type(grid).__name__} is no GridMap: give GridMap(cells, resolution, origin)")
+    cells, origin = grid.cells, np.asarray(grid.origin)
+    if not isinstance(cells, np.ndarray) or cells.dtype != np.uint8 or cells.ndim != 2 or not cells.size:
+        kind = getattr(cells, "dtype", type(cells).__name__)
+        raise MapError(
+            f"cells: {kind} of shape {np.shape(cells)}: give (H, W) uint8 of {FREE} free, "
+            f"{OCCUPIED} occupied and {UNKNOWN} unknown"
+        )
+    if not FINEST_M <= grid.resolution <= COARSEST_M:
+        raise MapError(f"resolution = {grid.resolution}: give metres a cell, such as 0.05")
+    if origin.shape != (3,) or not (np.abs(origin.astype(np.float64)) <= FARTHEST_M).all():
+        raise MapError(f"origin = {grid.origin}: give x, y and yaw (3,), m, m, rad")
+
+
 def read_map(path: Path) -> GridMap:
     """Reads the map of a map_server yaml (modes trinary, scale and raw).
 
@@ -119,16 +140,13 @@ def read_map(path: Path) -> GridMap:
     resolution = _number(path, meta, "resolution", None)
     if not FINEST_M <= resolution <= COARSEST_M:
         raise MapError(f"{path}: resolution = {resolution}: give metres per pixel, such as 0.05")
-    origin = meta.get("origin")
-    if origin is None:
+    given = meta.get("origin")
+    if given is None:
         raise MapError(f"{path}: origin is missing: give [x, y, yaw] in metres and radians")
-    if not (
-        isinstance(origin, list)
-        and len(origin) == 3
-        and all(isinstance(v, int | float) and abs(v) <= FARTHEST_M for v in origin)
-    ):
+    origin = [_as_number(value) for value in given] if isinstance(given, list) else []
+    if len(origin) != 3 or not all(value is not None and abs(value) <= FARTHEST_M for value in origin):
         raise MapError(
-            f"{path}: origin = {str(origin)[:80]}: give [x, y, yaw] in metres and radians, "
+            f"{path}: origin = {str(given)[:80]}: give [x, y, yaw] in metres and radians, "
             f"{FARTHEST_M:g} m at most"
         )
     if not isinstance(meta.get("image"), str):
@@ -174,11 +192,22 @@ def nesting(text: str) -> int:
 
 
 def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) -> float:
-    value = meta.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
-        shown = "is missing" if value is None else f"= {value!r}"[:80]
+    given = meta.get(name, default)
+    value = _as_number(given)
+    if value is None or not abs(value) < 1e9:
+        shown = "is missing" if given is None else f"= {given!r}"[:80]
         raise MapError(f"{path}: {name} {shown}: give a number")
-    return float(value)
+    return value
+
+
+def _as_number(value: object) -> float | None:
+    """A number of the yaml; 1e-17, which YAML 1.1 takes for a text, is one too."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        return None
 
 
 def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
@@ -304,4 +333,4 @@ def from_message(message: Grid) -> GridMap:
         raise MapError(
             f"grid whose origin is {origin.tolist()}: expected metres, {FARTHEST_M:g} at most, and a rotation"
         )
-    return GridMap(cells, resolution, origin)
+    return GridMap(cells, resolution, origin, is_received=True)

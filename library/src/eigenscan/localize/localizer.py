@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from eigenscan.eigenspace.floors import floor_of
 from eigenscan.eigenspace.folder import SiteModel, read_models
-from eigenscan.geometry.gridmap import GridMap, to_message
+from eigenscan.geometry.gridmap import GridMap, check_grid, to_message
 from eigenscan.geometry.plans import PlanOptions, read_plan
 from eigenscan.geometry.pose import to_message as pose_message
 from eigenscan.geometry.pose import to_pose3
@@ -95,7 +95,11 @@ class Localizer:
 
     @classmethod
     def from_grid(cls, grid: GridMap, method: str = "default") -> Localizer:
-        """Makes a localizer of a grid in memory. Raises ModelError if no place in it is free."""
+        """Makes a localizer of a grid in memory.
+
+        Raises MapError for what is no grid, and ModelError if no place in it is free.
+        """
+        check_grid(grid)
         plan = MapbuilderSettings.model_validate(of_service(method, "mapbuilder")).plan
         return cls(build_site(grid, replace(plan, threads=os.cpu_count() or 1)), method)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from eigenscan.geometry.pose import to_message
@@ -14,6 +17,9 @@ from eigenscan.schemas.scan_pb2 import RawScan
 from numpy.typing import ArrayLike, NDArray
 
 _SET_ASIDE = "set_aside_"
+_UNITS = {
+    "angle_min": "rad", "angle_increment": "rad", "range_max": "m", "range_min": "m", "time": "finite, s",
+}  # fmt: skip
 
 
 class ScanError(ValueError):
@@ -24,7 +30,8 @@ class ScanError(ValueError):
 class Scan:
     """A sweep: beam j looks along `angle_min + j * angle_increment` in the sensor's frame.
 
-    `ranges` (B,) in m; +inf, or `range_max` and more: no return; NaN, 0, or below `range_min`: missing.
+    `ranges` (B,) in m; +inf, or `range_max` and more: no return; NaN, 0, masked, or below `range_min`:
+    missing.
     Angles in rad, counter-clockwise seen from above; an increment may be negative. `mount`: the sensor in
     the robot's base frame, m, m, rad. `time` in s, only needed for tracking.
     """
@@ -38,10 +45,14 @@ class Scan:
     time: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises ScanError where `ranges` or `mount` has another shape."""
+        """Raises ScanError where a field has another shape, or is no number."""
         self._row()
         if np.shape(self.mount) != (3,):
             raise ScanError(f"mount = {self.mount!r}: give x, y and heading in the robot's frame, m, m, rad")
+        for name in ("angle_min", "angle_increment", "range_max", "range_min", "time"):
+            value = getattr(self, name)
+            if not isinstance(value, Real) or (name == "time" and not math.isfinite(value)):
+                raise ScanError(f"{name} = {value!r}: give a number, {_UNITS[name]}")
 
     def __repr__(self) -> str:
         ranges = self._row()
@@ -55,7 +66,11 @@ class Scan:
     def _row(self) -> NDArray[np.float32]:
         """The ranges, one a beam."""
         try:
-            ranges = np.asarray(self.ranges, dtype=np.float32)
+            given: np.ma.MaskedArray[Any, Any] = np.ma.asarray(self.ranges)
+            if given.dtype.kind not in "iufO":
+                raise TypeError(f"{given.dtype}")
+            with np.errstate(over="ignore"):  # what is too large is no return
+                ranges = np.ma.filled(given.astype(np.float32), np.nan)
         except (TypeError, ValueError) as error:
             raise ScanError(f"ranges are no numbers in m: {error}") from None
         if ranges.ndim != 1:

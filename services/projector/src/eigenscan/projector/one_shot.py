@@ -97,7 +97,7 @@ class Allowed:
         if waiting is not None and waiting.any():
             regions = ~waiting if regions is None else regions & ~waiting
         area = site.area(regions)
-        return area if self.near is None else min(area, math.pi * self.radius**2)
+        return area if self.near is None else min(area, math.pi * self.radius * self.radius)
 
 
 def answer(query: LocalizeQuery, site: Site, settings: ProjectorSettings) -> LocalizeReply:

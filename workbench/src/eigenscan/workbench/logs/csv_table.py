@@ -165,7 +165,9 @@ class CsvLog:
                     yield self._scan(line, stamp, lidar, *_row(line))
             else:
                 angles, ranges = _beams(lines)
-                step[lidar] = step.get(lidar) or max(_step(angles), FINEST_DEG)
+                own = max(_step(angles), FINEST_DEG)
+                if own < FINER * step.get(lidar, np.inf):  # a scan of few beams shows too coarse a grid
+                    step[lidar] = own
                 yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, step[lidar]))
             taken += 1
         if not taken:
@@ -233,6 +235,8 @@ def _beams(lines: list[_Line]) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 FINEST_DEG = 0.01
 """Between beams, at least: finer than any lidar. A slip in an angle would ask for beams without end."""
+FINER = 0.75
+"""Share of a lidar's grid from which on that of another of its scans takes its place."""
 GAP = 3.0
 """Beams so many middle distances apart have a gap between them."""
 
