@@ -268,6 +268,17 @@ def test_a_filtered_copy_of_a_scan_is_not_a_second_lidar(tmp_path: Path) -> None
     assert counters == {"topics_of_the_same_lidar": 1}
 
 
+def test_scans_of_another_frame_on_a_lidars_topic_are_set_aside(tmp_path: Path) -> None:
+    """Each had the mount of the first one, and a third of the claims was wrong."""
+    story = usual(False)
+    for tenth in range(30):
+        story.scan("/front/scan", START + tenth / 10 + 0.1, "rear")
+    scans, _, counters = read(story.write(tmp_path / "a"))
+    expected, _, _ = read(usual(False).write(tmp_path / "b"))
+    assert len(scans["front"]) == len(expected["front"])
+    assert counters == {"scans_of_another_frame": 30}
+
+
 def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_reported(tmp_path: Path) -> None:
     story = usual(False)
     story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))

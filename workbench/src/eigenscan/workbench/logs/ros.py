@@ -60,7 +60,11 @@ class RosLog:
             if time is None:
                 continue
             if message.topic in plan.lidars:
-                yield self._scan(body, plan.lidars[message.topic], time)
+                lidar = plan.lidars[message.topic]
+                if frame_name(body.header.frame_id) == lidar.frame:
+                    yield self._scan(body, lidar, time)
+                else:  # another lidar's, which is mounted elsewhere
+                    self.counters["scans_of_another_frame"] += 1
             else:
                 pose = body.pose.pose
                 yield from self._odometry(pose.position, pose.orientation, time, body.pose.covariance)

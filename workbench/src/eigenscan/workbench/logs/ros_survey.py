@@ -27,9 +27,10 @@ MOVES = "tf"
 
 @dataclass(frozen=True)
 class Lidar:
-    """One lidar of the log: its name, and its mount on the base."""
+    """One lidar of the log: its name, its frame, and its mount on the base."""
 
     name: str
+    frame: str
     mount: NDArray[np.float64]
     upside_down: bool
 
@@ -188,7 +189,7 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
             counters["lidars_without_mount"] += matrix is None and not is_given
             plane = height if plane is None else plane
             frames.add(frame)
-            lidars[topic] = Lidar(names[topic], *placed)
+            lidars[topic] = Lidar(names[topic], frame, *placed)
     return lidars
 
 
