@@ -178,7 +178,9 @@ def test_numbers_with_an_exponent_alone_are_numbers(tmp_path: Path) -> None:
         (GridMap(np.zeros((3, 3)), 0.05, np.zeros(3)), "cells: float64"),  # type: ignore[arg-type]
         (GridMap([[0]], 0.05, np.zeros(3)), "cells: list"),  # type: ignore[arg-type]
         (GridMap(np.zeros((0, 3), np.uint8), 0.05, np.zeros(3)), "of shape"),
+        (GridMap(np.full((3, 3), 87, np.uint8), 0.05, np.zeros(3)), "cells: hold 87"),
         (GridMap(np.zeros((3, 3), np.uint8), 0.0, np.zeros(3)), "resolution = 0.0"),
+        (GridMap(np.zeros((3, 3), np.uint8), "0.05", np.zeros(3)), "resolution = '0.05'"),  # type: ignore[arg-type]
         (GridMap(np.zeros((3, 3), np.uint8), 0.05, np.zeros(2)), "origin = "),
         (GridMap(np.zeros((3, 3), np.uint8), 0.05, np.full(3, np.nan)), "origin = "),
     ],

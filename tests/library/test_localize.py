@@ -157,6 +157,8 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
         (lambda it: it.track([1.0] * 361), TypeError, "list is no Scan"),
         (lambda _: Sweep(np.ones((2, 361))), ScanError, r"\(2, 361\).* such as ranges\[0\]"),
         (lambda _: Sweep(["far"]), ScanError, "no numbers in m"),
+        (lambda _: Scan([1.0], -90.0, 0.01, 30.0), ScanError, "angle_min = -90: .* give rad"),
+        (lambda _: Sweep([1.0], mount=(0.1, 0.0, 180.0)), ScanError, "mount's heading = 180: .* give rad"),
         (lambda _: Sweep([True]), ScanError, "no numbers in m: bool"),
         (lambda _: Sweep([1.0], time=np.inf), ScanError, "time = inf: give a number, finite, s"),
         (lambda _: Sweep([1.0], range_max="12"), ScanError, "range_max = '12': give a number, m"),

@@ -7,6 +7,7 @@ import re
 import struct
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -109,8 +110,13 @@ def check_grid(grid: object) -> None:
             f"cells: {kind} of shape {np.shape(cells)}: give (H, W) uint8 of {FREE} free, "
             f"{OCCUPIED} occupied and {UNKNOWN} unknown"
         )
-    if not FINEST_M <= grid.resolution <= COARSEST_M:
-        raise MapError(f"resolution = {grid.resolution}: give metres a cell, such as 0.05")
+    others = np.setdiff1d(cells, (FREE, OCCUPIED, UNKNOWN))
+    if len(others):
+        raise MapError(
+            f"cells: hold {others[0]}: give {FREE} free, {OCCUPIED} occupied and {UNKNOWN} unknown alone"
+        )
+    if not isinstance(grid.resolution, Real) or not FINEST_M <= grid.resolution <= COARSEST_M:
+        raise MapError(f"resolution = {grid.resolution!r}: give metres a cell, such as 0.05")
     if origin.shape != (3,) or not (np.abs(origin.astype(np.float64)) <= FARTHEST_M).all():
         raise MapError(f"origin = {grid.origin}: give x, y and yaw (3,), m, m, rad")
 

@@ -8,6 +8,7 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.pose import to_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
@@ -53,6 +54,9 @@ class Scan:
             value = getattr(self, name)
             if not isinstance(value, Real) or (name == "time" and not math.isfinite(value)):
                 raise ScanError(f"{name} = {value!r}: give a number, {_UNITS[name]}")
+        for name, angle in (("angle_min", self.angle_min), ("mount's heading", self.mount[2])):
+            if abs(angle) > 2.0 * TURN:
+                raise ScanError(f"{name} = {angle:g}: more than two turns: give rad, not degrees")
 
     def __repr__(self) -> str:
         ranges = self._row()
