@@ -224,6 +224,16 @@ def test_a_map_whose_frame_is_turned_gives_the_same_poses(
     assert found.poses[0] == pytest.approx(expected.poses[0], abs=0.02)
 
 
+def test_a_map_in_coordinates_of_the_earth_gives_the_same_poses(localizer: Localizer, drive: Path) -> None:
+    """UTM: `positions farther than 1000000 steps from its origin`."""
+    grid, away = STAGE.grid, np.array([500_000.0, 5_400_000.0, 0.0])
+    there = Localizer.from_grid(GridMap(grid.cells, grid.resolution, grid.origin + away))
+    scan, odometry = read_log(drive / "drive.mcap")[20]
+    found, expected = there.localize(scan), localizer.localize(scan)
+    assert found.poses - away == pytest.approx(expected.poses, abs=1e-6)
+    assert there.track(scan, odometry).state == localizer.track(scan, odometry).state
+
+
 def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:
     scan, odometry = read_log(drive / "drive.mcap")[0]
     localizer.track(scan, odometry)

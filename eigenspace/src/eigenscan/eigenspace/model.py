@@ -27,8 +27,8 @@ MOST_BYTES = 2**28
 """Most bytes of a region's panoramas, inflated: 7,000 m2 at 0.25 m and 0.5 degrees. More is hostile."""
 MOST_SMALL_BYTES, MOST_TIMES = 2**26, 100
 """A region with more bytes of panoramas than the first shrinks to a tenth at best, never to a hundredth."""
-MOST_CELLS_APART = 10**6
-"""Grid steps of a position from the region's origin, at most."""
+MOST_CELLS_APART = 10**9
+"""Grid steps of a position from the region's origin, at most: of two, 32 bits hold the difference."""
 _COMPRESSION = 1
 """zlib level: higher ones take four times as long to save an eighth."""
 
