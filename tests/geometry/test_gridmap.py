@@ -58,9 +58,11 @@ def test_a_savers_unknown_stays_unknown_under_nav2s_threshold(tmp_path: Path) ->
     assert read_map(scale).cells[1, 1] == FREE
 
 
-def test_scale_takes_transparent_as_unknown(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", ["trinary", "scale"])
+def test_what_is_transparent_is_unknown(tmp_path: Path, mode: str) -> None:
+    """Of a trinary map transparent white was free: the surroundings of a building."""
     pixels = [[[0, 0, 0, 255], [255, 255, 255, 0], [255, 255, 255, 255], [128, 128, 128, 255]]]
-    path = saved(tmp_path, pixels, image="map.png", mode="scale")
+    path = saved(tmp_path, pixels, image="map.png", mode=mode)
     assert read_map(path).cells.tolist() == [[OCCUPIED, UNKNOWN, FREE, UNKNOWN]]
 
 
@@ -72,6 +74,7 @@ def test_raw_holds_occupancy_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("meta", "stated"),
     [
+        ({"occupied_thresh": 65}, "occupied_thresh = 65: give a share, 0 to 1"),
         ({"resolution": None}, "resolution is missing"),
         ({"resolution": 0}, "resolution = 0"),
         ({"resolution": -0.05}, "resolution"),
@@ -154,9 +157,9 @@ def test_map_and_grid_coordinates_are_each_others_inverse(x: float, y: float, ya
     np.testing.assert_allclose(grid.to_map([0.0, 0.0]), [x, y], atol=1e-12)
 
 
-@given(yaw=st.one_of(st.floats(-7, 7), st.sampled_from([k * np.pi / 4 for k in range(-8, 9)])))
+@given(yaw=st.one_of(st.floats(-7, 7), st.sampled_from([-0.0, *(k * np.pi / 4 for k in range(-8, 9))])))
 def test_who_receives_a_turned_map_finds_the_version_that_was_announced(yaw: float) -> None:
-    """Of four in five yaws it was another one, and no projector ever had the map."""
+    """Of one in five yaws, and of -0.0, it was another one, and no projector ever had the map."""
     grid = some_map((1.5, -2.25, yaw))
     message = to_message(grid, "map")
     received = from_message(type(message).FromString(message.SerializeToString()))

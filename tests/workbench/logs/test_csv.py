@@ -79,6 +79,14 @@ def test_a_first_scan_of_few_beams_does_not_thin_out_the_next_ones(tmp_path: Pat
     assert [len(scan.ranges) for scan in _scans(tmp_path / "a.csv")] == [2, 120, 120]
 
 
+def test_a_time_for_each_beam_is_refused(tmp_path: Path) -> None:
+    """A log of 30 turns was 10,830 scans."""
+    lines = [f"{beam / 100},{beam},2.0" for beam in range(360)]
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,angle_deg,range_m", *lines]))
+    with pytest.raises(LogError, match="each beam has a time_s of its own"):
+        _scans(tmp_path / "a.csv")
+
+
 def test_odometry_limits_lidars_and_mount(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(
         "time_s,lidar,x_m,y_m,heading_deg,range_max_m,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"

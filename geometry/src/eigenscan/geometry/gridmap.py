@@ -206,6 +206,13 @@ def _number(path: Path, meta: dict[str, Any], name: str, default: float | None) 
     return value
 
 
+def _share(path: Path, meta: dict[str, Any], name: str, default: float) -> float:
+    value = _number(path, meta, name, default)
+    if not 0.0 <= value <= 1.0:
+        raise MapError(f"{path}: {name} = {value:g}: give a share, 0 to 1")
+    return value
+
+
 def _as_number(value: object) -> float | None:
     """A number of the yaml; 1e-17, which YAML 1.1 takes for a text, is one too."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
@@ -264,8 +271,8 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
         negate = meta.get("negate", 0)
         if negate not in (0, 1):
             raise MapError(f"{path}: negate = {negate!r}: give 0 or 1")
-        above = _number(path, meta, "occupied_thresh", 0.65)
-        below = _number(path, meta, "free_thresh", 0.196)
+        above = _share(path, meta, "occupied_thresh", 0.65)
+        below = _share(path, meta, "free_thresh", 0.196)
         if below > above:
             raise MapError(f"{path}: free_thresh = {below} is above occupied_thresh = {above}: swap them")
         occupancy = grey / 255.0 if negate else 1.0 - grey / 255.0
@@ -276,7 +283,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     table[free] = FREE
     table[occupied] = OCCUPIED
     cells: NDArray[np.uint8] = table[sums]
-    if mode == "scale" and transparent is not None:
+    if mode != "raw" and transparent is not None:  # paint programs leave what is unknown empty
         cells[transparent] = UNKNOWN
     for name, value in (("free", FREE), ("occupied", OCCUPIED)):
         if not np.any(cells == value):

@@ -165,6 +165,8 @@ class Localizer:
 
     def plot(self, found: Hypotheses | None = None, axes: Axes | None = None) -> Axes:
         """Draws the map and `found`. Needs matplotlib: pip install 'eigenscan-localize[plot]'."""
+        if not (found is None or isinstance(found, Hypotheses)):
+            raise TypeError(f"{type(found).__name__} is no Hypotheses: give what localize answers")
         with needs("eigenscan-localize[plot]"):
             from eigenscan.localize.drawing import draw
 
@@ -204,7 +206,10 @@ def _be_a_scan(scan: Scan) -> None:
 
 def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:
     """Checks a pose (3,). Raises ValueError."""
-    pose = np.asarray(given, np.float64)
+    try:
+        pose = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} = {given!r}: give x, y and heading (3,), m, m, rad") from None
     if pose.shape != (3,):
         raise ValueError(f"{name} of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
     if not np.isfinite(pose).all():

@@ -54,6 +54,8 @@ class Scan:
             value = getattr(self, name)
             if not isinstance(value, Real) or (name == "time" and not math.isfinite(value)):
                 raise ScanError(f"{name} = {value!r}: give a number, {_UNITS[name]}")
+        if not all(isinstance(value, Real) for value in np.asarray(self.mount).tolist()):
+            raise ScanError(f"mount = {self.mount!r}: give numbers, m, m, rad")
         for name, angle in (("angle_min", self.angle_min), ("mount's heading", self.mount[2])):
             if abs(angle) > 2.0 * TURN:
                 raise ScanError(f"{name} = {angle:g}: more than two turns: give rad, not degrees")

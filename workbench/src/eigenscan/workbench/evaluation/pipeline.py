@@ -84,6 +84,9 @@ class Pipeline:
         self._remembering = Remembering()
         self._projector = ProjectorCore(self._settings.projector, search=self._remembering)
         self._teach(self._projector)
+        condition = self._projector.condition()
+        if self._models and condition.status == Health.STATUS_WAITING:
+            raise ValueError(f"the projector takes no model: {condition.detail}")
 
     def _teach(self, core: Core) -> None:
         for model in self._models:

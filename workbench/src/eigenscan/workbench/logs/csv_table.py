@@ -146,7 +146,7 @@ class CsvLog:
         self.progress = 1.0
 
     def _convert(self) -> Iterator[Envelope]:
-        taken, seen = 0, set[str]()
+        taken, alone, seen = 0, 0, set[str]()
         step: dict[str, float] = {}
         for (time, lidar), group in groupby(self._lines(), lambda line: (line.value(TIME), _lidar(line))):
             lines = list(group)
@@ -170,6 +170,11 @@ class CsvLog:
                     step[lidar] = own
                 yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, step[lidar]))
             taken += 1
+            alone += len(lines) == 1 and bool(lines[0].columns.angle)
+        if alone == taken > MOST_ALONE:
+            raise LogError(
+                f"{self.path}: each beam has a {TIME} of its own: give all of a turn that of its first"
+            )
         if not taken:
             there = f"there are {', '.join(sorted(seen))}" if seen else "the header alone"
             raise LogError(f"{self.path}: no scan to take: {there}")
@@ -235,6 +240,8 @@ def _beams(lines: list[_Line]) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 FINEST_DEG = 0.01
 """Between beams, at least: finer than any lidar. A slip in an angle would ask for beams without end."""
+MOST_ALONE = 10
+"""Scans of one beam each, and no others, that a log may hold."""
 FINER = 0.75
 """Share of a lidar's grid from which on that of another of its scans takes its place."""
 GAP = 3.0
