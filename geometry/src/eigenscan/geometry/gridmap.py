@@ -65,7 +65,7 @@ class GridMap:
     @property
     def version(self) -> str:
         """SHA-256 of the message's content, hex: who receives it finds the same."""
-        # of most yaws the quaternion gives another one back, by the last digit or a turn
+        # a quaternion gives one yaw in five back with another last digit, and never -0.0 or over half a turn
         origin = self.origin if self.is_received else from_pose3(to_pose3(self.origin))
         digest = hashlib.sha256(self.cells.tobytes())
         digest.update(np.array([self.resolution, *origin, *self.cells.shape]).tobytes())
