@@ -98,8 +98,8 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
         eventually(names_odometry_alone, "two words on the odometry", found)
         robot.odometry.set()
         house.kill("tracker")
-        nobody = [("robot lost", f"no {service}") for service in ("scan-ingest", "projector", "tracker")]
-        until_it_finds(house, *nobody, (where, "no tracker"), flags=("--robot", "lost"))
+        nobody = ("robot lost", "nothing of it is there: it is off, or its link is")
+        until_it_finds(house, nobody, (where, "no tracker"), flags=("--robot", "lost"))
 
 
 def test_a_dead_router_is_named(house: House, tmp_path: Path) -> None:

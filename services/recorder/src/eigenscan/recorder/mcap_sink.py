@@ -137,8 +137,8 @@ class McapSink:
         self._retry_at -= back
 
     def _flush(self, writer: RecordingWriter, now: int) -> None:
-        # before the last flush: the clock was set back since, or the message arrived before that tick
-        if not 0 <= now - self._flushed_at < self._flush_ns:
+        # a tick may have flushed by a clock that was set back since
+        if abs(now - self._flushed_at) >= self._flush_ns:
             self._flushed_at = now
             writer.flush()
             self._settle("mcap_written")
