@@ -22,8 +22,8 @@ class View:
         self.expected: frozenset[str] = frozenset()
         self.robots = {"r1": Robot("r1", pose=pose, received_at=time.monotonic())}
 
-    def robot_names(self) -> list[str]:
-        return [*self.robots]
+    def all_robots(self) -> list[str]:
+        return sorted({*self.robots, *self.expected})
 
     services: Sequence[Service] = ()
 

@@ -79,13 +79,9 @@ def process_replay(
         raise FailedError(f"{file}: {summary(outcome)}")
     if compare and wordy:
         typer.echo(f"the same: {summary(outcome)}")
-    failed = [instance for instance in outcome.instances if instance.faults]
-    if failed and not compare:  # a comparison may reproduce the failure of the night: that is the same
-        first = failed[0]
-        raise FailedError(
-            f"{file}: {first.service.name} {first.name} failed on {len(first.faults)} messages; "
-            f"first, {first.faults[0]}"
-        )
+    failures = [instance.failure for instance in outcome.instances if instance.failure]
+    if failures and not compare:  # a comparison may reproduce the failure of the night: that is the same
+        raise FailedError(f"{file}: {failures[0]}")
 
 
 def _fields(names: Sequence[str]) -> Iterator[str]:

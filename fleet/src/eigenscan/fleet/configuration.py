@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import zenoh
 from eigenscan.fleet import access
+from eigenscan.runtime.configured import stated
 from eigenscan.runtime.session import URGENT_BATCHES
 from eigenscan.schemas.channels import CHANNELS, Role
 
@@ -155,12 +155,7 @@ def site_service(name: str, router: str = "localhost", robots: Sequence[str] = (
 
 def robots_in(path: Path | None) -> tuple[str, ...]:
     """The robots that a configuration names for `doctor` and `fleet status`."""
-    if path is None:
-        return ()
-    try:
-        metadata = json.loads(zenoh.Config.from_file(str(path)).get_json("metadata"))
-    except (zenoh.ZError, ValueError):  # whoever opens the session reports it
-        return ()
+    metadata = stated(path, "metadata")
     named = metadata.get(ROBOTS) if isinstance(metadata, dict) else None
     return tuple(str(one) for one in named) if isinstance(named, list) else ()
 

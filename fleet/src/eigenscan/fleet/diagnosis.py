@@ -44,7 +44,7 @@ def diagnose(view: FleetView) -> list[Finding]:
     found = [*_of_the_site(view)]
     for service in view.services.values():
         found += _of_a_service(service)
-    robots = sorted({*view.robot_names(), *view.expected})
+    robots = view.all_robots()
     if not robots:
         found.append(
             Finding(f"site {view.site}", "no robot is there", "start a robot's services, or name it: --robot")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import zenoh
 from eigenscan.fleet.authority import read_certificate
 from eigenscan.fleet.diagnosis import Finding
+from eigenscan.runtime.certificates import TLS
+from eigenscan.runtime.configured import stated
 from eigenscan.runtime.errors import UsageError
 
 SOON = timedelta(days=30)
@@ -21,10 +21,7 @@ _NAMED = ("connect_certificate", "listen_certificate", "root_ca_certificate")
 def of_certificates(config: Path, now: datetime | None = None) -> Iterator[Finding]:
     """A finding for each certificate that has ended, or does within SOON."""
     now = now or datetime.now(UTC)
-    try:
-        tls = json.loads(zenoh.Config.from_file(str(config)).get_json("transport/link/tls")) or {}
-    except (zenoh.ZError, ValueError):  # whoever opens a session with it reports that
-        return
+    tls = stated(config, TLS) or {}
     for path in (Path(tls[name]) for name in _NAMED if tls.get(name)):
         try:
             end = read_certificate(path).not_valid_after_utc

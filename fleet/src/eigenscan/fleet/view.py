@@ -298,6 +298,10 @@ class FleetView:
         }
         return sorted(served | set(self.robots))
 
+    def all_robots(self) -> list[str]:
+        """These, and those that belong to the site and are not there."""
+        return sorted({*self.robot_names(), *self.expected})
+
     def health(self, name: str, instance: str | None = None) -> Health | None:
         """The newest word of a service of that name on itself; of one instance of it, if that is named."""
         text = [

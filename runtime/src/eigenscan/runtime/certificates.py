@@ -5,17 +5,18 @@ Zenoh tries for ever to open a link with a certificate that is refused, and logs
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import zenoh
+from eigenscan.runtime.configured import stated
 from eigenscan.schemas.channels import ContractError
 
 if TYPE_CHECKING:
     from ssl import SSLContext
 
+TLS = "transport/link/tls"
+"""Key of a Zenoh configuration."""
 AUTHORITY = "root_ca_certificate"
 SIDES = ("connect", "listen")
 """What a session does with a certificate: each side has a certificate and a private key of its own."""
@@ -29,11 +30,6 @@ _WORDS = {
 }
 """By X509_V_ERR codes of OpenSSL: CERT_NOT_YET_VALID, CERT_HAS_EXPIRED, INVALID_PURPOSE."""
 _FOREIGN = f"is not signed by the authority in {{ca}}: {COPY_AGAIN}"
-
-
-def tls_of(config: zenoh.Config) -> dict[str, Any]:
-    """What a configuration states of TLS; empty if it has none."""
-    return dict(json.loads(config.get_json("transport/link/tls")) or {})
 
 
 def check_readable(path: Path | None, tls: Mapping[str, Any]) -> None:
@@ -52,13 +48,7 @@ def check_readable(path: Path | None, tls: Mapping[str, Any]) -> None:
 
 def fault_in(path: Path | None) -> str:
     """`fault_of` the certificates that the configuration at `path` names; empty if it names none."""
-    if path is None:
-        return ""
-    try:
-        tls = tls_of(zenoh.Config.from_file(str(path)))
-    except (zenoh.ZError, ValueError):  # whoever opens the session reports it
-        return ""
-    return fault_of(tls)
+    return fault_of(stated(path, TLS) or {})
 
 
 def fault_of(tls: Mapping[str, Any]) -> str:

@@ -7,7 +7,6 @@ message passes it.
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from eigenscan.runtime.configured import stated
 
 DEAD_S = 20.0
 """Twice the time that Zenoh allows from a connection to a link, s."""
@@ -48,31 +48,24 @@ def is_linked(session: zenoh.Session) -> bool:
 
 
 def endpoints_in(config: Path | None) -> list[str]:
-    """Endpoints that a configuration connects to; none if it cannot be read, as whoever opens it reports."""
-    if config is None:
-        return []
-    try:
-        return list(
-            endpoints_of(json.loads(zenoh.Config.from_file(str(config)).get_json("connect/endpoints")))
-        )
-    except (zenoh.ZError, ValueError):
-        return []
+    """Endpoints that a configuration connects to; none if it cannot be read."""
+    return list(endpoints_of(stated(config, "connect/endpoints")))
 
 
-def endpoints_of(stated: Any) -> Iterator[str]:
+def endpoints_of(given: Any) -> Iterator[str]:
     """Zenoh's endpoints as a configuration states them: one, a list, or lists by mode."""
-    if isinstance(stated, str):
-        yield stated
-    elif isinstance(stated, dict):
-        yield from endpoints_of(list(stated.values()))
-    elif isinstance(stated, list):
-        for one in stated:
+    if isinstance(given, str):
+        yield given
+    elif isinstance(given, dict):
+        yield from endpoints_of(list(given.values()))
+    elif isinstance(given, list):
+        for one in given:
             yield from endpoints_of(one)
 
 
-def ports_of(stated: Any) -> Iterator[int]:
+def ports_of(given: Any) -> Iterator[int]:
     """Their ports."""
-    for endpoint in endpoints_of(stated):
+    for endpoint in endpoints_of(given):
         found = re.search(r":(\d+)(?:[?#]|$)", endpoint)
         if found:
             yield int(found[1])

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from eigenscan.runtime.certificates import check_readable, tls_of
+from eigenscan.runtime.certificates import TLS, check_readable
 from eigenscan.schemas.channels import ContractError
 
 LOG_FILTER = "error,zenoh::net::routing=off,zenoh_transport::unicast::establishment=off"
@@ -62,7 +62,7 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
     except zenoh.ZError as error:
         what = f"{path}: is no Zenoh configuration (JSON5)" if path else f"--listen {' '.join(listen)}"
         raise ContractError(f"{what}: {_reason(error)}") from error
-    check_readable(path, tls_of(config))
+    check_readable(path, json.loads(config.get_json(TLS)) or {})
     _deepen_urgent_queues(config)
     _leave_shared_memory(config)
     try:

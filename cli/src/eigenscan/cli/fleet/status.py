@@ -64,7 +64,7 @@ def status(
 def rows(view: FleetView) -> list[dict[str, Any]]:
     """A row for each robot, by name."""
     now = time.monotonic()
-    return [_row(view, name, now) for name in sorted({*view.robot_names(), *view.expected})]
+    return [_row(view, name, now) for name in view.all_robots()]
 
 
 def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:

@@ -50,6 +50,14 @@ class Instance:
         except Exception as error:
             self.faults.append(f"{type(error).__name__} on {received.key}: {error}")
 
+    @property
+    def failure(self) -> str:
+        """On how many messages its core failed, and the first error; empty: on none."""
+        if not self.faults:
+            return ""
+        name = f"{self.service.name} {self.name}"
+        return f"{name} failed on {len(self.faults)} messages; first, {self.faults[0]}"
+
     def finish(self) -> Iterable[Envelope]:
         """As its core."""
         return self.core.finish()

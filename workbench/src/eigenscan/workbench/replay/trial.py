@@ -154,5 +154,5 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
                     f"{name} had received {received} {each.name}, the recording holds {held}: "
                     "what the recorder missed cannot be replayed, and answers may differ for it"
                 )
-        if instance.faults:
-            yield f"{name} failed on {len(instance.faults)} messages; first, {instance.faults[0]}"
+        if instance.failure:
+            yield instance.failure
