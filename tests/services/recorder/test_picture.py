@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -40,17 +41,20 @@ from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.channels import ADVICE, CHANNELS, HEALTH, HYPOTHESES, MAP, POSE, SCAN, TRACKS, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, SearchRequest
+from eigenscan.schemas.model_pb2 import RegionModel as RegionModelMessage
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import (
     STATE_AMBIGUOUS,
     STATE_LOCALIZED,
     STATE_LOST,
     PoseEstimate,
+    Relocation,
     State,
     Track,
     Tracks,
 )
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
 from hypothesis import given
@@ -168,6 +172,52 @@ def test_a_wall_is_drawn_where_it_is(tmp_path: Path) -> None:
     cos, sin = math.cos(turn["angle"]), math.sin(turn["angle"])
     centre = (corner[0] + cos * along - sin * up, corner[1] + sin * along + cos * up)
     assert centre == pytest.approx((10.0 - 0.75, 20.0 + 2.75), abs=1e-6)
+
+
+UTM = (500_250.0, 5_400_750.0)
+
+
+def moved(message: Envelope) -> Envelope:
+    """The message as a robot sends it whose map lies at UTM."""
+    body = deepcopy(message.message)
+    places: list[Any] = []
+    match body:
+        case Grid() | PoseInFrame():
+            places = [body.pose.position]
+        case PoseEstimate() | SearchRequest() | Relocation():
+            places = [body.pose]
+        case Hypotheses():
+            places = [each.pose for each in body.hypotheses]
+        case Tracks():
+            places = [pose for each in body.tracks for pose in (each.pose, *each.history)]
+        case Obstacles():
+            body.map_x[:] = [x + UTM[0] for x in body.map_x]
+            body.map_y[:] = [y + UTM[1] for y in body.map_y]
+        case RegionModelMessage():
+            body.outline_x[:] = [x + UTM[0] for x in body.outline_x]
+            body.outline_y[:] = [y + UTM[1] for y in body.outline_y]
+    for place in places:
+        place.x, place.y = place.x + UTM[0], place.y + UTM[1]
+    return Envelope(message.channel, message.address, body)
+
+
+def test_a_map_in_utm_coordinates_is_drawn_as_exactly_as_any(tmp_path: Path) -> None:
+    messages = list(Site("s", "r1", seconds=6.0).messages())
+    draw(tmp_path / "here.rrd", messages)
+    draw(tmp_path / "utm.rrd", map(moved, messages))
+    for entity in sorted(entities(tmp_path / "here.rrd")):
+        if not entity.startswith("/world") or entity == "/world/scale":
+            continue
+        for column in ("GridMap:translation", "Points3D:positions", "LineStrips3D:strips"):
+            here = rows(tmp_path / "here.rrd", entity, column)
+            there = rows(tmp_path / "utm.rrd", entity, column)
+            assert [at for at, _ in here] == [at for at, _ in there]
+            for (_, one), (_, other) in zip(here, there, strict=True):
+                for strip, shifted in zip(one or [], other or [], strict=True):
+                    apart = np.atleast_2d(shifted)[:, :2] - np.atleast_2d(strip)[:, :2]
+                    assert apart == pytest.approx(np.broadcast_to((250.0, 750.0), apart.shape), abs=1e-3)
+    ((_, labels),) = rows(tmp_path / "utm.rrd", "/world/scale", "Points3D:labels")
+    assert labels[0].endswith("x and y from (500000, 5400000)")
 
 
 def test_a_map_too_big_for_a_texture_keeps_its_walls_and_its_scale(tmp_path: Path) -> None:

@@ -79,19 +79,21 @@ class _Picture:
         self.canvas.draw(published.stamp, place, rr.Points3D(points, colors=[COLOURS[side]], radii=radius))
 
     def _draw_hypotheses(self, side: Side, published: Envelope) -> None:
-        poses = np.array([from_message(one.pose) for one in published.open(Hypotheses).hypotheses]).reshape(
-            -1, 3
-        )
+        listed = [from_message(one.pose) for one in published.open(Hypotheses).hypotheses]
+        poses = self.canvas.local(np.array(listed).reshape(-1, 3))
         strips = list(arrows(poses[are_places(poses)], HYPOTHESIS_M, 0.05))
         self._draw_lines(side, published, f"hypotheses/{published.address['lidar']}", strips)
 
     def _draw_tracks(self, side: Side, published: Envelope) -> None:
-        ways = [[(p.x, p.y) for p in (*one.history, one.pose)] for one in published.open(Tracks).tracks]
+        ways = [
+            self.canvas.local([(p.x, p.y) for p in (*one.history, one.pose)])
+            for one in published.open(Tracks).tracks
+        ]
         self._draw_lines(side, published, "tracks", [lift(way, 0.03) for way in ways if is_place(way)])
 
     def _draw_pose(self, side: Side, published: Envelope) -> None:
         message, robot = published.open(PoseEstimate), published.address["robot"]
-        pose = from_message(message.pose)
+        pose = self.canvas.local(from_message(message.pose))
         strips = list(arrows(pose, POSE_M, 0.1)) if message.track_id and is_place(pose) else []
         self._draw_lines(side, published, "pose", strips)
         stamp = published.stamp

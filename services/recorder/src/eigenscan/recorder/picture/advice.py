@@ -38,7 +38,7 @@ class AdvicePicture:
     def receive_pose(self, received: Envelope) -> None:
         """Takes where the robot most probably is; removes advice that does not hold any more."""
         message, robot = received.open(PoseEstimate), received.address["robot"]
-        stamp, pose = stamp_of(message.timestamp), from_message(message.pose)
+        stamp, pose = stamp_of(message.timestamp), self._canvas.local(from_message(message.pose))
         if stamp is None:
             return
         shown = self._robots.use(robot, _Shown)

@@ -46,6 +46,7 @@ class BeliefPicture:
             return
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
         poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed]).reshape(-1, 3)
+        poses = self._canvas.local(poses)
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
         usable = are_places(poses) & (share >= IN_PLAY * share.max(initial=0.0))
         poses, share = poses[usable], share[usable]
@@ -66,7 +67,7 @@ class BeliefPicture:
         stamp = stamp_of(message.timestamp)
         if stamp is None or not self._pace.due(path, stamp):
             return
-        poses = np.array([[message.pose.x, message.pose.y, message.pose.theta]])
+        poses = self._canvas.local([[message.pose.x, message.pose.y, message.pose.theta]])
         poses = poses[are_places(poses) & (message.search == SEARCH_LOCAL)]
         self._canvas.style(path, _search_style)
         self._canvas.draw(stamp, path, rr.LineStrips3D(arrows(poses, np.full(len(poses), 0.7), 0.05)))
@@ -82,7 +83,7 @@ class BeliefPicture:
         for track in message.tracks[:TRACKS_DRAWN]:
             if track.probability < IN_PLAY:
                 continue
-            way = np.array([[p.x, p.y] for p in (*track.history, track.pose)])
+            way = self._canvas.local([[p.x, p.y] for p in (*track.history, track.pose)])
             if is_place(way):
                 ways.append(lift(way, 0.03))
                 shares.append(track.probability)
@@ -101,7 +102,7 @@ class BeliefPicture:
         if stamp is None or not self._pace.due(f"{path}/{where['projector']}", stamp):
             return
         number = min(len(message.map_x), len(message.map_y))
-        points = np.column_stack([message.map_x[:number], message.map_y[:number]])
+        points = self._canvas.local(np.column_stack([message.map_x[:number], message.map_y[:number]]))
         points = points[are_places(points)]
         self._canvas.style(path, _obstacles_style)
         self._canvas.draw(stamp, path, rr.Points3D(lift(points, 0.1)))

@@ -8,14 +8,19 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from eigenscan.geometry.pose import Array
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import Scan
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import ArrayLike
 
 TIMELINE = "time"
 REPEAT_NS = 30_000_000_000
 """Interval after which rare content is drawn again, ns, because a late viewer lacks old data."""
+FAR_M = 10_000.0
+"""A map farther from its frame's origin, m, is drawn from a corner of its own: a viewer's single precision
+has steps of 1 mm there, and of 0.5 m in a map with UTM coordinates."""
 LATEST_NS = 2**62
 """Stamps beyond it (year 2116) are no times."""
 
@@ -31,6 +36,18 @@ class Canvas:
         self._shown: set[str] = set()
         self.newest = 0
         """Stamp of the last thing drawn, ns since the epoch."""
+        self.corner = np.zeros(2)
+        """The place, map frame, m, that is drawn at the viewer's origin."""
+
+    def start_from(self, low: Array) -> None:
+        """Draws from here on relative to the whole kilometre below `low` (2,), m, if that is far away."""
+        self.corner = np.floor(low / 1000.0) * 1000.0 if np.abs(low).max() > FAR_M else np.zeros(2)
+
+    def local(self, rows: ArrayLike) -> Array:
+        """Poses or points (..., 2 or 3) of the map frame as the viewer places them."""
+        moved = np.array(rows, dtype=np.float64)
+        moved[..., :2] -= self.corner
+        return moved
 
     def draw(self, stamp: int, path: str, *things: Any) -> None:
         """Puts `things` at `path` from `stamp` on."""

@@ -25,7 +25,7 @@ TEXTURE_CELLS = 4096
 
 
 class Floor:
-    """Draws maps and regions; `extent`: the last map's corners, map frame: (low, high), each (2,), m."""
+    """Draws maps and regions; `extent`: the last map's corners as drawn: (low, high), each (2,), m."""
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
@@ -41,10 +41,13 @@ class Floor:
             return
         height, width = grid.cells.shape
         corners = grid.to_map([[0, 0], [width, 0], [0, height], [width, height]])
+        if self.extent is None:  # what is drawn stays where it is, so the first map decides
+            self._canvas.start_from(corners.min(axis=0))
+        corners = self._canvas.local(corners)
         self.extent = corners.min(axis=0), corners.max(axis=0)
         self._draw_scale(self.extent[0], self.extent[1])
         cells, resolution = _shrunk(grid)
-        x, y, theta = grid.origin
+        x, y, theta = self._canvas.local(grid.origin)
         self._canvas.fix(
             "world/map",
             rr.GridMap(
@@ -73,17 +76,19 @@ class Floor:
         x, y, tick = low[0], low[1] - BAR_GAP * height, 0.3 * BAR_GAP * height
         bar = lift([[x, y + tick], [x, y], [x + length, y], [x + length, y + tick]], 0.02)
         end = lift([[x + length, y]], 0.02)
+        east, north = self._canvas.corner
+        words = f"{length:g} m" + (f", x and y from ({east:.0f}, {north:.0f})" if east or north else "")
         self._canvas.fix(
             "world/scale",
             rr.LineStrips3D([bar], colors=[TRUTH], radii=rr.Radius.ui_points(2.0)),
-            rr.Points3D(end, colors=[TRUTH], radii=0.0, labels=[f"{length:g} m"], show_labels=True),
+            rr.Points3D(end, colors=[TRUTH], radii=0.0, labels=[words], show_labels=True),
         )
 
     def draw_region(self, received: Envelope) -> None:
         """The region's outline."""
         model = received.open(RegionModel)
         corners = min(len(model.outline_x), len(model.outline_y))
-        outline = np.column_stack([model.outline_x[:corners], model.outline_y[:corners]])
+        outline = self._canvas.local(np.column_stack([model.outline_x[:corners], model.outline_y[:corners]]))
         if len(outline) < 3 or not is_place(outline):
             return
         closed = np.concatenate([outline, outline[:1]])

@@ -115,10 +115,13 @@ class RelocationPicture:
         self._canvas.clear(stamp, path)
         if message.HasField("pose") and is_place(pose):
             covariance = covariance_from_message(message.covariance)
-            outline = [lift(ellipse(pose, covariance), 0.09)] if is_place(covariance) else []
             if not self._brief:
+                drawn = self._canvas.local(pose)
+                outline = [lift(ellipse(drawn, covariance), 0.09)] if is_place(covariance) else []
                 self._canvas.style(path, _style)
-                self._canvas.draw(stamp, path, rr.LineStrips3D([*arrows(pose, RELOCATION_M, 0.09), *outline]))
+                self._canvas.draw(
+                    stamp, path, rr.LineStrips3D([*arrows(drawn, RELOCATION_M, 0.09), *outline])
+                )
             place = f"{pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg"
             words = f"{robot}: relocated to {place}"
         self._canvas.draw(stamp, f"events/{robot}", rr.TextLog(words, level=rr.TextLogLevel.INFO))

@@ -58,7 +58,7 @@ class RobotPicture:
         if not self._pace.due(f"pose/{robot}", stamp) and not news:
             return
         self._state[robot] = message.state
-        pose = from_message(message.pose)
+        pose = self._canvas.local(from_message(message.pose))
         if message.state == STATE_LOST or not message.track_id or not is_place(pose):
             self._forget(robot, stamp)
             return
@@ -74,7 +74,7 @@ class RobotPicture:
         """Draws the true pose from a simulator or a reference."""
         message = received.open(PoseInFrame)
         stamp, robot = stamp_of(message.timestamp), received.address["robot"]
-        pose = from_pose3(message.pose)
+        pose = self._canvas.local(from_pose3(message.pose))
         if stamp is None or not is_place(pose) or not self._pace.due(f"truth/{robot}", stamp):
             return
         path = f"world/robots/{robot}/truth"
