@@ -24,6 +24,12 @@ ENOUGH = 5
 """Fewer are no evidence."""
 NEAR_M, NEAR_RAD = 0.3, 0.1
 """Farther from where it was predicted a hypothesis does not go on an earlier one."""
+THICK_M = 0.5
+"""m, so much farther between lists that fit the faces of thick walls and their middles: all poses move.
+
+Walls a metre thick allow it. A scan of elsewhere fits no better one way than the other, so a robot that is
+carried off often changes from one to the other (tests/services/tracker/test_agreement.py).
+"""
 ODOMETRY_SHARE = 0.5
 """Of the way and the turn between two scans, what odometry may err by here."""
 FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
@@ -37,18 +43,18 @@ FAR_NONE, FAR_SOME = 10.0, 0.1
 the map lacks has none in common with the one before."""
 
 
-def goes_on(before: Array, after: Array, moved: Motion) -> int | None:
+def goes_on(before: Array, after: Array, moved: Motion, within: float = NEAR_M) -> int | None:
     """How many of a list's COMPARED likeliest (n, 3) go on in the next one (k, 3), both likeliest first.
 
-    Of shorter lists as many as of COMPARED would. None where they cannot be compared: too few of them, or
-    too much between them.
+    Within `within`, m, of where each was predicted. Of shorter lists as many as of COMPARED would. None
+    where they cannot be compared: too few of them, or too much between them.
     """
     if len(before) < ENOUGH or len(after) < ENOUGH:
         return None
     if moved.way > FARTHEST_M or moved.turn > FARTHEST_RAD or abs(moved.unknown) > LONGEST_S:
         return None
     earlier = before[:COMPARED]
-    near, turned = NEAR_M + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
+    near, turned = within + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
     share = going_on(earlier, after, near, turned, moved.delta) / min(len(earlier), len(after))
     return min(round(COMPARED * share), COMPARED)
 

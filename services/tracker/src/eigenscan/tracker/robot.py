@@ -22,7 +22,7 @@ from eigenscan.tracker.confidence import (
     protect,
     share_within,
 )
-from eigenscan.tracker.continuity import are_neighbours, carried_ratio, goes_on
+from eigenscan.tracker.continuity import NEAR_M, THICK_M, are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -362,8 +362,7 @@ class RobotTracker:
         source = self._source_of(seen)
         source.scans += 1
         peers = sum(1 for other in self._sources.values() if other.shows == source.shows)
-        # between lists of other surfaces all poses move
-        before = source.poses if source.surfaces == seen.surfaces else np.zeros((0, 3))
+        before, alike = source.poses, source.surfaces == seen.surfaces
         source.poses, source.surfaces = seen.poses, seen.surfaces
         if source.scans == 1:
             return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1)
@@ -371,7 +370,7 @@ class RobotTracker:
         last, fixed, source.fixed = source.last, source.fixed, max(source.fixed, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
-        count = goes_on(before, seen.poses, moved)
+        count = goes_on(before, seen.poses, moved, NEAR_M if alike else NEAR_M + THICK_M)
         # where scans follow from each other, the map lacks what they show
         broken = (
             count == 0 and are_neighbours(moved) and not self._agreement.follows(seen.lidar, seen.stamp, last)
@@ -385,7 +384,7 @@ class RobotTracker:
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
         # after a kidnap hardly any hypothesis goes on
-        rate = self._settings.kidnap_rate * carried_ratio(count, moved)
+        rate = self._settings.kidnap_rate * carried_ratio(count if alike else None, moved)
         rate += self.building.lift_rate(self.belief.tracks)
         carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
