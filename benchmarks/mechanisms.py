@@ -213,6 +213,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "poor fits err more": ((observation, "POORER", 0.0),),
     "evidence by place": ((branching, "LEAST_NEW", 1.0),),
     "kidnaps by broken lists": ((robot, "goes_on", lambda *_: None),),
+    "kidnaps where lists fit other surfaces": ((robot, "THICK_M", 1e9),),
     "jumps of odometry": ((belief, "BREAK_SHARE", 0.0),),
     "off the map": ((floors, "_off_map_share", lambda _: 1e-9),),
     "more robots off an open map": ((floors, "_off_map_share", lambda _: belief.OFF_MAP_SHARE),),
