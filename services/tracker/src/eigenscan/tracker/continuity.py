@@ -44,10 +44,10 @@ FAR_NONE, FAR_SOME = 10.0, 0.1
 the map lacks has none in common with the one before."""
 
 
-def goes_on(before: Array, after: Array, moved: Motion, within: float = NEAR_M) -> int | None:
+def goes_on(before: Array, after: Array, moved: Motion, shift: float = 0.0) -> int | None:
     """How many of a list's COMPARED likeliest (n, 3) go on in the next one (k, 3), both likeliest first.
 
-    Within `within`, m, of where each was predicted. Of shorter lists as many as of COMPARED would. None
+    `shift`, m: so far all poses may have moved besides. Of shorter lists as many as of COMPARED would. None
     where they cannot be compared: too few of them, or too much between them.
     """
     if len(before) < ENOUGH or len(after) < ENOUGH:
@@ -55,7 +55,7 @@ def goes_on(before: Array, after: Array, moved: Motion, within: float = NEAR_M) 
     if moved.way > FARTHEST_M or moved.turn > FARTHEST_RAD or abs(moved.unknown) > LONGEST_S:
         return None
     earlier = before[:COMPARED]
-    near, turned = within + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
+    near, turned = NEAR_M + shift + ODOMETRY_SHARE * moved.way, NEAR_RAD + ODOMETRY_SHARE * moved.turn
     share = going_on(earlier, after, near, turned, moved.delta) / min(len(earlier), len(after))
     return min(round(COMPARED * share), COMPARED)
 

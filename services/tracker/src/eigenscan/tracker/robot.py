@@ -22,7 +22,7 @@ from eigenscan.tracker.confidence import (
     protect,
     share_within,
 )
-from eigenscan.tracker.continuity import NEAR_M, THICK_M, are_neighbours, carried_ratio, goes_on
+from eigenscan.tracker.continuity import THICK_M, are_neighbours, carried_ratio, goes_on
 from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -370,7 +370,8 @@ class RobotTracker:
         last, fixed, source.fixed = source.last, source.fixed, max(source.fixed, seen.stamp)
         seconds = max(moved.seconds, 1e-3)
         source.last = max(source.last, seen.stamp)
-        count = goes_on(before, seen.poses, moved, NEAR_M if alike else NEAR_M + THICK_M)
+        # between lists of other surfaces all poses move: that some go on shows little, but that none does
+        count = goes_on(before, seen.poses, moved, 0.0 if alike else THICK_M)
         # where scans follow from each other, the map lacks what they show
         broken = (
             count == 0 and are_neighbours(moved) and not self._agreement.follows(seen.lidar, seen.stamp, last)

@@ -45,8 +45,8 @@ class BeliefPicture:
         if stamp is None or not self._pace.due(path, stamp):
             return
         listed = message.hypotheses[:HYPOTHESES_DRAWN]
-        poses = np.array([[h.pose.x, h.pose.y, h.pose.theta] for h in listed]).reshape(-1, 3)
-        poses = self._canvas.local(poses)
+        rows = [[h.pose.x, h.pose.y, h.pose.theta] for h in listed]
+        poses = self._canvas.local(np.reshape(rows, (-1, 3)))
         share = probabilities(np.array([h.log_likelihood for h in listed]), message.unlisted_log_likelihood)
         usable = are_places(poses) & (share >= IN_PLAY * share.max(initial=0.0))
         poses, share = poses[usable], share[usable]

@@ -41,7 +41,8 @@ class Canvas:
 
     def start_from(self, low: Array) -> None:
         """Draws from here on relative to the whole kilometre below `low` (2,), m, if that is far away."""
-        self.corner = np.floor(low / 1000.0) * 1000.0 if np.abs(low).max() > FAR_M else np.zeros(2)
+        if np.abs(low).max() > FAR_M:
+            self.corner = np.floor(low / 1000.0) * 1000.0
 
     def local(self, rows: ArrayLike) -> Array:
         """Poses or points (..., 2 or 3) of the map frame as the viewer places them."""
