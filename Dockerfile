@@ -22,7 +22,8 @@ RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./g
       own=/wheels/eigenscan_$(echo $service | tr - _)-*; [ $service = router ] || set -- "$@" $own; \
       /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/$service "$@"; \
     done \
- && /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/simulator /wheels/*
+ && /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/simulator /wheels/* \
+ && find /own -name '*.py' -exec touch -d "@$(date +%s)" {} + && /opt/eigenscan/bin/python -m compileall -qf /own
 
 # --- what every image has: a user without rights, its folders, a probe ---
 FROM ${BASE} AS shell
@@ -53,19 +54,32 @@ RUN /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --requir
 FROM shell AS numeric
 COPY --from=numeric-files /opt/eigenscan /opt/eigenscan
 
+# --- what numba compiles, so that no container's first start does; a machine with another processor compiles anew.
+# numba goes by the age of the sources: it is the same in all images, in whole seconds, as images are stored ---
+FROM numeric AS compiled
+ARG BUILDARCH
+ARG TARGETARCH
+COPY --from=own /own/simulator /opt/own
+RUN [ "$BUILDARCH" != "$TARGETARCH" ] || python -c "import eigenscan.ingest.core, eigenscan.tracker.core, eigenscan.projector.warm_up as projector; \
+projector.warm_up(projector.ProjectorSettings())"
+
 FROM numeric AS scan-ingest
+COPY --from=compiled --chown=10001:10001 /var/cache/eigenscan /var/cache/eigenscan
 COPY --from=own /own/scan-ingest /opt/own
 ENTRYPOINT ["eigenscan-scan-ingest"]
 
 FROM numeric AS projector
+COPY --from=compiled --chown=10001:10001 /var/cache/eigenscan /var/cache/eigenscan
 COPY --from=own /own/projector /opt/own
 ENTRYPOINT ["eigenscan-projector"]
 
 FROM numeric AS tracker
+COPY --from=compiled --chown=10001:10001 /var/cache/eigenscan /var/cache/eigenscan
 COPY --from=own /own/tracker /opt/own
 ENTRYPOINT ["eigenscan-tracker"]
 
 FROM numeric AS mapbuilder
+COPY --from=compiled --chown=10001:10001 /var/cache/eigenscan /var/cache/eigenscan
 COPY --from=own /own/mapbuilder /opt/own
 ENTRYPOINT ["eigenscan-mapbuilder"]
 
@@ -81,6 +95,7 @@ ENTRYPOINT ["eigenscan-recorder"]
 # the whole command but for what draws: a simulated robot, or docker run --entrypoint eigenscan IMAGE evaluate ...,
 # or a robot's services in one process: --entrypoint eigenscan-together
 FROM numeric AS simulator
+COPY --from=compiled --chown=10001:10001 /var/cache/eigenscan /var/cache/eigenscan
 COPY --from=own /own/simulator /opt/own
 HEALTHCHECK NONE
 ENTRYPOINT ["eigenscan", "simulate", "--live"]

@@ -197,6 +197,14 @@ def test_all_become_healthy_and_none_has_rights_it_does_not_need(fleet: Fleet) -
         assert not host["PortBindings"], service
 
 
+def test_no_container_compiles_what_its_image_holds(fleet: Fleet) -> None:
+    for robot in ROBOTS:
+        for service in ("scan-ingest", "projector", "tracker"):
+            log = docker("logs", fleet.container(robot, service))
+            assert "ready" in log
+            assert "compiling" not in log, log
+
+
 def test_the_site_receives_where_each_robot_is(fleet: Fleet, received: Counter[str]) -> None:
     for robot in ROBOTS:
         claims = f"{robot} localized"

@@ -31,8 +31,8 @@ pytestmark = pytest.mark.slow
 
 EXAMPLE = ROOT / "examples/exhaustive-projector/exhaustive_projector.py"
 RATE_HZ = 5.0
-SPEED = 0.4
-"""Of the drive: the example compares a scan with the whole map, on a busy machine not five times a second."""
+ANSWER_WITHIN_S = 60.0
+"""How long the next scan waits for an answer to the last one: more only where that is lost."""
 WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
 LARGEST_GAP_NS = 200_000_000
 
@@ -77,12 +77,29 @@ def is_ready(one: Envelope, instance: str) -> bool:
 
 
 def drive(house: House, stage: Stage, stop: threading.Event | None = None) -> threading.Thread:
-    """The robot's messages at the pace of a clock, in the background, until `stop` is set."""
+    """The robot's messages at the pace of a clock, in the background, until `stop` is set.
+
+    A scan waits until the one before it is answered: the example compares each with the whole map, and a busy
+    machine must not decide which of them it leaves out.
+    """
     bus = Bus(open_session(house.config))
+    last = 0
+
+    def is_answered(received: list[Envelope]) -> bool:
+        return any(one.channel is HYPOTHESES and one.stamp >= last for one in reversed(received))
+
+    def in_turn(envelope: Envelope) -> None:
+        nonlocal last
+        if envelope.channel is SCAN_RAW:
+            if last:
+                with house.ear.news:
+                    house.ear.news.wait_for(lambda: is_answered(house.ear.received), ANSWER_WITHIN_S)
+            last = envelope.stamp
+        bus.publish(envelope)
 
     def run() -> None:
         with bus:
-            publish(stage.messages(), bus.publish, SPEED, stop)
+            publish(stage.messages(), in_turn, stop=stop)
             time.sleep(1.0)  # what waits in the session leaves it
 
     thread = threading.Thread(target=run)
