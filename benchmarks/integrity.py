@@ -43,6 +43,7 @@ from eigenscan.workbench.evaluation.reference import NS, Trajectory, read_trajec
 from eigenscan.workbench.evaluation.remembering import Remembering
 from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_windows, thin
 from eigenscan.workbench.logs import LogOptions
+from elsewhere import Elsewhere
 from evaluate import CASES, DATASETS, Case
 from integrity_faults import BEGINS_S, FAULTS, Fault, Stretch
 
@@ -105,6 +106,7 @@ class Site:
         )
         self.models = build(folder / "map.yaml", settings.mapbuilder, lambda _: None).models
         self.settings = settings
+        self.elsewhere = Elsewhere.of(case.name, datasets)
         self.searches = Remembering()
         self.projector = ProjectorCore(settings.projector, search=self.searches)
         for model in self.models:
@@ -119,7 +121,8 @@ class Site:
             other = windows[(number + len(windows) // 2) % len(windows)]
             random = np.random.default_rng(zlib.crc32(f"{name} {number}".encode()))
             received = [_copy(e) for e in self.log.between(window)]
-            stretch = fault(Stretch(received, self.log.between(other), random))
+            elsewhere = self.elsewhere.stretch(number, len(windows), received)
+            stretch = fault(Stretch(received, self.log.between(other), random, elsewhere=elsewhere))
             self._run(name, stretch, cell)
         return cell
 

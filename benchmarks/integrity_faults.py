@@ -9,6 +9,7 @@ from eigenscan.geometry.pose import compose, from_pose3, inverse, to_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.evaluation.kidnap import splice
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
 
@@ -32,7 +33,8 @@ JUMP = np.array([3.0, -2.0, 1.0])
 class Stretch:
     """What the pipeline receives, and how it is judged.
 
-    `other`: messages of another stretch of the log, as long. `truth_at`: of a scan's stamp, ns, the
+    `other`: messages of another stretch of the log, as long; `elsewhere`: of another building, or nothing.
+    `truth_at`: of a scan's stamp, ns, the
     reference's, where these differ; None: there is no right pose.
     """
 
@@ -40,6 +42,7 @@ class Stretch:
     other: list[Envelope]
     random: np.random.Generator
     truth_at: dict[int, int | None] = field(default_factory=dict)
+    elsewhere: list[Envelope] = field(default_factory=list)
 
     def publishing(
         self, received: Sequence[Envelope], truth_at: dict[int, int | None] | None = None
@@ -287,6 +290,21 @@ def from_elsewhere(share: float) -> Fault:
     return fault
 
 
+def carried_off(after_s: float) -> Fault:
+    """Someone carries the robot into another building; what cannot be tried there goes on as it was."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        if not stretch.elsewhere:
+            return stretch
+        ends = min(e.stamp for e in stretch.received) + round(after_s * NS)
+        spliced = splice([e for e in stretch.received if e.stamp < ends], stretch.elsewhere)
+        last = max(e.stamp for e in stretch.received)
+        received = [e for e in spliced.received if e.stamp <= last]
+        return stretch.publishing(received, {e.stamp: None for e in received if e.stamp >= spliced.jump})
+
+    return fault
+
+
 def invented_room(stretch: Stretch) -> Stretch:
     """A robot turns in a room that no map has, and its odometry reports it; no pose is right."""
     first, truth = min(e.stamp for e in stretch.received), dict[int, int | None]()
@@ -413,6 +431,7 @@ FAULTS: dict[str, Fault] = {
     "half of the beams from elsewhere": from_elsewhere(0.5),
     "70 % of the beams from elsewhere": from_elsewhere(0.7),
     "an invented room": invented_room,
+    "carried off the map after 10 s": carried_off(10.0),
     "no odometry": without_odometry,
     "odometry frozen": odometry_frozen(),
     "odometry runs away": odometry_changed(_runs_away),

@@ -8,7 +8,8 @@ A story is a log on its map, on one that is wrong in some way (worse_maps.py), o
 over it as it is, and without one mechanism after another. A row holds the windows that succeed (right claims
 over the last third), the windows with a false claim, the share of claims that are false, and the scans
 claimed wrongly above 0.9 and 0.99. The datasets are not part of the project; by default they are looked for
-beside it; `--buildings` takes logs of your own instead, laid out as for evaluate.py. Keep FOLDER to yourself:
+beside it; `--buildings` takes logs of your own instead, laid out as for evaluate.py; whoever is carried off
+one of these maps then goes on in the next building, in alphabetical order. Keep FOLDER to yourself:
 its files are pickles, which run code when they are read.
 """
 
@@ -43,6 +44,7 @@ from eigenscan.tracker import (
     belief,
     branching,
     claim,
+    continuity,
     evidence,
     floors,
     observation,
@@ -55,6 +57,7 @@ from eigenscan.workbench.evaluation.metrics import LAST_SHARE, errors, right, su
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Packed, pack, unpack
 from eigenscan.workbench.evaluation.windows import thin
+from elsewhere import Elsewhere
 from evaluate import DATASETS, buildings
 from evaluate import Case as Listed
 from integrity_faults import FAULTS, Stretch
@@ -100,7 +103,9 @@ class Tap:
         return Condition(Health.STATUS_OK, "", {})
 
 
-def record(listed: Listed, way: str, fault: str, datasets: Path, count: int, seed: int) -> Story:
+def record(
+    listed: Listed, way: str, fault: str, datasets: Path, others: Elsewhere, count: int, seed: int
+) -> Story:
     """Ingest and projector over a log's windows, as `maps.py` and `integrity.py` run them."""
     case = read_case(listed.name, datasets / listed.folder, listed.log, listed.reference)
     chosen, (worse, truths) = thin(windows_of(case), count), worsened(case, way, seed)
@@ -116,7 +121,8 @@ def record(listed: Listed, way: str, fault: str, datasets: Path, count: int, see
         received = list(case.log.between(window))
         other = list(case.log.between(chosen[(number + len(chosen) // 2) % len(chosen)]))
         random = np.random.default_rng(zlib.crc32(f"{fault} {number}".encode()))
-        stretch = FAULTS[fault](Stretch(received, other, random))
+        elsewhere = others.stretch(number, len(chosen), received)
+        stretch = FAULTS[fault](Stretch(received, other, random, elsewhere=elsewhere))
         tap = Tap()
         loop = Loopback([ScanIngestCore(ScanIngestSettings()), projector, tap])
         loop.start()
@@ -144,8 +150,12 @@ def kept(listed: Listed, way: str, fault: str, options: argparse.Namespace) -> S
         name = name.replace(own, other)
     path = options.keep / f"{name}.pickle.gz"
     if not path.exists():
-        root = options.buildings or options.datasets
-        story = record(listed, way, fault, root, options.windows, options.seed)
+        root, others = options.datasets, Elsewhere.of(listed.name, options.datasets)
+        if options.buildings:
+            root, logs = options.buildings, buildings(options.buildings)
+            following = logs[(logs.index(listed) + 1) % len(logs)]
+            others = Elsewhere(root / following.folder / following.log)
+        story = record(listed, way, fault, root, others, options.windows, options.seed)
         path.parent.mkdir(parents=True, exist_ok=True)
         with gzip.open(path, "wb", compresslevel=1) as out:
             pickle.dump(story, out)
@@ -213,6 +223,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "poor fits err more": ((observation, "POORER", 0.0),),
     "evidence by place": ((branching, "LEAST_NEW", 1.0),),
     "kidnaps by broken lists": ((robot, "goes_on", lambda *_: None),),
+    "kidnaps where one goes on": ((continuity, "STRAY", 0),),
     "kidnaps where lists fit other surfaces": ((robot, "THICK_M", 1e9),),
     "jumps of odometry": ((belief, "BREAK_SHARE", 0.0),),
     "off the map": ((floors, "_off_map_share", lambda _: 1e-9),),

@@ -149,7 +149,13 @@ def test_late_scans_are_named_with_their_delay(
 
 @pytest.mark.parametrize(
     ("moved", "explained", "parts"),
-    [(STEP, 0.9, False), (None, 0.2, True), (STEP, 0.45, True), (STEP, 0.0, False)],
+    [
+        (STEP, 0.9, False),
+        (None, 0.2, True),
+        (STEP, 0.45, True),
+        (STEP, 0.0, False),
+        ((0.8, -0.9, 0.5), 0.9, True),  # they fit, but by a motion that no robot makes
+    ],
 )
 def test_a_list_without_anything_of_the_last_one_takes_a_claim_away_only_where_the_scans_part(
     make_core: MakeCore, poses_of: PosesOf, moved: Step | None, explained: float, parts: bool
@@ -175,6 +181,30 @@ def test_a_list_without_anything_of_the_last_one_takes_a_claim_away_only_where_t
     assert core.condition().counters.get("continuity_broken", 0) == parts
     least, most = (0.0, 0.2) if parts else (0.89, 1.0)
     assert least <= output[-1].confidence <= most
+
+
+def test_a_claim_after_a_kidnap_is_a_new_one(make_core: MakeCore, poses_of: PosesOf) -> None:
+    """What would keep a claim up, but not begin one, does not take it to another place."""
+    core, odd, there = make_core(), 30, np.array([22.0, -13.0, 2.0])
+    truth, reported, after = np.array([2.0, 3.0, 0.0]), np.zeros(3), list[PoseEstimate]()
+    for scan in range(odd + 40):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(Speaker().odometry(time, reported)))
+        if scan:
+            list(core.handle(motion(time, time - 0.1, None if scan == odd else STEP)))
+        others = np.array([[5.0 * k, 60.0 if scan < odd else 90.0, 0.0] for k in range(8)])
+        seen = [truth if scan < odd else there, *others]
+        likely = [17.0 if scan < odd else 11.0, *np.full(8, 2.0)]
+        output = poses_of(core.handle(Speaker(clutter=0).hypotheses(time, seen, likely)))
+        after += output if scan >= odd else []
+        step = np.array(STEP)
+        truth, there, reported = compose(truth, step), compose(there, step), compose(reported, step)
+        assert scan != odd - 1 or output[-1].state == STATE_LOCALIZED
+    begun = [pose.state == STATE_LOCALIZED for pose in after].index(True)
+    assert any(pose.confidence > TrackerSettings().released_below for pose in after[:begun])
+    assert (
+        after[begun].confidence > 0.89
+    )  # localized_above, but for rounding: before a set-up is proven, no more
 
 
 @pytest.mark.parametrize(

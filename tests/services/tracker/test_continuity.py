@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigenscan.geometry.pose import compose
-from eigenscan.tracker.continuity import carried_ratio, goes_on
+from eigenscan.tracker.continuity import carried_ratio, goes_on, is_broken
 from eigenscan.tracker.odometry import Motion
 from hypothesis import given
 from hypothesis import strategies as st
@@ -50,6 +50,33 @@ def test_those_that_go_on_are_counted(seed: int, stay: int) -> None:
     strange = before + np.array([0.0, 50.0, 0.0])
     after = rng.permutation(np.vstack([compose(before, step)[:stay], strange]))
     assert goes_on(before, after, moved(0.05, 0.02)) == stay
+
+
+NEAR, TURNED = moved(0.05, 0.02), moved(0.05, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("count", "way", "parts", "alike", "broken"),
+    [
+        (0, NEAR, True, True, True),
+        (0, NEAR, False, True, False),  # a door that opens
+        (0, TURNED, True, True, True),  # what the scans show holds for any way
+        (0, TURNED, False, True, False),
+        (1, NEAR, True, True, True),  # one by chance
+        (1, NEAR, False, True, False),
+        (1, NEAR, True, False, False),  # among poses that all have moved, chance is greater
+        (0, NEAR, True, False, True),
+        (2, NEAR, True, True, False),
+        (None, NEAR, True, True, False),  # not to be compared
+        (0, NEAR, None, True, True),  # nobody watches: the lists alone show it
+        (0, TURNED, None, True, False),
+        (1, NEAR, None, True, False),
+    ],
+)
+def test_a_robot_was_carried_off_where_neither_lists_nor_scans_go_on(
+    count: int | None, way: Motion, parts: bool | None, alike: bool, broken: bool
+) -> None:
+    assert is_broken(count, way, parts, alike=alike) == broken
 
 
 def test_the_more_go_on_the_less_was_the_robot_carried_away() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, TRACKS
+from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, RELOCATION, SCAN_MOTION, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
 from eigenscan.schemas.health_pb2 import Health
@@ -148,8 +148,6 @@ def test_odometry_that_is_no_number_is_set_aside(
 @pytest.mark.parametrize(
     "change",
     [
-        {"motion": Pose2(x=6e4)},
-        {"motion": Pose2(theta=3.0)},
         {"motion": Pose2(y=np.nan)},
         {"motion": Pose2(), "covariance": Covariance3(xx=1e-4, xy=2e-4, yy=1e-4)},
         {"motion": Pose2(), "covariance": Covariance3(xx=1e9, yy=1e9)},
@@ -158,7 +156,7 @@ def test_odometry_that_is_no_number_is_set_aside(
         {"motion": Pose2(), "since": stamp(10_900_000_000)},
     ],
 )
-def test_a_scan_motion_that_no_robot_makes_is_counted_and_moves_nothing(
+def test_a_scan_motion_that_is_none_is_counted_and_moves_nothing(
     change: dict[str, Any], make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     plain, core = make_core(), make_core()
@@ -170,6 +168,14 @@ def test_a_scan_motion_that_no_robot_makes_is_counted_and_moves_nothing(
     seen.open(Hypotheses).motion.CopyFrom(ScanMotion(**bad))
     assert poses_of(core.handle(seen)) == expected
     assert core.condition().counters["scan_motion_not_possible"] == 1
+
+
+@pytest.mark.parametrize("moved", [Pose2(x=6e4), Pose2(theta=3.0)])
+def test_a_scan_motion_that_no_robot_makes_is_no_motion(moved: Pose2, make_core: MakeCore) -> None:
+    core = make_core()
+    message = ScanMotion(motion=moved, since=stamp(10_500_000_000), timestamp=stamp(10_600_000_000))
+    list(core.handle(Envelope(SCAN_MOTION, ADDRESS | {"lidar": "front"}, message)))
+    assert core.condition().counters["scan_motion_too_fast"] == 1
 
 
 def test_odometry_from_the_past_is_set_aside(

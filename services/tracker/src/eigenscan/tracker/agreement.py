@@ -124,12 +124,14 @@ class Agreement:
         """Whether a scan repeats the one before: it shows nothing new."""
         return (lidar, stamp) in self._repeated
 
-    def follows(self, lidar: str, stamp: int, since: int) -> bool:
-        """Whether a lidar's scan of `stamp` was found where odometry puts it from that of `since`, ns.
+    def parts(self, lidar: str, since: int) -> bool | None:
+        """Whether one of a lidar's scans after `since`, ns, did not follow from the one before.
 
-        Of a lidar that is watched, what hardly fits is published with its scan; of another nothing is known.
+        Its motion differed from odometry's, or it hardly fitted: of a lidar that is watched such motion is
+        published with its scan. None: nobody watches.
         """
-        return self._differed.get(lidar, stamp) <= since
+        differed = self._differed.get(lidar)
+        return None if differed is None else differed > since
 
     def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""

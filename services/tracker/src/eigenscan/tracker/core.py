@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from math import isnan
+from math import isfinite, isnan
 
 import numpy as np
 from eigenscan.geometry.pose import (
@@ -40,6 +40,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.agreement import ScanInterval
 from eigenscan.tracker.floors import Building
 from eigenscan.tracker.observation import SIGMA_LIMITS, observe
+from eigenscan.tracker.planar import Pose
 from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
 from eigenscan.tracker.search import Request
@@ -174,15 +175,18 @@ class TrackerCore:
             self._counts["relocation_not_a_pose"] += 1
 
     def _receive_motion(self, robot: _Tracked, lidar: str, message: ScanMotion) -> None:
-        moved, c = None, message.covariance
+        c = message.covariance
+        moved: Pose | None = None
         since, until = nanoseconds(message.since), nanoseconds(message.timestamp)
         if message.HasField("motion"):
             moved = message.motion.x, message.motion.y, message.motion.theta
-            limits = self._settings.v_max, self._settings.turn_max
-            possible = since < until and is_possible(moved, (until - since) / 1e9, *limits)
-            if not (possible and _is_spread(c)):
+            if not (since < until and all(map(isfinite, moved)) and _is_spread(c)):
                 self._counts["scan_motion_not_possible"] += 1
                 return
+            limits = self._settings.v_max, self._settings.turn_max
+            if not is_possible(moved, (until - since) / 1e9, *limits):
+                self._counts["scan_motion_too_fast"] += 1
+                moved = None  # scans of two places, which happen to fit each other somehow
         spread, longest = (c.xx, c.xy, c.yy), message.longest_step
         # who does not state how much is explained states that the scans fit
         explained = message.explained or 1.0

@@ -22,7 +22,7 @@ from eigenscan.tracker.confidence import (
     protect,
     share_within,
 )
-from eigenscan.tracker.continuity import THICK_M, are_neighbours, carried_ratio, goes_on
+from eigenscan.tracker.continuity import THICK_M, carried_ratio, goes_on, is_broken
 from eigenscan.tracker.floors import Building, Rivals
 from eigenscan.tracker.gyroscope import Gyroscope
 from eigenscan.tracker.observation import Observation, limit_sigma
@@ -298,8 +298,9 @@ class RobotTracker:
             self._heed_hint(seen)
             share = self._share(seen)
             belief.observe(seen, share)
-            if share.broken:
+            if share.broken:  # a claim of another place is a new one
                 self._claim.forget()
+                self.state = STATE_AMBIGUOUS
             self._rivals.receive(belief, belief.frames.index(seen.frame), seen.stamp)
             settle(belief)
         else:
@@ -372,10 +373,7 @@ class RobotTracker:
         source.last = max(source.last, seen.stamp)
         # between lists of other surfaces all poses move: that some go on shows little, but that none does
         count = goes_on(before, seen.poses, moved, 0.0 if alike else THICK_M)
-        # where scans follow from each other, the map lacks what they show
-        broken = (
-            count == 0 and are_neighbours(moved) and not self._agreement.follows(seen.lidar, seen.stamp, last)
-        )
+        broken = is_broken(count, moved, self._agreement.parts(seen.lidar, last), alike=alike)
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
