@@ -10,6 +10,9 @@ want a quiet machine, the counts do not.
 Then somebody walks ahead of the robot, always as far away (`put_ahead`). A row counts matches that are sure
 of the way and yet end elsewhere than without that person, as it is and where one thing may fix a direction.
 
+Then the lidar sees no farther than some metres, as in a hall. `returns`: share of its beams that a match then
+has, the least of both scans. A row counts matches that fit no longer, and that are sure and end elsewhere.
+
 Neighbours that are not alike are compared at once. Scans of two places that are alike and hardly fit would be
 found one scan late. `explained`: share of a scan that the other one has too, of neighbours and of two places.
 """
@@ -44,6 +47,9 @@ SUPPORTS = (-np.inf, 0.1, 0.15, 0.2, HELD_SUPPORT, 0.3, 0.35, 0.51)
 APART_M = 0.02, 0.05
 AHEAD_M, WIDTH_M = (0.7, 1.0, 1.5), 0.5
 """m ahead of the lidar, where somebody of such a width walks."""
+REACHES_M = 1.0, 1.5, 2.0, 3.0, 4.0
+"""m that the lidar sees."""
+RETURNS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.5)
 ELSEWHERE_M, SURE_M = 0.1, 0.1
 """m, from which on a match ends elsewhere, and sigma up to which it is sure."""
 APART_SCANS = 100
@@ -161,6 +167,19 @@ def misled(match: tuple[Points, Points, Pose], metres: float) -> bool:
     return bool(alone.fits and all(sure) and np.hypot(*off) > ELSEWHERE_M)
 
 
+def short_sighted(match: tuple[Points, Points, Pose], metres: float) -> tuple[float, bool, bool]:
+    """Returns of a match whose lidar sees so far; whether it does not fit; and whether it ends elsewhere."""
+    alone, seen = motion_between(*match), []
+    for scan in match[:2]:
+        ranges = np.where(scan.ranges > metres, np.nan, scan.ranges)
+        seen.append(motion.points_of(ranges, scan.angle_min, scan.step, scan.mount, scan.stamp))
+    near = motion_between(seen[0], seen[1], match[2])
+    off = np.hypot(*np.subtract(near.delta, alone.delta)[:2])
+    sure = all(one.covariance[axis, axis] < SURE_M**2 for axis in (0, 1) for one in (alone, near))
+    elsewhere = near.fits and sure and off > ELSEWHERE_M
+    return float(min(scan.ranged.mean() for scan in seen)), not near.fits, bool(elsewhere)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("datasets", type=Path)
@@ -168,7 +187,7 @@ def main() -> None:
     parser.add_argument("--matches", type=int, default=1200, help="of each log, at most")
     parser.add_argument("--pairs", type=int, default=3000, help="neighbours of each log, at most")
     given = parser.parse_args()
-    rows, pairs = [], np.zeros(4, dtype=int)
+    rows, pairs, short = [], np.zeros(4, dtype=int), list[tuple[float, bool, bool]]()
     print("log          explained: neighbours' least, 1 %, and below FOLLOWS; other places' above it")
     for name in given.only or LOGS:
         own = matches(given.datasets / LOGS[name], given.matches)
@@ -178,6 +197,8 @@ def main() -> None:
             flush=True,
         )
         rows += of_log
+        fitting = [match for match in own if motion_between(*match).fits]
+        short += [short_sighted(match, metres) for match in fitting for metres in REACHES_M]
         for metres in AHEAD_M:
             as_it_is = sum(misled(match, metres) for match in own)
             with mock.patch.object(motion, "THING_M", 0.0):
@@ -195,6 +216,14 @@ def main() -> None:
         late = far.alike & (far.explained < FOLLOWS)
         pairs += (len(near.alike), np.count_nonzero(~near.alike), len(far.alike), np.count_nonzero(late))
     print("neighbours {}, not alike {}; of other places {}, alike and hardly fitting {}".format(*pairs))
+    returns, no_fit, elsewhere = np.array(short, dtype=np.float64).reshape(-1, 3).T
+    for low, high in pairwise(RETURNS):
+        these = (returns >= low) & (returns < high)
+        if these.any():
+            print(
+                f"returns {low:4.0%} to {high:4.0%}: {these.sum():6} matches, "
+                f"{no_fit[these].mean():5.1%} do not fit, {elsewhere[these].mean():5.2%} end elsewhere"
+            )
     support, apart = np.array(rows)[:, 1:].T
     for low, high in [*pairwise(SUPPORTS), (-np.inf, HELD_SUPPORT), (HELD_SUPPORT, np.inf)]:
         ends = apart[(support >= low) & (support < high)]

@@ -235,6 +235,7 @@ WAYS: dict[str, Way] = {
     "30 % of the walls missing": missing(0.30),
     "50 % of the walls missing": missing(0.50),
     "every other 30 m missing": half,
+    "warped 15 cm, 15 % of the walls missing": chain(warped(0.15), missing(0.15)),
     # like maps that somebody else made long ago: walls 0.47 m thick, the surface in their middle
     "thick, coarse, warped": chain(warped(0.12), fatter(0.18), coarser(0.10)),
 }

@@ -217,6 +217,21 @@ def test_a_lidar_that_is_carried_off_to_half_the_same_view_is_reported_with_its_
     assert message.explained < FOLLOWS
 
 
+@pytest.mark.parametrize(("returns", "reported"), [(0.1, False), (0.2, True)])
+def test_scans_that_show_next_to_nothing_are_not_compared(returns: float, reported: bool) -> None:
+    """In a hall wider than the lidar sees a few beams meet something, now here, now there."""
+    lidar, rng, motions = Lidar(), np.random.default_rng(5), 0
+    for scan in range(30):
+        ranges = np.full(BEAMS, np.inf)
+        first = rng.integers(0, round((1.0 - returns) * BEAMS)) if scan else 0
+        few = slice(first, first + round(returns * BEAMS))
+        ranges[few] = seen((-1.0, 0.5, 0.3), rng)[few]
+        motions += sum(one.channel is SCAN_MOTION for one in lidar.publish(ranges, after=200_000_000))
+    assert (motions > 0) == reported
+    first_whole = lidar.publish(seen((3.5, 1.5, -2.0), rng), after=200_000_000)
+    assert any(one.channel is SCAN_MOTION for one in first_whole) == reported
+
+
 def test_who_walks_by_is_no_sign_that_a_scan_does_not_follow_from_the_one_before() -> None:
     """After three scans half of the first one is hidden, and a fifth at most of each neighbour."""
     lidar, rng, reported = Lidar(), np.random.default_rng(5), list[ScanMotion]()

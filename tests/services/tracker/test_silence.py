@@ -147,7 +147,7 @@ def test_a_few_lists_from_the_past_over_a_long_time(make_core: MakeCore, speaker
 def test_unusable_scans(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     assert not published_poses(core, lists(speaker, 3.0, status=Hypotheses.STATUS_UNUSABLE_SCAN))
-    assert "is the lidar covered?" in degraded(core)
+    assert "is the lidar covered, or is all beyond its range?" in degraded(core)
     published_poses(core, lists(speaker, 1.0, start=3.0))
     assert degraded(core) == ""
 
@@ -247,13 +247,27 @@ def test_scans_that_fit_nowhere_in_the_map(make_core: MakeCore, speaker: Speaker
     assert reasons[-1] == ""
 
 
+def test_where_most_scans_show_next_to_nothing_the_map_is_not_blamed(
+    make_core: MakeCore, speaker: Speaker
+) -> None:
+    """In a hall wider than the lidar sees."""
+    core, random = make_core(), np.random.default_rng(1)
+    for scan, time in enumerate(np.arange(0.0, 15.0, RATE_S)):
+        list(core.handle(speaker.odometry(float(time), np.array([0.5 * time, 0.0, 0.0]))))
+        seen = speaker.hypotheses(float(time), [random.uniform(0.0, 20.0, 3)], [2.5])
+        if scan % 3:
+            seen = speaker.hypotheses(float(time), [], [], status=Hypotheses.STATUS_UNUSABLE_SCAN)
+        list(core.handle(seen))
+    assert degraded(core).startswith("r: most scans have too few beams with a return: ")
+
+
 def test_one_scan_that_seems_to_fit_does_not_end_it() -> None:
     """In a wrong map health changed every few seconds."""
     timeline: Any = SimpleNamespace(newest=0, longest_waiting=None)
     silence = Silence(timeline)
 
     def stated(time: float, none: float) -> bool:
-        seen: Any = SimpleNamespace(stamp=round(time * 1e9), source="front")
+        seen: Any = SimpleNamespace(stamp=round(time * 1e9), source="front", usable=True)
         timeline.newest = seen.stamp
         silence.receive(seen, Outcome.TAKEN)
         silence.answer(seen, repeated=False, has_pose=True, none=none)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 
@@ -32,7 +33,7 @@ class Ending(Enum):
         "each stamp is more than 1 s ahead of all others, and none within 60 s confirms it: check "
         "the lidar's clock"
     )
-    UNUSABLE = "scans have too few beams with a return: is the lidar covered?"
+    UNUSABLE = "scans have too few beams with a return: is the lidar covered, or is all beyond its range?"
     REPEATED = "each scan repeats the one before: is the lidar frozen?"
     NOT_FINITE = "all of them are no numbers"
     EMPTY = "the lists are empty: the projector finds no place for the scans"
@@ -74,6 +75,8 @@ class Silence:
         """Stamp of the first list since the clock was set back."""
         self._placed: int | None = None
         """Stamp of the last list by which the robot may have been in the map, or of the first one."""
+        self._unplaced = Counter[bool]()
+        """Lists after it, by whether their scans were usable."""
 
     def receive_odometry(self, stamp: int) -> None:
         """Odometry has come as far as `stamp`, ns."""
@@ -102,6 +105,8 @@ class Silence:
         # once stated it ends where a place is as probable: in a wrong map single scans look as if they fit
         if none < (1.0 - NO_PLACE if self.no_place else NO_PLACE):
             self._placed = seen.stamp
+            self._unplaced.clear()
+        self._unplaced[seen.usable] += 1
         if has_pose:
             self._runs.pop(seen.source, None)
         elif not seen.usable:
@@ -155,6 +160,8 @@ class Silence:
         """That scans fit nowhere in the map; empty: they fit somewhere, or did lately."""
         if self._gone_on_since(self._placed) <= NO_PLACE_NS:
             return ""
+        if self._unplaced[False] > self._unplaced[True]:
+            return f"most {Ending.UNUSABLE.value}"
         return "scans fit no place of the map: is it the map of this floor, and has it this part?"
 
     @property
