@@ -20,10 +20,10 @@ RUN /tools/bin/pip wheel --no-deps --no-build-isolation -w /wheels ./schemas ./g
  && for service in router scan-ingest projector tracker mapbuilder ros-bridge recorder; do \
       set -- /wheels/eigenscan_schemas-* /wheels/eigenscan_geometry-* /wheels/eigenscan_eigenspace-* /wheels/eigenscan_runtime-*; \
       own=/wheels/eigenscan_$(echo $service | tr - _)-*; [ $service = router ] || set -- "$@" $own; \
-      /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/$service "$@"; \
+      /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --no-compile --target /own/$service "$@"; \
     done \
- && /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --target /own/simulator /wheels/* \
- && find /own -name '*.py' -exec touch -d "@$(date +%s)" {} + && /opt/eigenscan/bin/python -m compileall -qf /own
+ && /tools/bin/pip --python /opt/eigenscan/bin/python install --no-deps --no-index --no-compile --target /own/simulator /wheels/* \
+ && find /own -name '*.py' -exec touch -d "@$(date +%s)" {} + && /opt/eigenscan/bin/python -m compileall -q /own
 
 # --- what every image has: a user without rights, its folders, a probe ---
 FROM ${BASE} AS shell

@@ -1,5 +1,6 @@
 """Another building: what a robot's lidar and odometry show once it has been carried off the map."""
 
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +30,18 @@ ELSEWHERE = {
 class Elsewhere:
     """A stretch of another building's log for each window of a log, as the log's own lidar would see it."""
 
-    def __init__(self, log: Path | None) -> None:
-        self._log: Log | None = read_log(log, LogOptions(), lambda _: None) if log else None
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
 
     @staticmethod
     def of(name: str, datasets: Path) -> "Elsewhere":
         """For a log of the datasets."""
         return Elsewhere(datasets / ELSEWHERE[name] if name in ELSEWHERE else None)
+
+    @cached_property
+    def _log(self) -> Log | None:
+        """Read when a fault first needs it."""
+        return read_log(self._path, LogOptions(), lambda _: None) if self._path else None
 
     def stretch(self, number: int, count: int, received: list[Envelope]) -> list[Envelope]:
         """The `number`-th of `count`, as long as what is `received`; empty where there is none."""

@@ -16,7 +16,6 @@ The datasets are not part of the project; by default they are looked for beside 
 
 import argparse
 import json
-import zlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -45,7 +44,7 @@ from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_wi
 from eigenscan.workbench.logs import LogOptions
 from elsewhere import Elsewhere
 from evaluate import CASES, DATASETS, Case
-from integrity_faults import BEGINS_S, FAULTS, Fault, Stretch
+from integrity_faults import BEGINS_S, FAULTS, Stretch, faulty
 
 MOVED_M, MOVED_RAD = 0.3, 0.3
 """A robot that moved by less gives nothing to compare."""
@@ -113,17 +112,13 @@ class Site:
             if model.channel in self.projector.inputs:
                 list(self.projector.handle(model))
 
-    def try_fault(self, name: str, fault: Fault, limit: int | None) -> Cell:
+    def try_fault(self, name: str, limit: int | None) -> Cell:
         cell = Cell()
         self.searches.forget()
         windows = thin(list(self.windows), limit)
         for number, window in enumerate(windows):
-            other = windows[(number + len(windows) // 2) % len(windows)]
-            random = np.random.default_rng(zlib.crc32(f"{name} {number}".encode()))
             received = [_copy(e) for e in self.log.between(window)]
-            elsewhere = self.elsewhere.stretch(number, len(windows), received)
-            stretch = fault(Stretch(received, self.log.between(other), random, elsewhere=elsewhere))
-            self._run(name, stretch, cell)
+            self._run(name, faulty(name, received, self.log, windows, number, self.elsewhere), cell)
         return cell
 
     def _run(self, name: str, stretch: Stretch, cell: Cell) -> None:
@@ -229,10 +224,10 @@ def main() -> None:
         if options.only and case.name not in options.only:
             continue
         site = Site(case, options.datasets, settings)
-        for name, fault in FAULTS.items():
+        for name in FAULTS:
             if options.fault and not any(part in name for part in options.fault):
                 continue
-            cell = site.try_fault(name, fault, QUICK if options.quick else None)
+            cell = site.try_fault(name, QUICK if options.quick else None)
             show(case.name, name, cell)
             found.setdefault(case.name, {})[name] = cell.as_json()
     if options.json:

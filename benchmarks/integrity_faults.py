@@ -1,5 +1,6 @@
 """Faults of sensors and of set-ups, put into a stretch of a log: what benchmarks/integrity.py tries."""
 
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +11,9 @@ from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.evaluation.kidnap import splice
+from eigenscan.workbench.evaluation.log import Log
+from eigenscan.workbench.evaluation.windows import Window
+from elsewhere import Elsewhere
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
 
@@ -33,16 +37,15 @@ JUMP = np.array([3.0, -2.0, 1.0])
 class Stretch:
     """What the pipeline receives, and how it is judged.
 
-    `other`: messages of another stretch of the log, as long; `elsewhere`: of another building, or nothing.
-    `truth_at`: of a scan's stamp, ns, the
-    reference's, where these differ; None: there is no right pose.
+    `other`: messages of another stretch of the log, as long; `elsewhere` gives those of another building, or
+    none. `truth_at`: of a scan's stamp, ns, the reference's, where these differ; None: no pose is right.
     """
 
     received: list[Envelope]
     other: list[Envelope]
     random: np.random.Generator
     truth_at: dict[int, int | None] = field(default_factory=dict)
-    elsewhere: list[Envelope] = field(default_factory=list)
+    elsewhere: Callable[[], list[Envelope]] = list
 
     def publishing(
         self, received: Sequence[Envelope], truth_at: dict[int, int | None] | None = None
@@ -294,10 +297,10 @@ def carried_off(after_s: float) -> Fault:
     """Someone carries the robot into another building; what cannot be tried there goes on as it was."""
 
     def fault(stretch: Stretch) -> Stretch:
-        if not stretch.elsewhere:
+        if not (elsewhere := stretch.elsewhere()):
             return stretch
         ends = min(e.stamp for e in stretch.received) + round(after_s * NS)
-        spliced = splice([e for e in stretch.received if e.stamp < ends], stretch.elsewhere)
+        spliced = splice([e for e in stretch.received if e.stamp < ends], elsewhere)
         last = max(e.stamp for e in stretch.received)
         received = [e for e in spliced.received if e.stamp <= last]
         return stretch.publishing(received, {e.stamp: None for e in received if e.stamp >= spliced.jump})
@@ -440,3 +443,16 @@ FAULTS: dict[str, Fault] = {
 
 BEGINS_S = {name: 10.0 for name in FAULTS if "after 10 s" in name} | {"odometry jumps": JUMP_EVERY_S}
 """s from the first scan on; others are there from the start."""
+
+
+def faulty(
+    name: str, received: list[Envelope], log: Log, windows: Sequence[Window], number: int, others: Elsewhere
+) -> Stretch:
+    """What is `received` in a window of a log, with a fault."""
+    other = windows[(number + len(windows) // 2) % len(windows)]
+    random = np.random.default_rng(zlib.crc32(f"{name} {number}".encode()))
+
+    def elsewhere() -> list[Envelope]:
+        return others.stretch(number, len(windows), received)
+
+    return FAULTS[name](Stretch(received, log.between(other), random, elsewhere=elsewhere))

@@ -18,7 +18,6 @@ import gzip
 import json
 import pickle
 import tempfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -60,7 +59,7 @@ from eigenscan.workbench.evaluation.windows import thin
 from elsewhere import Elsewhere
 from evaluate import DATASETS, buildings
 from evaluate import Case as Listed
-from integrity_faults import FAULTS, Stretch
+from integrity_faults import FAULTS, faulty
 from maps import LOGS, read_case, windows_of, worsened
 from worse_maps import WAYS
 
@@ -118,11 +117,8 @@ def record(
             list(projector.handle(model))
     taped = list[Window]()
     for number, window in enumerate(chosen):
-        received = list(case.log.between(window))
-        other = list(case.log.between(chosen[(number + len(chosen) // 2) % len(chosen)]))
-        random = np.random.default_rng(zlib.crc32(f"{fault} {number}".encode()))
-        elsewhere = others.stretch(number, len(chosen), received)
-        stretch = FAULTS[fault](Stretch(received, other, random, elsewhere=elsewhere))
+        received = case.log.between(window)
+        stretch = faulty(fault, received, case.log, chosen, number, others)
         tap = Tap()
         loop = Loopback([ScanIngestCore(ScanIngestSettings()), projector, tap])
         loop.start()

@@ -28,7 +28,7 @@ from unittest import mock
 import numpy as np
 from eigenscan.ingest import motion, watch
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.ingest.laying import NOISE
+from eigenscan.ingest.laying import NOISE, Array
 from eigenscan.ingest.motion import BEAMS, HELD_SUPPORT, Motion, Points, Pose, motion_between
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import FOLLOWS, SCAN_RAW
@@ -146,6 +146,18 @@ def compared(match: tuple[Points, Points, Pose]) -> tuple[float, float, float] |
     return took, support, float(np.hypot(*np.subtract(once.delta, again.delta)[:2]))
 
 
+def with_ranges(scan: Points, ranges: Array) -> Points:
+    """The same scan, had its beams met something else."""
+    return motion.points_of(ranges, scan.angle_min, scan.step, scan.mount, scan.stamp)
+
+
+def ends_elsewhere(alone: Motion, changed: Motion) -> bool:
+    """Whether both matches fit, are sure of the way, and differ."""
+    off = np.subtract(changed.delta, alone.delta)[:2]
+    sure = [one.covariance[axis, axis] < SURE_M**2 for axis in (0, 1) for one in (alone, changed)]
+    return bool(alone.fits and changed.fits and all(sure) and np.hypot(*off) > ELSEWHERE_M)
+
+
 def put_ahead(match: tuple[Points, Points, Pose], metres: float) -> tuple[Points, Points, Pose]:
     """The same scans with somebody ahead of the lidar in both; the guess is that it stood."""
     walked = []
@@ -153,31 +165,24 @@ def put_ahead(match: tuple[Points, Points, Pose], metres: float) -> tuple[Points
         angles = (scan.angle_min + scan.step * np.arange(len(scan.ranges)) + np.pi) % (2.0 * np.pi) - np.pi
         ranges = scan.ranges.copy()
         ranges[np.abs(angles) < np.arctan2(WIDTH_M / 2.0, metres)] = metres
-        walked.append(motion.points_of(ranges, scan.angle_min, scan.step, scan.mount, scan.stamp))
+        walked.append(with_ranges(scan, ranges))
     return walked[0], walked[1], (0.0, 0.0, 0.0)
 
 
 def misled(match: tuple[Points, Points, Pose], metres: float) -> bool:
     """Whether the match is sure of a way that is another one without the person."""
-    alone, walked = motion_between(*match), motion_between(*put_ahead(match, metres))
-    off = np.subtract(walked.delta, alone.delta)[:2]
-    sure = [
-        walked.fits and one.covariance[axis, axis] < SURE_M**2 for axis in (0, 1) for one in (alone, walked)
-    ]
-    return bool(alone.fits and all(sure) and np.hypot(*off) > ELSEWHERE_M)
+    return ends_elsewhere(motion_between(*match), motion_between(*put_ahead(match, metres)))
 
 
-def short_sighted(match: tuple[Points, Points, Pose], metres: float) -> tuple[float, bool, bool]:
-    """Returns of a match whose lidar sees so far; whether it does not fit; and whether it ends elsewhere."""
-    alone, seen = motion_between(*match), []
-    for scan in match[:2]:
-        ranges = np.where(scan.ranges > metres, np.nan, scan.ranges)
-        seen.append(motion.points_of(ranges, scan.angle_min, scan.step, scan.mount, scan.stamp))
-    near = motion_between(seen[0], seen[1], match[2])
-    off = np.hypot(*np.subtract(near.delta, alone.delta)[:2])
-    sure = all(one.covariance[axis, axis] < SURE_M**2 for axis in (0, 1) for one in (alone, near))
-    elsewhere = near.fits and sure and off > ELSEWHERE_M
-    return float(min(scan.ranged.mean() for scan in seen)), not near.fits, bool(elsewhere)
+def short_sighted(match: tuple[Points, Points, Pose]) -> list[tuple[float, bool, bool]]:
+    """Of a match that fits, by reach of the lidar: returns, whether it fits no longer, or ends elsewhere."""
+    alone, rows = motion_between(*match), []
+    for metres in REACHES_M if alone.fits else ():
+        seen = [with_ranges(scan, np.where(scan.ranges > metres, np.nan, scan.ranges)) for scan in match[:2]]
+        near = motion_between(seen[0], seen[1], match[2])
+        returns = float(min(scan.ranged.mean() for scan in seen))
+        rows.append((returns, not near.fits, ends_elsewhere(alone, near)))
+    return rows
 
 
 def main() -> None:
@@ -197,8 +202,7 @@ def main() -> None:
             flush=True,
         )
         rows += of_log
-        fitting = [match for match in own if motion_between(*match).fits]
-        short += [short_sighted(match, metres) for match in fitting for metres in REACHES_M]
+        short += [row for match in own for row in short_sighted(match)]
         for metres in AHEAD_M:
             as_it_is = sum(misled(match, metres) for match in own)
             with mock.patch.object(motion, "THING_M", 0.0):

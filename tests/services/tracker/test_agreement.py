@@ -202,9 +202,8 @@ def test_a_claim_after_a_kidnap_is_a_new_one(make_core: MakeCore, poses_of: Pose
         assert scan != odd - 1 or output[-1].state == STATE_LOCALIZED
     begun = [pose.state == STATE_LOCALIZED for pose in after].index(True)
     assert any(pose.confidence > TrackerSettings().released_below for pose in after[:begun])
-    assert (
-        after[begun].confidence > 0.89
-    )  # localized_above, but for rounding: before a set-up is proven, no more
+    # localized_above, but for rounding: before a set-up is proven, confidence is no more
+    assert after[begun].confidence > 0.89
 
 
 @pytest.mark.parametrize(

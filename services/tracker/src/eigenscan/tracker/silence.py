@@ -88,7 +88,8 @@ class Silence:
         self._newest = self._timeline.newest
         self._since_restart += 1
         if outcome is Outcome.RESTARTED or self._first is None:
-            self._first = self._placed = seen.stamp
+            self._first = seen.stamp
+            self._place(seen.stamp)
         if outcome is Outcome.RESTARTED:
             self._two_clocks = self._since_restart <= RESTARTS_WITHIN
             self._since_restart = 0
@@ -104,8 +105,7 @@ class Silence:
         """
         # once stated it ends where a place is as probable: in a wrong map single scans look as if they fit
         if none < (1.0 - NO_PLACE if self.no_place else NO_PLACE):
-            self._placed = seen.stamp
-            self._unplaced.clear()
+            self._place(seen.stamp)
         self._unplaced[seen.usable] += 1
         if has_pose:
             self._runs.pop(seen.source, None)
@@ -117,6 +117,10 @@ class Silence:
             self._add(seen, Ending.EMPTY)
         else:
             self._add(seen, Ending.UNLIKELY if len(seen.poses) else Ending.NOT_FINITE)
+
+    def _place(self, stamp: int) -> None:
+        self._placed = stamp
+        self._unplaced.clear()
 
     def _add(self, seen: Observation, ending: Ending, behind_s: float = 0.0) -> None:
         run = self._runs.setdefault(seen.source, _Run(seen.stamp, seen.stamp, self._odometry, ending))
