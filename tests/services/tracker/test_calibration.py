@@ -183,6 +183,17 @@ def test_a_straight_way_shows_the_angle_and_not_the_place() -> None:
     assert not found.fault
 
 
+def test_one_odd_turn_is_no_doubt_however_exact_the_straight_way_after_it() -> None:
+    found = Calibration(FIXED_RAD)
+    found.take((0.035, 0.014, 0.113), SPREAD, (0.09, 0.004, 0.037), 0.09)
+    straight_on(found, lambda _: 0.0, 60)
+    assert found.proven > 0.7
+    assert not found.fault
+    for turn in 10 * (0.15, -0.15):
+        found.take((0.2, 0.8 * sin(turn), turn), SPREAD, (0.2, 0.0, turn), 0.2)
+    assert "0.7 m away" in found.fault
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_arc_without_end_shows_no_scale_however_noisy_odometry_is(seed: int) -> None:
     rng, found = np.random.default_rng(seed), Calibration(FIXED_RAD)

@@ -85,6 +85,8 @@ class Calibration:
 
     def _forget(self) -> None:
         self._information, self._sums = np.zeros((4, 4)), np.zeros(4)
+        self._added, self._added2 = np.zeros(4), np.zeros(4)
+        """Information (4,) of all intervals, and the sum of its squares: by how many each number is shown."""
         self._intervals = self._squares = FIRST
         self._again_right = 0.0
 
@@ -99,9 +101,13 @@ class Calibration:
         if abs(scans[2]) < LEAST_TURN:
             scans = scans[0], scans[1], 0.0
         scale = self._squares / self._intervals
+        before = np.diag(self._information).copy()
         squares, better, fits = _update(
             self._information, self._sums, scans, spread, noise, x, y, scale, TAIL
         )
+        added = np.diag(self._information) - before
+        self._added += added
+        self._added2 += added * added
         self._again_right = max(self._again_right + min(better, MOST_NATS), 0.0)
         if self._again_right > AGAIN_RIGHT:
             self._forget()
@@ -159,17 +165,25 @@ class Calibration:
         shown = np.maximum(1.0 / np.diag(self._spread) - START**-2, 0.0)
         return np.asarray(shown * (self._intervals / self._squares))
 
+    @property
+    def _shown_alone(self) -> Array:
+        """The same (4,) where the noise of the intervals that show each number is known by these alone.
+
+        A single turn between straight ways may have come with a noise of its own.
+        """
+        noise = self._squares / self._intervals
+        count = self._added * self._added / np.maximum(self._added2, 1e-300)
+        return np.asarray(self._shown * np.minimum(noise * (FIRST + count) / (FIRST + count * noise), 1.0))
+
     def _judge(self) -> None:
         noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)
         self._found, self._spread = _without_noise(self._information, self._sums, noise)
         yaw, lever, scale = self.sigmas
         self.within = _below(NEAR_RAD, abs(self.yaw), yaw) * _below(NEAR_M, self.lever, lever)
-        along, turned, *away = self._shown.tolist()
-        mount = max(
-            _ratio(NEAR_RAD, abs(self.yaw), turned, START[1], YAW_RAD),
-            _ratio(NEAR_M, self.lever, min(away), START[2], LEVER_M),
-        )
-        scaled = _ratio(SCALE_OFF, abs(self.scale - 1.0), along, START[0], SCALE)
+        mount, scaled = self._ratios(self._shown)
+        if mount > 0.0 or scaled > 0.0:  # doubt needs information that stands alone
+            alone = self._ratios(self._shown_alone)
+            mount, scaled = min(mount, max(alone[0], 0.0)), min(scaled, max(alone[1], 0.0))
         if abs(self.yaw) > NEAR_RAD / 2.0 + SIGMAS * yaw:
             self.fault = TURNED.format(round(degrees(self.yaw)))
         elif self.lever > NEAR_M / 2.0 + SIGMAS * lever:
@@ -181,6 +195,14 @@ class Calibration:
         self.proven = min(right_share(mount), max(right_share(scaled), 1.0 - WRONG))
         if self.fault or self.proven < PROVEN:  # what happens to agree by chance is no proof
             self.proven = min(self.proven, 1.0 - WRONG)
+
+    def _ratios(self, shown: Array) -> tuple[float, float]:
+        """Log-likelihood ratios of a wrong mount, and of another scale, by the information `shown` (4,)."""
+        along, turned, *away = shown.tolist()
+        return max(
+            _ratio(NEAR_RAD, abs(self.yaw), turned, START[1], YAW_RAD),
+            _ratio(NEAR_M, self.lever, min(away), START[2], LEVER_M),
+        ), _ratio(SCALE_OFF, abs(self.scale - 1.0), along, START[0], SCALE)
 
 
 def _below(limit: float, value: float, sigma: float) -> float:
