@@ -308,7 +308,7 @@ def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, 
     (remark,) = remarks(figures)
     assert "--mount" in remark
     faulty = _shown(figures).splitlines()
-    assert faulty[0].startswith("warning: odometry and scans disagree")
+    assert faulty[0].startswith("warning: health reported")
     assert faulty[0] in faulty[-2]
 
 

@@ -105,6 +105,26 @@ def test_odometry_limits_lidars_and_mount(tmp_path: Path) -> None:
     assert len(_scans(tmp_path / "a.csv")) == 2
 
 
+@pytest.mark.parametrize(
+    ("beams", "empty", "scan"),
+    [
+        ("angle_min_deg,angle_increment_deg,range_m_0", ",,", "-10,20,4"),
+        ("angle_deg,range_m", ",", "10,4"),
+    ],
+)
+def test_odometry_may_have_lines_of_its_own(tmp_path: Path, beams: str, empty: str, scan: str) -> None:
+    (tmp_path / "a.csv").write_text(
+        f"time_s,lidar,x_m,y_m,heading_deg,{beams}\n"
+        f"1.00,,0,0,0,{empty}\n1.02,front,,,,{scan}\n1.04,,0.1,0,0,{empty}\n1.06,,0.2,0,0,{empty}\n"
+        f"1.06,front,,,,{scan}\n"
+    )
+    messages = list(open_log(tmp_path / "a.csv", LogOptions()).envelopes())
+    driven = [each.open(Odometry).pose.position.x for each in messages if each.channel is ODOMETRY]
+    assert driven == [0.0, 0.1, 0.2]
+    scans = [each for each in messages if each.channel is not ODOMETRY]
+    assert [each.address["lidar"] for each in scans] == ["front", "front"]
+
+
 WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
 
 
@@ -116,6 +136,8 @@ WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
         (WIDE + "nan,0,1,4,5\n", "line 2, column time_s: 'nan'"),
         (WIDE + "1,0,1,4\n", "line 2: 4 columns, the header has 5"),
         (WIDE, "no scan to take: the header alone"),
+        (WIDE.replace("m_1", "m_2") + "1,0,1,4,5\n", "line 1: has the column range_m_2 and lacks range_m_1"),
+        (WIDE + "1,,,,\n", "line 2, column angle_min_deg: is empty"),
         ("time_s,range_m_0\n1,2\n", "line 1: a line a scan needs the column angle_min_deg"),
         ("time_s,angle_deg\n1,2\n", "line 1: no columns of ranges"),
         ("time_s,angle_deg,range_m\n1,2,3\n2,x,3\n", "line 3, column angle_deg: 'x'"),

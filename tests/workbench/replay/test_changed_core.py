@@ -148,7 +148,7 @@ def test_what_was_published_before_a_failure_counts() -> None:
             yield Envelope(HYPOTHESES, {**received.address, "projector": "p"}, Hypotheses())
             raise KeyError("gone")
 
-    instance = Instance(PROJECTOR, "p", "*", "", Half())  # type: ignore[arg-type]
+    instance = Instance(PROJECTOR, "p", "*", "", Half(), "{}")  # type: ignore[arg-type]
     published = Loopback([instance]).receive(
         Envelope(SCAN, {"site": "s", "robot": "r", "lidar": "l"}, Scan())
     )

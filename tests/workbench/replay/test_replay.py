@@ -275,6 +275,11 @@ def test_recorded_settings_are_used_and_defaults_are_published(
     assert "recorded with version 9.8.7" in ended.out
     in_file = run.write(tmp_path / "file.mcap", other, {"tracker": json.dumps({"robot": "*", "trust": 0.6})})
     assert eigenscan("replay", in_file, *command).code == 0
+    tried = tmp_path / "tried.mcap"
+    ended = eigenscan("replay", in_file, *command[:2], "--set", "trust=0.4", "--out", tried)
+    assert ended.code == 0, ended.err
+    ended = eigenscan("replay", tried, *command)
+    assert (ended.code, "settings as recorded" in ended.out) == (0, True), ended.out + ended.err
     ended = eigenscan("replay", run.write(tmp_path / "untold.mcap", other), *command)
     assert ended.code == 1
     assert "default settings, for the recording does not have them" in ended.out

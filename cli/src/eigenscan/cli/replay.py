@@ -44,8 +44,8 @@ def replay(
 ) -> None:
     """Feed a recording to a service's core, without Zenoh, and compare the answers with the recorded ones.
 
-    Exit code 0: identical, 1: a difference, 2: the recording cannot be replayed. To publish a recording on
-    Zenoh: eigenscan play.
+    Exit code 0: identical, 1: a difference, or too little to compare, 2: the recording cannot be replayed.
+    To publish a recording on Zenoh: eigenscan play.
 
     \b
     Examples:

@@ -179,7 +179,7 @@ def _plain_yaml(path: Path) -> str:
     if path.exists() and not path.is_file():
         raise MapError(f"{path}: is no file that can be read to its end: give the map_server yaml")
     if path.stat().st_size > _MOST_YAML_BYTES:
-        raise MapError(f"{path}: is no map_server yaml (too large): give the yaml that names the image")
+        raise MapError(f"{path}: is too large for a map_server yaml: give the yaml that names the image")
     text = path.read_text(encoding="utf-8")
     if nesting(text) > MOST_NESTED:
         raise MapError(f"{path}: is no map_server yaml: give the yaml that names the image")

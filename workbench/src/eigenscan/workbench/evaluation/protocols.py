@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,7 +78,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
     """Cold starts at each window; `poses`: a file for all that was published."""
     advance = bench.progress("windows", len(windows))
     judged, rows, cpu, streams, explained = [], [], [], [], []
-    faults: set[str] = set()
+    faults = Counter[str]()
     runs = bench.workers.runs(bench.log.between(window) for window in windows)
     for window, run in zip(windows, runs, strict=True):
         judged.append(judge(run.stream, bench.reference))
@@ -86,7 +87,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
         explained.append(run.explained)
         streams.append(run.stream)
         if run.fault:
-            faults.add(run.fault.partition(": ")[2])  # without the robot's name
+            faults[run.fault.partition(": ")[2]] += 1  # without the robot's name
         rows[-1]["reference_in_doubt"] = _in_doubt(bench, window, judged[-1])
         advance()
     if poses:
@@ -94,6 +95,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
     doubts = [row["reference_in_doubt"] for row in rows]
     return windows_figures(judged, rows) | {
         "faults": sorted(faults),
+        "fault_windows": dict(sorted(faults.items())),
         "reference_in_doubt": {"claims": sum(doubts), "windows": sum(map(bool, doubts)), "rule": RULE},
         "map_explains": summary(np.concatenate([np.empty(0), *explained]), 5),
         "cpu_ms_per_scan": summary(np.concatenate([np.empty(0), *cpu]), 99),

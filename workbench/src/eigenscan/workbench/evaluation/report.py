@@ -54,10 +54,7 @@ def remarks(f: Figures) -> list[str]:
             f"{lost} of the lidars {'is' if lost == 1 else 'are'} not in tf, and taken to be at the base's "
             "origin: eigenscan import --mount, then evaluate the MCAP"
         )
-    found += [
-        f"odometry and scans disagree: {words} (eigenscan import --mount, --odometry-topic)"
-        for words in f.get("faults") or ()
-    ]
+    found += [_reported(f, words) for words in f.get("faults") or ()]
     explains = f["map_explains"]["median"]
     if explains is not None and explains < LITTLE:
         found.append(
@@ -71,6 +68,14 @@ def remarks(f: Figures) -> list[str]:
             "import --mount) and the odometry (--odometry-topic)"
         )
     return found
+
+
+def _reported(f: Figures, words: str) -> str:
+    """A fault as health had it at the end of some windows, or of the whole drive, and what may mend it."""
+    count = (f.get("fault_windows") or {}).get(words)
+    where = f" at the end of {count} of {f['windows']} windows" if count else ""
+    mends = " (eigenscan import --mount, --odometry-topic)" if "odometry" in words or "mount" in words else ""
+    return f"health reported{where}: {words}{mends}"
 
 
 def _words(f: Figures) -> dict[str, str]:

@@ -66,6 +66,7 @@ class _Columns:
             while f"{name}_{len(beams)}" in places:
                 beams.append(places[f"{name}_{len(beams)}"])
             if beams:
+                _refuse_gaps(path, places, name, len(beams))
                 missing = [each for each in LINE_A_SCAN if each not in places]
                 if missing:
                     raise LogError(f"{path}: line 1: a line a scan needs the column {missing[0]}")
@@ -77,6 +78,14 @@ class _Columns:
             f"{path}: line 1: no columns of ranges: give range_m_0, range_m_1, … (a line a scan), "
             "or angle_deg and range_m (a line a beam); in mm they are range_mm"
         )
+
+
+def _refuse_gaps(path: Path, places: Mapping[str, int], name: str, count: int) -> None:
+    """Raises LogError where a column of ranges is there and an earlier one is not."""
+    stem = f"{name}_"
+    numbers = [each[len(stem) :] for each in places if each.startswith(stem)]
+    if later := [number for number in numbers if number.isdecimal() and int(number) > count]:
+        raise LogError(f"{path}: line 1: has the column {stem}{later[0]} and lacks {stem}{count}")
 
 
 @dataclass(frozen=True)
@@ -104,6 +113,13 @@ class _Line:
         if not np.isfinite(number):
             raise self._bad(name, text)
         return number
+
+    @property
+    def has_beams(self) -> bool:
+        """Whether there is more than odometry."""
+        columns = self.columns
+        angle = columns.angle or LINE_A_SCAN[0]
+        return bool(self.text(angle)) or any(self.cells[place].strip() for place in columns.ranges)
 
     def ranges(self) -> NDArray[np.float64]:
         """Ranges, m; NaN for empty cells."""
@@ -150,13 +166,16 @@ class CsvLog:
         step: dict[str, float] = {}
         for (time, lidar), group in groupby(self._lines(), lambda line: (line.value(TIME), _lidar(line))):
             lines = list(group)
-            seen.add(lidar)
             if not abs(time) <= LATEST_S:
                 raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
             if all(lines[0].text(name) for name in ODOMETRY):
                 x, y, heading = (lines[0].value(name) for name in ODOMETRY)
                 yield odometry(self.options, stamp, (x, y, np.deg2rad(heading)))
+                lines = [line for line in lines if line.has_beams]
+                if not lines:
+                    continue
+            seen.add(lidar)
             if self.options.lidars and lidar not in self.options.lidars:
                 self.counters["scans_of_another_lidar"] += 1
                 continue

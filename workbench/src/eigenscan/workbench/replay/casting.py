@@ -30,6 +30,8 @@ class Instance:
     source: str
     """Source of its settings, as text."""
     core: Core
+    settings: str
+    """That it runs with, JSON."""
     faults: list[str] = field(default_factory=list)
     inputs: tuple[Channel, ...] = field(init=False)
     outputs: tuple[Channel, ...] = field(init=False)
@@ -111,7 +113,8 @@ def _instance(survey: Survey, service: Service, name: str | None, changes: Mappi
     robots = settings.robot if text else EVERY
     if robots == EVERY and service.instance_field and name is not None:
         robots = ",".join(sorted(survey.projectors.get(name, ()))) or EVERY
-    return Instance(service, settings.instance, robots, source, service.make(settings))
+    core = service.make(settings)
+    return Instance(service, settings.instance, robots, source, core, settings.model_dump_json())
 
 
 def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, object], str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -59,7 +59,8 @@ def run(trial: Trial, survey: Survey, moved: Callable[[int], None] = lambda _tim
     comparison = Comparison(published_by(trial.services), spans, trial.terms)
     received = Counter[Channel]()
     events = _events(trial, survey, instances, moved)
-    for event in _written(trial.out, events) if trial.out else events:
+    ran = survey.settings | {each.service.name: each.settings for each in reversed(instances)}
+    for event in _written(trial.out, ran, events) if trial.out else events:
         received[event.envelope.channel] += event.side is Side.RECEIVED
         comparison.take(event)
     comparison.finish()
@@ -112,8 +113,10 @@ def _beside(reference: Reference, channels: Sequence[Channel], events: Iterable[
     yield from wanted
 
 
-def _written(path: Path, events: Iterable[Event]) -> Iterator[Event]:
-    with whole(path) as part, RecordingWriter(part) as writer:
+def _written(path: Path, settings: Mapping[str, str], events: Iterable[Event]) -> Iterator[Event]:
+    """Writes what was received and answered, with each service's settings."""
+    metadata = {service: {"settings": text} for service, text in settings.items()}
+    with whole(path) as part, RecordingWriter(part, metadata) as writer:
         for event in events:
             if event.side is not Side.RECORDED:
                 writer.write(event.envelope, event.time)
