@@ -79,6 +79,17 @@ def test_what_is_thicker_than_a_wall_loses_half_a_wall_on_each_side() -> None:
     assert np.all(solid[16:34])
 
 
+def test_racks_that_are_drawn_filled_make_no_thick_walls() -> None:
+    cells = np.full((300, 300), UNKNOWN, dtype=np.uint8)
+    cells[10:290, 10:290] = OCCUPIED
+    cells[11:289, 11:289] = FREE
+    for row in range(40, 260, 60):
+        cells[row : row + 22, 40:260] = OCCUPIED
+    found = Surfaces.of(GridMap(cells, 0.05, ORIGIN))
+    assert found.thickness == pytest.approx(0.05)
+    assert not found.thinned
+
+
 def test_a_given_thickness_holds_and_a_map_without_walls_is_as_it_was() -> None:
     fat = fatter(two_rooms(), 0.2)
     assert Surfaces.of(fat, 0.05).grid is fat

@@ -16,6 +16,9 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filte
 
 DEEPEST_M = 1.0
 """Depth in a wall, m, beyond which it counts as equally deep: thicker objects are no walls."""
+THICKEST_M, FEWEST = 0.8, 0.1
+"""Thicker ones, m, such as racks that a plan draws filled, do not count for the thickness of an ordinary
+wall, where at least this share of what faces free ground is thinner."""
 _ROUNDING = 1e-6
 
 
@@ -25,7 +28,8 @@ class Surfaces:
 
     `grid` is the map itself if all walls are thin. Walls up to `thickness`, m, are thinned to the line in
     their middle, thicker ones (a cupboard, a pillar) by half of it on each side. `thickness` is that of an
-    ordinary wall: half of the cells that face free ground belong to walls at least as thick.
+    ordinary wall: half of the cells that face free ground belong to walls at least as thick, without those of
+    objects thicker than THICKEST_M.
     """
 
     grid: GridMap
@@ -97,4 +101,6 @@ def _ordinary_depth(grid: GridMap, depth: NDArray[np.float32], middle: NDArray[n
                 )
                 found.append(depth[part][row, column][faces[part]])
     halves = np.concatenate(found)
+    walls = halves[halves <= 0.5 * THICKEST_M / grid.resolution + _ROUNDING]
+    halves = walls if len(walls) >= FEWEST * len(halves) else halves
     return float(np.median(halves)) if len(halves) else 0.5

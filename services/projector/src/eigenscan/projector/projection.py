@@ -319,17 +319,13 @@ def _weigh_promising(
     best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, POLISHED)
     slid, region = among.poses[best], among.region[best]
     trace("kept to polish", slid)
-    weighed = [_weighed(site, reading, seen, slid) for reading in site.readings]
-    found = []
-    for reading, (polished, supported, explained) in zip(site.readings, weighed, strict=True):
-        order = np.argsort(-supported)
-        kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
-        ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
-        found.append((polished, supported, explained, kept, ordinary, reading))
-    # whether walls are as thick as they are drawn is the same for all beams: the whole scan shows
-    polished, supported, explained, kept, ordinary, reading = max(
-        found, key=lambda each: float(log_likelihood(each[1][each[3][:1]], each[4], seen.returned).sum())
-    )
+    # whether walls are as thick as they are drawn is the same for all beams: the place where the whole scan
+    # fits best shows. Not by its likelihood: what an ordinary place supports differs between the two
+    weighed = [(reading, *_weighed(site, reading, seen, slid)) for reading in site.readings]
+    reading, polished, supported, explained = max(weighed, key=lambda each: float(each[2].max(initial=0.0)))
+    order = np.argsort(-supported)
+    kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
+    ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
     covariances = pose_covariances(polished.information[kept], site.inexactness)
