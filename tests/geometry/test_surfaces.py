@@ -79,12 +79,13 @@ def test_what_is_thicker_than_a_wall_loses_half_a_wall_on_each_side() -> None:
     assert np.all(solid[16:34])
 
 
-def test_racks_that_are_drawn_filled_make_no_thick_walls() -> None:
-    cells = np.full((300, 300), UNKNOWN, dtype=np.uint8)
-    cells[10:290, 10:290] = OCCUPIED
-    cells[11:289, 11:289] = FREE
-    for row in range(40, 260, 60):
-        cells[row : row + 22, 40:260] = OCCUPIED
+@pytest.mark.parametrize("outside", [UNKNOWN, OCCUPIED])
+def test_racks_and_ground_outside_that_are_drawn_filled_make_no_thick_walls(outside: int) -> None:
+    cells = np.full((340, 340), outside, dtype=np.uint8)
+    cells[30:310, 30:310] = OCCUPIED
+    cells[31:309, 31:309] = FREE
+    for row in range(60, 280, 60):
+        cells[row : row + 22, 60:280] = OCCUPIED
     found = Surfaces.of(GridMap(cells, 0.05, ORIGIN))
     assert found.thickness == pytest.approx(0.05)
     assert not found.thinned

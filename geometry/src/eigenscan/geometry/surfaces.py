@@ -16,9 +16,9 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filte
 
 DEEPEST_M = 1.0
 """Depth in a wall, m, beyond which it counts as equally deep: thicker objects are no walls."""
-THICKEST_M, FEWEST = 0.8, 0.1
-"""Thicker ones, m, such as racks that a plan draws filled, do not count for the thickness of an ordinary
-wall, where at least this share of what faces free ground is thinner."""
+THICKEST_M = 0.8
+"""Thicker ones, m, such as racks that a plan draws filled, or all ground outside, show nothing of how thick
+an ordinary wall is drawn."""
 _ROUNDING = 1e-6
 
 
@@ -102,5 +102,4 @@ def _ordinary_depth(grid: GridMap, depth: NDArray[np.float32], middle: NDArray[n
                 found.append(depth[part][row, column][faces[part]])
     halves = np.concatenate(found)
     walls = halves[halves <= 0.5 * THICKEST_M / grid.resolution + _ROUNDING]
-    halves = walls if len(walls) >= FEWEST * len(halves) else halves
-    return float(np.median(halves)) if len(halves) else 0.5
+    return float(np.median(walls)) if len(walls) else 0.5
