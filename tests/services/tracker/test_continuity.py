@@ -81,16 +81,23 @@ def test_a_robot_was_carried_off_where_neither_lists_nor_scans_go_on(
 
 def test_the_more_go_on_the_less_was_the_robot_carried_away() -> None:
     near, far = moved(0.05, 0.02), moved(0.8, 0.02)
-    ratios = [carried_ratio(count, near) for count in range(COMPARED + 1)]
+    ratios = [carried_ratio(count, near, None) for count in range(COMPARED + 1)]
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[2] > 1.0 > ratios[8]
     # a metre or a turn on, fewer go on anyhow: their number shows little, but that there is none does
     for moved_on in (far, moved(0.05, 0.4)):
-        none, *some = (carried_ratio(count, moved_on) for count in range(COMPARED + 1))
+        none, *some = (carried_ratio(count, moved_on, None) for count in range(COMPARED + 1))
         assert none > 1.0 > some[0]
         assert none < ratios[0]
         assert len(set(some)) == 1
-    assert carried_ratio(None, near) == 1.0
+    assert carried_ratio(None, near, None) == carried_ratio(None, near, parts=False) == 1.0
+
+
+def test_scans_that_do_not_follow_speak_for_a_kidnap_however_many_go_on() -> None:
+    for count in (None, *range(COMPARED + 1)):
+        for motion in (moved(0.05, 0.02), moved(0.8, 0.02)):
+            follows, apart = (carried_ratio(count, motion, parts) for parts in (False, True))
+            assert apart > 30.0 * follows
 
 
 @pytest.mark.parametrize(

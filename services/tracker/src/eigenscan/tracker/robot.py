@@ -373,7 +373,8 @@ class RobotTracker:
         source.last = max(source.last, seen.stamp)
         # between lists of other surfaces all poses move: that some go on shows little, but that none does
         count = goes_on(before, seen.poses, moved, 0.0 if alike else THICK_M)
-        broken = is_broken(count, moved, self._agreement.parts(seen.lidar, last), alike=alike)
+        parts = self._agreement.parts(seen.lidar, last)
+        broken = is_broken(count, moved, parts, alike=alike)
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1
@@ -383,7 +384,7 @@ class RobotTracker:
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
         # after a kidnap hardly any hypothesis goes on
-        rate = self._settings.kidnap_rate * carried_ratio(count if alike else None, moved)
+        rate = self._settings.kidnap_rate * carried_ratio(count if alike else None, moved, parts)
         rate += self.building.lift_rate(self.belief.tracks)
         carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
