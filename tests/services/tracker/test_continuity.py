@@ -97,7 +97,7 @@ def test_scans_that_do_not_follow_speak_for_a_kidnap_however_many_go_on() -> Non
     for count in (None, *range(COMPARED + 1)):
         for motion in (moved(0.05, 0.02), moved(0.8, 0.02)):
             follows, apart = (carried_ratio(count, motion, parts) for parts in (False, True))
-            assert apart > 30.0 * follows
+            assert apart > 10.0 * follows
 
 
 @pytest.mark.parametrize(
