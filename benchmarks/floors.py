@@ -52,6 +52,21 @@ def floor(free_m2: float, seed: int = 1) -> GridMap:
     return GridMap(canvas.cells, RESOLUTION, np.zeros(3))
 
 
+def warehouse(thick: float, seed: int = 1) -> GridMap:
+    """38 m x 26 m with thin walls, and five rows of racks so many metres thick, drawn filled."""
+    rng = np.random.default_rng(seed)
+    canvas = _Canvas(np.full((560, 800), UNKNOWN, dtype=np.uint8))
+    canvas.box(1.0, 1.0, 39.0, 27.0, OCCUPIED)
+    canvas.box(1.15, 1.15, 38.85, 26.85, FREE)
+    for y in np.arange(4.0, 23.0, 4.5):
+        x = 5.0
+        while x < 34.0:
+            end = x + float(rng.uniform(4.0, 8.0))
+            canvas.box(x, y, min(end, 35.0), y + thick, OCCUPIED)
+            x = end + float(rng.choice([0.0, 2.2]))
+    return GridMap(canvas.cells, RESOLUTION, np.zeros(3))
+
+
 def _hallway(canvas: _Canvas, rng: np.random.Generator, length: float, y: float) -> None:
     canvas.box(1.0 + WALL, y, 1.0 + length - WALL, y + HALLWAY, FREE)
     x = float(rng.uniform(*FIRE_DOORS))

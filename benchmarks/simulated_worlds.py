@@ -9,7 +9,7 @@ from pathlib import Path
 
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.workbench.simulation.world import office
-from floors import floor
+from floors import floor, warehouse
 
 EIGENSCAN = Path(sys.executable).parent / "eigenscan"
 SECONDS = 180
@@ -29,11 +29,12 @@ class World:
 
 
 def worlds() -> list[World]:
-    """Four lidars in the demo's office and in floors of other sizes."""
+    """Four lidars in the demo's office, in floors of other sizes and among racks that a plan draws filled."""
     plan = office()
     real = plan.render()
     known = replace(plan, furniture=tuple(f for i, f in enumerate(plan.furniture) if i % LACKING)).render()
     small, large = floor(400, seed=5), floor(1500, seed=6)
+    deep, racks = warehouse(1.1, seed=7), warehouse(0.6, seed=8)
     wide = ("--fov", "270", "--beams", "541", "--range-max", "20", "--noise", "0.03")
     full = ("--fov", "360", "--beams", "360", "--range-max", "12")
     short = ("--fov", "240", "--beams", "667", "--range-max", "5.6")
@@ -42,6 +43,8 @@ def worlds() -> list[World]:
         World("office, 240°, 5.6 m", real, known, short, 12),
         World("floor 400 m², 360°", small, small, full, 13),
         World("floor 1,500 m², 270°", large, large, wide, 14),
+        World("racks of 1.1 m, 360°", deep, deep, full, 15),
+        World("racks of 0.6 m, 360°", racks, racks, full, 16),
     ]
 
 

@@ -18,7 +18,7 @@ DEEPEST_M = 1.0
 """Depth in a wall, m, beyond which it counts as equally deep: thicker objects are no walls."""
 THICKEST_M = 0.8
 """Thicker ones, m, such as racks that a plan draws filled, or all ground outside, show nothing of how thick
-an ordinary wall is drawn."""
+an ordinary wall is drawn (benchmarks/maps.py --simulated --only "racks of 1.1 m, 360°" --way exact)."""
 _ROUNDING = 1e-6
 
 
