@@ -133,8 +133,7 @@ def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) ->
     """
     slid = slide_around(site, seen, starts)
     kept = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), ONE_M, ONE_RAD, len(starts))
-    weighed = [_weighed(site, reading, seen, slid.poses[kept]) for reading in site.readings]
-    polished, supported, explained = max(weighed, key=lambda each: float(each[1].max()))
+    _, polished, supported, explained = _weighed(site, seen, slid.poses[kept])
     best = int(supported.argmax())
     information = polished.information[best : best + 1]
     covariance = pose_covariances(information, site.inexactness)
@@ -298,11 +297,18 @@ def _slide(
     return _Slid(poses, doubts(site, view, seen, poses, home), region)
 
 
-def _weighed(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
-    """Slid poses polished on a reading's surfaces, with their support and the share of explained beams."""
-    return weigh(
-        reading.walls, reading.caster, site.drawn, slid, seen.points, seen.weighed, reading.exactness
-    )
+def _weighed(site: Site, seen: Observation, slid: Array) -> tuple[Reading, Fit, Array, Array]:
+    """Slid poses polished on the surfaces that the scan fits; their support, and shares of explained beams.
+
+    Whether walls are as thick as they are drawn is the same for all beams: the place where the whole scan
+    fits best shows. Not by its likelihood: what an ordinary place supports differs between the two.
+    """
+
+    def on(reading: Reading) -> tuple[Reading, Fit, Array, Array]:
+        walls, caster, exactness = reading.walls, reading.caster, reading.exactness
+        return reading, *weigh(walls, caster, site.drawn, slid, seen.points, seen.weighed, exactness)
+
+    return max(map(on, site.readings), key=lambda each: float(each[2].max(initial=0.0)))
 
 
 def _weigh_promising(
@@ -319,10 +325,7 @@ def _weigh_promising(
     best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, POLISHED)
     slid, region = among.poses[best], among.region[best]
     trace("kept to polish", slid)
-    # whether walls are as thick as they are drawn is the same for all beams: the place where the whole scan
-    # fits best shows. Not by its likelihood: what an ordinary place supports differs between the two
-    weighed = [(reading, *_weighed(site, reading, seen, slid)) for reading in site.readings]
-    reading, polished, supported, explained = max(weighed, key=lambda each: float(each[2].max(initial=0.0)))
+    reading, polished, supported, explained = _weighed(site, seen, slid)
     order = np.argsort(-supported)
     kept = best_of_neighbourhoods(polished.poses, order, SAME_M, SAME_RAD, settings.published)
     ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
