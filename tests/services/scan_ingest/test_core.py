@@ -168,6 +168,26 @@ def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
     assert ingest.condition().status == Health.STATUS_OK
 
 
+@pytest.mark.parametrize("range_max", [30.0, 30_000.0], ids=["limit in metres", "limit in millimetres"])
+def test_ranges_in_millimetres_are_named(range_max: float) -> None:
+    ingest = core()
+    for number in range(1, 7):
+        message = raw(number * SECOND, range_max=range_max)
+        message.ranges[:] = [1000.0 * each for each in message.ranges]
+        assert not scans(ingest.handle(received(message)))
+    assert aside(ingest) == {"not_in_metres": 6}
+    assert ingest.condition().status == Health.STATUS_DEGRADED
+    assert "lidar r/front has no range below 100 m: are its ranges millimetres" in ingest.condition().detail
+    one(ingest, raw(7 * SECOND))
+    assert "millimetres" not in ingest.condition().detail
+
+
+def test_a_far_value_that_stands_for_no_return_is_no_unit() -> None:
+    message = raw(ranges=[1000.0] * 280 + [2.0 + 0.002 * beam for beam in range(20)])
+    assert np.isinf(one(core(), message).ranges).sum() == 280
+    assert np.isinf(one(core(), raw(ranges=[1000.0] * 300)).ranges).all()
+
+
 def test_settings_win_over_the_driver() -> None:
     ingest = core(
         range_min=0.5,

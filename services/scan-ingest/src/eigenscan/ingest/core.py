@@ -22,7 +22,7 @@ from eigenscan.geometry.normalize import (
     resample,
 )
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
-from eigenscan.ingest.watch import FROZEN, Watch, one_value
+from eigenscan.ingest.watch import FROZEN, NEAREST_M, Watch, not_in_metres, one_value
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
@@ -35,7 +35,7 @@ GAP_NS = 1_000_000_000
 """Time between two scans, ns, beyond which the lidar paused, or its clock was set forward; stamps do not show
 which."""
 NAMED = 5
-"""Number of covered or late scans among a lidar's latest RECENT that shows a fault."""
+"""Number of covered, late or far scans among a lidar's latest RECENT that shows a fault."""
 
 
 @dataclass
@@ -58,6 +58,8 @@ class _Lidar:
         covered = recent.count("one_value")
         if covered >= NAMED and recent[-1] == "one_value":
             return f"covered: all beams have one value, in {covered} of the last {len(recent)} scans"
+        if recent.count("not_in_metres") >= NAMED and recent[-1] == "not_in_metres":
+            return f"has no range below {NEAREST_M:.0f} m: are its ranges millimetres? They must be metres"
         if self.watch.two_lidars:
             return "has two mounts by turns: do two lidars use this name?"
         turns = sum((a == "out_of_order") != (b == "out_of_order") for a, b in pairwise(recent))
@@ -235,4 +237,7 @@ class ScanIngestCore:
             raise ScanError("no_beams")
         if count > self._settings.max_beams:
             raise ScanError("too_many_beams")
-        return floats_of(raw, "ranges")
+        ranges = floats_of(raw, "ranges")
+        if not_in_metres(ranges):
+            raise ScanError("not_in_metres")
+        return ranges

@@ -46,6 +46,8 @@ ONE_VALUE_M = 0.1
 or a round room with the robot at its centre."""
 LEAST_BEAMS, LEAST_SPAN = 10, np.pi / 2.0
 """Fewer beams, or a narrower sector (rad), may well see one value."""
+NEAREST_M = 100.0
+"""A twentieth of the returns is nearer than this, whatever the lidar, unless its ranges are no metres."""
 LAYOUTS, ALTERNATIONS = 20, 4
 """Number of times among the last scans that the layout returned to the one before: two lidars publish them.
 """
@@ -181,6 +183,25 @@ def one_value(ranges: Ranges, step: float) -> bool:
     known = ranges[np.isfinite(ranges)]
     if len(known) < max(LEAST_BEAMS, len(ranges) // 2):
         return False
+    low, high = _most(known)
+    return high - low <= ONE_VALUE_M
+
+
+def not_in_metres(ranges: Ranges) -> bool:
+    """Whether a raw scan's ranges are rather millimetres or centimetres.
+
+    Those of a driver that marks beams without a return by one far value, such as 1000, are not.
+    """
+    known = ranges[np.isfinite(ranges)]
+    known = known[known > 0.0]
+    if len(known) < LEAST_BEAMS or known[len(known) // 2] < NEAREST_M:  # one beam is enough to go on
+        return False
+    low, high = _most(known)
+    return low > NEAREST_M and high - low > ONE_VALUE_M
+
+
+def _most(known: Ranges) -> tuple[float, float]:
+    """Between which values the middle nine tenths of ranges lie, by about a hundred of them."""
     ordered = np.sort(known[:: max(len(known) // 100, 1)])
     tail = len(ordered) // 20
-    return bool(ordered[-1 - tail] - ordered[tail] <= ONE_VALUE_M)
+    return float(ordered[tail]), float(ordered[-1 - tail])
