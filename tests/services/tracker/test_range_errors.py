@@ -34,6 +34,11 @@ def test_scans_of_new_places_add_up() -> None:
     assert after(FOR, 4).trust < 0.01
 
 
+def test_what_a_displaced_wall_gives_does_not_add_up() -> None:
+    assert not after(0.9, 1000).fault
+    assert after(0.9, 1000).trust > 0.99
+
+
 def test_scans_of_one_place_do_not() -> None:
     assert not after(FOR, 1000, new=0.0).fault
 

@@ -15,6 +15,10 @@ from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 
 FOR, AGAINST = 6.0, 2.0
 """Nats of one scan at most: neighbouring scans err alike, and of some the list lacks the pose."""
+BY_MAP = 1.0
+"""Nats that an inexact map gives some error in each of its scans, for a whole room. A hall displaced by 25 cm
+gives up to 4 here and there; an error of 0.3 m gives 5 to 12 (benchmarks/range_errors.py).
+"""
 FIRST, LEAST, MOST = log(1e-4), -30.0, 18.0
 """Ln odds of each error before the first scan; the least, for it may begin later: five scans then show it;
 the most, for it may be mended. On maps with missing or displaced parts many scans in a row seem to have such
@@ -65,9 +69,9 @@ class _Lidar:
 
     def take(self, found: Mapping[RangeError, float]) -> None:
         # an error that is not stated fits no better than the best one that is
-        others = min(max(found.values(), default=-AGAINST), 0.0)
+        others = min(max(found.values(), default=-AGAINST) - BY_MAP, 0.0)
         for error in [*self.odds, *(each for each in found if each not in self.odds)][:TRIED]:
-            gain = min(max(found.get(error, others), -AGAINST), FOR)
+            gain = min(max(found[error] - BY_MAP if error in found else others, -AGAINST), FOR)
             odds = self.odds.get(error, FIRST) + self.new * gain
             self.odds[error] = min(max(odds, LEAST), MOST)
         self.new = 0.0
