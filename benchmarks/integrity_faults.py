@@ -229,6 +229,55 @@ def ranges_changed(change: Callable[[Array], Array]) -> Fault:
     return scans_changed(fault)
 
 
+def beams_apart(times: float) -> Fault:
+    """The beams are so many times as far apart as they are."""
+
+    def change(message: RawScan, _: int, __: Stretch) -> None:
+        message.angle_min *= times
+        message.angle_increment *= times
+
+    return scans_changed(change)
+
+
+def repeated(times: int) -> Fault:
+    """A driver publishes each scan so many times, with new stamps."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        held = list[Array]()
+
+        def change(message: RawScan, number: int, _: Stretch) -> None:
+            if number % times == 0:
+                held[:] = [np.array(message.ranges)]
+            put(message, held[0])
+
+        return scans_changed(change)(stretch)
+
+    return fault
+
+
+def half_of_the_one_before(stretch: Stretch) -> Stretch:
+    """A driver publishes between two revolutions: the first half of each scan is the one before's."""
+    before = list[Array]()
+
+    def change(message: RawScan, _: int, __: Stretch) -> None:
+        seen = np.array(message.ranges)
+        half = len(seen) // 2
+        if before and len(before[0]) == len(seen):
+            put(message, np.append(before[0][:half], seen[half:]))
+        before[:] = [seen]
+
+    return scans_changed(change)(stretch)
+
+
+def bent(message: RawScan, _: int, stretch: Stretch) -> None:
+    """A bent mount: the third of the beams in the middle meets the floor after 1.5 m."""
+    seen = np.array(message.ranges)
+    third = len(seen) // 3
+    floor = 1.5 + 0.05 * stretch.random.standard_normal(third)
+    seen[third : 2 * third] = np.minimum(seen[third : 2 * third], floor)
+    put(message, seen)
+
+
 def late_by_chance(most_s: float) -> Fault:
     """Each scan is stamped too late, by as much as a busy computer happens to take."""
 
@@ -366,6 +415,27 @@ def odometry_steps(change: Callable[[Array, float], Array]) -> Fault:
     return odometry_changed(changed)
 
 
+def odometry_late(seconds: float) -> Fault:
+    """Odometry is stamped so much after it was measured."""
+    by = round(seconds * NS)
+
+    def fault(stretch: Stretch) -> Stretch:
+        last, received = max(e.stamp for e in stretch.received), list[Envelope]()
+        for original in stretch.received:
+            envelope = original
+            if envelope.channel is ODOMETRY:
+                if envelope.stamp + by > last:
+                    continue
+                message = Odometry()
+                message.CopyFrom(envelope.open(Odometry))
+                message.timestamp.CopyFrom(stamp(envelope.stamp + by))
+                envelope = Envelope(ODOMETRY, envelope.address, message)
+            received.append(envelope)
+        return stretch.publishing(received)
+
+    return fault
+
+
 def odometry_scaled(way: float = 1.0, turn: float = 1.0) -> Fault:
     """Wheels of another radius, or farther apart: way and turns are so many times as large."""
     return odometry_steps(lambda step, _: step * np.array([way, way, turn]))
@@ -425,9 +495,17 @@ FAULTS: dict[str, Fault] = {
     "ranges 25 % too long": ranges_changed(lambda ranges: 1.25 * ranges),
     "ranges 0.3 m too long": ranges_changed(lambda ranges: ranges + 0.3),
     "ranges 0.3 m too short": ranges_changed(lambda ranges: ranges - 0.3),
+    "ranges in millimetres": ranges_changed(lambda ranges: 1000.0 * ranges),
+    "beams 1.1 times as far apart": beams_apart(1.1),
+    "beams 0.9 times as far apart": beams_apart(0.9),
+    "each scan three times": repeated(3),
+    "half of each scan from the last": half_of_the_one_before,
+    "a third sees the floor": scans_changed(bent),
     "late by up to 0.4 s by chance": late_by_chance(0.4),
     "odometry 1.5 times too far": odometry_scaled(way=1.5),
     "turns counted 0.8 times": odometry_scaled(turn=0.8),
+    "turns counted 1.3 times": odometry_scaled(turn=1.3),
+    "odometry 0.3 s late": odometry_late(0.3),
     "heading drifts by 2 deg/s": heading_drifts(2.0),
     "odometry backwards": odometry_changed(_reversed),
     "two robots, one name": two_robots,

@@ -162,7 +162,7 @@ def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
         list(ingest.handle(received(raw(20 * SECOND))))
     condition = ingest.condition()
     assert condition.status == Health.STATUS_DEGRADED
-    assert condition.detail == "30 of the last 50 scans set aside, most: duplicate_stamp"
+    assert condition.detail == "over half of the last 50 scans set aside, most: duplicate_stamp"
     for number in range(21, 50):
         list(ingest.handle(received(raw(number * SECOND))))
     assert ingest.condition().status == Health.STATUS_OK

@@ -17,6 +17,7 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.evaluation.chosen import SERVICES, PipelineSettings, chosen
 from eigenscan.workbench.evaluation.course import ClaimsTask, Task, evaluate, evaluate_claims
+from eigenscan.workbench.evaluation.reference import EvaluationError
 from eigenscan.workbench.evaluation.report import remarks, show
 from eigenscan.workbench.logs import LogOptions
 from eigenscan.workbench.progress import Bars
@@ -310,6 +311,25 @@ def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, 
     faulty = _shown(figures).splitlines()
     assert faulty[0].startswith("warning: health reported")
     assert faulty[0] in faulty[-2]
+
+
+def test_a_lidar_in_millimetres_is_named_where_nothing_is_localized(drive: Drive, tmp_path: Path) -> None:
+    def in_millimetres(envelope: Envelope) -> list[Envelope]:
+        if envelope.channel is not SCAN_RAW:
+            return [envelope] if envelope.channel is ODOMETRY else []
+        message = RawScan()
+        message.CopyFrom(envelope.open(RawScan))
+        message.ranges[:] = [1000.0 * each for each in message.ranges]
+        return [replace(envelope, message=message)]
+
+    log = rewritten(drive, tmp_path / "millimetres.mcap", in_millimetres)
+    with pytest.raises(EvaluationError, match=r"nowhere localized.*Health reported: lidar .* millimetres"):
+        run(replace(drive.task, log=log, reference=None, windows=None))
+    figures = run(replace(drive.task, log=log))
+    (remark,) = [each for each in remarks(figures) if "millimetres" in each]
+    assert remark.startswith(
+        f"health reported at the end of {figures['windows']} of {figures['windows']} windows"
+    )
 
 
 def test_a_reference_with_other_stamps_fits_with_its_offset(drive: Drive, tmp_path: Path) -> None:

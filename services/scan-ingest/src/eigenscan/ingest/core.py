@@ -51,13 +51,12 @@ class _Lidar:
 
     @property
     def fault(self) -> str:
-        """Its fault, as words after its name; empty if there is none."""
-        repeats, recent = self.watch.repeats, list(self.recent)
-        if repeats + 1 >= FROZEN:
-            return f"frozen: {repeats + 1} identical scans (or a simulated robot without noise stands)"
-        covered = recent.count("one_value")
-        if covered >= NAMED and recent[-1] == "one_value":
-            return f"covered: all beams have one value, in {covered} of the last {len(recent)} scans"
+        """Its fault, as words after its name, which stay the same while it lasts; empty if there is none."""
+        recent = list(self.recent)
+        if self.watch.repeats + 1 >= FROZEN:
+            return f"frozen: {FROZEN} or more identical scans (or a simulated robot without noise stands)"
+        if recent.count("one_value") >= NAMED and recent[-1] == "one_value":
+            return f"covered: all beams have one value, in {NAMED} or more of the last {RECENT} scans"
         if recent.count("not_in_metres") >= NAMED and recent[-1] == "not_in_metres":
             return f"has no range below {NEAREST_M:.0f} m: are its ranges millimetres? They must be metres"
         if self.watch.two_lidars:
@@ -128,7 +127,7 @@ class ScanIngestCore:
         if 2 * reasons.total() <= len(self._recent):
             return Condition(Health.STATUS_OK, "", counters)
         worst, _ = reasons.most_common(1)[0]
-        detail = f"{reasons.total()} of the last {len(self._recent)} scans set aside, most: {worst}"
+        detail = f"over half of the last {len(self._recent)} scans set aside, most: {worst}"
         return Condition(Health.STATUS_DEGRADED, detail, counters)
 
     def _set_aside(self, reason: str) -> Iterable[Envelope]:

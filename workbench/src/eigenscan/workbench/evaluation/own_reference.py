@@ -49,7 +49,7 @@ def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, str
     stream = run.stream
     claimed = stream.where(stream.localized)
     if not len(claimed):
-        found = f" ({run.fault})" if run.fault else ""
+        found = f". Health reported: {run.fault}" if run.fault else ""
         raise EvaluationError(
             f"{path}: nowhere localized on this map, so nothing to compare with: is it the map of this "
             f"building? Otherwise give --ground-truth{found}"

@@ -47,7 +47,7 @@ class Run:
     """Result of a run: its poses, and the process time of each scan (n,), ms.
 
     `explained` (k,): share of the beams that the map explains, at claims whose scans list their pose.
-    `fault`: the fault of scans or odometry in the tracker's last health; empty if there is none.
+    `fault`: that of a lidar, or of scans and odometry together, in the last health; empty if there is none.
     """
 
     stream: Stream
@@ -93,12 +93,12 @@ class Pipeline:
             if model.channel in core.inputs:
                 list(core.handle(model))
 
-    def _cold(self) -> tuple[Loopback, TrackerCore]:
-        """The whole pipeline, knowing the map and nothing of the pose; and its tracker."""
+    def _cold(self) -> tuple[Loopback, ScanIngestCore, TrackerCore]:
+        """The whole pipeline, knowing the map and nothing of the pose; and two of its parts."""
         ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._tracker)
         self._teach(tracker)
         self._projector.forget_robots()
-        return Loopback([ingest, self._projector, tracker]), tracker
+        return Loopback([ingest, self._projector, tracker]), ingest, tracker
 
     def warm_up(self, received: Iterable[Envelope]) -> None:
         """Handles a few messages before the measurement, so that all code is compiled."""
@@ -107,7 +107,7 @@ class Pipeline:
 
     def run(self, received: Iterable[Envelope]) -> Run:
         """Receives raw scans and odometry in the order given, from a cold start."""
-        loop, tracker = self._cold()
+        loop, ingest, tracker = self._cold()
         answers_published, cpu_ms, scans, published = (
             list[_Published](),
             list[float](),
@@ -128,8 +128,7 @@ class Pipeline:
                 at_last_scan = spent
         rest = loop.finish()
         answers_published += _poses(rest, spent)
-        condition = tracker.condition()
-        fault = condition.detail if condition.status == Health.STATUS_DEGRADED else ""
+        fault = _fault(ingest) or _fault(tracker).partition(": ")[2]  # without the robot's name
         published += rest
         stream = _stream(
             answers_published, _nis(answers_published, published), np.sort(np.asarray(scans, dtype=np.int64))
@@ -162,6 +161,11 @@ class _Published:
 
     estimate: PoseEstimate
     cpu_s: float
+
+
+def _fault(core: Core) -> str:
+    condition = core.condition()
+    return condition.detail if condition.status == Health.STATUS_DEGRADED else ""
 
 
 def _poses(envelopes: Sequence[Envelope], spent: int) -> list[_Published]:

@@ -87,7 +87,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
         explained.append(run.explained)
         streams.append(run.stream)
         if run.fault:
-            faults[run.fault.partition(": ")[2]] += 1  # without the robot's name
+            faults[run.fault] += 1
         rows[-1]["reference_in_doubt"] = _in_doubt(bench, window, judged[-1])
         advance()
     if poses:
