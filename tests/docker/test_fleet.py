@@ -215,7 +215,7 @@ def test_what_stays_on_the_robot_does_not_come(fleet: Fleet, received: Counter[s
     # a new fleet sends scans as well: the site keeps its map true by them
     crossing = {SCAN.name} | {channel.name for channel in CHANNELS if channel.qos.air_hz > 0}
     until(lambda: received["tracks"] > 3 and received["health"] > 3, PATIENCE_S, lambda: str(received))
-    names = {name for name in received if " " not in name}
+    names = {name for name in list(received) if " " not in name}
     assert names <= crossing
     assert names >= {"pose", "tracks", "health"}
 
