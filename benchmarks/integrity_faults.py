@@ -2,17 +2,18 @@
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.geometry.pose import compose, from_pose3, inverse, to_pose3
-from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW, Channel
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.evaluation.kidnap import splice
 from eigenscan.workbench.evaluation.log import Log
 from eigenscan.workbench.evaluation.windows import Window
+from eigenscan.workbench.playback.cast import shifted
 from elsewhere import Elsewhere
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
@@ -127,19 +128,16 @@ def frozen(noise: float, after_s: float = 0.0) -> Fault:
     return fault
 
 
-def late(seconds: float) -> Fault:
-    """Each scan is stamped so much after it was taken; before it, if that is negative."""
+def late(seconds: float, channel: Channel = SCAN_RAW) -> Fault:
+    """Each scan, or odometry, is stamped so much after it was taken; before it, if that is negative."""
 
     by = round(seconds * NS)
-
-    def change(message: RawScan, _: int, __: Stretch) -> None:
-        message.timestamp.CopyFrom(stamp(nanoseconds(message.timestamp) + by))
 
     def fault(stretch: Stretch) -> Stretch:
         stamps = [e.stamp for e in stretch.received]
         first, last = min(stamps), max(stamps)
-        within = [e for e in stretch.received if e.channel is not SCAN_RAW or first <= e.stamp + by <= last]
-        return scans_changed(change)(replace(stretch, received=within))
+        moved = [shifted(e, by) if e.channel is channel else e for e in stretch.received]
+        return stretch.publishing([e for e in moved if first <= e.stamp <= last])
 
     return fault
 
@@ -301,13 +299,10 @@ def two_robots(stretch: Stretch) -> Stretch:
     truth: dict[int, int | None] = {e.stamp: None for e in stretch.received if e.stamp <= ends}
     received = list(stretch.received)
     for envelope in stretch.other:
-        message = type(envelope.message)()
-        message.CopyFrom(envelope.message)
-        message.timestamp.CopyFrom(stamp(envelope.stamp + shift))  # type: ignore[attr-defined]
+        moved = shifted(envelope, shift)
         if envelope.channel is SCAN_RAW:
-            together = envelope.stamp + shift <= own_ends
-            truth[envelope.stamp + shift] = None if together else envelope.stamp
-        received.append(Envelope(envelope.channel, envelope.address, message))
+            truth[moved.stamp] = None if moved.stamp <= own_ends else envelope.stamp
+        received.append(moved)
     return stretch.publishing(received, truth)
 
 
@@ -415,27 +410,6 @@ def odometry_steps(change: Callable[[Array, float], Array]) -> Fault:
     return odometry_changed(changed)
 
 
-def odometry_late(seconds: float) -> Fault:
-    """Odometry is stamped so much after it was measured."""
-    by = round(seconds * NS)
-
-    def fault(stretch: Stretch) -> Stretch:
-        last, received = max(e.stamp for e in stretch.received), list[Envelope]()
-        for original in stretch.received:
-            envelope = original
-            if envelope.channel is ODOMETRY:
-                if envelope.stamp + by > last:
-                    continue
-                message = Odometry()
-                message.CopyFrom(envelope.open(Odometry))
-                message.timestamp.CopyFrom(stamp(envelope.stamp + by))
-                envelope = Envelope(ODOMETRY, envelope.address, message)
-            received.append(envelope)
-        return stretch.publishing(received)
-
-    return fault
-
-
 def odometry_scaled(way: float = 1.0, turn: float = 1.0) -> Fault:
     """Wheels of another radius, or farther apart: way and turns are so many times as large."""
     return odometry_steps(lambda step, _: step * np.array([way, way, turn]))
@@ -505,7 +479,7 @@ FAULTS: dict[str, Fault] = {
     "odometry 1.5 times too far": odometry_scaled(way=1.5),
     "turns counted 0.8 times": odometry_scaled(turn=0.8),
     "turns counted 1.3 times": odometry_scaled(turn=1.3),
-    "odometry 0.3 s late": odometry_late(0.3),
+    "odometry 0.3 s late": late(0.3, ODOMETRY),
     "heading drifts by 2 deg/s": heading_drifts(2.0),
     "odometry backwards": odometry_changed(_reversed),
     "two robots, one name": two_robots,

@@ -35,8 +35,9 @@ from eigenscan.cli.launch.supervision import Supervisor
 from eigenscan.geometry.gridmap import GridMap, write_map
 from eigenscan.runtime.bus import Bus
 from eigenscan.schemas.channels import ODOMETRY, POSE, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.workbench.playback.cast import shifted
 from eigenscan.workbench.simulation.lidar import Lidar
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.stage import Scenario, Stage, Timed
@@ -87,12 +88,9 @@ class Robot:
         def send(envelope: Envelope) -> None:
             at = envelope.stamp
             now = wall + at - first
-            message = type(envelope.message)()
-            message.CopyFrom(envelope.message)
-            message.timestamp.CopyFrom(stamp(now))  # type: ignore[attr-defined]
             if envelope.channel is SCAN_RAW:
                 self._sent[now] = time.monotonic(), at
-            self._bus.publish(Envelope(envelope.channel, envelope.address, message))
+            self._bus.publish(shifted(envelope, wall - first))
 
         publish(self._messages, send, 1.0, self._stop)
 

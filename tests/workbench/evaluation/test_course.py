@@ -4,6 +4,7 @@ import io
 import json
 import math
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,20 @@ def rewritten(drive: Drive, path: Path, change: Any) -> Path:
             for envelope in change(record.envelope):
                 writer.write(envelope, record.log_time)
     return path
+
+
+def scans_changed(change: Callable[[RawScan], None]) -> Callable[[Envelope], list[Envelope]]:
+    """For `rewritten`: a log without its truth, each raw scan of it after `change`."""
+
+    def changed(envelope: Envelope) -> list[Envelope]:
+        if envelope.channel is not SCAN_RAW:
+            return [envelope] if envelope.channel is ODOMETRY else []
+        message = RawScan()
+        message.CopyFrom(envelope.open(RawScan))
+        change(message)
+        return [replace(envelope, message=message)]
+
+    return changed
 
 
 def check(figures: Any, schema: Any, name: str) -> None:
@@ -296,15 +311,10 @@ def test_a_log_without_odometry_and_one_with_two_lidars(drive: Drive, tmp_path: 
 def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, tmp_path: Path) -> None:
     """Its scans fit the map all the same: only odometry objects."""
 
-    def turned(envelope: Envelope) -> list[Envelope]:
-        if envelope.channel is not SCAN_RAW:
-            return [envelope] if envelope.channel is ODOMETRY else []  # a log without its truth
-        message = RawScan()
-        message.CopyFrom(envelope.open(RawScan))
+    def turned(message: RawScan) -> None:
         message.mount.theta += math.pi / 2
-        return [replace(envelope, message=message)]
 
-    log = rewritten(drive, tmp_path / "turned.mcap", turned)
+    log = rewritten(drive, tmp_path / "turned.mcap", scans_changed(turned))
     figures = run(replace(drive.task, log=log, reference=None, windows=None))
     (remark,) = remarks(figures)
     assert "--mount" in remark
@@ -314,15 +324,10 @@ def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, 
 
 
 def test_a_lidar_in_millimetres_is_named_where_nothing_is_localized(drive: Drive, tmp_path: Path) -> None:
-    def in_millimetres(envelope: Envelope) -> list[Envelope]:
-        if envelope.channel is not SCAN_RAW:
-            return [envelope] if envelope.channel is ODOMETRY else []
-        message = RawScan()
-        message.CopyFrom(envelope.open(RawScan))
+    def in_millimetres(message: RawScan) -> None:
         message.ranges[:] = [1000.0 * each for each in message.ranges]
-        return [replace(envelope, message=message)]
 
-    log = rewritten(drive, tmp_path / "millimetres.mcap", in_millimetres)
+    log = rewritten(drive, tmp_path / "millimetres.mcap", scans_changed(in_millimetres))
     with pytest.raises(EvaluationError, match=r"nowhere localized.*Health reported: lidar .* millimetres"):
         run(replace(drive.task, log=log, reference=None, windows=None))
     figures = run(replace(drive.task, log=log))

@@ -35,7 +35,14 @@ GAP_NS = 1_000_000_000
 """Time between two scans, ns, beyond which the lidar paused, or its clock was set forward; stamps do not show
 which."""
 NAMED = 5
-"""Number of covered, late or far scans among a lidar's latest RECENT that shows a fault."""
+"""Number of late scans, or of one of these reasons, among a lidar's latest RECENT that shows a fault."""
+SHOWN = {
+    "one_value": f"covered: all beams have one value, in {NAMED} or more of the last {RECENT} scans",
+    "not_in_metres": (
+        f"has no range below {NEAREST_M:.0f} m: are its ranges millimetres? They must be metres"
+    ),
+}
+"""The fault of a lidar whose scans, the newest too, are set aside for a reason."""
 
 
 @dataclass
@@ -55,10 +62,9 @@ class _Lidar:
         recent = list(self.recent)
         if self.watch.repeats + 1 >= FROZEN:
             return f"frozen: {FROZEN} or more identical scans (or a simulated robot without noise stands)"
-        if recent.count("one_value") >= NAMED and recent[-1] == "one_value":
-            return f"covered: all beams have one value, in {NAMED} or more of the last {RECENT} scans"
-        if recent.count("not_in_metres") >= NAMED and recent[-1] == "not_in_metres":
-            return f"has no range below {NEAREST_M:.0f} m: are its ranges millimetres? They must be metres"
+        newest = recent[-1] if recent else ""
+        if newest in SHOWN and recent.count(newest) >= NAMED:
+            return SHOWN[newest]
         if self.watch.two_lidars:
             return "has two mounts by turns: do two lidars use this name?"
         turns = sum((a == "out_of_order") != (b == "out_of_order") for a, b in pairwise(recent))

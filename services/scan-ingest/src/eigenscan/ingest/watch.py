@@ -192,9 +192,8 @@ def not_in_metres(ranges: Ranges) -> bool:
 
     Those of a driver that marks beams without a return by one far value, such as 1000, are not.
     """
-    known = ranges[np.isfinite(ranges)]
-    known = known[known > 0.0]
-    if len(known) < LEAST_BEAMS or known[len(known) // 2] < NEAREST_M:  # one beam is enough to go on
+    known = ranges[(ranges > 0.0) & (ranges < np.inf)]
+    if len(known) < LEAST_BEAMS or known[len(known) // 2] < NEAREST_M:  # so for most scans: no need to sort
         return False
     low, high = _most(known)
     return low > NEAREST_M and high - low > ONE_VALUE_M

@@ -68,10 +68,11 @@ class _Lidar:
         """How far the next scan is new evidence."""
 
     def take(self, found: Mapping[RangeError, float]) -> None:
+        found = {error: gain - BY_MAP for error, gain in found.items()}
         # an error that is not stated fits no better than the best one that is
-        others = min(max(found.values(), default=-AGAINST) - BY_MAP, 0.0)
+        others = min(max(found.values(), default=-AGAINST), 0.0)
         for error in [*self.odds, *(each for each in found if each not in self.odds)][:TRIED]:
-            gain = min(max(found[error] - BY_MAP if error in found else others, -AGAINST), FOR)
+            gain = min(max(found.get(error, others), -AGAINST), FOR)
             odds = self.odds.get(error, FIRST) + self.new * gain
             self.odds[error] = min(max(odds, LEAST), MOST)
         self.new = 0.0

@@ -83,7 +83,7 @@ def evaluate(task: Task, bars: Bars) -> Figures:
         walls = Walls(DistanceField.of(built.site.grid), log.canonical)
         bench = Bench(log, reference, workers, bars.start, walls)
         figures = _figures(task, bench, built, windows, times)
-        faults = sorted({*figures.get("faults", ()), *filter(None, [fault])})
+        faults = sorted({*figures.get("faults", ()), fault} - {""})
         return finite({"reference": source} | figures | {"faults": faults})
 
 

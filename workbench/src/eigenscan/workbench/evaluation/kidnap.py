@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.geometry.pose import between, compose, from_pose3, to_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.evaluation.metrics import Judged, Stream, judge, seconds, sustained
 from eigenscan.workbench.evaluation.reference import Trajectory
 from eigenscan.workbench.evaluation.windows import Window
+from eigenscan.workbench.playback.cast import shifted
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
 
@@ -79,12 +80,11 @@ def _odometry_step(before: Sequence[Envelope], after: Sequence[Envelope]) -> NDA
 
 
 def _moved(envelope: Envelope, by: int, step: NDArray[np.float64]) -> Envelope:
-    message = type(envelope.message)()
-    message.CopyFrom(envelope.message)
-    message.timestamp.CopyFrom(stamp(envelope.stamp + by))  # type: ignore[attr-defined]
-    if isinstance(message, Odometry):
-        message.pose.CopyFrom(to_pose3(compose(step, from_pose3(message.pose))))
-    return Envelope(envelope.channel, envelope.address, message)
+    moved = shifted(envelope, by)
+    if moved.channel == ODOMETRY:
+        pose = moved.open(Odometry).pose
+        pose.CopyFrom(to_pose3(compose(step, from_pose3(pose))))
+    return moved
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ class Pipeline:
                 list(core.handle(model))
 
     def _cold(self) -> tuple[Loopback, ScanIngestCore, TrackerCore]:
-        """The whole pipeline, knowing the map and nothing of the pose; and two of its parts."""
+        """The whole pipeline, knowing the map and nothing of the pose; its scan-ingest and its tracker."""
         ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._tracker)
         self._teach(tracker)
         self._projector.forget_robots()
