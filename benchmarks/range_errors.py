@@ -1,9 +1,9 @@
-"""How soon it shows that ranges are measured wrongly, and whether it seems so where they are right.
+"""How soon it shows that ranges or angles are wrong, and whether it seems so where they are right.
 
     .venv/bin/python benchmarks/range_errors.py [--only jarvis] [--way exact] [--metres 200] [--json OUT]
 
 The first metres of each log are played on maps that are right and worse (benchmarks/worse_maps.py), its
-ranges as they are and with errors. Whole searches only, by the reference's motion. A row: share of scans that
+scans as they are and with errors. Whole searches only, by the reference's motion. A row: share of scans that
 fit as they are; of the others, nats (median) for the error that fits best; after how many metres an error was
 named, and which; `-`: none. The constants were chosen on these logs, with their maps and five worse ones.
 """
@@ -11,7 +11,7 @@ named, and which; `-`: none. The constants were chosen on these logs, with their
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.range_check import check
+from eigenscan.projector.range_check import Wrong, check
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.schemas.channels import SCAN, SCAN_RAW
@@ -43,15 +43,16 @@ from worse_maps import WAYS
 
 Array = NDArray[np.float64]
 
-ERRORS: dict[str, tuple[float, float]] = {
-    "none": (1.0, 0.0),
-    "10 % short": (0.9, 0.0),
-    "10 % long": (1.1, 0.0),
-    "25 % long": (1.25, 0.0),
-    "0.3 m short": (1.0, -0.3),
-    "0.3 m long": (1.0, 0.3),
+ERRORS = {
+    "none": Wrong(),
+    "10 % short": Wrong(0.9),
+    "10 % long": Wrong(1.1),
+    "25 % long": Wrong(1.25),
+    "0.3 m short": Wrong(offset=-0.3),
+    "0.3 m long": Wrong(offset=0.3),
+    "beams 10 % wide": Wrong(apart=1.1),
+    "beams 10 % near": Wrong(apart=0.9),
 }
-"""Factor and offset, m, of a range."""
 SEED = 7
 
 
@@ -67,7 +68,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
     rows = list[dict[str, Any]]()
-    print(f"{'log':<12}{'map':<28}{'ranges':<13}{'scans':>6}{'fit':>6}{'nats':>7}{'named after':>13}  as")
+    print(f"{'log':<12}{'map':<28}{'error':<17}{'scans':>6}{'fit':>6}{'nats':>7}{'named after':>13}  as")
     for listed in LOGS:
         if options.only and listed.name not in options.only:
             continue
@@ -96,8 +97,7 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
     ranges, driven, fit, named = RangeErrors(), 0.0, 0, None
     nats = list[float]()
     scans = 0
-    factor, offset = ERRORS[error]
-    for found, way_m, new in _checks(case, site, lambda r: factor * r + offset, metres):
+    for found, way_m, new in _checks(case, site, ERRORS[error], metres):
         driven += way_m
         ranges.move(new)
         by_error = gains(found)
@@ -111,7 +111,7 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
     return {
         "log": case.name,
         "map": way,
-        "ranges": error,
+        "error": error,
         "scans": scans,
         "fit": fit / max(scans, 1),
         "nats": float(np.median(nats)) if nats else None,
@@ -121,9 +121,7 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
     }
 
 
-def _checks(
-    case: Case, site: Site, measured: Callable[[Array], Array], metres: float
-) -> Iterator[tuple[RangeCheck, float, float]]:
+def _checks(case: Case, site: Site, wrong: Wrong, metres: float) -> Iterator[tuple[RangeCheck, float, float]]:
     """What is found of a scan, and how far, m and in new scans, the robot has come since the last."""
     ingest, settings, tracker = ScanIngestCore(ScanIngestSettings()), ProjectorSettings(), TrackerSettings()
     before, driven = None, 0.0
@@ -141,7 +139,9 @@ def _checks(
         before, driven = pose, driven + way
         raw = RawScan()
         raw.CopyFrom(received.open(RawScan))
-        put(raw, measured(np.asarray(raw.ranges)))
+        put(raw, wrong.factor * np.asarray(raw.ranges) + wrong.offset)
+        raw.angle_min *= wrong.apart
+        raw.angle_increment *= wrong.apart
         for scan in ingest.handle(Envelope(SCAN_RAW, received.address, raw)):
             if scan.channel is SCAN:
                 seen = observe(scan.open(Scan))
@@ -153,7 +153,7 @@ def _line(row: dict[str, Any]) -> str:
     nats = "-" if row["nats"] is None else f"{row['nats']:.1f}"
     after = "-" if row["named"] is None else f"{row['named_after_m']:.1f} m"
     return (
-        f"{row['log']:<12}{row['map']:<28}{row['ranges']:<13}{row['scans']:>6}{row['fit']:>6.0%}{nats:>7}"
+        f"{row['log']:<12}{row['map']:<28}{row['error']:<17}{row['scans']:>6}{row['fit']:>6.0%}{nats:>7}"
         f"{after:>13}  {(row['named'] or '').partition(':')[0]}"
     )
 

@@ -1,4 +1,4 @@
-"""Ranges of a wrong scale or with an offset show on the map."""
+"""Ranges of a wrong scale or with an offset show on the map, and beams stated too far apart or too near."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.range_check import check, set_right
+from eigenscan.projector.range_check import Wrong, check, set_right
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
@@ -17,12 +17,11 @@ from tests.services.projector.office import Array, free_poses, ready, receive, s
 
 POSES = free_poses(12, 3, clearance=0.8)
 POSE = POSES[0]
+RIGHT = Wrong()
 
 
-def checked(
-    pose: Array, factor: float = 1.0, offset: float = 0.0, seed: int = 0, listed: Array | None = None
-) -> RangeCheck:
-    seen = observe(measured(scan_at(pose, field_of_view=2 * np.pi, seed=seed), factor, offset))
+def checked(pose: Array, wrong: Wrong = RIGHT, seed: int = 0, listed: Array | None = None) -> RangeCheck:
+    seen = observe(measured(scan_at(pose, field_of_view=1.5 * np.pi, seed=seed), wrong))
     found = find_candidates(built(), built().view(seen.sensor), seen, ProjectorSettings())
     if listed is not None:
         found = replace(found, poses=listed[None], explained=np.zeros(1))
@@ -36,9 +35,11 @@ def built() -> Site:
     return at
 
 
-def measured(scan: Scan, factor: float, offset: float) -> Scan:
-    ranges = factor * np.asarray(scan.ranges) + offset
+def measured(scan: Scan, wrong: Wrong) -> Scan:
+    ranges = wrong.factor * np.asarray(scan.ranges) + wrong.offset
     scan.ranges[:] = np.maximum(ranges, 0.05).tolist()
+    scan.angle_min *= wrong.apart
+    scan.angle_increment *= wrong.apart
     return scan
 
 
@@ -47,29 +48,50 @@ def test_a_scan_that_fits_is_not_tried_otherwise(pose: Array) -> None:
     assert not checked(pose).errors
 
 
-@pytest.mark.parametrize(("factor", "offset"), [(0.9, 0.0), (1.1, 0.0), (1.25, 0.0), (1.0, 0.3), (1.0, -0.3)])
-def test_where_the_pose_is_listed_the_error_is_found(factor: float, offset: float) -> None:
-    found = list[tuple[float, float]]()
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Wrong(0.9),
+        Wrong(1.1),
+        Wrong(1.25),
+        Wrong(offset=0.3),
+        Wrong(offset=-0.3),
+        Wrong(apart=0.9),
+        Wrong(apart=1.1),
+    ],
+)
+def test_where_the_pose_is_listed_the_error_is_found(wrong: Wrong) -> None:
+    found = list[Wrong]()
     for number, pose in enumerate(POSES):
-        (stated,) = checked(pose, factor, offset, seed=number, listed=pose).errors
-        found.append((stated.factor, stated.offset))
+        (stated,) = checked(pose, wrong, seed=number, listed=pose).errors
+        found.append(Wrong(stated.factor, stated.offset, stated.apart))
         assert stated.gain > 0.0
         # a tenth of a small room is much like an offset
-        assert np.sign(stated.factor - 1.0 + stated.offset) == np.sign(factor - 1.0 + offset)
-    assert found.count((factor, offset)) > len(POSES) / 3
+        assert np.sign(stated.factor - 1.0 + stated.offset) == np.sign(wrong.factor - 1.0 + wrong.offset)
+    assert found.count(wrong) > len(POSES) / 3
 
 
 def test_ranges_are_set_right() -> None:
     true = observe(scan_at(POSE, noise=0.0))
-    wrong = observe(measured(scan_at(POSE, noise=0.0), 0.9, 0.3))
-    assert set_right(wrong, 0.9, 0.3).coarse == pytest.approx(true.coarse, abs=1e-4)
+    wrong = Wrong(0.9, 0.3)
+    right = set_right(observe(measured(scan_at(POSE, noise=0.0), wrong)), wrong)
+    assert right.coarse == pytest.approx(true.coarse, abs=1e-4)
+
+
+@pytest.mark.parametrize("off", [0.0, 0.3])
+def test_beams_are_set_as_far_apart_as_they_are(off: float) -> None:
+    """Whatever angle the driver begins with, the middle beam keeps its own."""
+    seen = observe(scan_at(POSE, noise=0.0))
+    middle = (seen.bearings[0] + seen.bearings[-1]) / 2.0
+    wrong = replace(seen, bearings=1.1 * (seen.bearings - middle) + middle + off)
+    assert set_right(wrong, Wrong(apart=1.1)).bearings == pytest.approx(seen.bearings + off)
 
 
 def test_what_is_missing_or_empty_stays_so() -> None:
     scan = scan_at(POSE, noise=0.0)
     scan.ranges[10], scan.ranges[20] = float("nan"), float("inf")
     seen = observe(scan)
-    right = set_right(seen, 0.9, 0.3)
+    right = set_right(seen, Wrong(0.9, 0.3))
     assert (np.isnan(right.coarse) == np.isnan(seen.coarse)).all()
     assert (np.isinf(right.coarse) == np.isinf(seen.coarse)).all()
 
@@ -80,5 +102,5 @@ def test_a_list_of_the_whole_map_states_the_check() -> None:
     fits = receive(core, wide)[0]
     assert fits.HasField("range_check")
     assert not fits.range_check.errors
-    assert receive(core, measured(wide, 1.25, 0.0))[0].range_check.errors
+    assert receive(core, measured(wide, Wrong(1.25)))[0].range_check.errors
     assert not receive(by_eigenspace, wide)[0].HasField("range_check")

@@ -91,6 +91,7 @@ def test_one_of_two_lidars_is_named() -> None:
         (RangeError(1.25, 0.0), "0.80 times as long"),
         (RangeError(1.0, -0.6), "0.6 m longer"),
         (RangeError(1.0, 0.3), "0.3 m shorter"),
+        (RangeError(apart=1.1), "with beams 0.91 times as far apart: is the lidar's angle_increment right?"),
     ],
 )
 def test_the_words_name_what_would_mend_it(error: RangeError, words: str) -> None:
@@ -101,6 +102,7 @@ def test_what_is_no_number_is_left_out() -> None:
     wrong = [(nan, 0.0, 1.0), (1.0, inf, 1.0), (0.9, 0.0, nan), (0.0, 0.3, 5.0), (-1.0, 0.0, 5.0)]
     wrong += [(1e300, 0.0, 5.0), (1.0, -1e300, 5.0)]
     errors = [Stated(factor=f, offset=o, gain=g) for f, o, g in [*wrong, (0.9, 0.0, 5.0)]]
+    errors += [Stated(factor=1.0, apart=apart, gain=5.0) for apart in (nan, -1.0, 1e300)]
     assert gains(RangeCheck(errors=errors)) == {SHORT: 5.0}
 
 

@@ -102,6 +102,7 @@ def test_the_table_names_fields_that_exist() -> None:
         "longest_step",
         "factor",
         "offset",
+        "apart",
     }
     bare = {path for path in floats if not set(path) & TOLERANCES.keys()}
     assert {path[-1] for path in bare} == stated

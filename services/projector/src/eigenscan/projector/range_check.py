@@ -1,13 +1,14 @@
-"""Whether a scan fits the map better with other ranges: of a wrong scale, or with an offset.
+"""Whether a scan fits the map better with other ranges, or with its beams at other angles.
 
 A lidar whose unit or offset is wrong sees each wall at another place, and a map of a wrong resolution has it
-there. Neither odometry nor the scans' own motion shows an offset. The map does: at the right pose, the scan
-with its ranges set right is by far the likelier one.
+there. One whose angle increment is wrong sees it at another angle. Neither odometry nor the scans' own motion
+shows an offset. The map does: at the right pose, the scan that is set right is by far the likelier one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from eigenscan.projector.candidates import Candidates
@@ -16,11 +17,21 @@ from eigenscan.projector.projection import fit_around, slide_around
 from eigenscan.projector.site import Site
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck, RangeError
 
+
+class Wrong(NamedTuple):
+    """Ranges are `factor` times the true ones, plus `offset`, m; beams are `apart` times as far apart."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+    apart: float = 1.0
+
+
 TRIED = (
-    *((factor, 0.0) for factor in (0.8, 0.9, 1.1, 1.25)),
-    *((1.0, offset) for offset in (-0.6, -0.3, 0.3, 0.6)),
+    *(Wrong(factor=factor) for factor in (0.8, 0.9, 1.1, 1.25)),
+    *(Wrong(offset=offset) for offset in (-0.6, -0.3, 0.3, 0.6)),
+    *(Wrong(apart=apart) for apart in (0.9, 1.1)),
 )
-"""Factors and offsets, m, of a measured range: so little off, a fit still finds the pose."""
+"""So little off, a fit still finds the pose."""
 FITS = 0.9
 """Share of explained beams from which a scan fits as it is: benchmarks/range_errors.py."""
 AMONG = 5
@@ -34,15 +45,20 @@ def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
     if not len(found.poses) or found.explained[0] >= FITS:
         return RangeCheck()
     starts = found.poses[:AMONG]
-    right = {error: set_right(seen, *error) for error in TRIED}
+    right = {error: set_right(seen, error) for error in TRIED}
     # by few beams first: to weigh a scan costs more
     best = min(TRIED, key=lambda error: float(slide_around(site, right[error], starts).cost.min()))
     fitted = fit_around(site, right[best], starts, found.ordinary)
     gain = fitted.log_likelihood - max(float(found.log_likelihoods[0]), BY_CHANCE)
-    return RangeCheck(errors=[RangeError(factor=best[0], offset=best[1], gain=gain)])
+    return RangeCheck(errors=[RangeError(**best._asdict(), gain=gain)])
 
 
-def set_right(seen: Observation, factor: float, offset: float) -> Observation:
-    """The scan with the ranges of the analysis grid as they are if they were measured so wrongly."""
-    right = np.maximum((seen.coarse - np.float32(offset)) / np.float32(factor), np.float32(NEAREST))
-    return replace(seen, coarse=right)
+def set_right(seen: Observation, wrong: Wrong) -> Observation:
+    """The scan on the analysis grid, as it is if it was measured so wrongly.
+
+    Its middle beam keeps its angle: the pose that fits the wrong scan best is the right one's there.
+    """
+    ranges = (seen.coarse - np.float32(wrong.offset)) / np.float32(wrong.factor)
+    middle = (seen.bearings[0] + seen.bearings[-1]) / 2.0
+    bearings = middle + (seen.bearings - middle) / wrong.apart
+    return replace(seen, coarse=np.maximum(ranges, np.float32(NEAREST)), bearings=bearings)

@@ -1,8 +1,7 @@
-"""Whether a lidar's ranges are measured wrongly, or the map has another scale: by how scans fit the map.
+"""Whether a lidar's ranges or angles are wrong, or the map has another scale: by how scans fit the map.
 
-With each list of the whole map a projector states which errors of its ranges would make the scan likelier,
-and by how much. What scans of new places state adds up (CUSUM; Page, "Continuous inspection schemes",
-Biometrika 1954).
+With each list of the whole map a projector states which errors would make the scan likelier, and by how much.
+What scans of new places state adds up (CUSUM; Page, "Continuous inspection schemes", Biometrika 1954).
 """
 
 from __future__ import annotations
@@ -28,33 +27,40 @@ TRIED = 32
 """Errors that are followed at most."""
 LARGEST = 10.0
 """Factor, and m: with a larger error no scan would fit anywhere."""
-FAULT = (
+RANGES = (
     "scans fit the map only with ranges {}: has the lidar another scale or an offset, "
     "or the map another resolution?"
 )
+ANGLES = "scans fit the map only with beams {:.2f} times as far apart: is the lidar's angle_increment right?"
 
 
 class RangeError(NamedTuple):
-    """A range is measured as `factor` times the true one, plus `offset`, m."""
+    """Ranges are `factor` times the true ones, plus `offset`, m; beams are `apart` times as far apart."""
 
-    factor: float
-    offset: float
+    factor: float = 1.0
+    offset: float = 0.0
+    apart: float = 1.0
 
     def __str__(self) -> str:
         """In words, for the person who can mend it. In small rooms scale and offset look alike."""
+        if self.apart != 1.0:
+            return ANGLES.format(1.0 / self.apart)
         how = f"{1.0 / self.factor:.2f} times as long"
         if self.offset:
             how = f"{abs(self.offset):.1f} m {'shorter' if self.offset > 0.0 else 'longer'}"
-        return FAULT.format(how)
+        return RANGES.format(how)
 
 
 def gains(checked: RangeCheck) -> dict[RangeError, float]:
     """What a projector's check states, without what is no number or no such error."""
-    found = {RangeError(one.factor, one.offset): one.gain for one in checked.errors[:TRIED]}
+    found = {RangeError(one.factor, one.offset, one.apart or 1.0): one.gain for one in checked.errors[:TRIED]}
     return {
         error: gain
         for error, gain in found.items()
-        if 1.0 / LARGEST < error.factor < LARGEST and abs(error.offset) < LARGEST and isfinite(gain)
+        if 1.0 / LARGEST < error.factor < LARGEST
+        and 1.0 / LARGEST < error.apart < LARGEST
+        and abs(error.offset) < LARGEST
+        and isfinite(gain)
     }
 
 
@@ -83,7 +89,7 @@ class _Lidar:
 
 
 class RangeErrors:
-    """How probable it is that ranges of a robot's lidars are wrong."""
+    """How probable it is that ranges or angles of a robot's lidars are wrong."""
 
     def __init__(self) -> None:
         self._lidars: dict[str, _Lidar] = {}
@@ -99,7 +105,7 @@ class RangeErrors:
 
     @property
     def trust(self) -> float:
-        """Probability that the ranges of each lidar are right."""
+        """Probability that the ranges and angles of each lidar are right."""
         return min((each.trust for each in self._lidars.values()), default=1.0)
 
     @property
