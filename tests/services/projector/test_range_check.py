@@ -1,15 +1,16 @@
 """Ranges of a wrong scale or with an offset show on the map, and beams stated too far apart or too near."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
-from eigenscan.projector.observation import observe
+from eigenscan.projector.candidates import Candidates
+from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.range_check import Wrong, check, set_right
+from eigenscan.projector.range_check import MIRRORED_ONE_IN, Wrong, check, is_mirrored_too, set_right
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.site import Site
+from eigenscan.projector.site import SensorView, Site
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 from eigenscan.schemas.scan_pb2 import Scan
 
@@ -94,6 +95,32 @@ def test_what_is_missing_or_empty_stays_so() -> None:
     right = set_right(seen, Wrong(0.9, 0.3))
     assert (np.isnan(right.coarse) == np.isnan(seen.coarse)).all()
     assert (np.isinf(right.coarse) == np.isinf(seen.coarse)).all()
+
+
+@pytest.mark.parametrize("field_of_view", [1.5 * np.pi, 2 * np.pi])
+def test_a_mirrored_scan_fits_the_map_only_mirrored(field_of_view: float) -> None:
+    for number, pose in enumerate(POSES):
+        scan = scan_at(pose, field_of_view=field_of_view, seed=number)
+        for wrong in (False, True):
+            if wrong:
+                scan.ranges[:] = list(scan.ranges)[::-1]
+            seen = observe(scan)
+            view = built().view(seen.sensor)
+            found = find_candidates(built(), view, seen, ProjectorSettings())
+            checked = check(built(), seen, replace(found, explained=np.zeros(1)), partial(search, view))
+            _, stated = checked.errors
+            assert stated.mirrored
+            assert (stated.gain > 1.0) == wrong
+
+
+def search(view: SensorView, seen: Observation) -> Candidates:
+    return find_candidates(built(), view, seen, ProjectorSettings())
+
+
+def test_one_of_some_scans_is_searched_for_mirrored() -> None:
+    turns = [is_mirrored_too(stamp) for stamp in range(0, 10**12, 10**8)]
+    assert np.mean(turns) == pytest.approx(1 / MIRRORED_ONE_IN, rel=0.2)
+    assert is_mirrored_too(2**70) in (True, False)
 
 
 def test_a_list_of_the_whole_map_states_the_check() -> None:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
 SHORT, LONG = RangeError(0.9, 0.0), RangeError(1.0, 0.3)
+MIRRORED = RangeError(mirrored=True)
 FITS: dict[RangeError, float] = {}
 
 
@@ -55,6 +56,25 @@ def test_ranges_that_fit_are_trusted(scans: list[tuple[float, float]]) -> None:
         found.move(new)
     assert found.trust > 0.999
     assert not found.fault
+
+
+def test_a_mirrored_map_is_named_by_the_scans_that_are_tried_so() -> None:
+    found = RangeErrors()
+    for scan in range(40):
+        tried = {MIRRORED: FOR} if scan % 8 == 0 else FITS
+        found.take("front", {LONG: -10.0, **tried})
+        assert bool(found.fault) == (scan >= 8)
+        found.move(0.2)
+    assert found.fault.startswith("scans fit the map only mirrored: ")
+    assert found.trust < 0.01
+
+
+def test_a_map_that_is_not_mirrored_is_trusted() -> None:
+    found = RangeErrors()
+    for scan in range(400):
+        found.take("front", {LONG: -10.0, MIRRORED: 0.9} if scan % 8 == 0 else {LONG: -10.0})
+        found.move(1.0)
+    assert found.trust > 0.999
 
 
 def test_an_error_that_is_not_stated_fits_no_better() -> None:

@@ -41,9 +41,9 @@ def test_it_is_least_squares(scale: float, rate: float) -> None:
     assert found == pytest.approx(tuple(direct), abs=0.01)
 
 
-@pytest.mark.parametrize("scale", [0.8, 1.25])
+@pytest.mark.parametrize("scale", [0.8, 1.3])
 def test_wheels_too_near_or_too_far_apart_are_reported(scale: float) -> None:
-    assert turned(scale, 0.0).note.startswith(f"scans turn {scale:.2f} times as far as odometry")
+    assert turned(scale, 0.0).note.startswith(f"scans turn {scale:.1f} times as far as odometry")
 
 
 @pytest.mark.parametrize("rate", [-2.0 * DRIFTS, 2.0 * DRIFTS])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -24,7 +25,7 @@ from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
 from eigenscan.projector.projection import Search, find_candidates, fit_around
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
-from eigenscan.projector.range_check import check
+from eigenscan.projector.range_check import check, is_mirrored_too
 from eigenscan.projector.set_aside import Sizes, size_of_space
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
@@ -282,7 +283,9 @@ class ProjectorCore:
             self._local.searched_whole(lidar, at, candidates.ordinary)
         message = hypotheses_message(scan, site, seen, mount, candidates, scope)
         if self._settings.verification == "walls":
-            message.range_check.CopyFrom(check(site, seen, candidates))
+            again = scope.regions is None and candidates.waiting is None and is_mirrored_too(at)
+            search = partial(self._search, site, view, settings=self._settings) if again else None
+            message.range_check.CopyFrom(check(site, seen, candidates, search))
         yield Envelope(HYPOTHESES, address, message)
         if len(candidates.poses):
             best = candidates.poses[0]

@@ -83,7 +83,13 @@ class Search(Protocol):
     """Searches for a scan in the regions of a scope, as `find_candidates` does."""
 
     def __call__(
-        self, site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, *, scope: Scope
+        self,
+        site: Site,
+        view: SensorView,
+        seen: Observation,
+        settings: ProjectorSettings,
+        *,
+        scope: Scope = WHOLE,
     ) -> Candidates:
         """The poses that explain the scan."""
         ...

@@ -1,14 +1,17 @@
-"""Whether a scan fits the map better with other ranges, or with its beams at other angles.
+"""Whether a scan fits the map better with other ranges, with its beams at other angles, or mirrored.
 
 A lidar whose unit or offset is wrong sees each wall at another place, and a map of a wrong resolution has it
 there. One whose angle increment is wrong sees it at another angle. Neither odometry nor the scans' own motion
-shows an offset. The map does: at the right pose, the scan that is set right is by far the likelier one.
+shows an offset, nor that the map is mirrored. The map does: at the right pose, the scan that is set right is
+by far the likelier one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 from eigenscan.projector.candidates import Candidates
@@ -34,14 +37,24 @@ TRIED = (
 """So little off, a fit still finds the pose."""
 FITS = 0.9
 """Share of explained beams from which a scan fits as it is: benchmarks/range_errors.py."""
+MIRRORED_ONE_IN = 8
+"""Of so many scans that do not fit one is searched for mirrored too: that costs as much again."""
 AMONG = 5
 """Poses of the list from which each is tried, for the best one may be another."""
 BY_CHANCE = 12.0
 """Log-likelihood of the best place in a map of another building: of 20 scans, one comes to more."""
 
 
-def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
-    """Of the errors that are tried, the one with which a scan fits best; `found`: its candidates."""
+def check(
+    site: Site,
+    seen: Observation,
+    found: Candidates,
+    search: Callable[[Observation], Candidates] | None = None,
+) -> RangeCheck:
+    """Of the errors that are tried, the one with which a scan fits best; `found`: its candidates.
+
+    With a `search` of the whole map also that it is mirrored, for it then fits at another place.
+    """
     if not len(found.poses) or found.explained[0] >= FITS:
         return RangeCheck()
     starts = found.poses[:AMONG]
@@ -49,8 +62,22 @@ def check(site: Site, seen: Observation, found: Candidates) -> RangeCheck:
     # by few beams first: to weigh a scan costs more
     best = min(TRIED, key=lambda error: float(slide_around(site, right[error], starts).cost.min()))
     fitted = fit_around(site, right[best], starts, found.ordinary)
-    gain = fitted.log_likelihood - max(float(found.log_likelihoods[0]), BY_CHANCE)
-    return RangeCheck(errors=[RangeError(**best._asdict(), gain=gain)])
+    least = max(float(found.log_likelihoods[0]), BY_CHANCE)
+    errors = [RangeError(**best._asdict(), gain=fitted.log_likelihood - least)]
+    if search is not None and len(other := search(mirrored(seen)).log_likelihoods):
+        errors.append(RangeError(factor=1.0, mirrored=True, gain=float(other[0]) - least))
+    return RangeCheck(errors=errors)
+
+
+def is_mirrored_too(stamp: int) -> bool:
+    """Whether a scan of this stamp, ns, is one of those that are searched for mirrored."""
+    return crc32(str(stamp).encode()) % MIRRORED_ONE_IN == 0
+
+
+def mirrored(seen: Observation) -> Observation:
+    """The scan mirrored about its middle beam: on the sensor's own grid, for which the tables are."""
+    ranges, coarse = (np.ascontiguousarray(each[::-1]) for each in (seen.ranges, seen.coarse))
+    return replace(seen, ranges=ranges, coarse=coarse)
 
 
 def set_right(seen: Observation, wrong: Wrong) -> Observation:

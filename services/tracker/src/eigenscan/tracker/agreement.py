@@ -19,13 +19,14 @@ from eigenscan.tracker.lateness import Lateness
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.planar import IDENTITY, Pose
 
-FARTHEST_M, FARTHEST_RAD = 1.2, 0.4
+FARTHEST_M, FARTHEST_RAD = 1.2, 0.8
 """Between two scans farther apart by odometry than this the motion may be found wrongly: left out.
 
 From a guess of no motion, of 1,326 found over 0.35 m to 1.2 m on intel and guardian 2, 3 were off by over 4
-sigma.
+sigma. Of 237 found over turns of 0.4 to 0.8 on intel, fr079 and guardian 2 (every fourth scan), 1 was off by
+over 0.1.
 """
-FITTING_M = 0.3
+FITTING_M, FITTING_RAD = 0.3, 0.4
 """The same for two scans that do not fit each other: farther apart, they need not."""
 UNKNOWN_S = 0.05
 """Of an interval that odometry does not cover, above which the interval is not compared; half at most."""
@@ -234,5 +235,5 @@ def _is_far(driven: Motion, interval: ScanInterval) -> bool:
     x, y, turn = interval.moved or IDENTITY
     step = min(interval.longest_step / max(driven.seconds, 1e-9), 1.0)
     way, turned = max(driven.way, hypot(x, y)), max(driven.turn, abs(turn))
-    farthest = FITTING_M if interval.moved is None else FARTHEST_M
-    return way * step > farthest or turned * step > FARTHEST_RAD
+    farthest = (FITTING_M, FITTING_RAD) if interval.moved is None else (FARTHEST_M, FARTHEST_RAD)
+    return way * step > farthest[0] or turned * step > farthest[1]

@@ -56,7 +56,7 @@ TURNED = "scans move {}° off odometry's way: is the lidar's mount turned by as 
 AWAY = (
     "in turns scans move like those of a lidar {:.1f} m away from this one's mount: is it measured rightly?"
 )
-SCALED = "scans move {:.2f} times as far as odometry: do ranges or wheels have another scale?"
+SCALED = "scans move {:.1f} times as far as odometry: do ranges or wheels have another scale?"
 
 
 class Calibration:

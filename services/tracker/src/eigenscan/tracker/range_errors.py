@@ -1,4 +1,4 @@
-"""Whether a lidar's ranges or angles are wrong, or the map has another scale: by how scans fit the map.
+"""Whether a lidar's ranges or angles are wrong, or the map's scale, or one is mirrored: as scans fit the map.
 
 With each list of the whole map a projector states which errors would make the scan likelier, and by how much.
 What scans of new places state adds up (CUSUM; Page, "Continuous inspection schemes", Biometrika 1954).
@@ -14,6 +14,8 @@ from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 
 FOR, AGAINST = 6.0, 2.0
 """Nats of one scan at most: neighbouring scans err alike, and of some the list lacks the pose."""
+FITS = 2.0
+"""Nats of a scan that fits as it is against each error."""
 BY_MAP = 1.0
 """Nats that an inexact map gives some error in each of its scans, for a whole room. A hall displaced by 25 cm
 gives up to 4 here and there; an error of 0.3 m gives 5 to 12 (benchmarks/range_errors.py).
@@ -31,18 +33,25 @@ RANGES = (
     "scans fit the map only with ranges {}: has the lidar another scale or an offset, "
     "or the map another resolution?"
 )
+MIRRORED = "scans fit the map only mirrored: is the map's image mirrored, or is the lidar upside down?"
 ANGLES = "scans fit the map only with beams {:.2f} times as far apart: is the lidar's angle_increment right?"
 
 
 class RangeError(NamedTuple):
-    """Ranges are `factor` times the true ones, plus `offset`, m; beams are `apart` times as far apart."""
+    """Ranges are `factor` times the true ones, plus `offset`, m; beams are `apart` times as far apart.
+
+    `mirrored`: the scan or the map is; not each scan is tried so.
+    """
 
     factor: float = 1.0
     offset: float = 0.0
     apart: float = 1.0
+    mirrored: bool = False
 
     def __str__(self) -> str:
         """In words, for the person who can mend it. In small rooms scale and offset look alike."""
+        if self.mirrored:
+            return MIRRORED
         if self.apart != 1.0:
             return ANGLES.format(1.0 / self.apart)
         how = f"{1.0 / self.factor:.2f} times as long"
@@ -53,7 +62,10 @@ class RangeError(NamedTuple):
 
 def gains(checked: RangeCheck) -> dict[RangeError, float]:
     """What a projector's check states, without what is no number or no such error."""
-    found = {RangeError(one.factor, one.offset, one.apart or 1.0): one.gain for one in checked.errors[:TRIED]}
+    found = {
+        RangeError(one.factor, one.offset, one.apart or 1.0, one.mirrored): one.gain
+        for one in checked.errors[:TRIED]
+    }
     return {
         error: gain
         for error, gain in found.items()
@@ -69,19 +81,23 @@ class _Lidar:
 
     def __init__(self) -> None:
         self.odds: dict[RangeError, float] = {}
-        """Ln of the odds against ranges that are right."""
-        self.new = 1.0
-        """How far the next scan is new evidence."""
+        """Ln of the odds against scans that are right."""
+        self.come = 1.0
+        """How far the robot has come: 1 further on, a scan is new evidence."""
+        self._judged: dict[RangeError, float] = {}
+        """By error, how far it had come when the odds last changed."""
 
     def take(self, found: Mapping[RangeError, float]) -> None:
         found = {error: gain - BY_MAP for error, gain in found.items()}
         # an error that is not stated fits no better than the best one that is
-        others = min(max(found.values(), default=-AGAINST), 0.0)
+        others = min(max((g for e, g in found.items() if not e.mirrored), default=-FITS), 0.0)
         for error in [*self.odds, *(each for each in found if each not in self.odds)][:TRIED]:
+            if error.mirrored and found and error not in found:
+                continue  # not tried
             gain = min(max(found.get(error, others), -AGAINST), FOR)
-            odds = self.odds.get(error, FIRST) + self.new * gain
-            self.odds[error] = min(max(odds, LEAST), MOST)
-        self.new = 0.0
+            new = min(self.come - self._judged.get(error, 0.0), 1.0)
+            odds = self.odds.get(error, FIRST) + new * gain
+            self.odds[error], self._judged[error] = min(max(odds, LEAST), MOST), self.come
 
     @property
     def trust(self) -> float:
@@ -97,7 +113,7 @@ class RangeErrors:
     def move(self, new: float) -> None:
         """The robot has come on: by 1, a scan is new evidence."""
         for lidar in self._lidars.values():
-            lidar.new = min(lidar.new + new, 1.0)
+            lidar.come += new
 
     def take(self, lidar: str, found: Mapping[RangeError, float]) -> None:
         """Takes by how many nats a lidar's scan is likelier with each error; none: it fits as it is."""

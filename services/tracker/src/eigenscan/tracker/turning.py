@@ -22,7 +22,7 @@ DRIFTS = radians(1.0)
 """rad/s from which on a heading drifts: a cheap gyroscope's bias. By the scans of ten logs, their odometry
 drifts by up to 0.5 degrees/s."""
 
-SCALED = "scans turn {:.2f} times as far as odometry: is the distance between its wheels right?"
+SCALED = "scans turn {:.1f} times as far as odometry: is the distance between its wheels right?"
 DRIFTING = "odometry's heading drifts by {:.1f}°/s against the scans: is its gyroscope biased?"
 
 
