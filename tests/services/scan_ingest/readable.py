@@ -25,6 +25,7 @@ from eigenscan.ingest.motion import (
     BEAMS,
     FAR_OFF,
     FITS,
+    FIXED,
     HELD_SUPPORT,
     LEAST_POINTS,
     LEAST_SUPPORT,
@@ -32,10 +33,12 @@ from eigenscan.ingest.motion import (
     MOST_BEAMS,
     MOST_TURN,
     NOTHING_IN_COMMON,
+    OBLIQUE,
     SHIFTS,
     THING_M,
     TURN_BEAMS,
     TURN_STEP,
+    TURNED_BY_FEW,
     Motion,
     Points,
     Pose,
@@ -238,13 +241,27 @@ def _supported(before: Points, points: Array, match: Match, near: np.ndarray) ->
     _, directions = np.linalg.eigh(information[:2, :2])
     pulls = _pulls(before, points, match.delta)
     for x, y in directions.T.tolist():
-        if _beyond_one((pulls @ (x, y)) ** 2, near) < least:
+        if _beyond_one((pulls[:, :2] @ (x, y)) ** 2, near) < least:
             information = _without(information, x, y)
-    return information
+    return _doubted(information, points, match.delta, pulls)
+
+
+def _doubted(information: Array, points: Array, moved: Pose, pulls: Array) -> Array:
+    """The information (3, 3) with as much of it on a turn as the levers of most points (n, 2) show."""
+    normals, levers = pulls[:, :2], pulls[:, 2]
+    x, y = np.linalg.solve(normals.T @ normals + FIXED * np.eye(2), normals.T @ levers)
+    levers = levers - normals @ (x, y)
+    c, s = np.cos(moved[2]), np.sin(moved[2])
+    away = np.hypot(*(points @ np.array([[c, s], [-s, c]]) - (y, -x)).T)
+    worth = np.maximum(levers**2 - np.square(normals).sum(axis=1) * (away * OBLIQUE) ** 2, 0.0)
+    share = np.sort(worth)[: int(len(worth) * (1.0 - TURNED_BY_FEW))].sum() / (np.square(levers).sum() + 1e-9)
+    known = information @ (-x, -y, 1.0)
+    both = known @ (-x, -y, 1.0)
+    return information - (1.0 - share) * np.outer(known, known) / both if both > 0.0 else information
 
 
 def _pulls(before: Points, points: Array, moved: Pose) -> Array:
-    """What each point (n, 2) adds to the information: its normal by the root of its weight (n, 2)."""
+    """What each point (n, 2) adds to the information: normal and lever, by the root of its weight (n, 3)."""
     x, y, turn = moved
     ends = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + (x, y)
     bearing = np.arctan2(*(ends - before.mount[:2]).T[::-1]) - (before.mount[2] + before.angle_min)
@@ -257,4 +274,7 @@ def _pulls(before: Points, points: Array, moved: Pose) -> Array:
     used = (centre <= last + REACH) & (apart.min(axis=1) <= NEAR)
     normals = before.normals[line]
     off = (normals * (ends - before.xy[line])).sum(axis=1)
-    return np.asarray(normals * (used / np.hypot(1.0, off / (2.0 * NOISE)))[:, None])
+    arms = ends - (x, y)
+    levers = arms[:, 0] * normals[:, 1] - arms[:, 1] * normals[:, 0]
+    root = used / np.hypot(1.0, off / (2.0 * NOISE))
+    return np.asarray(np.column_stack([normals, levers]) * root[:, None])

@@ -75,6 +75,35 @@ def test_along_a_hallway_the_covariance_states_that_nothing_is_known() -> None:
     assert covariance[1, 1] < 0.01
 
 
+def hall(walked: float, rng: np.random.Generator) -> np.ndarray:
+    """Ranges in a round hall of 5 m radius, 1 m beside its middle; three people walk around it."""
+    angles = FIRST + STEP * np.arange(BEAMS)
+    ranges = np.sqrt(25.0 - np.sin(angles) ** 2) - np.cos(angles) + 0.02 * rng.standard_normal(BEAMS)
+    for bearing in (-0.9, 0.1, 1.0):
+        # seen from 1 m beside the middle, 3 m from it
+        x, y = 3.0 * math.cos(bearing + walked) - 1.0, 3.0 * math.sin(bearing + walked)
+        off, away = angles - math.atan2(y, x), math.hypot(x, y)
+        ranges = np.where(np.abs(off) < 0.25 / away, away + 0.01 * rng.standard_normal(BEAMS), ranges)
+    return ranges
+
+
+@pytest.mark.parametrize("walked", [-0.08, 0.08])
+def test_in_a_round_hall_people_do_not_fix_the_turn(walked: float) -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        before, after = (
+            points_of(hall(each, rng), FIRST, STEP, (0.0, 0.0, 0.0), 0) for each in (0.0, walked)
+        )
+        found = motion_between(before, after, (0.0, 0.0, 0.0))
+        assert math.sqrt(found.covariance[2, 2]) > abs(found.delta[2]) / 3.0
+
+
+def test_in_a_room_the_turn_stays_known() -> None:
+    rng = np.random.default_rng(0)
+    before, after = (points_of(seen((0.0, 0.5, 0.3), rng), FIRST, STEP, MOUNT, 0) for _ in range(2))
+    assert motion_between(before, after, (0.0, 0.0, 0.0)).covariance[2, 2] < math.radians(0.3) ** 2
+
+
 def racks(x: float, rng: np.random.Generator) -> np.ndarray:
     """Ranges, 5.6 m at most, between two rows of posts that stand every 0.4 m before a wall."""
     angles = FIRST + STEP * np.arange(BEAMS)

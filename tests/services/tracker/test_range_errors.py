@@ -88,7 +88,7 @@ def test_an_error_that_is_not_stated_fits_no_better() -> None:
 
 def test_what_is_mended_is_forgotten() -> None:
     found = after(FOR, 100)
-    for _ in range(12):
+    for _ in range(24):
         found.take("front", FITS)
         found.move(1.0)
     assert not found.fault
@@ -137,7 +137,7 @@ def test_a_robot_whose_ranges_are_wrong_is_not_localized(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
     core, states = make_core(), list[int]()
-    for step in range(120):
+    for step in range(180):
         pose = np.array([0.1 * step, 0.0, 0.0])
         list(core.handle(speaker.odometry(0.1 * step, pose)))
         envelope = speaker.hypotheses(0.1 * step, [pose], [25.0])
@@ -149,5 +149,5 @@ def test_a_robot_whose_ranges_are_wrong_is_not_localized(
         if step == 49:
             assert core.condition().status == Health.STATUS_DEGRADED
             assert "0.3 m shorter" in core.condition().detail
-    assert states[29] == states[119] == STATE_LOCALIZED != states[49]
+    assert states[29] == states[179] == STATE_LOCALIZED != states[49]
     assert core.condition().status == Health.STATUS_OK

@@ -284,7 +284,9 @@ class ProjectorCore:
         message = hypotheses_message(scan, site, seen, mount, candidates, scope)
         if self._settings.verification == "walls":
             again = scope.regions is None and candidates.waiting is None and is_mirrored_too(at)
-            search = partial(self._search, site, view, settings=self._settings) if again else None
+            search = (
+                partial(self._search, site, view, settings=self._settings, scope=WHOLE) if again else None
+            )
             message.range_check.CopyFrom(check(site, seen, candidates, search))
         yield Envelope(HYPOTHESES, address, message)
         if len(candidates.poses):

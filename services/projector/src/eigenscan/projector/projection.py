@@ -83,13 +83,7 @@ class Search(Protocol):
     """Searches for a scan in the regions of a scope, as `find_candidates` does."""
 
     def __call__(
-        self,
-        site: Site,
-        view: SensorView,
-        seen: Observation,
-        settings: ProjectorSettings,
-        *,
-        scope: Scope = WHOLE,
+        self, site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, *, scope: Scope
     ) -> Candidates:
         """The poses that explain the scan."""
         ...

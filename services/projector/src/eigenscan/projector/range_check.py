@@ -37,7 +37,7 @@ TRIED = (
 """So little off, a fit still finds the pose."""
 FITS = 0.9
 """Share of explained beams from which a scan fits as it is: benchmarks/range_errors.py."""
-MIRRORED_ONE_IN = 8
+MIRRORED_ONE_IN = 4
 """Of so many scans that do not fit one is searched for mirrored too: that costs as much again."""
 AMONG = 5
 """Poses of the list from which each is tried, for the best one may be another."""

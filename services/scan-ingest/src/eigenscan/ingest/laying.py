@@ -113,8 +113,11 @@ def lay(walls: Walls, points: Array, moved: Array, information: Array, counts: I
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
 def pulls_at(walls: Walls, points: Array, moved: Array) -> Array:
-    """What each point (n, 2) adds to a motion's information: its normal by the root of its weight."""
-    pulls = np.zeros((len(points), 2))
+    """What each point (n, 2) adds to a motion's information: its normal and its lever, m, (n, 3).
+
+    Both by the root of its weight. The lever is that of a turn about the base.
+    """
+    pulls = np.zeros((len(points), 3))
     along, across = cos(moved[2]), sin(moved[2])
     for j in range(len(points)):
         x = along * points[j, 0] - across * points[j, 1] + moved[0]
@@ -125,6 +128,7 @@ def pulls_at(walls: Walls, points: Array, moved: Array) -> Array:
             scaled = (nx * (x - walls.xy[line, 0]) + ny * (y - walls.xy[line, 1])) / (2.0 * NOISE)
             root = 1.0 / sqrt(1.0 + scaled * scaled)
             pulls[j, 0], pulls[j, 1] = root * nx, root * ny
+            pulls[j, 2] = root * ((x - moved[0]) * ny - (y - moved[1]) * nx)
     return pulls
 
 

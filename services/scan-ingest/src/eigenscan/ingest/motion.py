@@ -9,7 +9,7 @@ would need some 300 small calls of numpy; the tests have it in numpy.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, cos, hypot, inf, isfinite, pi, sin
+from math import ceil, cos, hypot, inf, isfinite, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +33,13 @@ Chosen on fr079 and a simulated corridor: benchmarks/mechanisms.py."""
 LEAST_POINTS = 15
 LEAST_SUPPORT = 0.08
 """Share of the points that must fix a direction: fewer, at the ends of a hallway, slide along with it."""
+TURNED_BY_FEW = 0.2
+"""Share of the points, those with the longest levers, by which no turn is known: people walk about."""
+OBLIQUE = 2.0 * sqrt(2.0) * NOISE / (2.0 * LINE_M)
+"""rad, two sigmas of a normal: a lever that is shorter, as a share of the distance, may be none. In a round
+hall where people walked, turns were off by 1 to 6 degrees with a stated 0.15 (benchmarks/mechanisms.py)."""
+FIXED = 1.0
+"""Points that keep the centre of a turn near the base: along a hallway nothing else does."""
 HELD_SUPPORT = 0.25
 """Share of the points that fixes the worst determined direction, from which the match is not started again.
 
@@ -288,6 +295,57 @@ def _support(walls: Walls, points: Array, found: Matches, best: int, near: Flags
     for along, across in ((x, y), (-y, x)):
         if _beyond_one((along * pulls[:, 0] + across * pulls[:, 1]) ** 2, near) < least:
             _forget(own, along, across)
+    _doubt_turn(own, points, found.moved[best], pulls)
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _doubt_turn(information: Array, points: Array, moved: Array, pulls: Array) -> None:
+    """Leaves of the information (3, 3) on a turn what most points (n, 2) show of it by their levers.
+
+    It is a turn about the centre where all levers are least: in a round room its middle.
+    """
+    x, y, levers = _centre(pulls)
+    along, across = cos(moved[2]), sin(moved[2])
+    total, worth = 1e-9, np.zeros(len(points))
+    for j in range(len(points)):
+        total += levers[j] ** 2
+        off_x = along * points[j, 0] - across * points[j, 1] - x
+        off_y = along * points[j, 1] + across * points[j, 0] - y
+        by_noise = (pulls[j, 0] ** 2 + pulls[j, 1] ** 2) * (off_x * off_x + off_y * off_y) * OBLIQUE**2
+        worth[j] = levers[j] ** 2 - by_noise if by_noise > 0.0 else 0.0
+    worth.sort()
+    rest = 0.0
+    for j in range(int(len(worth) * (1.0 - TURNED_BY_FEW))):
+        rest += max(worth[j], 0.0)
+    _lessen(information, x, y, rest / total)
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _centre(pulls: Array) -> tuple[float, float, Array]:
+    """The centre of the turn that moves points least along their normals, m from the base; levers (n,) there.
+
+    By the pulls (n, 3).
+    """
+    xx, xy, yy, xt, yt = FIXED, 0.0, FIXED, 0.0, 0.0
+    for j in range(len(pulls)):
+        x, y, turn = pulls[j]
+        xx, xy, yy, xt, yt = xx + x * x, xy + x * y, yy + y * y, xt + x * turn, yt + y * turn
+    area = xx * yy - xy * xy
+    x, y = (yy * xt - xy * yt) / area, (xx * yt - xy * xt) / area
+    return y, -x, pulls[:, 2] - x * pulls[:, 0] - y * pulls[:, 1]
+
+
+@inner(error_model="numpy")  # pragma: no cover - compiled
+def _lessen(information: Array, x: float, y: float, share: float) -> None:
+    """Leaves this share of the information (3, 3) on a turn about a centre, m from the base."""
+    known = np.empty(3)
+    for i in range(3):
+        known[i] = information[i, 2] + y * information[i, 0] - x * information[i, 1]
+    both = known[2] + y * known[0] - x * known[1]
+    if both > 0.0:
+        for i in range(3):
+            for j in range(3):
+                information[i, j] -= (1.0 - share) * known[i] * known[j] / both
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled

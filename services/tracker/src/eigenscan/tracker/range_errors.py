@@ -14,8 +14,8 @@ from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 
 FOR, AGAINST = 6.0, 2.0
 """Nats of one scan at most: neighbouring scans err alike, and of some the list lacks the pose."""
-FITS = 2.0
-"""Nats of a scan that fits as it is against each error."""
+FITS = 1.0
+"""Nats against each error of a scan that fits as it is: it often does with an error, along a hallway say."""
 BY_MAP = 1.0
 """Nats that an inexact map gives some error in each of its scans, for a whole room. A hall displaced by 25 cm
 gives up to 4 here and there; an error of 0.3 m gives 5 to 12 (benchmarks/range_errors.py).
