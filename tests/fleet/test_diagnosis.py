@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 
 import pytest
 from eigenscan.fleet.diagnosis import diagnose
-from eigenscan.fleet.view import FleetView
+from eigenscan.fleet.view import FleetView, Service
 from eigenscan.runtime.inbox import Arrival
-from eigenscan.schemas.channels import CONTRACT_VERSION, HEALTH
+from eigenscan.schemas.channels import CONTRACT_VERSION, HEALTH, MODEL_SET
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.wire import encode, encoding
 
 
@@ -17,6 +19,7 @@ def site(**details: str) -> FleetView:
     """A robot r17 whose services wait, each with its detail."""
     view = FleetView.__new__(FleetView)
     view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
+    view.model_versions = deque(maxlen=2)
     view.expected = frozenset({"r17"})
     for service, detail in details.items():
         name = service.replace("_", "-")
@@ -64,6 +67,28 @@ def test_two_machines_under_one_name_are_a_fault_and_a_restart_is_none() -> None
         tracker.receive(health, now + 2 + n)
     assert tracker.is_twice
     assert any("two machines publish under this name" in each.what for each in diagnose(view))
+
+
+@pytest.mark.parametrize(
+    ("versions", "found"), [(("a", "a"), False), (("a", "b"), True), (("a", "b", "b"), False)]
+)
+def test_two_mapbuilders_of_different_maps_are_a_fault(versions: tuple[str, ...], found: bool) -> None:
+    view = site(mapbuilder="no map")
+    second = Service("mapbuilder", "m2", {str(CONTRACT_VERSION)})
+    view.services["mapbuilder", "m2"] = second
+    for version in versions:
+        key = MODEL_SET.key({"site": "s"})
+        payload = encode(ModelSet(version=version))
+        view._receive(Arrival(MODEL_SET, key, payload, encoding(MODEL_SET)), 0.0, 0)
+    words = "mapbuilders m2 and r17 publish different models"
+    assert (words in [each.what for each in diagnose(view)]) == found
+
+
+def test_one_mapbuilder_may_publish_new_models() -> None:
+    view = site(mapbuilder="no map")
+    view.model_version = "b"
+    view.model_versions.extend("ab")
+    assert not any("different models" in each.what for each in diagnose(view))
 
 
 def test_a_site_without_any_robot_is_not_well() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -244,7 +244,7 @@ def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
         from rich.console import Console
 
         view: Any = FleetView.__new__(FleetView)
-        view.expected = frozenset()
+        view.expected, view.model_versions = frozenset(), deque(maxlen=2)
         view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
         for number, received in enumerate(row):
             arrival = Arrival(

@@ -65,6 +65,9 @@ def _of_the_site(view: FleetView) -> Iterator[Finding]:
         )
     elif not view.model_version:
         yield Finding(where, "no models yet", "wait for mapbuilder, or see its log")
+    elif len(builders) > 1 and len(set(view.model_versions)) > 1:
+        both = " and ".join(sorted(each.instance for each in builders))
+        yield Finding(where, f"mapbuilders {both} publish different models", "end all but one")
 
 
 def _of_a_service(service: Service) -> Iterator[Finding]:

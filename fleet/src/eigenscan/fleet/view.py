@@ -204,6 +204,8 @@ class FleetView:
         self.robots: dict[str, Robot] = {}
         self.services: dict[tuple[str, str], Service] = {}
         self.model_version = self.map_version = ""
+        self.model_versions = deque[str](maxlen=2)
+        """Of the latest two model sets."""
         self._inbox = Inbox()
         self._tokens: list[tuple[str, bool]] = []
         self._bus = Bus(session)
@@ -269,6 +271,7 @@ class FleetView:
         address = arrival.channel.parse(arrival.key) or {}
         if isinstance(message, ModelSet):
             self.model_version, self.map_version = message.version, message.map_version
+            self.model_versions.append(message.version)
         elif isinstance(message, PoseEstimate):
             if not _is_sound(message):
                 return []  # anyone may publish one; no tracker of ours does

@@ -166,7 +166,9 @@ class Silence:
             return ""
         if self._unplaced[False] > self._unplaced[True]:
             return f"most {Ending.UNUSABLE.value}"
-        return "scans fit no place of the map: is it the map of this floor, and has it this part?"
+        return (
+            "scans fit no place of the map: is it the map of this floor, has it this part, is it up to date?"
+        )
 
     @property
     def note(self) -> str:
