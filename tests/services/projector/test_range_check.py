@@ -11,6 +11,7 @@ from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.range_check import MIRRORED_ONE_IN, Wrong, check, is_mirrored_too, set_right
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
+from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 from eigenscan.schemas.scan_pb2 import Scan
 
@@ -121,6 +122,14 @@ def test_one_of_some_scans_is_searched_for_mirrored() -> None:
     turns = [is_mirrored_too(stamp) for stamp in range(0, 10**12, 10**8)]
     assert np.mean(turns) == pytest.approx(1 / MIRRORED_ONE_IN, rel=0.2)
     assert is_mirrored_too(2**70) in (True, False)
+
+
+def test_a_list_states_by_turns_whether_the_scan_fits_mirrored() -> None:
+    core, wrong = ready(), measured(scan_at(POSE, field_of_view=2 * np.pi), Wrong(1.25))
+    for second in range(20):
+        wrong.timestamp.seconds = second
+        stated = [error.mirrored for error in receive(core, wrong)[0].range_check.errors]
+        assert stated == ([False, True] if is_mirrored_too(nanoseconds(wrong.timestamp)) else [False])
 
 
 def test_a_list_of_the_whole_map_states_the_check() -> None:
