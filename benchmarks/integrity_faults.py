@@ -380,6 +380,19 @@ def invented_room(stretch: Stretch) -> Stretch:
     return stretch.publishing(received, truth)
 
 
+def map_mirrored(stretch: Stretch) -> Stretch:
+    """The robot drives in the mirror image of the map's building: as if the map were mirrored."""
+
+    def change(message: RawScan, number: int, stretch: Stretch) -> None:
+        mirror(message, number, stretch)
+        message.mount.y, message.mount.theta = -message.mount.y, -message.mount.theta
+
+    moved = odometry_changed(lambda pose, *_: pose * (1.0, -1.0, -1.0))(scans_changed(change)(stretch))
+    return stretch.publishing(
+        moved.received, {e.stamp: None for e in moved.received if e.channel is SCAN_RAW}
+    )
+
+
 def without_odometry(stretch: Stretch) -> Stretch:
     return stretch.publishing([each for each in stretch.received if each.channel is not ODOMETRY])
 
@@ -486,6 +499,7 @@ FAULTS: dict[str, Fault] = {
     "half of the beams from elsewhere": from_elsewhere(0.5),
     "70 % of the beams from elsewhere": from_elsewhere(0.7),
     "an invented room": invented_room,
+    "the map is mirrored": map_mirrored,
     "carried off the map after 10 s": carried_off(10.0),
     "no odometry": without_odometry,
     "odometry frozen": odometry_frozen(),
