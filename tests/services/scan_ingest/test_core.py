@@ -1,12 +1,16 @@
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.geometry import normalize
+from eigenscan.ingest import core as ingest_core
+from eigenscan.ingest.core import WHY, ScanIngestCore
 from eigenscan.ingest.options import ScanIngestOptions
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.runtime.settings import SettingsError, load
@@ -153,6 +157,15 @@ def test_stamps_increase_but_where_the_clock_stepped(times: list[int]) -> None:
     assert counters["heard"] == len(times) == len(published) + sum(aside(ingest).values())
 
 
+def test_each_reason_for_which_a_scan_is_set_aside_has_words() -> None:
+    folders = (Path(str(module.__file__)).parent for module in (ingest_core, normalize))
+    sources = [path.read_text(encoding="utf-8") for folder in folders for path in folder.glob("*.py")]
+    raised = r'(?:ScanError|_set_aside)\("(\w+)"\)'
+    reasons = {reason for source in sources for reason in re.findall(raised, source)}
+    assert len(reasons) > 10
+    assert reasons <= WHY.keys()
+
+
 def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
     ingest = core()
     assert ingest.condition().status == Health.STATUS_WAITING
@@ -162,7 +175,9 @@ def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
         list(ingest.handle(received(raw(20 * SECOND))))
     condition = ingest.condition()
     assert condition.status == Health.STATUS_DEGRADED
-    assert condition.detail == "over half of the last 50 scans set aside, most: duplicate_stamp"
+    assert condition.detail.startswith(
+        "over half of the last 50 scans set aside (duplicate_stamp): each scan "
+    )
     for number in range(21, 50):
         list(ingest.handle(received(raw(number * SECOND))))
     assert ingest.condition().status == Health.STATUS_OK

@@ -43,6 +43,24 @@ SHOWN = {
     ),
 }
 """The fault of a lidar whose scans, the newest too, are set aside for a reason."""
+WHY = {
+    "other_message": "its sender uses another version of the contract",
+    "no_beams": "scans have no beams",
+    "too_many_beams": "scans have more beams than the setting max_beams allows",
+    "no_valid_range": "no range lies between range_min and range_max; both in m",
+    "one_value": "all beams of a scan have one value: is the lidar covered?",
+    "not_in_metres": "ranges must be metres",
+    "angles_not_finite": "angle_min and angle_increment must be numbers, rad",
+    "angle_increment_zero": "angle_increment must not be 0, rad",
+    "over_a_turn": "the beams cover over one turn: angle_increment is too large, rad",
+    "limits_inconsistent": "range_min is above range_max; m",
+    "mount_not_finite": "the mount must be numbers",
+    "mount_too_far": f"the mount is over {FARTHEST_MOUNT:.0f} m from the base",
+    "duplicate_stamp": "each scan needs a new stamp: is it in whole seconds, or published twice?",
+    "out_of_order": "stamps go backwards: do two drivers use one name, or two clocks?",
+    "two_lidars": "mounts differ by turns: do two lidars use one name?",
+}
+"""What a reason means and what mends it, by its counter's name."""
 
 
 @dataclass
@@ -133,7 +151,7 @@ class ScanIngestCore:
         if 2 * reasons.total() <= len(self._recent):
             return Condition(Health.STATUS_OK, "", counters)
         worst, _ = reasons.most_common(1)[0]
-        detail = f"over half of the last {len(self._recent)} scans set aside, most: {worst}"
+        detail = f"over half of the last {len(self._recent)} scans set aside ({worst}): {WHY[worst]}"
         return Condition(Health.STATUS_DEGRADED, detail, counters)
 
     def _set_aside(self, reason: str) -> Iterable[Envelope]:
