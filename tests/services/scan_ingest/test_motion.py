@@ -303,7 +303,7 @@ def test_a_covered_lidar_publishes_nothing_and_is_named(noise: float) -> None:
         assert not lidar.publish(0.7 + noise * rng.standard_normal(BEAMS))
     assert "lidar r/front covered" in lidar.fault
     lidar.publish(seen((0.0, 0.5, 0.3), rng))
-    assert "covered" not in lidar.fault
+    assert "lidar r/front covered" not in lidar.fault
 
 
 def test_a_wall_close_ahead_is_no_cover() -> None:
