@@ -18,8 +18,7 @@ from eigenscan.schemas.wire import encode, encoding
 def site(**details: str) -> FleetView:
     """A robot r17 whose services wait, each with its detail."""
     view = FleetView.__new__(FleetView)
-    view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
-    view.model_versions = deque(maxlen=2)
+    view.site, view.robots, view.services, view.model_versions = "s", {}, {}, deque(maxlen=2)
     view.expected = frozenset({"r17"})
     for service, detail in details.items():
         name = service.replace("_", "-")
@@ -86,7 +85,6 @@ def test_two_mapbuilders_of_different_maps_are_a_fault(versions: tuple[str, ...]
 
 def test_one_mapbuilder_may_publish_new_models() -> None:
     view = site(mapbuilder="no map")
-    view.model_version = "b"
     view.model_versions.extend("ab")
     assert not any("different models" in each.what for each in diagnose(view))
 

@@ -1,6 +1,7 @@
 """Poses that no tracker publishes: they ended `run --json` and `fleet status --json` as a fault of ours."""
 
 import json
+from collections import deque
 from typing import Any
 
 import pytest
@@ -52,7 +53,7 @@ def test_poses_of_one_robot_are_given_alone() -> None:
 )
 def test_what_is_no_pose_is_not_shown(fields: dict[str, float]) -> None:
     view: Any = FleetView.__new__(FleetView)
-    view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
+    view.site, view.robots, view.services, view.model_versions = "s", {}, {}, deque(maxlen=2)
     view.expected = frozenset()
     assert len(_received(view, x=1.0)) == 1
     assert _received(view, **fields) == []

@@ -244,8 +244,8 @@ def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
         from rich.console import Console
 
         view: Any = FleetView.__new__(FleetView)
-        view.expected, view.model_versions = frozenset(), deque(maxlen=2)
-        view.site, view.robots, view.services, view.model_version = "s", {}, {}, ""
+        view.expected = frozenset()
+        view.site, view.robots, view.services, view.model_versions = "s", {}, {}, deque(maxlen=2)
         for number, received in enumerate(row):
             arrival = Arrival(
                 received.channel, received.key, encode(received.message), encoding(received.channel)

@@ -24,7 +24,7 @@ RIGHT = Wrong()
 
 def checked(pose: Array, wrong: Wrong = RIGHT, seed: int = 0, listed: Array | None = None) -> RangeCheck:
     seen = observe(measured(scan_at(pose, field_of_view=1.5 * np.pi, seed=seed), wrong))
-    found = find_candidates(built(), built().view(seen.sensor), seen, ProjectorSettings())
+    found = search(built().view(seen.sensor), seen)
     if listed is not None:
         found = replace(found, poses=listed[None], explained=np.zeros(1))
     return check(built(), seen, found)
@@ -107,9 +107,8 @@ def test_a_mirrored_scan_fits_the_map_only_mirrored(field_of_view: float) -> Non
                 scan.ranges[:] = list(scan.ranges)[::-1]
             seen = observe(scan)
             view = built().view(seen.sensor)
-            found = find_candidates(built(), view, seen, ProjectorSettings())
-            checked = check(built(), seen, replace(found, explained=np.zeros(1)), partial(search, view))
-            _, stated = checked.errors
+            found = replace(search(view, seen), explained=np.zeros(1))
+            _, stated = check(built(), seen, found, partial(search, view)).errors
             assert stated.mirrored
             assert (stated.gain > 1.0) == wrong
 

@@ -203,7 +203,7 @@ class FleetView:
         self.site, self.expected = site, frozenset(expected)
         self.robots: dict[str, Robot] = {}
         self.services: dict[tuple[str, str], Service] = {}
-        self.model_version = self.map_version = ""
+        self.map_version = ""
         self.model_versions = deque[str](maxlen=2)
         """Of the latest two model sets."""
         self._inbox = Inbox()
@@ -226,6 +226,11 @@ class FleetView:
 
     def _on_token(self, sample: Any) -> None:
         self._tokens.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    @property
+    def model_version(self) -> str:
+        """Version of the latest model set; empty: none has come."""
+        return self.model_versions[-1] if self.model_versions else ""
 
     def publish(self, envelope: Envelope) -> None:
         """Publishes something to the site."""
@@ -270,7 +275,7 @@ class FleetView:
             return []  # not of this contract, and not ours to judge
         address = arrival.channel.parse(arrival.key) or {}
         if isinstance(message, ModelSet):
-            self.model_version, self.map_version = message.version, message.map_version
+            self.map_version = message.map_version
             self.model_versions.append(message.version)
         elif isinstance(message, PoseEstimate):
             if not _is_sound(message):

@@ -312,12 +312,10 @@ def _doubt_turn(information: Array, points: Array, moved: Array, pulls: Array) -
         off_x = along * points[j, 0] - across * points[j, 1] - x
         off_y = along * points[j, 1] + across * points[j, 0] - y
         by_noise = (pulls[j, 0] ** 2 + pulls[j, 1] ** 2) * (off_x * off_x + off_y * off_y) * OBLIQUE**2
-        worth[j] = levers[j] ** 2 - by_noise if by_noise > 0.0 else 0.0
+        worth[j] = max(levers[j] ** 2 - by_noise, 0.0)
     worth.sort()
-    rest = 0.0
-    for j in range(int(len(worth) * (1.0 - TURNED_BY_FEW))):
-        rest += max(worth[j], 0.0)
-    _lessen(information, x, y, rest / total)
+    of_most = worth[: int(len(worth) * (1.0 - TURNED_BY_FEW))].sum()
+    _lessen(information, x, y, of_most / total)
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
