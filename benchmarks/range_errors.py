@@ -52,6 +52,8 @@ ERRORS = {
     "0.3 m long": Wrong(offset=0.3),
     "beams 10 % wide": Wrong(apart=1.1),
     "beams 10 % near": Wrong(apart=0.9),
+    "beams 5 % wide": Wrong(apart=1.05),
+    "beams 5 % near": Wrong(apart=0.95),
 }
 SEED = 7
 
@@ -100,12 +102,12 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
     for found, way_m, new in _checks(case, site, ERRORS[error], metres):
         driven += way_m
         ranges.move(new)
-        by_error = gains(found)
-        ranges.take("lidar", by_error)
-        fit += not by_error
         scans += 1
-        if by_error:
-            nats.append(max(by_error.values()))
+        if found is not None:
+            by_error = gains(found)
+            ranges.take("lidar", by_error)
+            fit += not by_error
+            nats.extend([max(by_error.values())] if by_error else [])
         if named is None and ranges.fault:
             named = driven, ranges.fault
     return {
@@ -121,7 +123,9 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
     }
 
 
-def _checks(case: Case, site: Site, wrong: Wrong, metres: float) -> Iterator[tuple[RangeCheck, float, float]]:
+def _checks(
+    case: Case, site: Site, wrong: Wrong, metres: float
+) -> Iterator[tuple[RangeCheck | None, float, float]]:
     """What is found of a scan, and how far, m and in new scans, the robot has come since the last."""
     ingest, settings, tracker = ScanIngestCore(ScanIngestSettings()), ProjectorSettings(), TrackerSettings()
     before, driven = None, 0.0

@@ -8,7 +8,14 @@ import pytest
 from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.range_check import MIRRORED_ONE_IN, Wrong, check, is_mirrored_too, set_right
+from eigenscan.projector.range_check import (
+    BY_CHANCE,
+    MIRRORED_ONE_IN,
+    Wrong,
+    check,
+    is_mirrored_too,
+    set_right,
+)
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
 from eigenscan.schemas.envelope import nanoseconds
@@ -27,7 +34,12 @@ def checked(pose: Array, wrong: Wrong = RIGHT, seed: int = 0, listed: Array | No
     found = search(built().view(seen.sensor), seen)
     if listed is not None:
         found = replace(found, poses=listed[None], explained=np.zeros(1))
-    return check(built(), seen, found)
+    return evidence(check(built(), seen, found))
+
+
+def evidence(stated: RangeCheck | None) -> RangeCheck:
+    assert stated is not None
+    return stated
 
 
 @cache
@@ -73,6 +85,20 @@ def test_where_the_pose_is_listed_the_error_is_found(wrong: Wrong) -> None:
     assert found.count(wrong) > len(POSES) / 3
 
 
+@pytest.mark.parametrize("too", [False, True])
+def test_a_scan_that_fits_nowhere_is_no_evidence(too: bool) -> None:
+    rng = np.random.default_rng(5)
+    for pose in POSES:
+        scan = scan_at(pose, field_of_view=2 * np.pi)
+        scan.ranges[:] = rng.uniform(0.3, 12.0, len(scan.ranges)).tolist()
+        seen = observe(scan)
+        view = built().view(seen.sensor)
+        found = search(view, seen)
+        assert len(found.poses)
+        assert found.log_likelihoods[0] < BY_CHANCE
+        assert check(built(), seen, found, partial(search, view) if too else None) is None
+
+
 def test_ranges_are_set_right() -> None:
     true = observe(scan_at(POSE, noise=0.0))
     wrong = Wrong(0.9, 0.3)
@@ -108,7 +134,7 @@ def test_a_mirrored_scan_fits_the_map_only_mirrored(field_of_view: float) -> Non
             seen = observe(scan)
             view = built().view(seen.sensor)
             found = replace(search(view, seen), explained=np.zeros(1))
-            _, stated = check(built(), seen, found, partial(search, view)).errors
+            _, stated = evidence(check(built(), seen, found, partial(search, view))).errors
             assert stated.mirrored
             assert (stated.gain > 1.0) == wrong
 
@@ -124,7 +150,7 @@ def test_one_of_some_scans_is_searched_for_mirrored() -> None:
 
 
 def test_a_list_states_by_turns_whether_the_scan_fits_mirrored() -> None:
-    core, wrong = ready(), measured(scan_at(POSE, field_of_view=2 * np.pi), Wrong(1.25))
+    core, wrong = ready(), measured(scan_at(POSE, field_of_view=2 * np.pi), Wrong(apart=1.1))
     for second in range(20):
         wrong.timestamp.seconds = second
         stated = [error.mirrored for error in receive(core, wrong)[0].range_check.errors]
@@ -137,5 +163,5 @@ def test_a_list_of_the_whole_map_states_the_check() -> None:
     fits = receive(core, wide)[0]
     assert fits.HasField("range_check")
     assert not fits.range_check.errors
-    assert receive(core, measured(wide, Wrong(1.25)))[0].range_check.errors
+    assert receive(core, measured(wide, Wrong(apart=1.1)))[0].range_check.errors
     assert not receive(by_eigenspace, wide)[0].HasField("range_check")

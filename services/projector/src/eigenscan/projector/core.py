@@ -287,7 +287,9 @@ class ProjectorCore:
             search = (
                 partial(self._search, site, view, settings=self._settings, scope=WHOLE) if again else None
             )
-            message.range_check.CopyFrom(check(site, seen, candidates, search))
+            checked = check(site, seen, candidates, search)
+            if checked is not None:
+                message.range_check.CopyFrom(checked)
         yield Envelope(HYPOTHESES, address, message)
         if len(candidates.poses):
             best = candidates.poses[0]

@@ -32,7 +32,7 @@ class Wrong(NamedTuple):
 TRIED = (
     *(Wrong(factor=factor) for factor in (0.8, 0.9, 1.1, 1.25)),
     *(Wrong(offset=offset) for offset in (-0.6, -0.3, 0.3, 0.6)),
-    *(Wrong(apart=apart) for apart in (0.9, 1.1)),
+    *(Wrong(apart=apart) for apart in (0.9, 0.95, 1.05, 1.1)),
 )
 """So little off, a fit still finds the pose."""
 FITS = 0.9
@@ -50,10 +50,11 @@ def check(
     seen: Observation,
     found: Candidates,
     search: Callable[[Observation], Candidates] | None = None,
-) -> RangeCheck:
+) -> RangeCheck | None:
     """Of the errors that are tried, the one with which a scan fits best; `found`: its candidates.
 
-    With a `search` of the whole map also that it is mirrored, for it then fits at another place.
+    With a `search` of the whole map also that it is mirrored, for it then fits at another place. None where
+    it fits nowhere better than by chance, whatever is tried: such a scan is no evidence either way.
     """
     if not len(found.poses) or found.explained[0] >= FITS:
         return RangeCheck()
@@ -66,6 +67,8 @@ def check(
     errors = [RangeError(**best._asdict(), gain=fitted.log_likelihood - least)]
     if search is not None and len(other := search(mirrored(seen)).log_likelihoods):
         errors.append(RangeError(factor=1.0, mirrored=True, gain=float(other[0]) - least))
+    if least == BY_CHANCE and all(error.gain <= 0.0 for error in errors):
+        return None
     return RangeCheck(errors=errors)
 
 
