@@ -41,8 +41,7 @@ from tests.services.projector.office import (
 )
 
 # written out, not taken from what is tested: a change there must show here
-SHORT = 0.5
-LONG = 1.0
+UNLIKE = 0.5
 RANGE_CAP = 10.0
 OVERSHOT_M = 0.5
 
@@ -158,8 +157,8 @@ def test_verification_is_truncated_l1_of_the_best_neighbour() -> None:
         along = (k + np.arange(len(seen.coarse))) % ANALYSIS_TURN
         enter, leave = (np.minimum(ranges[p, along], RANGE_CAP) for ranges in (lattice.panoramas, thick))
         ends = np.minimum(seen.coarse, RANGE_CAP)
-        off = np.where(ends > leave, np.minimum(ends - leave, LONG), 0.0)
-        off = np.where(ends < enter, np.minimum(enter - ends, SHORT), off)
+        off = np.where(ends > leave, np.minimum(ends - leave, UNLIKE), 0.0)
+        off = np.where(ends < enter, np.minimum(enter - ends, UNLIKE), off)
         reach = np.sqrt(np.minimum(seen.coarse[used], RANGE_CAP))
         return float((off[used] * reach).sum() / reach.sum())
 

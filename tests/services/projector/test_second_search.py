@@ -9,7 +9,7 @@ from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.second_search import is_unsure, most_alike
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.subspaces import SeenPart
-from eigenscan.projector.verification import LONG, SHORT, predicted
+from eigenscan.projector.verification import UNLIKE, predicted
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,9 +35,8 @@ def test_the_poses_that_differ_least_are_given(seed: int, beams: int, count: int
 
     def direct(p: int, w: int) -> float:
         seen, along = coarse[few], (few + w) % ANALYSIS_TURN
-        beyond = np.minimum(seen - leave[p, along], LONG)
-        before = np.minimum(enter[p, along] - seen, SHORT)
-        return float(weight @ np.maximum(np.maximum(beyond, before), 0.0))
+        off = np.maximum(np.maximum(seen - leave[p, along], enter[p, along] - seen), 0.0)
+        return float(weight @ np.minimum(off, UNLIKE))
 
     every = {(p, w): direct(p, w) for p in positions.tolist() for w in range(0, ANALYSIS_TURN, 3)}
     given = list(zip(at.tolist(), window.tolist(), strict=True))

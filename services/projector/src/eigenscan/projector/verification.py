@@ -1,4 +1,4 @@
-"""Compares predicted scans with a scan: one-sided truncated L1 over windows of the panoramas.
+"""Compares predicted scans with a scan: truncated L1 over windows of the panoramas.
 
 A beam that ends in the wall, between the ranges at which it enters and leaves it, costs nothing. Each
 candidate of the search lattice is tried at the neighbouring headings, and the better ones also at the
@@ -15,9 +15,10 @@ from eigenscan.projector.observation import by_reach
 from numba import njit
 from numpy.typing import NDArray
 
-SHORT, LONG = 0.5, 1.0
-"""m: a beam that ends before its wall by more shows no more, nor one that ends behind it: people and open
-doors shorten a beam, but nothing lets it through a wall."""
+UNLIKE = 0.5
+"""m: a beam that ends farther from its wall counts no more, on either side. People and open doors shorten
+beams; what is gone since the map was made lengthens them (benchmarks/single_scan.py).
+"""
 RANGE_CAP = 10.0
 """m: beyond, ranges differ too much within a grid cell to be compared."""
 OVERSHOT_M = 0.5
@@ -29,7 +30,7 @@ Steps = NDArray[np.int16]
 STEPS = 2000
 """Of a metre: ranges are whole numbers of 16 bits, so that vectors hold twice as many and caches too."""
 _SHARES = 2048
-"""Steps of a beam's weight. A cost is at most STEPS * LONG * _SHARES * ANALYSIS_TURN, and fits 32 bits."""
+"""Steps of a beam's weight. A cost is at most STEPS * UNLIKE * _SHARES * ANALYSIS_TURN, and fits 32 bits."""
 _MOST = np.iinfo(np.int16).max
 _LANES = 32
 """Such numbers in the widest vector registers."""
@@ -197,7 +198,7 @@ def cost_of_beam(scan: np.int16, enter: np.int16, leave: np.int16, weight: np.in
     """What a beam of this range costs whose wall is from `enter` to `leave`, all in STEPS."""
     # each step narrow, so that a vector holds many
     beyond, before = np.int16(scan - leave), np.int16(enter - scan)
-    steps = max(min(beyond, np.int16(LONG * STEPS)), min(before, np.int16(SHORT * STEPS)), np.int16(0))
+    steps = min(max(beyond, before, np.int16(0)), np.int16(UNLIKE * STEPS))
     return np.int32(np.int32(weight) * np.int32(steps))
 
 
