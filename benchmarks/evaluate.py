@@ -15,6 +15,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,11 +92,23 @@ def main() -> None:
 def _run(options: argparse.Namespace) -> dict[str, Any]:
     found = {}
     root = options.buildings or options.datasets
-    for case in buildings(root) if options.buildings else CASES:
+    for case in wanted(buildings(root) if options.buildings else CASES, options.only):
         folder = root / case.folder
-        if case.folder in (options.only or [case.folder]) and (folder / "map.yaml").exists():
+        if (folder / "map.yaml").exists():
             found[case.name] = _evaluate(case, folder, options)
     return found | (_run_simulated(options) if options.simulated else {})
+
+
+def wanted(cases: Sequence[Case], only: Sequence[str] | None, *others: str) -> list[Case]:
+    """Those whose name or folder is in `only`, all without it; `others` are names that a caller has beside.
+
+    Ends the program where a name is none's.
+    """
+    known = {name for case in cases for name in (case.name, case.folder)}
+    if unknown := sorted(set(only or ()) - known - set(others)):
+        names = dict.fromkeys([*(case.name for case in cases), *others])
+        sys.exit(f"--only {', '.join(unknown)}: choose from {', '.join(names)}")
+    return [case for case in cases if not only or case.name in only or case.folder in only]
 
 
 def buildings(root: Path) -> list[Case]:
@@ -131,7 +144,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS, help="folder that holds the datasets")
     parser.add_argument("--buildings", type=Path, help="folder of folders with logs of your own")
-    parser.add_argument("--only", action="append", help="folder of one dataset; may be given again")
+    parser.add_argument("--only", action="append", help="name of a log, or its folder; may be given again")
     parser.add_argument("--simulated", action="store_true", help="also made-up buildings")
     parser.add_argument("--kidnap", action="store_true", help="also the kidnap protocol")
     parser.add_argument("--method", default="default", help="settings that belong together, such as paper")

@@ -43,7 +43,7 @@ from eigenscan.workbench.evaluation.windows import (
 )
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
-from evaluate import CASES, DATASETS, buildings
+from evaluate import CASES, DATASETS, buildings, wanted
 from evaluate import Case as Listed
 from simulated_worlds import worlds, write
 from worse_maps import WAYS, Worse, stays
@@ -88,7 +88,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS)
     parser.add_argument("--buildings", type=Path, help="folder of folders with logs of your own")
-    parser.add_argument("--only", action="append", help="name of a log; may be given again")
+    parser.add_argument("--only", action="append", help="name of a log, or its folder; may be given again")
     parser.add_argument("--way", action="append", help="ways whose name holds this; may be given again")
     parser.add_argument("--windows", type=int, default=9, help="of each log, at most")
     parser.add_argument("--scans", type=int, default=100, help="single ones of each log, at most")
@@ -109,17 +109,15 @@ def _options() -> argparse.Namespace:
 
 def _cases(options: argparse.Namespace) -> Iterator[Case]:
     root = options.buildings or options.datasets
-    for listed in buildings(root) if options.buildings else LOGS:
-        name, folder, log, reference = listed.name, listed.folder, listed.log, listed.reference
-        if not options.only or name in options.only:
-            yield read_case(name, root / folder, log, reference)
-    if options.simulated:
-        for world in worlds():
-            if world.name in (options.only or [world.name]):
-                with tempfile.TemporaryDirectory() as scratch:
-                    place = Path(scratch) / "world"
-                    write(world, place)
-                    yield read_case(world.name, place, "log.mcap", "log.tum")
+    made_up = {world.name: world for world in (worlds() if options.simulated else [])}
+    for listed in wanted(buildings(root) if options.buildings else LOGS, options.only, *made_up):
+        yield read_case(listed.name, root / listed.folder, listed.log, listed.reference)
+    for name, world in made_up.items():
+        if name in (options.only or [name]):
+            with tempfile.TemporaryDirectory() as scratch:
+                place = Path(scratch) / "world"
+                write(world, place)
+                yield read_case(name, place, "log.mcap", "log.tum")
 
 
 def read_case(name: str, folder: Path, log_name: str, reference_name: str) -> Case:

@@ -57,7 +57,7 @@ from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Packed, pack, unpack
 from eigenscan.workbench.evaluation.windows import thin
 from elsewhere import Elsewhere
-from evaluate import DATASETS, buildings
+from evaluate import DATASETS, buildings, wanted
 from evaluate import Case as Listed
 from integrity_faults import FAULTS, faulty
 from maps import LOGS, read_case, windows_of, worsened
@@ -259,7 +259,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, required=True, help="folder of the recorded stories")
     parser.add_argument("--datasets", type=Path, default=DATASETS)
     parser.add_argument("--buildings", type=Path, help="folder of folders with logs of your own")
-    parser.add_argument("--only", action="append", help="name of a log; may be given again")
+    parser.add_argument("--only", action="append", help="name of a log, or its folder; may be given again")
     parser.add_argument(
         "--way", action="append", choices=list(WAYS), help="may be given again; default: exact"
     )
@@ -272,15 +272,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
     logs = buildings(options.buildings) if options.buildings else LOGS
-    names = [each.name for each in logs]
-    if unknown := set(options.only or ()) - set(names):
-        parser.error(f"--only {', '.join(sorted(unknown))}: choose from {', '.join(names)}")
     rows = list[dict[str, Any]]()
-    for listed in logs:
-        if options.only and listed.name not in options.only:
-            continue
+    for listed in wanted(logs, options.only):
         for way in options.way or ["exact"]:
             for fault in options.fault or ["none"]:
+                print(f"{listed.name}, {way}, {fault}: records what is not in {options.keep} yet", flush=True)
                 story = kept(listed, way, fault, options)
                 print(f"\n{listed.name}, map: {way}, fault: {fault}, {len(story.windows)} windows")
                 print(f"  {'without':<40}" + "".join(f"{title:>17}" for title, _, _ in COLUMNS), flush=True)
