@@ -353,7 +353,7 @@ def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs, progr
     last list, the likelier it slipped.
     """
     log_mass = tracks.log_weight - present_evidence(tracks)
-    sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[:, [0, 0, 1]]
+    sigma = np.array([SLIP_M, SLIP_M, SLIP_RAD]) + SLIP_SHARE * tracks.unchecked[:, [2, 2, 3]]
     spread = tracks.C + sigma[:, :, None] ** 2 * np.eye(3)
     total = spread[:, None] + seen.covariances[None]
     off = residual(seen.poses[None], tracks.x[:, None])

@@ -77,7 +77,7 @@ def track(
     begun = begin(
         np.array([pose], dtype=np.float64), R[None], np.log([mass]), np.zeros(1), np.array([[evidence]]), 1, 0
     )
-    return Tracks(**{**vars(begun), "unchecked": np.array([[way, turn]])})
+    return Tracks(**{**vars(begun), "unchecked": np.array([[way, turn, way, turn]])})
 
 
 def test_the_best_is_worth_what_it_is_ahead_of_other_places() -> None:

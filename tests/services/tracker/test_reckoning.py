@@ -9,14 +9,14 @@ import pytest
 from eigenscan.geometry.pose import compose
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import ScanMotion
-from eigenscan.tracker.agreement import ScanInterval
+from eigenscan.tracker.agreement import ScanInterval, Spread
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import IDENTITY, Pose, between, scaled
 from eigenscan.tracker.planar import compose as compose_one
 from eigenscan.tracker.prediction import motion_noise, predict
 from eigenscan.tracker.reckoning import SCAN_SIGMA, correct, leg
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.tracks import Tracks, begin
+from eigenscan.tracker.tracks import Tracks, begin, replace
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 from tests.services.tracker.test_agreement import motion
+
+Array = NDArray[np.float64]
 
 SETTINGS = TrackerSettings()
 SECOND = 1_000_000_000
@@ -80,6 +82,35 @@ def test_a_track_that_nothing_confirmed_is_where_odometry_and_scans_together_lea
     # surer than by odometry alone
     _, alone = predict(*predict(START, before.C, reported(step), SETTINGS), rest, SETTINGS)
     assert (np.linalg.det(after.C) < np.linalg.det(alone)).all()
+
+
+def test_what_scans_confirm_of_a_way_no_longer_counts_as_unchecked() -> None:
+    step = (0.3, 0.0, 0.1)
+    driven = (0.3, 0.1)
+    sharp, hallway = (1e-6, 0.0, 1e-6), (1e4, 0.0, 1e-6)
+
+    def left(spread: Spread, turn_variance: float) -> Array:
+        way = leg(ScanInterval("front", 0, SECOND, step, spread, turn_variance), reported(step), SETTINGS)
+        before = replace(tracks(0), unchecked=np.tile(driven, (2, 2)))
+        unchecked: Array = correct(before, way, SECOND, steady(step), SETTINGS).unchecked
+        # lists have confirmed nothing
+        np.testing.assert_allclose(unchecked[:, :2], [driven, driven])
+        np.testing.assert_array_equal(unchecked[0], unchecked[1])
+        return unchecked[0, 2:] / driven
+
+    assert (left(sharp, 1e-6) < 0.75).all()
+    way, turn = left(hallway, 1e-6)
+    assert way == pytest.approx(1.0, abs=1e-3)
+    assert turn < 0.75
+    np.testing.assert_allclose(left(hallway, 1e4), 1.0, atol=1e-3)
+
+
+def test_scans_take_nothing_from_the_way_after_them() -> None:
+    step = (0.3, 0.0, 0.1)
+    way = leg(ScanInterval("front", 0, SECOND, step), reported(step), SETTINGS)
+    later = replace(tracks(SECOND), unchecked=np.ones((2, 4)))
+    after = correct(later, way, 2 * SECOND, steady(step), SETTINGS)
+    np.testing.assert_array_equal(after.unchecked, later.unchecked)
 
 
 @pytest.mark.parametrize(("confirmed", "share"), [(0.25, 0.75), (0.5, 0.5), (1.0, 0.0), (1.2, 0.0)])

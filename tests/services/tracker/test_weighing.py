@@ -50,7 +50,7 @@ def some_tracks(rng: np.random.Generator, count: int, sources: int, frames: int)
     return replace(
         tracks,
         hidden=rng.uniform(size=(count, sources)) * rng.integers(2, size=(count, sources)),
-        unchecked=rng.uniform(0.0, 1.0, (count, 2)),
+        unchecked=rng.uniform(0.0, 1.0, (count, 4)),
         frame=rng.integers(1, frames, size=count),
         id=np.arange(1, count + 1),
         parent=rng.integers(9, size=count),

@@ -137,7 +137,7 @@ class Belief:
         """Moves the tracks; a jump of odometry takes mass from them."""
         if len(self.tracks):
             x, C = predict(self.tracks.x, self.tracks.C, moved, self.settings)
-            unchecked = self.tracks.unchecked + np.array([moved.way, moved.turn])
+            unchecked = self.tracks.unchecked + np.array(2 * [moved.way, moved.turn])
             self.tracks = replace(self.tracks, x=x, C=C, unchecked=unchecked)
         if moved.breaks > 0:
             share = 1.0 - (1.0 - BREAK_SHARE) ** min(moved.breaks, 5.0)

@@ -165,7 +165,9 @@ def _fuse(
     fused_x, fused_C = fuse_each(x, C, y, R)
     for pair in range(count):
         row = alone + pair
-        out.nis[row], out.unchecked[row, 0], out.unchecked[row, 1] = distance2[pair], 0.0, 0.0
+        out.nis[row] = distance2[pair]
+        for i in range(4):
+            out.unchecked[row, i] = 0.0
         out.fixed_at[row] = stamp
         out.observations[row] += 1
         for i in range(3):

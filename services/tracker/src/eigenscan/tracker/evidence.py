@@ -275,7 +275,7 @@ def slipped(t: Columns, seen: Listed, pairs: Pairs, progress: float, c: Constant
     pair = 0
     for i in range(len(t.x)):
         log_mass = t.log_weight[i] - np.maximum(t.evidence[i], 0.0).sum()
-        way, turn = SLIP_M + SLIP_SHARE * t.unchecked[i, 0], SLIP_RAD + SLIP_SHARE * t.unchecked[i, 1]
+        way, turn = SLIP_M + SLIP_SHARE * t.unchecked[i, 2], SLIP_RAD + SLIP_SHARE * t.unchecked[i, 3]
         spread = plus(triangle(t.C[i]), (way * way, 0.0, 0.0, way * way, 0.0, turn * turn))
         for k in range(len(out)):
             in_gate = pair < len(pairs.track) and pairs.track[pair] == i and pairs.hypothesis[pair] == k

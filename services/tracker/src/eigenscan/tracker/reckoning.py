@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import hypot, sqrt
 
 import numpy as np
 from eigenscan.geometry.symmetric import MATRICES, inverse, plus, put, square, times, triangle
@@ -39,7 +40,8 @@ Motions = Callable[[int, int], Motion]
 class Leg:
     """Motion from one stamp to another, ns, by odometry and scans; its noise (3, 3) is in the base frame.
 
-    `correction` is what the scans change of odometry's motion, in the base frame at the end.
+    `correction` is what the scans change of odometry's motion, in the base frame at the end. `unchecked` is
+    what part of its way and turn no scan has confirmed, 0 to 1.
     """
 
     since: int
@@ -47,16 +49,27 @@ class Leg:
     delta: Pose
     noise: Array
     correction: Pose
+    unchecked: tuple[float, float] = (1.0, 1.0)
 
 
 def leg(interval: ScanInterval, driven: Motion, settings: TrackerSettings) -> Leg:
     """Odometry (`driven`) and scan motion over one interval: Kalman's update of the one by the other."""
     assert interval.moved is not None
     off = between(driven.delta, interval.moved)
-    correction, noise = _updated(
-        motion_noise(driven, settings), interval.spread, interval.turn_variance, off, SLIPPED
+    before = motion_noise(driven, settings)
+    correction, noise = _updated(before, interval.spread, interval.turn_variance, off, SLIPPED)
+    # along a hallway scans confirm nothing of the way
+    (xx, xy, _), (_, yy, _), (_, _, turning) = noise.tolist()
+    longest = (xx + yy) / 2.0 + hypot((xx - yy) / 2.0, xy)
+    unchecked = _share(longest, max(before[0], before[1])), _share(turning, before[2])
+    return Leg(
+        interval.since, interval.stamp, compose(driven.delta, correction), noise, correction, unchecked
     )
-    return Leg(interval.since, interval.stamp, compose(driven.delta, correction), noise, correction)
+
+
+def _share(left: float, before: float) -> float:
+    """What part of a deviation is left, 0 to 1, by variances."""
+    return sqrt(min(left / before, 1.0))
 
 
 _NUMBER, _MATRIX, _THREE = types.float64, types.float64[:, ::1], types.UniTuple(types.float64, 3)
@@ -114,7 +127,15 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
         tracks.x, tracks.C, tracks.fixed_x, tracks.fixed_covariance, tracks.fixed_at, way.stamp,
         np.array(fixed), legs, way.noise, rest.delta, motion_noise(rest, settings),
     )  # fmt: skip
-    return replace(tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at)
+    unchecked = tracks.unchecked.copy()
+    for at in fixed:
+        confirmed = motions(max(at, way.since), way.stamp)
+        rows = tracks.fixed_at == at
+        unchecked[rows, 2:] -= (1.0 - np.array(way.unchecked)) * (confirmed.way, confirmed.turn)
+    return replace(
+        tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at,
+        unchecked=np.maximum(unchecked, 0.0),
+    )  # fmt: skip
 
 
 _LEG = 10

@@ -487,7 +487,7 @@ class RobotTracker:
         if best < 0:
             return False
         tracks = self.belief.tracks
-        way, turn = tracks.unchecked[best].tolist()
+        way, turn = tracks.unchecked[best, :2].tolist()
         shown = self._new_scans(way, turn) <= UNCONFIRMED
         # halfway from where a shown claim ends to where one begins
         likely = (self._settings.localized_above + self._settings.released_below) / 2.0

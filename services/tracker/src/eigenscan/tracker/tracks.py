@@ -25,7 +25,8 @@ class Tracks:
     as a right one is: beside a right track; without one, for a short way; and without one, for a long way.
     `evidence` (n, sources): the evidence of each source's scans from the present place for a track that is
     shown.
-    `unchecked` (n, 2): way, m, and turn, rad, by odometry alone since a hypothesis last confirmed the track.
+    `unchecked` (n, 4): way, m, and turn, rad, since a hypothesis last confirmed the track; and what of both
+    no scan motion has confirmed either.
     `fixed_x`, `fixed_covariance` at `fixed_at` (n,), ns: the track where a scan last fixed it.
     `nis` (n,): normalised innovation squared of the last scan's hypothesis, NaN where it had none.
     """
@@ -159,7 +160,7 @@ def begun(
     n = len(x)
     none = np.zeros(n, dtype=np.int64)
     return Columns(
-        x, C, log_weight, np.zeros(evidence.shape), alias, evidence, np.zeros((n, 2)), np.full(n, np.nan),
+        x, C, log_weight, np.zeros(evidence.shape), alias, evidence, np.zeros((n, 4)), np.full(n, np.nan),
         x.copy(), C.copy(), none + stamp, none + frame, none, none.copy(), none + stamp, none + 1,
     )  # fmt: skip
 
@@ -194,7 +195,7 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros((0, sources)),
         np.zeros((0, 3)),
         np.zeros((0, sources)),
-        np.zeros((0, 2)),
+        np.zeros((0, 4)),
         np.zeros(0),
         np.zeros((0, 3)),
         np.zeros((0, 3, 3)),
@@ -219,7 +220,7 @@ def begin(
         np.zeros(evidence.shape),
         alias,
         evidence,
-        np.zeros((len(x), 2)),
+        np.zeros((len(x), 4)),
         np.full(len(x), np.nan),
         x.copy(),
         C.copy(),
