@@ -105,6 +105,17 @@ def test_what_scans_confirm_of_a_way_no_longer_counts_as_unchecked() -> None:
     np.testing.assert_allclose(left(hallway, 1e4), 1.0, atol=1e-3)
 
 
+@pytest.mark.parametrize("seconds", [1.0, 1e12])
+@pytest.mark.parametrize("variance", [0.0, 1e-12, 1e300])
+@pytest.mark.parametrize("far", [0.0, 1e8])
+def test_what_is_unchecked_is_a_share(far: float, variance: float, seconds: float) -> None:
+    spread = (variance, 0.0, variance)
+    for step in ((0.0, 0.0, 0.0), (far, far, 3.0), (-far, 0.0, 0.0)):
+        seen = ScanInterval("front", 0, SECOND, (0.1, 0.2, -0.5), spread, variance)
+        way = leg(seen, reported(step, seconds), SETTINGS)
+        assert all(0.0 <= share <= 1.0 for share in way.unchecked)
+
+
 def test_scans_take_nothing_from_the_way_after_them() -> None:
     step = (0.3, 0.0, 0.1)
     way = leg(ScanInterval("front", 0, SECOND, step), reported(step), SETTINGS)

@@ -68,8 +68,8 @@ def leg(interval: ScanInterval, driven: Motion, settings: TrackerSettings) -> Le
 
 
 def _share(left: float, before: float) -> float:
-    """What part of a deviation is left, 0 to 1, by variances."""
-    return sqrt(min(left / before, 1.0))
+    """What part of a deviation is left, 0 to 1, by variances; 1 where these are no numbers."""
+    return sqrt(max(min(1.0, left / before), 0.0)) if before > 0.0 else 1.0
 
 
 _NUMBER, _MATRIX, _THREE = types.float64, types.float64[:, ::1], types.UniTuple(types.float64, 3)
