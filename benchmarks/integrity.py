@@ -43,7 +43,7 @@ from eigenscan.workbench.evaluation.remembering import Remembering
 from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_windows, thin
 from eigenscan.workbench.logs import LogOptions
 from elsewhere import Elsewhere
-from evaluate import CASES, DATASETS, Case
+from evaluate import CASES, DATASETS, Case, wanted
 from integrity_faults import BEGINS_S, FAULTS, Stretch, faulty
 
 MOVED_M, MOVED_RAD = 0.3, 0.3
@@ -208,7 +208,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS)
-    parser.add_argument("--only", action="append", help="name of one log; may be given again")
+    parser.add_argument("--only", action="append", help="name of a log, or its folder; may be given again")
     parser.add_argument("--fault", action="append", help="a part of a fault's name; may be given again")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} windows of each log")
     parser.add_argument("--set", action="append", default=[], help="SERVICE.SETTING=VALUE, any number")
@@ -220,9 +220,7 @@ def main() -> None:
         f"{'named':>11}{'3 s':>4}{'median':>8}  what health says"
     )
     found: dict[str, dict[str, Any]] = {}
-    for case in CASES:
-        if options.only and case.name not in options.only:
-            continue
+    for case in wanted(CASES, options.only):
         site = Site(case, options.datasets, settings)
         for name in FAULTS:
             if options.fault and not any(part in name for part in options.fault):

@@ -31,7 +31,7 @@ from eigenscan.workbench.evaluation.reference import read_trajectory
 from eigenscan.workbench.evaluation.windows import plan_scans, plan_windows, thin
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
-from evaluate import CASES, DATASETS
+from evaluate import CASES, DATASETS, wanted
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from maps import LAST_SHARE, SPACING
 
@@ -103,9 +103,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     rows = []
-    for case in CASES:
-        if case.name not in (options.only or ["jarvis"]):
-            continue
+    for case in wanted(CASES, options.only or ["jarvis"]):
         folder = options.datasets / case.folder
         log = read_log(folder / case.log, LogOptions(), lambda _: None)
         models = build(folder / "map.yaml", MapbuilderSettings(spacing=SPACING), lambda _: None).models

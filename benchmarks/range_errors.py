@@ -35,7 +35,7 @@ from eigenscan.schemas.hypotheses_pb2 import RangeCheck
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.tracker.range_errors import RangeErrors, gains
 from eigenscan.tracker.settings import TrackerSettings
-from evaluate import DATASETS
+from evaluate import DATASETS, wanted
 from integrity_faults import put
 from maps import LOGS, Case, read_case, worsened
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--datasets", type=Path, default=DATASETS)
-    parser.add_argument("--only", action="append", help="name of one log; may be given again")
+    parser.add_argument("--only", action="append", help="name of a log, or its folder; may be given again")
     parser.add_argument("--way", action="append", choices=list(WAYS), help="default: exact")
     parser.add_argument("--error", action="append", choices=list(ERRORS), help="default: all")
     parser.add_argument("--metres", type=float, default=200.0)
@@ -71,9 +71,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = list[dict[str, Any]]()
     print(f"{'log':<12}{'map':<28}{'error':<17}{'scans':>6}{'fit':>6}{'nats':>7}{'named after':>13}  as")
-    for listed in LOGS:
-        if options.only and listed.name not in options.only:
-            continue
+    for listed in wanted(LOGS, options.only):
         case = read_case(listed.name, options.datasets / listed.folder, listed.log, listed.reference)
         for way in options.way or ["exact"]:
             site = _site(case, way)
@@ -107,7 +105,8 @@ def _judge(case: Case, way: str, site: Site, error: str, metres: float) -> dict[
             by_error = gains(found)
             ranges.take("lidar", by_error)
             fit += not by_error
-            nats.extend([max(by_error.values())] if by_error else [])
+            if by_error:
+                nats.append(max(by_error.values()))
         if named is None and ranges.fault:
             named = driven, ranges.fault
     return {

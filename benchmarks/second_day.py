@@ -35,7 +35,7 @@ from eigenscan.workbench.evaluation.windows import Window, plan_windows, read_wi
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
 from eigenscan.workbench.logs.scans import read_scans
-from evaluate import DATASETS
+from evaluate import DATASETS, wanted
 from maps import LOGS, Case, read_case, worsened
 from scipy.spatial import cKDTree
 from worse_maps import WAYS
@@ -50,15 +50,14 @@ TURN_M = 0.5
 def main() -> None:
     options = _options()
     rows = []
-    for listed in LOGS:
-        if listed.name in options.only:
-            case = read_case(listed.name, options.datasets / listed.folder, listed.log, listed.reference)
-            scans = read_scans(options.datasets / listed.folder / listed.log, LogOptions(), lambda _: None)
-            for way in options.ways:
-                rows.append(_judge(case, scans.sweeps, way, options))
-                print(_line(rows[-1]), flush=True)
-                if options.json:
-                    options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    for listed in wanted(LOGS, options.only):
+        case = read_case(listed.name, options.datasets / listed.folder, listed.log, listed.reference)
+        scans = read_scans(options.datasets / listed.folder / listed.log, LogOptions(), lambda _: None)
+        for way in options.ways:
+            rows.append(_judge(case, scans.sweeps, way, options))
+            print(_line(rows[-1]), flush=True)
+            if options.json:
+                options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def _options() -> argparse.Namespace:

@@ -12,7 +12,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STA
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.symmetric import apart
+from eigenscan.tracker.symmetric import apart, widest
 from eigenscan.tracker.tracks import Tracks
 from numba import njit
 from numpy.typing import NDArray
@@ -74,16 +74,9 @@ def _shares(near: Array, reach: Array, heading: Array) -> Array:
     return result
 
 
-@inner()  # pragma: no cover - compiled
-def _wide(C: Array) -> float:
-    """Variance of (3, 3) along the position's long axis."""
-    half = (C[0, 0] + C[1, 1]) / 2
-    return float(half + np.hypot((C[0, 0] - C[1, 1]) / 2, C[0, 1]))
-
-
 @inner(error_model="numpy")  # pragma: no cover - compiled
 def _reach_of(delta: Column, C: Array) -> Column:
-    wide, sigma = _wide(C), np.sqrt(2.0 * C[2, 2])
+    wide, sigma = widest(C), np.sqrt(2.0 * C[2, 2])
     # beyond this non-centrality nothing is within reach, and chndtr would only lose time
     reach = min((delta[0] ** 2 + delta[1] ** 2) / wide, 1e4)
     heading = 0.5 * (erfc((delta[2] - NEAR_RAD) / sigma) - erfc((delta[2] + NEAR_RAD) / sigma))
@@ -173,7 +166,7 @@ def _here(x: Array, C: Array, log_weight: Array, frame: Index, best: int) -> Arr
         off = np.hypot(ahead, left)
         if frame[i] == frame[best] and off <= PLACE_M and abs(turn) <= PLACE_RAD:
             out[count, 0], out[count, 1], out[count, 2] = np.exp(log_weight[i]), off, abs(turn)
-            out[count, 3], out[count, 4] = _wide(C[i]), C[i, 2, 2]
+            out[count, 3], out[count, 4] = widest(C[i]), C[i, 2, 2]
             count += 1
     return out[:count]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import sqrt
 
 import numpy as np
 from eigenscan.geometry.symmetric import MATRICES, inverse, plus, put, square, times, triangle
@@ -17,7 +17,7 @@ from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import Pose, between, compose, scaled
 from eigenscan.tracker.prediction import carried, motion_noise
 from eigenscan.tracker.settings import TrackerSettings
-from eigenscan.tracker.symmetric import ROWS
+from eigenscan.tracker.symmetric import ROWS, widest
 from eigenscan.tracker.tracks import Tracks, replace
 from numba import njit, types
 from numpy.typing import NDArray
@@ -57,11 +57,9 @@ def leg(interval: ScanInterval, driven: Motion, settings: TrackerSettings) -> Le
     assert interval.moved is not None
     off = between(driven.delta, interval.moved)
     before = motion_noise(driven, settings)
-    correction, noise = _updated(before, interval.spread, interval.turn_variance, off, SLIPPED)
+    correction, noise, wide = _updated(before, interval.spread, interval.turn_variance, off, SLIPPED)
     # along a hallway scans confirm nothing of the way
-    (xx, xy, _), (_, yy, _), (_, _, turning) = noise.tolist()
-    longest = (xx + yy) / 2.0 + hypot((xx - yy) / 2.0, xy)
-    unchecked = _share(longest, max(before[0], before[1])), _share(turning, before[2])
+    unchecked = _share(wide, max(before[0], before[1])), _share(float(noise[2, 2]), before[2])
     return Leg(
         interval.since, interval.stamp, compose(driven.delta, correction), noise, correction, unchecked
     )
@@ -76,15 +74,15 @@ _NUMBER, _MATRIX, _THREE = types.float64, types.float64[:, ::1], types.UniTuple(
 
 
 @njit(  # pragma: no cover - compiled
-    types.Tuple((_THREE, _MATRIX))(_THREE, _THREE, _NUMBER, _THREE, _NUMBER), cache=True
+    types.Tuple((_THREE, _MATRIX, _NUMBER))(_THREE, _THREE, _NUMBER, _THREE, _NUMBER), cache=True
 )
 def _updated(
     variances: Pose, spread: Spread, turn_variance: float, off: Pose, slipped: float
-) -> tuple[Pose, Array]:
+) -> tuple[Pose, Array, float]:
     """Kalman's update of odometry, its noise Q of these variances, by a scan motion that is off by a pose.
 
-    gain = Q (Q + R)^-1; gives the correction and (I - gain) Q. Where odometry has slipped, how far it is off
-    is its noise, too.
+    gain = Q (Q + R)^-1; gives the correction, (I - gain) Q and its variance along the position's long axis.
+    Where odometry has slipped, how far it is off is its noise, too.
     """
     (xx, xy, yy), (x, y, turn) = spread, off
     R = (xx + SCAN_SIGMA[0] ** 2, xy, 0.0, yy + SCAN_SIGMA[1] ** 2, 0.0, turn_variance + SCAN_SIGMA[2] ** 2)
@@ -100,7 +98,8 @@ def _updated(
         less = times(own, times(certain, (before[0, column], before[1, column], before[2, column])))
         for row in range(3):
             noise[row, column] -= less[row]
-    return correction, (noise + noise.T) / 2.0
+    noise = (noise + noise.T) / 2.0
+    return correction, noise, widest(noise)
 
 
 def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: TrackerSettings) -> Tracks:
@@ -111,27 +110,23 @@ def correct(tracks: Tracks, way: Leg, now: int, motions: Motions, settings: Trac
     fixed = sorted({at for at in tracks.fixed_at.tolist() if at < way.stamp})
     if not fixed:
         return tracks
-    legs = np.zeros((len(fixed), _LEG))
+    legs, unchecked = np.zeros((len(fixed), _LEG)), tracks.unchecked.copy()
     for row, at in zip(legs, fixed, strict=True):
         begun = max(at, way.since)
         if at < begun:
             moved = motions(at, begun)
             row[0:3], row[3:6] = moved.delta, motion_noise(moved, settings)
-        share = (way.stamp - begun) / (way.stamp - way.since)
+        share, driven = (way.stamp - begun) / (way.stamp - way.since), motions(begun, way.stamp)
         delta = way.delta
         if begun > way.since:
-            delta = compose(motions(begun, way.stamp).delta, scaled(way.correction, share))
+            delta = compose(driven.delta, scaled(way.correction, share))
         row[6:9], row[9] = delta, share
+        unchecked[tracks.fixed_at == at, 2:] -= (1.0 - np.array(way.unchecked)) * (driven.way, driven.turn)
     rest = motions(way.stamp, now)
     x, C, fixed_x, fixed_covariance, fixed_at = _corrected(
         tracks.x, tracks.C, tracks.fixed_x, tracks.fixed_covariance, tracks.fixed_at, way.stamp,
         np.array(fixed), legs, way.noise, rest.delta, motion_noise(rest, settings),
     )  # fmt: skip
-    unchecked = tracks.unchecked.copy()
-    for at in fixed:
-        confirmed = motions(max(at, way.since), way.stamp)
-        rows = tracks.fixed_at == at
-        unchecked[rows, 2:] -= (1.0 - np.array(way.unchecked)) * (confirmed.way, confirmed.turn)
     return replace(
         tracks, x=x, C=C, fixed_x=fixed_x, fixed_covariance=fixed_covariance, fixed_at=fixed_at,
         unchecked=np.maximum(unchecked, 0.0),

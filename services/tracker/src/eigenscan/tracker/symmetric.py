@@ -45,6 +45,13 @@ def turned(m: Triangle, cos: float, sin: float) -> Triangle:
 
 
 @inner()  # pragma: no cover - compiled
+def widest(C: Array) -> float:
+    """Variance of (3, 3) along the position's long axis."""
+    half = (C[0, 0] + C[1, 1]) / 2
+    return float(half + np.hypot((C[0, 0] - C[1, 1]) / 2, C[0, 1]))
+
+
+@inner()  # pragma: no cover - compiled
 def wrapped(angle: float) -> float:
     """Same direction in [-pi, pi)."""
     turn = (angle + pi) % (2.0 * pi) - pi
