@@ -16,6 +16,7 @@ from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.faults import Faults
 from eigenscan.tracker.odometry import OdometryTrail
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.velocity_gate import VelocityGate
@@ -252,6 +253,31 @@ def test_a_robot_in_a_room_that_the_map_lacks_is_still_where_odometry_and_scans_
     assert masses[29] > 0.99
     assert masses[35] > 0.8
     assert masses[-1] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("explained", "since", "watched", "follows"),
+    [(0.9, 0.4, True, True), (0.4, 0.4, True, False), (0.9, 0.5, True, False), (0.9, 0.4, False, False)],
+)
+def test_scans_follow_from_each_other_while_each_has_most_of_the_one_before(
+    monkeypatch: pytest.MonkeyPatch, explained: float, since: float, watched: bool, follows: bool
+) -> None:
+    """And while somebody watches, without a gap: then the lidar did not become another robot's."""
+    found, trail, agreement = list[bool](), OdometryTrail(VelocityGate(2.0, 3.0)), Agreement()
+
+    def take(*given: object) -> bool:
+        found.append(bool(given[-1]))
+        return True
+
+    monkeypatch.setattr(Faults, "take", take)
+    for step in range(21):
+        trail.take(round((10.0 + 0.05 * step) * 1e9), (0.02 * step, 0.0, 0.0))
+    for start, end, share in ((0.0, 0.2, 0.9), (0.2, 0.4, 0.9), (since, 0.7, explained)):
+        stamps = (round((10.0 + each) * 1e9) for each in (start, end))
+        moved = (0.4 * (end - start), 0.0, 0.0)
+        agreement.receive(ScanInterval("front", *stamps, moved, watched=watched, explained=share))
+    agreement.compare(trail, 11_000_000_000)
+    assert found == [False, watched, follows]
 
 
 def test_encoders_without_a_sign_are_made_up_for_and_reported(

@@ -63,14 +63,23 @@ def test_chances_of_each_state_sum_to_one() -> None:
         st.lists(st.floats(-30.0, 0.0), min_size=len(model._start()[0]), max_size=len(model._start()[0])),
         min_size=1,
         max_size=5,
-    )
+    ),
+    st.lists(st.booleans(), min_size=5, max_size=5),
 )
-def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(rows: list[list[float]]) -> None:
-    prior, change = model._start()
+def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(
+    rows: list[list[float]], following: list[bool]
+) -> None:
+    """While scans follow from each other, a lidar that is the robot's does not become another's."""
+    prior, freely = model._start()
+    bound, others = freely.copy(), [model.UNRELATED, model.ALIKE]
+    for state in (model.AGREE, model.SLIPPING, model.BACKWARDS):
+        bound[state, model.AGREE] += freely[state, others].sum()
+        bound[state, others] = 0.0
     joint = prior
     faults = Faults()
-    for row in rows:
-        faults._weigh(np.array(row))
+    for row, follows in zip(rows, following, strict=False):
+        faults._weigh(np.array(row), follows=follows)
+        change = bound if follows else freely
         # unnormalised, and without the shift by the largest
         joint = np.array([sum(joint[i] * change[i, j] for i in range(len(prior))) for j in range(len(prior))])
         joint = joint * np.exp(np.array(row))

@@ -160,7 +160,7 @@ def test_however_exact_a_robot_is_its_mirrored_lidar_is_rarely_taken_as_right(
             sigma = np.array([SIGMA_M, SIGMA_M, SIGMA_RAD]) + SIGMA_SHARE * np.array([0.1, 0.1, abs(turn)])
             off = rng.standard_normal(3) * sigma * [way_share, way_share, turn_share]
             x, y, turned = off + np.array([0.1, 0.0, -turn])
-            found = _log_likelihoods((x, y, turned), (1e-8, 0.0, 1e-8), 1e-8, predicted)
+            found = _log_likelihoods((x, y, turned), (1e-8, 0.0, 1e-8), 1e-8, predicted, False)
             set_up.take(found[:, [MIRRORED]], found[:, AGREE], only)
             proven |= set_up.proven > PROVEN
         taken += proven

@@ -51,6 +51,26 @@ def test_a_heading_that_drifts_is_reported(rate: float) -> None:
     assert "drifts by 2.0°/s" in turned(1.0, rate).note
 
 
+def test_noise_of_odometry_on_a_straight_way_is_no_scale() -> None:
+    """Scans turn half as far as odometry whose turns are half noise: an attenuated slope, not a wheel base."""
+    rng, turning = np.random.default_rng(4), Turning()
+    for _ in range(300):
+        turn = 0.005 * rng.standard_normal()
+        turning.take(
+            turn + 0.001 * rng.standard_normal(), 1e-6, turn + 0.005 * rng.standard_normal(), SECONDS
+        )
+        assert turning.note == ""
+
+
+def test_one_steady_turn_does_not_tell_a_drift_from_wheels_too_near() -> None:
+    """However exactly scans and odometry turn."""
+    for scale in (0.9, 1.1):
+        turning = Turning()
+        for _ in range(12):
+            turning.take(scale * 0.2, 1e-8, 0.2, SECONDS)
+            assert turning.note == ""
+
+
 def test_before_it_turned_enough_nothing_is_reported() -> None:
     assert turned(0.8, 0.0, count=5).note == ""
 

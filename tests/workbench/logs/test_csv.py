@@ -125,6 +125,16 @@ def test_odometry_may_have_lines_of_its_own(tmp_path: Path, beams: str, empty: s
     assert [each.address["lidar"] for each in scans] == ["front", "front"]
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_lines_of_one_time_may_come_in_any_order(tmp_path: Path, swapped: bool) -> None:
+    lines = ["1.0,,,,-10,20,4,5", "1.0,0.5,0,0,,,,"]
+    head = "time_s,x_m,y_m,heading_deg,angle_min_deg,angle_increment_deg,range_m_0,range_m_1"
+    (tmp_path / "a.csv").write_text("\n".join([head, *(lines[::-1] if swapped else lines)]) + "\n")
+    odometry, scan = open_log(tmp_path / "a.csv", LogOptions()).envelopes()
+    assert odometry.open(Odometry).pose.position.x == 0.5
+    assert list(scan.open(RawScan).ranges) == [4.0, 5.0]
+
+
 WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
 
 

@@ -76,6 +76,8 @@ class Agreement:
         self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
         self._differed: dict[str, int] = {}
         """By lidar whose scans are watched, stamp of the newest that did not agree, ns."""
+        self._taken: dict[str, int] = {}
+        """By lidar, stamp of the newest scan whose motion was held against odometry's, ns."""
         self._now = 0
         self.disagreed = False
         """Whether odometry and scans differed when they were last compared."""
@@ -206,9 +208,21 @@ class Agreement:
             faults.take_apart()
             self.disagreed = True
         else:
-            self.disagreed = not faults.take(
-                interval.moved, interval.spread, interval.turn_variance, driven, interval.since, trail
+            follows = (
+                interval.watched
+                and interval.explained >= FOLLOWS
+                and self._taken.get(interval.lidar) == interval.since
             )
+            self.disagreed = not faults.take(
+                interval.moved,
+                interval.spread,
+                interval.turn_variance,
+                driven,
+                interval.since,
+                trail,
+                follows,
+            )
+            self._taken[interval.lidar] = interval.stamp
             if not interval.repeats and faults.agrees > 0.5:
                 self._lateness.take(interval.since, interval.stamp, interval.moved, trail)
                 trail.delay(self._lateness.delay)

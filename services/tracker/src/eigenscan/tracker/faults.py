@@ -183,16 +183,22 @@ class Faults:
     @property
     def trust(self) -> float:
         """Probability that the scans show the robot's motion, of a lidar that is mounted as stated."""
-        # of wheels that slip the scans know better
-        right = self.agrees + float(self.probability[SLIPPING])
+        # of wheels that slip, or that count backwards as forwards, the scans know better
+        right = float(self.probability[AGREE] + self.probability[SLIPPING])
+        right += float(self._goes_forwards * self.probability[BACKWARDS])
         return right * (self._mount.within if self._mount.fault else 1.0)
 
     @property
     def agrees(self) -> float:
         """Probability that odometry and scans show the same motion."""
-        forwards, backwards = self._ways
-        known = self.without_sign and backwards < forwards  # else the mount is rather turned
+        known = self.without_sign and self._goes_forwards
         return float(self.probability[AGREE] + known * self.probability[BACKWARDS])
+
+    @property
+    def _goes_forwards(self) -> bool:
+        """Whether the robot mostly drove as odometry counts; else the mount is rather turned."""
+        forwards, backwards = self._ways
+        return backwards < forwards
 
     @property
     def proven(self) -> float:
@@ -254,11 +260,12 @@ class Faults:
 
     def take(
         self, scans: Pose, spread: tuple[float, float, float], turn_variance: float, driven: Motion,
-        since: int, trail: OdometryTrail,
+        since: int, trail: OdometryTrail, follows: bool = False,
     ) -> bool:  # fmt: skip
         """Takes the motion over an interval from `since`, ns, by scans and odometry; gives if they agree.
 
-        `spread` is the covariance xx, xy, yy [m^2] of the scans' way.
+        `spread` is the covariance xx, xy, yy [m^2] of the scans' way. Where the scans have followed from each
+        other since the interval before, they `follow`: then they did not become another lidar's.
         """
         self._no_fit *= 1.0 - NEWEST
         self._past.take(since, driven.seconds, trail)
@@ -267,7 +274,7 @@ class Faults:
         begun = since * 1e-9
         stretch = begun, begun + driven.seconds
         predicted = _predicted(driven.delta, self._past.poses, scans, self._seen.poses, *stretch)
-        by_exactness = _log_likelihoods(scans, spread, turn_variance, predicted)
+        by_exactness = _log_likelihoods(scans, spread, turn_variance, predicted, follows)
         anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
         for first, past in self._off_time:
             guessed = first + np.flatnonzero(begun - LATE_BY < past.known_since)
@@ -276,7 +283,7 @@ class Faults:
         # whole sigma, for in a bare hallway a fit may find that the robot stood
         turns = by_exactness[: len(SHARES)].copy()
         turns[:, INEXACT] = turns[0, INEXACT]
-        chances = self._weigh(np.logaddexp.reduce(turns, axis=0))[RIGHT]
+        chances = self._weigh(np.logaddexp.reduce(turns, axis=0), follows=follows)[RIGHT]
         if _stands(predicted[AGREE]):  # how exact a motion is that there is shows none of another
             by_exactness[:] = by_exactness[0]
         right = np.logaddexp.reduce(by_exactness[:, RIGHT] + np.log(chances / chances.sum()), axis=1)
@@ -308,9 +315,13 @@ class Faults:
             wrong[first : first + len(LATE_BY)] = (way > NEAR_M / 2.0) | (turn > NEAR_RAD / 2.0)
         return wrong
 
-    def _weigh(self, log_likelihood: Array) -> Array:
+    def _weigh(self, log_likelihood: Array, *, follows: bool = False) -> Array:
         """Weighs the states by what was seen (n,); gives how probable each was before that."""
         changed: Array = self.probability @ self._change
+        if follows:
+            began = self.probability[RIGHT] @ self._change[RIGHT, UNRELATED : ALIKE + 1]
+            changed[UNRELATED : ALIKE + 1] -= began
+            changed[AGREE] += began.sum()
         weighed = changed * np.exp(log_likelihood - log_likelihood.max())
         self.probability = weighed / weighed.sum()
         return changed
@@ -370,9 +381,11 @@ def _stands(moved: Array) -> bool:
     return bool(abs(moved[0]) + abs(moved[1]) < QUIET_M and abs(moved[2]) < QUIET_RAD)
 
 
-@njit("f8[:,::1](UniTuple(f8, 3), UniTuple(f8, 3), f8, f8[:,::1])", cache=True)  # pragma: no cover - compiled
+@njit(  # pragma: no cover - compiled
+    "f8[:,::1](UniTuple(f8, 3), UniTuple(f8, 3), f8, f8[:,::1], b1)", cache=True
+)
 def _log_likelihoods(
-    scans: Pose, spread: tuple[float, float, float], turn_variance: float, predicted: Array
+    scans: Pose, spread: tuple[float, float, float], turn_variance: float, predicted: Array, follows: bool
 ) -> Array:
     """Ln of the density (e, n) of the scans' motion by exactness in each state, `predicted` (n, 3).
 
@@ -391,6 +404,12 @@ def _log_likelihoods(
         scans[0] - x, scans[1] - y, scans[2] - turn,
         slid, turn_variance, 0.0, SLIP + SLIP_SHARE * turned,
     )  # fmt: skip
+    if follows:  # any other motion of theirs is the robot's; that of none rather is a frozen lidar's
+        standing = log_gaussian(
+            scans[0], scans[1], scans[2], spread, turn_variance, SIGMA_M, SIGMA_RAD
+        )  # fmt: skip
+        moving = 2.0 * anyhow - np.logaddexp(anyhow, standing)
+        slipped = np.logaddexp(slipped, moving) - log(2.0)
     result = np.empty((len(EXACT), len(predicted)))
     for i in range(len(EXACT)):
         row, (of_way, of_turn) = result[i], EXACT[i]

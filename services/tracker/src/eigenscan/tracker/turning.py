@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 RIGHT, START = np.array([1.0, 0.0]), np.array([0.5, 0.1])
 """Scale and rate, rad/s, before any motion, and their wide sigmas."""
+STRAIGHT = 2.0 * SIGMA_RAD
+"""rad: an odometry's turn up to this may be mostly noise, and shows no scale: it would seem too large."""
 DRIFTS = radians(1.0)
 """rad/s from which on a heading drifts: a cheap gyroscope's bias. By the scans of ten logs, their odometry
 drifts by up to 0.5 degrees/s."""
@@ -30,8 +32,7 @@ class Turning:
     """Scale and rate of one lidar's turns against odometry's."""
 
     def __init__(self) -> None:
-        self._information: Array = np.diag(START**-2)
-        self._sums: Array = self._information @ RIGHT
+        self._information, self._sums = np.zeros((2, 2)), np.zeros(2)
         self._spread: Array = np.diag(START**2)
         self._intervals = self._squares = FIRST
         self.scale, self.rate = RIGHT.tolist()
@@ -42,19 +43,24 @@ class Turning:
     def take(self, scans: float, variance: float, driven: float, seconds: float) -> None:
         """Takes the turn between two scans, rad, its variance, and odometry's turn."""
         h, noise = np.array([driven, seconds]), variance + SIGMA_RAD**2
-        off, spread = scans - (self.scale * driven + self.rate * seconds), float(h @ self._spread @ h)
-        distance2 = off * off / (spread + noise) * (self._intervals / self._squares)
+        exact = self._intervals / self._squares
+        off = scans - (self.scale * driven + self.rate * seconds)
+        distance2 = off * off / (float(h @ self._spread @ h) + noise / exact)
+        self._intervals += 1.0
+        self._squares += distance2 / exact
         noise *= max(1.0, (TAIL + distance2) / (TAIL + 1.0))  # Student's t
+        if abs(driven) <= STRAIGHT:
+            h[0], scans = 0.0, scans - self.scale * driven
         self._information += np.outer(h, h) / noise
         self._sums += h * (scans / noise)
-        self._spread = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
-        self.scale, self.rate = (self._spread @ self._sums).tolist()
-        self._intervals += 1.0
-        self._squares += off * off / (spread + noise)
+        # how exact the turns are is learned; what was known before them is not more exact for that
+        exact = self._intervals / self._squares
+        self._spread = np.asarray(np.linalg.inv(np.diag(START**-2) + exact * self._information))
+        self.scale, self.rate = (self._spread @ (RIGHT / START**2 + exact * self._sums)).tolist()
         self._judge()
 
     def _judge(self) -> None:
-        off_scale, off_rate = np.sqrt(np.diag(self._spread) * (self._squares / self._intervals)).tolist()
+        off_scale, off_rate = np.sqrt(np.diag(self._spread)).tolist()
         self.note = ""
         if abs(self.scale - 1.0) > SCALE_OFF / 2.0 + SIGMAS * sqrt(off_scale**2 + SCALE**2):
             self.note = SCALED.format(self.scale)

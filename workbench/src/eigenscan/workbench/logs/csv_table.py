@@ -169,8 +169,9 @@ class CsvLog:
             if not abs(time) <= LATEST_S:
                 raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
-            if all(lines[0].text(name) for name in ODOMETRY):
-                x, y, heading = (lines[0].value(name) for name in ODOMETRY)
+            moved = next((line for line in lines if all(map(line.text, ODOMETRY))), None)
+            if moved is not None:
+                x, y, heading = (moved.value(name) for name in ODOMETRY)
                 yield odometry(self.options, stamp, (x, y, np.deg2rad(heading)))
                 lines = [line for line in lines if line.has_beams]
                 if not lines:
