@@ -29,6 +29,8 @@ ROOM_TURN = 0.5
 """rad/s, how fast the robot turns in it."""
 RUNS_AWAY = 1.0
 """m/s that odometry adds where it runs away."""
+SLIPS_EVERY_S, SLIPS_FROM_S, SLIPS_S = 20.0, 10.0, 3.0
+"""s: how often wheels slip, from when on, and for how long."""
 JUMP_EVERY_S = 5.0
 JUMP = np.array([3.0, -2.0, 1.0])
 """m, m, rad that odometry's frame jumps by."""
@@ -408,15 +410,15 @@ def odometry_frozen() -> Fault:
     return odometry_changed(change)
 
 
-def odometry_steps(change: Callable[[Array, float], Array]) -> Fault:
-    """Odometry that sums its steps (3,) after `change` of (step, s that it took)."""
+def odometry_steps(change: Callable[[Array, float, float], Array]) -> Fault:
+    """Odometry that sums its steps (3,) after `change` of (step, s that it took, s since the first)."""
     state: list[tuple[Array, Array, float]] = []
 
     def changed(pose: Array, seconds: float, _: Stretch) -> Array:
         if seconds == 0.0 or not state:
             state[:] = [(pose, pose, seconds)]
         before, summed, since = state[0]
-        summed = compose(summed, change(compose(inverse(before), pose), seconds - since))
+        summed = compose(summed, change(compose(inverse(before), pose), seconds - since, seconds))
         state[:] = [(pose, summed, seconds)]
         return summed
 
@@ -425,12 +427,23 @@ def odometry_steps(change: Callable[[Array, float], Array]) -> Fault:
 
 def odometry_scaled(way: float = 1.0, turn: float = 1.0) -> Fault:
     """Wheels of another radius, or farther apart: way and turns are so many times as large."""
-    return odometry_steps(lambda step, _: step * np.array([way, way, turn]))
+    return odometry_steps(lambda step, *_: step * np.array([way, way, turn]))
 
 
 def heading_drifts(degrees: float) -> Fault:
     """A gyroscope with so large a bias, degrees/s."""
-    return odometry_steps(lambda step, seconds: step + np.array([0.0, 0.0, np.radians(degrees) * seconds]))
+    return odometry_steps(lambda step, took, _: step + np.array([0.0, 0.0, np.radians(degrees) * took]))
+
+
+def wheels_slip(way: float = 1.0, degrees: float = 0.0) -> Fault:
+    """For 3 s of each 20, from 10 s on: `way` times as far, or turning by so many degrees/s more."""
+
+    def change(step: Array, took: float, seconds: float) -> Array:
+        if seconds % SLIPS_EVERY_S < SLIPS_FROM_S or seconds % SLIPS_EVERY_S >= SLIPS_FROM_S + SLIPS_S:
+            return step
+        return step * np.array([way, way, 1.0]) + np.array([0.0, 0.0, np.radians(degrees) * took])
+
+    return odometry_steps(change)
 
 
 def _runs_away(pose: Array, seconds: float, _: Stretch) -> Array:
@@ -494,6 +507,8 @@ FAULTS: dict[str, Fault] = {
     "turns counted 1.3 times": odometry_scaled(turn=1.3),
     "odometry 0.3 s late": late(0.3, ODOMETRY),
     "heading drifts by 2 deg/s": heading_drifts(2.0),
+    "wheels slip ahead after 10 s": wheels_slip(way=3.0),
+    "wheels slip aside after 10 s": wheels_slip(degrees=15.0),
     "odometry backwards": odometry_changed(_reversed),
     "two robots, one name": two_robots,
     "half of the beams from elsewhere": from_elsewhere(0.5),
