@@ -69,9 +69,9 @@ def test_chances_of_each_state_sum_to_one() -> None:
 def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(
     rows: list[list[float]], following: list[bool]
 ) -> None:
-    """While scans follow from each other, a lidar that is the robot's does not become another's."""
+    """While scans follow from each other, they do not become another robot's, or late by more than a step."""
     prior, freely = model._start()
-    bound, others = freely.copy(), [model.UNRELATED, model.ALIKE]
+    bound, others = freely.copy(), [model.UNRELATED, model.ALIKE, *range(model.LATE + 1, len(prior))]
     for state in (model.AGREE, model.SLIPPING, model.BACKWARDS):
         bound[state, model.AGREE] += freely[state, others].sum()
         bound[state, others] = 0.0

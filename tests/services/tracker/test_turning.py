@@ -52,7 +52,7 @@ def test_a_heading_that_drifts_is_reported(rate: float) -> None:
 
 
 def test_noise_of_odometry_on_a_straight_way_is_no_scale() -> None:
-    """Scans turn half as far as odometry whose turns are half noise: an attenuated slope, not a wheel base."""
+    """Where half of what odometry turns is noise, scans turn by half of it: the wheels are right."""
     rng, turning = np.random.default_rng(4), Turning()
     for _ in range(300):
         turn = 0.005 * rng.standard_normal()

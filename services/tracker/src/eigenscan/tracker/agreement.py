@@ -14,7 +14,7 @@ from math import hypot
 
 import numpy as np
 from eigenscan.schemas.channels import FOLLOWS
-from eigenscan.tracker.faults import WITHOUT_SIGN, Faults
+from eigenscan.tracker.faults import LATE_S, WITHOUT_SIGN, Faults
 from eigenscan.tracker.lateness import Lateness
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.planar import IDENTITY, Pose
@@ -211,6 +211,7 @@ class Agreement:
             follows = (
                 interval.watched
                 and interval.explained >= FOLLOWS
+                and interval.longest_step < LATE_S
                 and self._taken.get(interval.lidar) == interval.since
             )
             self.disagreed = not faults.take(

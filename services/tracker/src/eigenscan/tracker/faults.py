@@ -70,6 +70,10 @@ GOES_ON = 0.9
 """How probably a robot moved before the first odometry, or scan, as it then did."""
 TURNED = np.array([radians(angle) for angle in range(30, 345, 15) if abs(angle - 180) > 20])
 """rad, angles by which a mount may be turned."""
+HONEST = 0.9
+"""Of wheels that seem to slip, how many do: scans whose delay grows look the same for seconds. A guess."""
+GROWS = 0.02
+"""Chance, an interval, that a delay grows by a step, and that it shrinks: a queue fills up."""
 QUIET_M, QUIET_RAD = 0.005, 0.005
 """Odometry with less motion in an interval stands."""
 
@@ -160,9 +164,30 @@ def _start() -> tuple[Array, Array]:
     for one, other, chance in ((UNRELATED, ALIKE, ALIKE_BEGINS), (ALIKE, UNRELATED, ALIKE_ENDS)):
         change[one, other] += chance
         change[one, one] -= chance
+    for first in (LATE, EARLY):
+        for at in range(first, first + len(LATE_BY) - 1):
+            change[[at, at + 1], [at + 1, at]] += GROWS
+            change[[at, at + 1], [at, at + 1]] -= GROWS
     change[SLIPPING, [AGREE, SLIPPING]] = GRIPS, 0.0
     change[SLIPPING, SLIPPING] = 1.0 - change[SLIPPING].sum()
     return prior, change
+
+
+def _bound(change: Array) -> Array:
+    """The same chances (n, n) while scans follow from each other: what needs a jump of theirs does not begin.
+
+    They do not become another lidar's, and a delay begins with the least.
+    """
+    bound = change.copy()
+    for first, count, there in (
+        (UNRELATED, 2, AGREE),
+        (LATE, len(LATE_BY), LATE),
+        (EARLY, len(LATE_BY), EARLY),
+    ):
+        these = np.ix_(RIGHT, range(first, first + count))
+        bound[these] = 0.0
+        bound[RIGHT, there] += change[these].sum(axis=1)
+    return bound
 
 
 class Faults:
@@ -170,6 +195,7 @@ class Faults:
 
     def __init__(self) -> None:
         self.probability, self._change = _start()
+        self._bound = _bound(self._change)
         self._set_up = SetUp(len(WRONG_SET_UPS), len(EXACT))
         self._mount, self._turning = Mount(), Turning()
         self.without_sign = False
@@ -184,7 +210,7 @@ class Faults:
     def trust(self) -> float:
         """Probability that the scans show the robot's motion, of a lidar that is mounted as stated."""
         # of wheels that slip, or that count backwards as forwards, the scans know better
-        right = float(self.probability[AGREE] + self.probability[SLIPPING])
+        right = float(self.probability[AGREE] + HONEST * self.probability[SLIPPING])
         right += float(self._goes_forwards * self.probability[BACKWARDS])
         return right * (self._mount.within if self._mount.fault else 1.0)
 
@@ -300,6 +326,7 @@ class Faults:
             self.without_sign = True
             self._change[AGREE, AGREE] += BACKS - BACKS_KNOWN
             self._change[AGREE, BACKWARDS] = BACKS_KNOWN
+            self._bound = _bound(self._change)
         return bool(by_exactness[0, AGREE] >= by_exactness[0, SLIPPING])
 
     @property
@@ -317,11 +344,7 @@ class Faults:
 
     def _weigh(self, log_likelihood: Array, *, follows: bool = False) -> Array:
         """Weighs the states by what was seen (n,); gives how probable each was before that."""
-        changed: Array = self.probability @ self._change
-        if follows:
-            began = self.probability[RIGHT] @ self._change[RIGHT, UNRELATED : ALIKE + 1]
-            changed[UNRELATED : ALIKE + 1] -= began
-            changed[AGREE] += began.sum()
+        changed: Array = self.probability @ (self._bound if follows else self._change)
         weighed = changed * np.exp(log_likelihood - log_likelihood.max())
         self.probability = weighed / weighed.sum()
         return changed
