@@ -441,7 +441,8 @@ def wheels_slip(way: float = 1.0, degrees: float = 0.0) -> Fault:
     def change(step: Array, took: float, seconds: float) -> Array:
         if seconds % SLIPS_EVERY_S < SLIPS_FROM_S or seconds % SLIPS_EVERY_S >= SLIPS_FROM_S + SLIPS_S:
             return step
-        return step * np.array([way, way, 1.0]) + np.array([0.0, 0.0, np.radians(degrees) * took])
+        slid: Array = step * np.array([way, way, 1.0]) + np.array([0.0, 0.0, np.radians(degrees) * took])
+        return slid
 
     return odometry_steps(change)
 

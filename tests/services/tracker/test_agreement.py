@@ -273,9 +273,9 @@ def test_scans_follow_from_each_other_while_each_has_most_of_the_one_before(
     for step in range(21):
         trail.take(round((10.0 + 0.05 * step) * 1e9), (0.02 * step, 0.0, 0.0))
     for start, end, share in ((0.0, 0.2, 0.9), (0.2, 0.4, 0.9), (since, 0.7, explained)):
-        stamps = (round((10.0 + each) * 1e9) for each in (start, end))
+        at, until = round((10.0 + start) * 1e9), round((10.0 + end) * 1e9)
         moved = (0.4 * (end - start), 0.0, 0.0)
-        agreement.receive(ScanInterval("front", *stamps, moved, watched=watched, explained=share))
+        agreement.receive(ScanInterval("front", at, until, moved, watched=watched, explained=share))
     agreement.compare(trail, 11_000_000_000)
     assert found == [False, watched, follows]
 

@@ -184,7 +184,7 @@ def _bound(change: Array) -> Array:
         (LATE, len(LATE_BY), LATE),
         (EARLY, len(LATE_BY), EARLY),
     ):
-        these = np.ix_(RIGHT, range(first, first + count))
+        these = np.ix_(RIGHT, np.arange(first, first + count))
         bound[these] = 0.0
         bound[RIGHT, there] += change[these].sum(axis=1)
     return bound
@@ -301,6 +301,8 @@ class Faults:
         stretch = begun, begun + driven.seconds
         predicted = _predicted(driven.delta, self._past.poses, scans, self._seen.poses, *stretch)
         by_exactness = _log_likelihoods(scans, spread, turn_variance, predicted, follows)
+        # wheels slip as often where something else is wrong, too: else what agrees alike would gain
+        by_exactness[:, FROZEN:] += log(1.0 - SLIPS)
         anyhow = by_exactness[:, [UNRELATED]] + log(1.0 - GOES_ON)
         for first, past in self._off_time:
             guessed = first + np.flatnonzero(begun - LATE_BY < past.known_since)
@@ -420,7 +422,7 @@ def _log_likelihoods(
     anyhow = unpredicted(scans, spread, turn_variance)
     # p(scans) p(odometry | scans before) / p(odometry): where odometry pauses, any pause of scans fits.
     # What runs away shows no more than an odd motion
-    early = min(-log(ODD), anyhow - unpredicted((x, y, turn), spread, turn_variance))
+    early = min(0.0, anyhow - unpredicted((x, y, turn), spread, turn_variance))
     along, aside = SLIP + SLIP_SHARE * way, SIDEWAYS + SIGMA_SHARE * way
     slid = spread[0] + along**2, spread[1], spread[2] + aside**2
     slipped = log_gaussian(
