@@ -47,7 +47,7 @@ CASES = (
 )
 # jarvis's circular run made its map: it would judge nothing
 
-BESIDE = (".tum", ".csv", ".yaml", ".pgm", ".png", ".json")
+BESIDE = (".tum", ".yaml", ".pgm", ".png", ".json")
 """Files beside a log that are none."""
 
 COLUMNS = (

@@ -74,8 +74,10 @@ def test_the_forward_algorithm_is_bayes_over_all_sequences_of_states(
     bound, count = freely.copy(), len(model.LATE_BY)
     for state in (model.AGREE, model.SLIPPING, model.BACKWARDS):
         for first, size, least in (
-            (model.UNRELATED, 2, model.AGREE), (model.LATE, count, model.LATE), (model.EARLY, count, model.EARLY)
-        ):  # fmt: skip
+            (model.UNRELATED, 2, model.AGREE),
+            (model.LATE, count, model.LATE),
+            (model.EARLY, count, model.EARLY),
+        ):
             bound[state, first : first + size] = 0.0
             bound[state, least] += freely[state, first : first + size].sum()
     joint = prior

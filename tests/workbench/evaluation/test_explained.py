@@ -59,7 +59,7 @@ def test_a_lidar_that_is_not_in_tf_is_remarked(tmp_path: Path) -> None:
         "normalised_innovation_squared": {"consistency": {"mean": None, "high": None}},
     }
     (remark,) = remarks(figures)
-    assert "not in tf" in remark
+    assert "states no mount" in remark
     assert "import --mount" in remark
 
 

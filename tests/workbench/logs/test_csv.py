@@ -135,6 +135,18 @@ def test_lines_of_one_time_may_come_in_any_order(tmp_path: Path, swapped: bool) 
     assert list(scan.open(RawScan).ranges) == [4.0, 5.0]
 
 
+@pytest.mark.parametrize(("mounted", "without"), [((), 2), (("front",), 1), (("front", "rear"), 0)])
+def test_lidars_without_a_mount_are_counted(tmp_path: Path, mounted: tuple[str, ...], without: int) -> None:
+    head = "time_s,lidar,angle_min_deg,angle_increment_deg,range_m_0"
+    (tmp_path / "a.csv").write_text(
+        "\n".join([head, *(f"{time},{lidar},-10,20,4" for time in (1, 2) for lidar in ("front", "rear"))])
+        + "\n"
+    )
+    log = open_log(tmp_path / "a.csv", LogOptions(mounts=dict.fromkeys(mounted, Mount(0.2, 0.0, 0.0))))
+    assert len(list(log.envelopes())) == 4
+    assert log.counters["lidars_without_mount"] == without
+
+
 WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import exp
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State, Track
 from eigenscan.tracker.agreement import Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
@@ -55,6 +56,10 @@ UNCONFIRMED = 2.0
 """New scans without the claimed place, after which a claim ends where other places are at all likely.
 
 What is hidden for so long is more often wrong (benchmarks/mechanisms.py).
+"""
+SKEWED = 0.025
+"""Of a scan's angle, a turn since the scan before from which beams may seem 5 % too far apart, or too near:
+half of it. A lidar sweeps while the robot turns, and nobody states for how long.
 """
 CLOCK_SET_BACK = "odometry's stamps went back by {:.1f} s: was the robot's clock set?"
 HISTORY_STEP = (0.1, 0.1, 0.17)
@@ -293,7 +298,7 @@ class RobotTracker:
         elif seen.usable and seen.local:
             self._follow(seen)
         elif seen.usable:
-            if seen.range_gains is not None:
+            if seen.range_gains is not None and not self._is_skewed(seen):
                 self._ranges.take(seen.lidar, seen.range_gains)
             self._heed_hint(seen)
             share = self._share(seen)
@@ -314,6 +319,11 @@ class RobotTracker:
             none=estimate.none_probability,
         )
         return estimate
+
+    def _is_skewed(self, seen: Observation) -> bool:
+        """Whether the robot may have turned so far as the lidar swept that beams seem too far apart."""
+        since = self._source_of(seen).fixed
+        return self._motion(since, seen.stamp).turn > SKEWED * (TURN - seen.unseen)
 
     def _correct(self, now: int) -> None:
         """Corrects tracks where odometry up to `now` differs from scan motion."""

@@ -51,8 +51,8 @@ def remarks(f: Figures) -> list[str]:
         found.append("the log has no odometry: the scans alone were used")
     if lost := f["log"].get("lidars_without_mount", 0):  # no such figure in results of earlier releases
         found.append(
-            f"{lost} of the lidars {'is' if lost == 1 else 'are'} not in tf, and taken to be at the base's "
-            "origin: eigenscan import --mount, then evaluate the MCAP"
+            f"the log states no mount of {lost} of its lidars, taken to be at the base's origin: "
+            "eigenscan import --mount, then evaluate the MCAP"
         )
     found += [_reported(f, words) for words in f.get("faults") or ()]
     explains = f["map_explains"]["median"]

@@ -176,6 +176,8 @@ class CsvLog:
                 lines = [line for line in lines if line.has_beams]
                 if not lines:
                     continue
+            if lidar not in seen and lidar not in self.options.mounts:
+                self.counters["lidars_without_mount"] += 1
             seen.add(lidar)
             if self.options.lidars and lidar not in self.options.lidars:
                 self.counters["scans_of_another_lidar"] += 1

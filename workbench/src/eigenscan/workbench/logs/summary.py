@@ -21,7 +21,7 @@ HINTS = {
     "lidars_at_another_height": "a map shows one plane; take them with --lidar-topic",
     "scans_of_another_frame": "on a lidar's topic: let each lidar have its own",
     "topics_of_the_same_lidar": "take them with --lidar-topic",
-    "lidars_without_mount": "not in tf: taken to be at the base's origin; give it with --mount",
+    "lidars_without_mount": "none in the log: taken to be at the base's origin; give it with --mount",
     "topics_stamped_by_recording": "their clock is not that of the others",
 }
 
