@@ -384,6 +384,17 @@ def candidates_verified(built: SiteModel) -> int:
     return counts["verified"]
 
 
+@pytest.mark.parametrize(("published", "least"), [(5, 5), (30, 30), (100, 60)])
+def test_as_many_hypotheses_as_are_asked_for_are_published(published: int, least: int) -> None:
+    """Where the building has so many places."""
+    core, grid = ready(), office()
+    built = core._site
+    assert built is not None
+    seen = observe(scan_at(free_poses(1, 7, grid)[0], grid=grid))
+    found = find_candidates(built, built.view(seen.sensor), seen, ProjectorSettings(published=published))
+    assert least <= len(found.poses) <= published
+
+
 def test_what_fits_best_by_ranges_or_by_end_points_is_refined() -> None:
     core = ready()
     built = core._site

@@ -49,7 +49,7 @@ ONE_M, ONE_RAD = 0.05, float(np.deg2rad(2.0))
 AGAIN_REFINED = 2
 """Times as many candidates are refined in a second search: the right one is seldom among the best."""
 POLISHED = 48
-"""Slid poses that are polished and weighed."""
+"""Slid poses that are polished and weighed; more where more are published."""
 FOREGROUND_SHARE = 0.1
 """Share of beams on free-standing things from which the scan is also searched without them."""
 LACKING_SHARE = 0.1
@@ -322,7 +322,7 @@ def _weigh_promising(
 ) -> Candidates:
     """What is published of slid poses: those best supported by the panoramas are polished and weighed."""
     order = np.argsort(among.doubts)
-    best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, POLISHED)
+    best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, max(POLISHED, settings.published))
     slid, region = among.poses[best], among.region[best]
     trace("kept to polish", slid)
     reading, polished, supported, explained = _weighed(site, seen, slid)
