@@ -106,6 +106,23 @@ def test_a_displaced_mount_is_measured_and_named(mount: tuple[float, float, floa
     assert found.within < 0.1
 
 
+@pytest.mark.parametrize(
+    ("mount", "words"),
+    [
+        ((0.0, 0.0, 0.0), ""),
+        ((0.05, 0.05, radians(1.0)), ""),  # as far off as those of ten logs
+        ((0.0, 0.3, 0.0), "0.3 m away"),
+        ((0.0, 0.0, radians(-6.0)), "scans move 6° off"),
+    ],
+)
+def test_a_mount_that_is_off_by_less_than_a_claim_allows_is_noted(
+    mount: tuple[float, float, float], words: str
+) -> None:
+    found = calibrated(np.array(mount), noise=0.005)
+    assert found.fault == ""
+    assert (words in found.note) if words else found.note == ""
+
+
 @pytest.mark.parametrize("scale", [0.7, 1.4])
 def test_another_scale_is_named_and_the_mount_is_right(scale: float) -> None:
     found = calibrated(np.zeros(3), scale)

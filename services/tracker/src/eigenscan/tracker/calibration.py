@@ -36,6 +36,8 @@ SIGMAS = 4.0
 The robots of ten logs are off by up to 1.7 degrees, 10 cm and 5 %, which never came to these many
 (benchmarks/integrity.py: no alarm without a fault).
 """
+NOTED_RAD, NOTED_M = float(np.radians(2.0)), 0.1
+"""So far off and as many sigmas more, it is noted: a claim allows it, but each pose errs by as much."""
 SCALE_OFF = 0.14
 """What a claim allows of the ranges' scale, as a share: a wall 3.5 m away is seen NEAR_M too near."""
 
@@ -174,6 +176,14 @@ class Calibration:
         noise = self._squares / self._intervals
         count = self._added * self._added / np.maximum(self._added2, 1e-300)
         return np.asarray(self._shown * np.minimum(noise * (FIRST + count) / (FIRST + count * noise), 1.0))
+
+    @property
+    def note(self) -> str:
+        """By how much the mount is off where a claim allows that, in words; empty: by nothing that shows."""
+        yaw, lever, _ = self.sigmas
+        if abs(self.yaw) > NOTED_RAD + SIGMAS * yaw:
+            return TURNED.format(round(degrees(self.yaw)))
+        return AWAY.format(self.lever) if self.lever > NOTED_M + SIGMAS * lever else ""
 
     def _judge(self) -> None:
         noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)

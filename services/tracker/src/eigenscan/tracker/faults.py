@@ -243,8 +243,8 @@ class Faults:
 
     @property
     def note(self) -> str:
-        """What is wrong with odometry's turns, and poses bear; empty: nothing that shows."""
-        return self._turning.note
+        """What is wrong with the mount or odometry's turns, and poses bear; empty: nothing that shows."""
+        return self._mount.note or self._turning.note
 
     @property
     def backwards(self) -> bool:

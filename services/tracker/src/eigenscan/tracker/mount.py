@@ -34,6 +34,11 @@ class Mount:
         return self._likelier.fault
 
     @property
+    def note(self) -> str:
+        """By how much the mount is off where a claim allows that, in words; empty: by nothing that shows."""
+        return self._fixed.note
+
+    @property
     def within(self) -> float:
         """Probability that the mount turns and displaces poses by less than a claim allows."""
         return self._likelier.within
