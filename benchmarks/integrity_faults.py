@@ -60,6 +60,22 @@ class Stretch:
 Fault = Callable[[Stretch], Stretch]
 
 
+def falls_behind(seconds: float, after_s: float) -> Fault:
+    """A queue fills up: scans come ever later, by 1 s each second, until they are so late."""
+
+    def fault(stretch: Stretch) -> Stretch:
+        first, last = min(e.stamp for e in stretch.received), max(e.stamp for e in stretch.received)
+
+        def late_by(envelope: Envelope) -> int:
+            come = envelope.stamp - first - round(after_s * NS)
+            return min(max(come, 0), round(seconds * NS)) if envelope.channel is SCAN_RAW else 0
+
+        moved = sorted((shifted(e, late_by(e)) for e in stretch.received), key=lambda e: e.stamp)
+        return stretch.publishing([e for e in moved if e.stamp <= last])
+
+    return fault
+
+
 def scans_changed(change: Callable[[RawScan, int, Stretch], None]) -> Fault:
     """Each raw scan after `change` of (message, its number, the stretch)."""
 
@@ -480,6 +496,7 @@ FAULTS: dict[str, Fault] = {
     "frozen after 10 s": frozen(0.0, 10.0),
     "frozen after 10 s, noise": frozen(NOISE_M, 10.0),
     "delayed by 5 s": late(5.0),
+    "scans fall behind after 10 s": falls_behind(4.0, 10.0),
     "clock 1.5 s behind": late(-1.5),
     "mirrored": scans_changed(mirror),
     "mount off by 90 deg": mount_off(90.0),

@@ -145,6 +145,7 @@ class Agreement:
         """Odometry's clock was set back: what waits is of another time."""
         self._waiting.clear()
         self._differed.clear()
+        self._taken.clear()
         for faults in self._faults.values():
             faults.restart()
 

@@ -71,7 +71,8 @@ GOES_ON = 0.9
 TURNED = np.array([radians(angle) for angle in range(30, 345, 15) if abs(angle - 180) > 20])
 """rad, angles by which a mount may be turned."""
 HONEST = 0.9
-"""Of wheels that seem to slip, how many do: scans whose delay grows look the same for seconds. A guess."""
+"""Of wheels that seem to slip, how many do: scans that fall behind look the same for seconds. A guess, between
+both in benchmarks/integrity.py."""
 GROWS = 0.02
 """Chance, an interval, that a delay grows by a step, and that it shrinks: a queue fills up."""
 QUIET_M, QUIET_RAD = 0.005, 0.005
@@ -421,7 +422,7 @@ def _log_likelihoods(
     way, turned = max(np.hypot(scans[0], scans[1]), np.hypot(x, y)), max(abs(scans[2]), abs(turn))
     anyhow = unpredicted(scans, spread, turn_variance)
     # p(scans) p(odometry | scans before) / p(odometry): where odometry pauses, any pause of scans fits.
-    # What runs away shows no more than an odd motion
+    # That odometry is noisier than scans makes it no likelier
     early = min(0.0, anyhow - unpredicted((x, y, turn), spread, turn_variance))
     along, aside = SLIP + SLIP_SHARE * way, SIDEWAYS + SIGMA_SHARE * way
     slid = spread[0] + along**2, spread[1], spread[2] + aside**2
