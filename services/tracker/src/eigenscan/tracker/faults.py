@@ -71,8 +71,8 @@ GOES_ON = 0.9
 TURNED = np.array([radians(angle) for angle in range(30, 345, 15) if abs(angle - 180) > 20])
 """rad, angles by which a mount may be turned."""
 HONEST = 0.9
-"""Of wheels that seem to slip, how many do: scans that fall behind look the same for seconds. A guess, between
-both in benchmarks/integrity.py."""
+"""Of wheels that seem to slip, how many do: scans that fall behind look the same for seconds. A guess between
+both, benchmarks/integrity.py."""
 GROWS = 0.02
 """Chance, an interval, that a delay grows by a step, and that it shrinks: a queue fills up."""
 QUIET_M, QUIET_RAD = 0.005, 0.005
