@@ -99,7 +99,7 @@ def test_a_claim_that_no_list_confirms_any_more_ends_where_other_places_are_like
     settings = TrackerSettings()
     held, halfway = settings.released_below, (settings.released_below + settings.localized_above) / 2.0
     doubtful = list[PoseEstimate]()
-    for scan in range(116):
+    for scan in range(150):
         time, pose = 10.0 + 0.1 * scan, np.array([0.1 * scan, 0.0, 0.0])
         list(core.handle(speaker.odometry(time, pose)))
         place, likelihood = (pose, 17.0) if scan < 30 else (pose + np.array([0.0, 50.0, 0.0]), 13.0)
