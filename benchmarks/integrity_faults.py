@@ -60,22 +60,6 @@ class Stretch:
 Fault = Callable[[Stretch], Stretch]
 
 
-def falls_behind(seconds: float, after_s: float) -> Fault:
-    """A queue fills up: scans come ever later, by 1 s each second, until they are so late."""
-
-    def fault(stretch: Stretch) -> Stretch:
-        first, last = min(e.stamp for e in stretch.received), max(e.stamp for e in stretch.received)
-
-        def late_by(envelope: Envelope) -> int:
-            come = envelope.stamp - first - round(after_s * NS)
-            return min(max(come, 0), round(seconds * NS)) if envelope.channel is SCAN_RAW else 0
-
-        moved = sorted((shifted(e, late_by(e)) for e in stretch.received), key=lambda e: e.stamp)
-        return stretch.publishing([e for e in moved if e.stamp <= last])
-
-    return fault
-
-
 def scans_changed(change: Callable[[RawScan, int, Stretch], None]) -> Fault:
     """Each raw scan after `change` of (message, its number, the stretch)."""
 
@@ -146,18 +130,28 @@ def frozen(noise: float, after_s: float = 0.0) -> Fault:
     return fault
 
 
-def late(seconds: float, channel: Channel = SCAN_RAW) -> Fault:
-    """Each scan, or odometry, is stamped so much after it was taken; before it, if that is negative."""
-
-    by = round(seconds * NS)
+def stamped_late(by: Callable[[int], int], channel: Channel) -> Fault:
+    """Messages of a channel are stamped late by what `by` gives of the time since the first one, ns."""
 
     def fault(stretch: Stretch) -> Stretch:
         stamps = [e.stamp for e in stretch.received]
         first, last = min(stamps), max(stamps)
-        moved = [shifted(e, by) if e.channel is channel else e for e in stretch.received]
+        moved = [shifted(e, by(e.stamp - first)) if e.channel is channel else e for e in stretch.received]
         return stretch.publishing([e for e in moved if first <= e.stamp <= last])
 
     return fault
+
+
+def late(seconds: float, channel: Channel = SCAN_RAW) -> Fault:
+    """Each scan, or odometry, is stamped so much after it was taken; before it, if that is negative."""
+    by = round(seconds * NS)
+    return stamped_late(lambda _: by, channel)
+
+
+def falls_behind(seconds: float, after_s: float) -> Fault:
+    """A queue fills up: scans come ever later, by 1 s each second, until they are so late."""
+    after, most = round(after_s * NS), round(seconds * NS)
+    return stamped_late(lambda passed: min(max(passed - after, 0), most), SCAN_RAW)
 
 
 def mirror(message: RawScan, _: int, __: Stretch) -> None:
@@ -441,26 +435,24 @@ def odometry_steps(change: Callable[[Array, float, float], Array]) -> Fault:
     return odometry_changed(changed)
 
 
-def odometry_scaled(way: float = 1.0, turn: float = 1.0) -> Fault:
-    """Wheels of another radius, or farther apart: way and turns are so many times as large."""
-    return odometry_steps(lambda step, *_: step * np.array([way, way, turn]))
+def odometry_off(
+    way: float = 1.0, turn: float = 1.0, degrees: float = 0.0, when: Callable[[float], bool] = lambda _: True
+) -> Fault:
+    """Way and turns counted so many times, and degrees/s more, `when` it holds of the s since the first.
 
-
-def heading_drifts(degrees: float) -> Fault:
-    """A gyroscope with so large a bias, degrees/s."""
-    return odometry_steps(lambda step, took, _: step + np.array([0.0, 0.0, np.radians(degrees) * took]))
-
-
-def wheels_slip(way: float = 1.0, degrees: float = 0.0) -> Fault:
-    """For 3 s of each 20, from 10 s on: `way` times as far, or turning by so many degrees/s more."""
+    Wheels of another radius, or farther apart; a gyroscope with a bias.
+    """
 
     def change(step: Array, took: float, seconds: float) -> Array:
-        if seconds % SLIPS_EVERY_S < SLIPS_FROM_S or seconds % SLIPS_EVERY_S >= SLIPS_FROM_S + SLIPS_S:
-            return step
-        slid: Array = step * np.array([way, way, 1.0]) + np.array([0.0, 0.0, np.radians(degrees) * took])
-        return slid
+        off: Array = step * np.array([way, way, turn]) + np.array([0.0, 0.0, np.radians(degrees) * took])
+        return off if when(seconds) else step
 
     return odometry_steps(change)
+
+
+def slips(seconds: float) -> bool:
+    """Whether wheels slip so long after the first message."""
+    return SLIPS_FROM_S <= seconds % SLIPS_EVERY_S < SLIPS_FROM_S + SLIPS_S
 
 
 def _runs_away(pose: Array, seconds: float, _: Stretch) -> Array:
@@ -520,13 +512,13 @@ FAULTS: dict[str, Fault] = {
     "half of each scan from the last": half_of_the_one_before,
     "a third sees the floor": scans_changed(bent),
     "late by up to 0.4 s by chance": late_by_chance(0.4),
-    "odometry 1.5 times too far": odometry_scaled(way=1.5),
-    "turns counted 0.8 times": odometry_scaled(turn=0.8),
-    "turns counted 1.3 times": odometry_scaled(turn=1.3),
+    "odometry 1.5 times too far": odometry_off(way=1.5),
+    "turns counted 0.8 times": odometry_off(turn=0.8),
+    "turns counted 1.3 times": odometry_off(turn=1.3),
     "odometry 0.3 s late": late(0.3, ODOMETRY),
-    "heading drifts by 2 deg/s": heading_drifts(2.0),
-    "wheels slip ahead after 10 s": wheels_slip(way=3.0),
-    "wheels slip aside after 10 s": wheels_slip(degrees=15.0),
+    "heading drifts by 2 deg/s": odometry_off(degrees=2.0),
+    "wheels slip ahead after 10 s": odometry_off(way=3.0, when=slips),
+    "wheels slip aside after 10 s": odometry_off(degrees=15.0, when=slips),
     "odometry backwards": odometry_changed(_reversed),
     "two robots, one name": two_robots,
     "half of the beams from elsewhere": from_elsewhere(0.5),

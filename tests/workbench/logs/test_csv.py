@@ -145,6 +145,9 @@ def test_lidars_without_a_mount_are_counted(tmp_path: Path, mounted: tuple[str, 
     log = open_log(tmp_path / "a.csv", LogOptions(mounts=dict.fromkeys(mounted, Mount(0.2, 0.0, 0.0))))
     assert len(list(log.envelopes())) == 4
     assert log.counters["lidars_without_mount"] == without
+    front = open_log(tmp_path / "a.csv", LogOptions(lidars=("front",)))
+    assert len(list(front.envelopes())) == 2
+    assert front.counters["lidars_without_mount"] == 1  # of those that are taken
 
 
 WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"

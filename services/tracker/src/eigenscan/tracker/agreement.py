@@ -63,6 +63,11 @@ class ScanInterval:
     explained: float = 1.0
     """Share of the later scan's beams that the earlier one has too."""
 
+    @property
+    def follows(self) -> bool:
+        """Whether the later scan follows from the earlier one, and those between from each other."""
+        return self.watched and self.explained >= FOLLOWS
+
 
 class Agreement:
     """How far scan motion and odometry of one robot agree."""
@@ -200,8 +205,7 @@ class Agreement:
     def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
         if interval.watched:
             before = self._differed.get(interval.lidar, 0)
-            follows = agrees and interval.explained >= FOLLOWS
-            self._differed[interval.lidar] = before if follows else interval.stamp
+            self._differed[interval.lidar] = before if agrees and interval.follows else interval.stamp
 
     def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
         faults = self._of(interval.lidar)
@@ -210,8 +214,7 @@ class Agreement:
             self.disagreed = True
         else:
             follows = (
-                interval.watched
-                and interval.explained >= FOLLOWS
+                interval.follows
                 and interval.longest_step < LATE_S
                 and self._taken.get(interval.lidar) == interval.since
             )

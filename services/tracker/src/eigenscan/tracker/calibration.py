@@ -181,9 +181,13 @@ class Calibration:
     def note(self) -> str:
         """By how much the mount is off where a claim allows that, in words; empty: by nothing that shows."""
         yaw, lever, _ = self.sigmas
-        if abs(self.yaw) > NOTED_RAD + SIGMAS * yaw:
+        return self._beyond(NOTED_RAD + SIGMAS * yaw, NOTED_M + SIGMAS * lever)
+
+    def _beyond(self, rad: float, metres: float) -> str:
+        """By how much the mount is off by more than so much, in words; or empty."""
+        if abs(self.yaw) > rad:
             return TURNED.format(round(degrees(self.yaw)))
-        return AWAY.format(self.lever) if self.lever > NOTED_M + SIGMAS * lever else ""
+        return AWAY.format(self.lever) if self.lever > metres else ""
 
     def _judge(self) -> None:
         noise = NOISE_SHOWS * (self._intervals - FIRST) * (self._squares / self._intervals)
@@ -194,14 +198,9 @@ class Calibration:
         if mount > 0.0 or scaled > 0.0:  # doubt needs information that stands alone
             alone = self._ratios(self._shown_alone)
             mount, scaled = min(mount, max(alone[0], 0.0)), min(scaled, max(alone[1], 0.0))
-        if abs(self.yaw) > NEAR_RAD / 2.0 + SIGMAS * yaw:
-            self.fault = TURNED.format(round(degrees(self.yaw)))
-        elif self.lever > NEAR_M / 2.0 + SIGMAS * lever:
-            self.fault = AWAY.format(self.lever)
-        elif abs(self.scale - 1.0) > SCALE_OFF / 2.0 + SIGMAS * scale:
+        self.fault = self._beyond(NEAR_RAD / 2.0 + SIGMAS * yaw, NEAR_M / 2.0 + SIGMAS * lever)
+        if not self.fault and abs(self.scale - 1.0) > SCALE_OFF / 2.0 + SIGMAS * scale:
             self.fault = SCALED.format(self.scale)
-        else:
-            self.fault = ""
         self.proven = min(right_share(mount), max(right_share(scaled), 1.0 - WRONG))
         if self.fault or self.proven < PROVEN:  # what happens to agree by chance is no proof
             self.proven = min(self.proven, 1.0 - WRONG)

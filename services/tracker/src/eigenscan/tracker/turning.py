@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 RIGHT, START = np.array([1.0, 0.0]), np.array([0.5, 0.1])
 """Scale and rate, rad/s, before any motion, and their wide sigmas."""
+FIRST_INFORMATION: Array = np.diag(START**-2)
 STRAIGHT = 2.0 * SIGMA_RAD
 """rad: an odometry's turn up to this may be mostly noise, and shows no scale: it would seem too large."""
 DRIFTS = radians(1.0)
@@ -55,8 +56,8 @@ class Turning:
         self._sums += h * (scans / noise)
         # how exact the turns are is learned; what was known before them is not more exact for that
         exact = self._intervals / self._squares
-        self._spread = np.asarray(np.linalg.inv(np.diag(START**-2) + exact * self._information))
-        self.scale, self.rate = (self._spread @ (RIGHT / START**2 + exact * self._sums)).tolist()
+        self._spread = np.asarray(np.linalg.inv(FIRST_INFORMATION + exact * self._information))
+        self.scale, self.rate = (self._spread @ (FIRST_INFORMATION @ RIGHT + exact * self._sums)).tolist()
         self._judge()
 
     def _judge(self) -> None:

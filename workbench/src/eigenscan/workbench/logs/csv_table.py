@@ -176,12 +176,13 @@ class CsvLog:
                 lines = [line for line in lines if line.has_beams]
                 if not lines:
                     continue
-            if lidar not in seen and lidar not in self.options.mounts:
-                self.counters["lidars_without_mount"] += 1
+            is_new = lidar not in seen
             seen.add(lidar)
             if self.options.lidars and lidar not in self.options.lidars:
                 self.counters["scans_of_another_lidar"] += 1
                 continue
+            if is_new and lidar not in self.options.mounts:
+                self.counters["lidars_without_mount"] += 1
             if not lines[0].columns.angle:
                 for line in lines:
                     yield self._scan(line, stamp, lidar, *_row(line))
