@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -227,6 +228,23 @@ def test_range_noise_and_missing_beams_have_the_declared_size(grid: GridMap) -> 
     scans = np.stack([noisy.measure(walls, base, np.empty((0, 2)), random) for _ in range(200)])
     assert np.isnan(scans).mean() == pytest.approx(0.05, abs=0.005)
     assert np.nanstd(scans - exact) == pytest.approx(0.03, rel=0.03)
+
+
+def test_a_lidar_that_sweeps_sees_from_where_the_robot_is_by_then(grid: GridMap) -> None:
+    lidar = Lidar(noise=0.0, missing=0.0, sweep=0.1)
+    stage = Stage(grid, Scenario(seconds=10.0, people=0, seed=4, lidar=lidar))
+    walls, still, nobody = RayCaster.of(grid), replace(lidar, sweep=0.0), np.empty((0, 2))
+    off = []
+    for timed in stage.messages():
+        if timed.envelope.channel is SCAN_RAW:
+            raw = timed.envelope.open(RawScan)
+            assert raw.time_increment == pytest.approx(0.1 / 360)
+            for beam, later in ((0, 0), (180, 50_000_000), (360, 100_000_000)):
+                base = stage.pose_at(timed.time + later)
+                seen = still.measure(walls, base, nobody, np.random.default_rng(0))
+                off.append(abs(raw.ranges[beam] - seen[beam]))
+    # stored in single precision; at the end of a wall a beam may pass
+    assert np.quantile(off, 0.95) < 1e-5
 
 
 def test_beyond_the_reach_a_beam_comes_back_empty(grid: GridMap) -> None:

@@ -26,7 +26,7 @@ from eigenscan.schemas import geometry_pb2 as eigenscan_dot_schemas_dot_geometry
 from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1c\x65igenscan/schemas/scan.proto\x12\teigenscan\x1a eigenscan/schemas/geometry.proto\x1a\x1fgoogle/protobuf/timestamp.proto\"\xe2\x01\n\x07RawScan\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1f\n\x05mount\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x13\n\x0bupside_down\x18\x04 \x01(\x08\x12\x11\n\tangle_min\x18\x05 \x01(\x01\x12\x17\n\x0f\x61ngle_increment\x18\x06 \x01(\x01\x12\x11\n\trange_min\x18\x07 \x01(\x01\x12\x11\n\trange_max\x18\x08 \x01(\x01\x12\x0e\n\x06ranges\x18\t \x03(\x02\"\x83\x02\n\x04Scan\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1f\n\x05mount\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x11\n\tangle_min\x18\x04 \x01(\x01\x12\x17\n\x0f\x61ngle_increment\x18\x05 \x01(\x01\x12\x11\n\trange_min\x18\x06 \x01(\x01\x12\x11\n\trange_max\x18\x07 \x01(\x01\x12\x0e\n\x06ranges\x18\x08 \x03(\x02\x12\x10\n\x08sequence\x18\t \x01(\x04\x12%\n\x06motion\x18\n \x01(\x0b\x32\x15.eigenscan.ScanMotion\"\xff\x01\n\nScanMotion\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12)\n\x05since\x18\x02 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12 \n\x06motion\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x04 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x11\n\texplained\x18\x05 \x01(\x01\x12\x0f\n\x07repeats\x18\x06 \x01(\r\x12\x14\n\x0clongest_step\x18\x07 \x01(\x01\x12\x0f\n\x07watched\x18\x08 \x01(\x08\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1c\x65igenscan/schemas/scan.proto\x12\teigenscan\x1a eigenscan/schemas/geometry.proto\x1a\x1fgoogle/protobuf/timestamp.proto\"\x91\x02\n\x07RawScan\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1f\n\x05mount\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x13\n\x0bupside_down\x18\x04 \x01(\x08\x12\x11\n\tangle_min\x18\x05 \x01(\x01\x12\x17\n\x0f\x61ngle_increment\x18\x06 \x01(\x01\x12\x11\n\trange_min\x18\x07 \x01(\x01\x12\x11\n\trange_max\x18\x08 \x01(\x01\x12\x0e\n\x06ranges\x18\t \x03(\x02\x12\x16\n\x0etime_increment\x18\n \x01(\x01\x12\x15\n\rstamped_after\x18\x0b \x01(\x01\"\x83\x02\n\x04Scan\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1f\n\x05mount\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x11\n\tangle_min\x18\x04 \x01(\x01\x12\x17\n\x0f\x61ngle_increment\x18\x05 \x01(\x01\x12\x11\n\trange_min\x18\x06 \x01(\x01\x12\x11\n\trange_max\x18\x07 \x01(\x01\x12\x0e\n\x06ranges\x18\x08 \x03(\x02\x12\x10\n\x08sequence\x18\t \x01(\x04\x12%\n\x06motion\x18\n \x01(\x0b\x32\x15.eigenscan.ScanMotion\"\xff\x01\n\nScanMotion\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12)\n\x05since\x18\x02 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12 \n\x06motion\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x04 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x11\n\texplained\x18\x05 \x01(\x01\x12\x0f\n\x07repeats\x18\x06 \x01(\r\x12\x14\n\x0clongest_step\x18\x07 \x01(\x01\x12\x0f\n\x07watched\x18\x08 \x01(\x08\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,9 +34,9 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'eigenscan.schemas.scan_pb2'
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_RAWSCAN']._serialized_start=111
-  _globals['_RAWSCAN']._serialized_end=337
-  _globals['_SCAN']._serialized_start=340
-  _globals['_SCAN']._serialized_end=599
-  _globals['_SCANMOTION']._serialized_start=602
-  _globals['_SCANMOTION']._serialized_end=857
+  _globals['_RAWSCAN']._serialized_end=384
+  _globals['_SCAN']._serialized_start=387
+  _globals['_SCAN']._serialized_end=646
+  _globals['_SCANMOTION']._serialized_start=649
+  _globals['_SCANMOTION']._serialized_end=904
 # @@protoc_insertion_point(module_scope)

@@ -11,7 +11,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RawScan(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "mount", "upside_down", "angle_min", "angle_increment", "range_min", "range_max", "ranges")
+    __slots__ = ("timestamp", "frame_id", "mount", "upside_down", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "time_increment", "stamped_after")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     MOUNT_FIELD_NUMBER: _ClassVar[int]
@@ -21,6 +21,8 @@ class RawScan(_message.Message):
     RANGE_MIN_FIELD_NUMBER: _ClassVar[int]
     RANGE_MAX_FIELD_NUMBER: _ClassVar[int]
     RANGES_FIELD_NUMBER: _ClassVar[int]
+    TIME_INCREMENT_FIELD_NUMBER: _ClassVar[int]
+    STAMPED_AFTER_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     mount: _geometry_pb2.Pose2
@@ -30,7 +32,9 @@ class RawScan(_message.Message):
     range_min: float
     range_max: float
     ranges: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., upside_down: _Optional[bool] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ...) -> None: ...
+    time_increment: float
+    stamped_after: float
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., upside_down: _Optional[bool] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., time_increment: _Optional[float] = ..., stamped_after: _Optional[float] = ...) -> None: ...
 
 class Scan(_message.Message):
     __slots__ = ("timestamp", "frame_id", "mount", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "sequence", "motion")

@@ -17,6 +17,7 @@ CHANNELS = {
 }
 """Those of its recording."""
 LACKED: dict[str, tuple[str, ...]] = {
+    "eigenscan.RawScan": ("time_increment", "stamped_after"),
     "eigenscan.Scan": ("motion",),
     "eigenscan.Hypotheses": ("motion", "search", "surfaces", "range_check"),
     "eigenscan.RegionModel": ("space",),

@@ -168,8 +168,9 @@ class Stage:
         return Envelope(TRUTH, self._address, message)
 
     def _publish_scan(self, tick: int, time: int, random: np.random.Generator) -> Envelope:
-        lidar, pose = self.scenario.lidar, self.poses[tick]
-        people = self.people_at(time)
+        lidar, people = self.scenario.lidar, self.people_at(time)
+        ticks = tick + np.arange(round(lidar.sweep * TICKS_PER_S) + 1)
+        swept = self.poses[np.minimum(ticks, len(self.poses) - 1)]
         message = RawScan(
             timestamp=stamp(time),
             frame_id=self.scenario.lidar_name,
@@ -178,7 +179,8 @@ class Stage:
             angle_increment=lidar.angle_increment,
             range_min=lidar.range_min,
             range_max=lidar.range_max,
-            ranges=lidar.measure(self._walls, pose, people, random).tolist(),
+            ranges=lidar.measure(self._walls, swept, people, random).tolist(),
+            time_increment=lidar.time_increment,
         )
         return Envelope(SCAN_RAW, self._address, message)
 
