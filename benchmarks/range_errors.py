@@ -74,7 +74,7 @@ def main() -> None:
     for listed in wanted(LOGS, options.only):
         case = read_case(listed.name, options.datasets / listed.folder, listed.log, listed.reference)
         for way in options.way or ["exact"]:
-            site = _site(case, way)
+            site = site_of(case, way)
             for error in options.error or ERRORS:
                 rows.append(_judge(case, way, site, error, options.metres))
                 print(_line(rows[-1]), flush=True)
@@ -82,7 +82,7 @@ def main() -> None:
         options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
-def _site(case: Case, way: str) -> Site:
+def site_of(case: Case, way: str) -> Site:
     worse, _ = worsened(case, way, SEED)
     core = ProjectorCore(ProjectorSettings())
     for model in MapbuilderCore(MapbuilderSettings(), build_site(worse.grid, Plan())).start():

@@ -21,6 +21,7 @@ from eigenscan.geometry.normalize import (
     orient,
     resample,
 )
+from eigenscan.ingest.deskew import Deskew, Timing
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
 from eigenscan.ingest.watch import FROZEN, NEAREST_M, Watch, not_in_metres, one_value
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
@@ -72,6 +73,7 @@ class _Lidar:
     latest_late: int = 0  # ns, stamp of the last of those
     published: int = 0
     watch: Watch = field(default_factory=Watch)
+    deskew: Deskew = field(default_factory=Deskew)
     recent: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))  # why set aside, or ""
 
     @property
@@ -193,6 +195,15 @@ class ScanIngestCore:
         sweep = Sweep(limit(sweep.ranges, range_min, range_max), sweep.angle_min, sweep.angle_increment)
         if np.isnan(sweep.ranges).all():
             raise ScanError("no_valid_range")
+        # orient has reversed the beams of a lidar that turns clockwise
+        increment = -raw.time_increment if (raw.angle_increment < 0.0) != upside_down else raw.time_increment
+        own = Timing(increment, raw.stamped_after)
+        straight = lidar.deskew.take(sweep, own, (mount.x, mount.y, mount.theta), time)
+        if straight is not sweep:
+            self._counts["deskewed"] += 1
+            sweep = Sweep(
+                limit(straight.ranges, range_min, range_max), sweep.angle_min, sweep.angle_increment
+            )
         if self._step is not None:
             sweep = resample(sweep, self._step)
         if one_value(sweep.ranges, sweep.angle_increment):
