@@ -63,12 +63,16 @@ def vector(x: float, y: float, z: float) -> Any:
     return cdr.make("geometry_msgs/msg/Vector3", x, y, z)
 
 
-def scan(frame: str = "laser", ranges: Iterable[float] = (1.0, 2.0, np.inf), time: int = TIME) -> bytes:
+def scan(
+    frame: str = "laser",
+    ranges: Iterable[float] = (1.0, 2.0, np.inf),
+    time: int = TIME,
+    time_increment: float = 0.0,
+) -> bytes:
     values = np.asarray([*ranges], dtype=np.float32)
     none = np.zeros(0, dtype=np.float32)
-    return cdr.encode(
-        cdr.make(cdr.LASER_SCAN, header(frame, time), -1.0, 1.0, 1.0, 0.0, 0.1, 0.05, 30.0, values, none)
-    )
+    limits = -1.0, 1.0, 1.0, time_increment, 0.1, 0.05, 30.0
+    return cdr.encode(cdr.make(cdr.LASER_SCAN, header(frame, time), *limits, values, none))
 
 
 def odometry(x: float, y: float, theta: float, base: str = "base_link") -> bytes:
@@ -103,6 +107,30 @@ def report(bridge: RosBridgeCore, channel: Any, message: Any) -> list[tuple[str,
     output = Loopback([bridge]).receive(Envelope(channel, SITE, message))
     assert all(each.channel is ROS_PUBLISHED for each in output)
     return [(each.address["endpoint"], each.open(BytesValue).value) for each in output]
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "after"),
+    [(0.003, 0.1), (0.104, 0.0), (-0.004, 0.1), (3600.0, 0.0), (-3600.0, 0.0)],
+    ids=["stamped when received", "of the first beam", "clocks a little apart", "ahead", "behind"],
+)
+def test_a_driver_that_stamps_scans_when_it_has_them_is_found_out(lag_s: float, after: float) -> None:
+    """No scan is received before its last beam was measured: SICK's, Hokuyo's and SLAMTEC's drivers do so."""
+    bridge = core()
+    listen(bridge, "%odom", odometry(0, 0, 0))
+    listen(bridge, "%tf_static", MOUNT)
+    lags = np.array([0.02, 0.0, 0.2, 0.01]) + lag_s
+    found = list[RawScan]()
+    for number, lag in enumerate(lags):
+        time = TIME + number * 100_000_000
+        data = BytesValue(value=scan(time=time, time_increment=0.05))
+        (published,) = bridge.handle(
+            Envelope(ROS_RECEIVED, {"endpoint": "%scan"}, data, time + int(lag * 1e9))
+        )
+        found.append(published.open(RawScan))
+    assert [each.time_increment for each in found] == pytest.approx([0.05] * 4)
+    # a scan that came late, over a slow link, does not change it
+    assert [each.stamped_after for each in found[1:]] == pytest.approx([after] * 3)
 
 
 def test_a_scan_is_published_with_the_mount_that_tf_gives() -> None:

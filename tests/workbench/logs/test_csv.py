@@ -105,6 +105,12 @@ def test_odometry_limits_lidars_and_mount(tmp_path: Path) -> None:
     assert len(_scans(tmp_path / "a.csv")) == 2
 
 
+def test_a_line_states_the_time_between_its_beams(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(WIDE.replace("\n", ",time_increment_s\n") + "1,0,1,2,2,0.0002\n")
+    (scan,) = _scans(tmp_path / "a.csv")
+    assert scan.time_increment == 0.0002
+
+
 @pytest.mark.parametrize(
     ("beams", "empty", "scan"),
     [

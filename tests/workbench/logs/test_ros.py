@@ -71,6 +71,7 @@ class Story:
             "range_max": 10.0,
             "ranges": np.arange(1, 6, dtype=np.float32),
             "intensities": np.zeros(0, dtype=np.float32),
+            **fields,
         }
         header = self.header(recorded if stamp is None else stamp, frame)
         self.messages.append((topic, SCAN, recorded, self.kind(SCAN)(header=header, **given)))
@@ -333,6 +334,20 @@ def test_a_lidar_with_another_clock_gets_the_time_of_recording(tmp_path: Path, s
     times = [scan.timestamp.ToNanoseconds() - START * S for scan in scans["scan"]]
     np.testing.assert_allclose(np.array(times) / S, np.arange(30) / 10 + 0.05, atol=1e-6)
     assert counters["topics_stamped_by_recording"] == 1
+
+
+@pytest.mark.parametrize(("lag", "after"), [(0.002, 0.08), (0.082, 0.0)])
+def test_a_lidar_that_sweeps_states_when_its_first_beam_was_measured(
+    tmp_path: Path, lag: float, after: float
+) -> None:
+    story = Story(False)
+    for tenth in range(30):
+        time = START + tenth / 10
+        story.odometry("/odom", time + 0.01, tenth / 10, stamp=time)
+        story.scan("/scan", time + lag, "laser", stamp=time, time_increment=0.02)
+    scans, _, _ = read(story.write(tmp_path / "a"))
+    assert scans["scan"][7].time_increment == pytest.approx(0.02)
+    assert scans["scan"][7].stamped_after == pytest.approx(after)
 
 
 def test_a_bag_recorded_again_keeps_its_own_time(tmp_path: Path) -> None:

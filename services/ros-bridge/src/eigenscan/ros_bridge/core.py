@@ -18,6 +18,7 @@ from eigenscan.ros_bridge.endpoints import NODE, Endpoint, endpoints
 from eigenscan.ros_bridge.gathering import LIDAR, Gathering
 from eigenscan.ros_bridge.gyroscope import HeadingSum
 from eigenscan.ros_bridge.inbound import (
+    Stamping,
     frame_name,
     header_stamp,
     lidar_names,
@@ -100,6 +101,7 @@ class RosBridgeCore:
         self._estimate: PoseEstimate | None = None  # since the tracker's last health
         sources = (*self._ends.scans, *self._ends.clouds)
         self._lacks = "no scan yet on " + ", ".join(source.name for source in sources)
+        self._received, self._stamping = 0, Stamping()
         self._receivers = dict(self._make_receivers())
         self._answerers = dict(self._make_answerers())
 
@@ -111,6 +113,7 @@ class RosBridgeCore:
         """Converts a message to the other side; counts one without a counterpart."""
         try:
             if received.channel is ROS_RECEIVED:
+                self._received = received.arrived
                 data = received.open(BytesValue).value
                 return list(self._receivers[received.address["endpoint"]](data))
             if received.channel is ROS_ASKED:
@@ -200,7 +203,9 @@ class RosBridgeCore:
 
     def _scan(self, body: Any) -> RawScan:
         mount, upside_down = self._mounts.of(frame_name(body.header.frame_id))
-        return raw_scan(body, header_stamp(body.header), mount, upside_down)
+        time = header_stamp(body.header)
+        after = self._stamping.after(body, time, self._received)
+        return raw_scan(body, time, mount, upside_down, after)
 
     def _scan_of_cloud(self, body: Any) -> RawScan:
         matrix = self._mounts.matrix(frame_name(body.header.frame_id))

@@ -27,8 +27,30 @@ _PLANAR = np.array([0, 1, 5])
 """x, y and yaw among ROS's x, y, z, roll, pitch, yaw."""
 
 
-def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawScan:
-    """Converts a LaserScan; `mount` (3,): the sensor in the base frame; `time` in ns."""
+class Stamping:
+    """Which drivers stamp a scan when they have received it, not when its first beam was measured.
+
+    A scan can't be received before its last beam was measured. Where one was received within half a sweep of
+    its stamp, the stamp is not that of the first beam: so do drivers of SICK, Hokuyo and SLAMTEC lidars
+    (benchmarks/deskew.py). Clocks of two machines may differ by more; then the stamp is believed.
+    """
+
+    def __init__(self) -> None:
+        self._soonest: dict[str, int] = {}
+        """By frame, ns from a scan's stamp to when it was received, at least."""
+
+    def after(self, body: Any, time: int, received: int) -> float:
+        """Time, s, from the first beam of a LaserScan to its stamp, `time`; it was `received`, both in ns."""
+        frame, lag = body.header.frame_id, received - time
+        soonest = self._soonest[frame] = min(lag, self._soonest.get(frame, lag))
+        sweep = (len(body.ranges) - 1) * abs(float(body.time_increment))
+        return sweep if 2e-9 * abs(soonest) < sweep else 0.0
+
+
+def raw_scan(
+    body: Any, time: int, mount: ArrayLike, upside_down: bool, stamped_after: float = 0.0
+) -> RawScan:
+    """Converts a LaserScan; `mount` (3,): the sensor in the base frame; `time` in ns, the rest in s."""
     increment = float(body.angle_increment)
     if increment == 0.0 and len(body.ranges) > 1:
         increment = (float(body.angle_max) - float(body.angle_min)) / (len(body.ranges) - 1)
@@ -41,6 +63,8 @@ def raw_scan(body: Any, time: int, mount: ArrayLike, upside_down: bool) -> RawSc
         angle_increment=increment,
         range_min=float(body.range_min),
         range_max=float(body.range_max),
+        time_increment=float(body.time_increment),
+        stamped_after=stamped_after,
     )
     put_floats(scan, RawScan.RANGES_FIELD_NUMBER, np.asarray(body.ranges, dtype=np.float32))
     return scan

@@ -30,6 +30,7 @@ TIME, LIDAR = "time_s", "lidar"
 LINE_A_SCAN = ("angle_min_deg", "angle_increment_deg")
 ODOMETRY = ("x_m", "y_m", "heading_deg")
 LIMITS = ("range_min_m", "range_max_m")
+INCREMENT = "time_increment_s"
 ANGLES = {"angle_deg": 1.0, "angle_cw_deg": -1.0}
 """Columns with a beam's angle, and their sign: SLAMTEC's lidars count clockwise."""
 RANGES = {"range_m": 1.0, "range_mm": 1e-3}
@@ -217,6 +218,8 @@ class CsvLog:
             range_min=low,
             range_max=high,
             ranges=single(ranges),
+            # beams of lines of their own were sorted by angle
+            time_increment=0.0 if line.columns.angle else line.value(INCREMENT, 0.0),
         )
 
     def _lines(self) -> Iterator[_Line]:

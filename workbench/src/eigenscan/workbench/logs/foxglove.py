@@ -33,6 +33,7 @@ def _scan(data: bytes) -> SimpleNamespace:
         angle_increment=(scan.end_angle - scan.start_angle) / beams,
         range_min=0.0,
         range_max=0.0,
+        time_increment=0.0,
         ranges=scan.ranges[:],
     )
 

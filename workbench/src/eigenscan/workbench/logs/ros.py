@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.ros_bridge.inbound import frame_name, header_stamp, on_plane, raw_scan, stated_covariance
+from eigenscan.ros_bridge.inbound import (
+    Stamping,
+    frame_name,
+    header_stamp,
+    on_plane,
+    raw_scan,
+    stated_covariance,
+)
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.logs.bag import Bag, BagMessage
@@ -43,6 +50,7 @@ class RosLog:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan."""
         self.counters.clear()
         self._finished = False
+        self._stamping = Stamping()
         plan = survey_bag(self._bag, self._options, self.counters)
         self._bag.counters.clear()
         messages = self._bag.messages([*plan.lidars, *plan.odometry])
@@ -62,7 +70,8 @@ class RosLog:
             if message.topic in plan.lidars:
                 lidar = plan.lidars[message.topic]
                 if frame_name(body.header.frame_id) == lidar.frame:
-                    yield self._scan(body, lidar, time)
+                    after = self._stamping.after(body, time, message.time)
+                    yield self._scan(body, lidar, time, after)
                 else:  # another lidar's, which is mounted elsewhere
                     self.counters["scans_of_another_frame"] += 1
             else:
@@ -82,8 +91,8 @@ class RosLog:
         self.counters["no_stamp"] += 1
         return None
 
-    def _scan(self, body: Any, lidar: Lidar, time: int) -> Envelope:
-        message = raw_scan(body, time, lidar.mount, lidar.upside_down)
+    def _scan(self, body: Any, lidar: Lidar, time: int, after: float) -> Envelope:
+        message = raw_scan(body, time, lidar.mount, lidar.upside_down, after)
         place(self._options, lidar.name, message)
         address = {"site": self._options.site, "robot": self._options.robot, "lidar": lidar.name}
         return Envelope(SCAN_RAW, address, message)
