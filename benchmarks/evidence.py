@@ -1,7 +1,7 @@
 """What a hypothesis is worth to a track that predicted it: right tracks beside wrong ones, on real logs.
 
     .venv/bin/python benchmarks/evidence.py [--datasets FOLDER] [--only intel] [--json OUT]
-        [--way "30 % of the walls missing"]
+        [--way "30 % of the walls missing"] [--buildings FOLDER]
 
 A track is begun at each hypothesis of a scan that is worth it, and followed by the true motion to the scan
 half a metre or half a radian on. There it has a hypothesis of some log-likelihood L, by some nats ahead of
@@ -52,14 +52,13 @@ from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goe
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
 from eigenscan.tracker.evidence import (
     ALIASES,
+    BEHIND,
     EMERGES,
     ENDS,
     ENDS_LASTING,
-    EVEN,
     HIDES,
     LASTING,
     LEAD,
-    LEVEL,
     MOST,
     SHOWN_YET_MISSED,
     SHOWS,
@@ -69,7 +68,8 @@ from eigenscan.tracker.odometry import Motion
 from eigenscan.workbench.evaluation.metrics import errors, right
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Pipeline
-from evaluate import DATASETS
+from evaluate import DATASETS, buildings
+from evaluate import Case as Listed
 from maps import LOGS, Case, read_case, windows_of
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -121,10 +121,9 @@ class Answer:
 
 
 @cache
-def opened(datasets: Path, name: str) -> Case:
+def opened(datasets: Path, listed: Listed) -> Case:
     """A log, its reference and its map."""
-    listed = CASES[name]
-    return read_case(name, datasets / listed.folder, listed.log, listed.reference)
+    return read_case(listed.name, datasets / listed.folder, listed.log, listed.reference)
 
 
 def worsened(case: Case, way: str) -> tuple[Pipeline, Worse]:
@@ -137,7 +136,7 @@ def worsened(case: Case, way: str) -> tuple[Pipeline, Worse]:
 
 def strangers(pipeline: Pipeline, datasets: Path, name: str) -> list[float]:
     """Of scans of another building's log, the likelihoods of their lists' best on this map."""
-    other = opened(datasets, next(one for one in ("intel", "fr079") if one != name))
+    other = opened(datasets, CASES[next(one for one in ("intel", "fr079") if one != name)])
     raw = [each for own in windows_of(other) for each in other.log.between(own) if each.channel == SCAN_RAW]
     lists = [pipeline.answer(each).log_likelihoods for each in raw[:: max(1, len(raw) // STRANGERS)]]
     return [float(found.max(initial=0.0)) for found in lists]
@@ -243,8 +242,8 @@ def worth(scan: Answer, pose: np.ndarray) -> float:
     found = scan.at(pose)
     if found is None:
         return SHOWN_YET_MISSED
-    best, lead = found
-    return float(np.clip(LEAD * lead + LEVEL * (best - EVEN), -MOST, MOST))
+    _, lead = found
+    return float(np.clip((LEAD if lead > 0.0 else BEHIND) * lead, -MOST, MOST))
 
 
 def hiding(windows: list[list[Answer]]) -> dict[str, float]:
@@ -416,16 +415,20 @@ def main() -> None:
     parser.add_argument("--datasets", type=Path, default=DATASETS)
     parser.add_argument("--only", default="")
     parser.add_argument("--way", default="exact", choices=list(WAYS), help="in which the map is made worse")
+    parser.add_argument("--buildings", type=Path, help="logs of your own instead, as for evaluate.py")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    print(f"the tracker: {LEAD} for each nat ahead + {LEVEL} (L - {EVEN:g}), at most {MOST:g} either way")
+    root, cases = options.datasets, list(CASES.values())
+    if options.buildings:
+        root, cases = options.buildings, buildings(options.buildings)
+    print(f"the tracker: {LEAD} for each nat ahead, {BEHIND} behind, at most {MOST:g} either way")
     rows = []
-    for name in CASES:
-        if options.only in name:
-            case = opened(options.datasets, name)
+    for listed in cases:
+        if options.only in listed.name:
+            case = opened(root, listed)
             pipeline, worse = worsened(case, options.way)
-            found = judge(name, list(answers(pipeline, worse, case)))
-            rows.append(found | {"strangers": strangers(pipeline, options.datasets, name)})
+            found = judge(listed.name, list(answers(pipeline, worse, case)))
+            rows.append(found | {"strangers": strangers(pipeline, options.datasets, listed.name)})
             show(rows[-1])
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")

@@ -206,8 +206,8 @@ Patches = Sequence[tuple[Any, str, Any]]
 
 MECHANISMS: Mapping[str, Patches] = {
     "as it is": (),
-    "how far ahead, or behind": ((evidence, "LEAD", 0.0),),
-    "how likely": ((evidence, "LEVEL", 0.0),),
+    "how far ahead": ((evidence, "LEAD", 0.0),),
+    "how far behind": ((evidence, "BEHIND", 0.0),),
     "aliases": ((evidence, "ALIASES", 1e-12),),
     "aliases that last": ((evidence, "LASTING", 0.0),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, *__: moved.turn),),

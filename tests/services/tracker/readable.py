@@ -22,14 +22,13 @@ from eigenscan.tracker.covariance import (
 from eigenscan.tracker.evidence import (
     ALIASES,
     ALIKE_M,
+    BEHIND,
     ENDS,
     ENDS_LASTING,
-    EVEN,
     HIDES,
     LASTING,
     LEAD,
     LEAST_MASS,
-    LEVEL,
     MOST,
     NEAR_M,
     NEAR_RAD,
@@ -262,7 +261,7 @@ class Merit:
         lead = leads(seen)
         # that a poor fit may be of more poses makes the place no likelier
         spread = 1.5 * poorness(seen.log_likelihoods)
-        predicted = LEAD * lead + LEVEL * (seen.log_likelihoods - EVEN)
+        predicted = np.where(lead > 0.0, LEAD, BEHIND) * lead
         return cls(seen.log_likelihoods + lead.clip(0.0, MOST) - spread, predicted.clip(-MOST, MOST))
 
     def of_pairs(self, pairs: Pairs) -> Array:

@@ -243,7 +243,7 @@ def test_scans_that_fit_nowhere_in_the_map(make_core: MakeCore, speaker: Speaker
         )
         reasons.append(degraded(core))
     assert reasons[: round(9.0 / RATE_S)] == [""] * round(9.0 / RATE_S)
-    assert reasons[round(14.0 / RATE_S)].startswith("r: scans fit no place of the map: ")
+    assert reasons[round(14.0 / RATE_S)].startswith("r: scans fit no place of the map, or many alike: ")
     assert reasons[-1] == ""
 
 

@@ -190,8 +190,8 @@ def _constants(off_map_share: float) -> Constants:
     """As they are now: a benchmark may have changed one."""
     return Constants(
         evidence.LEAD,
+        evidence.BEHIND,
         evidence.MOST,
-        evidence.LEVEL,
         evidence.SHOWN_YET_MISSED,
         evidence.HIDES,
         evidence.SHOWS,

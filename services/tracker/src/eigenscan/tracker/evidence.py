@@ -23,16 +23,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-LEAD, MOST = 0.8, 5.0
-"""ln of that ratio is LEAD for each nat that a hypothesis is ahead of the next place, or behind the best.
+LEAD, BEHIND, MOST = 0.8, 0.4, 5.0
+"""ln of that ratio is LEAD for each nat that a hypothesis is ahead of the next place, BEHIND for each that it
+is behind the best.
 
-So it is on exact, thick and smeared maps alike: what makes one place likely makes others likely, too. At most
-MOST either way. Rounded from what five buildings have in common: benchmarks/evidence.py --way.
-"""
-LEVEL, EVEN = 0.2, 13.0
-"""To this comes LEVEL (L - EVEN): off the map, too, one place is ahead, but with a low likelihood.
-
-Chosen on intel, fr079 and aces with benchmarks/mechanisms.py.
+So it is on exact, thick and smeared maps alike: what makes one place likely makes others likely, too. Of many
+rooms alike the right one is behind by a nat or two in most scans: LEAD for these as well lost the robot, and
+so did a share of the likelihood itself. At most MOST either way. Rounded from what five buildings have in
+common, and two of rooms alike: benchmarks/evidence.py --way, --buildings.
 """
 
 
@@ -85,8 +83,8 @@ class Constants(NamedTuple):
     """What compiled code is given of the constants, so that a benchmark can leave a mechanism out."""
 
     lead: float
+    behind: float
     most: float
-    level: float
     shown_yet_missed: float
     hides: float
     shows: float
@@ -162,14 +160,14 @@ def listed(poses: Array, covariances: Array, log_likelihoods: Array, unlisted: f
     """What hypotheses are worth; those that are no likelier than an unlisted pose are left out.
 
     alone = L + lead, where ahead, - ln(how much larger a poor fit's volume is): that it may be of more poses
-    makes the place no likelier. predicted = LEAD lead + LEVEL (L - EVEN). Aliases follow from their share by
+    makes the place no likelier. predicted = LEAD or BEHIND times lead. Aliases follow from their share by
     Bayes' rule.
     """
     kept = np.flatnonzero(log_likelihoods > unlisted + 1e-9)
     y, R, L = poses[kept], covariances[kept], log_likelihoods[kept]
     lead = leads(y, L, unlisted)
     alone = L + np.minimum(np.maximum(lead, 0.0), c.most) - 1.5 * poorness_each(L, c.poorer)
-    predicted = np.minimum(np.maximum(c.lead * lead + c.level * (L - EVEN), -c.most), c.most)
+    predicted = np.minimum(np.maximum(np.where(lead > 0.0, c.lead, c.behind) * lead, -c.most), c.most)
     share = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
     alias = np.column_stack((share, (1.0 - c.lasting) * share, c.lasting * share))
     return Listed(y, R, widened_each(y, R, L, c.alike_m), alone, predicted, alias)

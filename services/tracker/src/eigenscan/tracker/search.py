@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.tracker.continuity import are_neighbours
-from eigenscan.tracker.evidence import EVEN, likelihood_at
+from eigenscan.tracker.evidence import likelihood_at
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import IDENTITY, Pose, scaled
@@ -40,6 +40,8 @@ UNKNOWN_S = 0.05
 """Of the motion over that time, above which it gives no velocity."""
 KEPT = 16
 """Stamps of lists: as many as may come within SHORTEST_NS."""
+FITS = 13.0
+"""Log-likelihood of a place from which its next scans may be fitted alone."""
 FALL = 5.0
 """Nats that a fit may lack of the last whole search's likelihood there: 0.15 of its support."""
 
@@ -124,7 +126,7 @@ class Searches:
         predicts = SHORTEST_NS <= round(moved.seconds * 1e9) <= LONGEST_NS and moved.unknown <= UNKNOWN_S
         whole = Request(seen.lidar, seen.stamp, seen.frame)
         # on an inexact map, and where it lacks something, a fit alone has too often taken a wrong heading
-        fits = known.there >= EVEN
+        fits = known.there >= FITS
         if due or not (predicts and moved.breaks == 0 and sure and fits):
             return whole
         if not np.isfinite(tracks.nis[best]):  # the list does not have the pose
