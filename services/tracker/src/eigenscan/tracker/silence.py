@@ -167,8 +167,8 @@ class Silence:
         if self._unplaced[False] > self._unplaced[True]:
             return f"most {Ending.UNUSABLE.value}"
         return (
-            "scans fit no place of the map, or many alike: is it the map of this floor, has it this part, is it "
-            "up to date?"
+            "scans fit no place of the map, or many alike: is it the map of this floor, has it this part, "
+            "is it up to date?"
         )
 
     @property
