@@ -191,7 +191,7 @@ def test_a_jump_frees_mass_that_no_list_was_of(seed: int, tracks: int, frames: i
     found, expected = (some_belief(np.random.default_rng(seed), Belief, tracks, 2, frames) for _ in range(2))
     found.predict(Motion((0.1, 0.0, 0.0), 0.1, 0.0, 0.0, 0.0, 2.0, 30.0))
     released = readable.release(expected.tracks, expected.elsewhere, 0.75, expected.off_map_share)
-    readable.come_back(expected.elsewhere, 1.0 - np.exp(-0.001 * 30.0))
+    readable.come_back(expected.elsewhere, 1.0 - np.exp(-0.01 * 30.0))
     np.testing.assert_allclose(found.tracks.log_weight, released.log_weight, rtol=EXACT)
     for one, other in zip(found.elsewhere.parts(), expected.elsewhere.parts(), strict=True):
         np.testing.assert_allclose(one, other, rtol=EXACT, atol=EXACT)
