@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from eigenscan.workbench.evaluation import report
 from eigenscan.workbench.evaluation.consistency import apart, bounds, consistency
 from eigenscan.workbench.evaluation.figures import windows_figures
 from eigenscan.workbench.evaluation.metrics import Judged, Stream, judge
@@ -101,3 +102,11 @@ def test_windows_of_one_log_are_tested_along_one_way() -> None:
     innovations = figures["normalised_innovation_squared"]
     assert innovations["mean"] == pytest.approx(2.5)
     assert 17 <= innovations["consistency"]["n"] <= 21
+
+
+@pytest.mark.parametrize(
+    ("n", "ends"), [(1, "too few to judge"), (9, "too few to judge"), (10, "would be right)")]
+)
+def test_few_scans_do_not_judge_the_stated_errors(n: int, ends: str) -> None:
+    found = {"mean": 0.2, "low": 1.0, "high": 4.0, "n": n, "apart_m": 0.5}
+    assert report._consistency(found).endswith(ends)

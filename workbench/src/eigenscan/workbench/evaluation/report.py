@@ -11,12 +11,12 @@ from eigenscan.workbench.evaluation.own_reference import WHOLE_DRIVE
 from rich.console import Console
 from rich.table import Table
 
+FEW = 10
+"""Scans apart, below which stated errors are not judged: one log of 23 s gave a verdict by a single scan."""
+
 
 def show(figures: Figures, title: str, console: Console) -> None:
     """Prints the headline figures, the windows that went wrong, the warnings, and the verdict last."""
-    warnings = [f"warning: {remark}" for remark in remarks(figures)]
-    for warning in warnings:
-        console.print(warning, highlight=False)
     table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
     for name, value in _lines(figures):
         table.add_row(name, value)
@@ -24,7 +24,7 @@ def show(figures: Figures, title: str, console: Console) -> None:
     bad = [row for row in figures["per_window"] or [] if not row["success"] or row["false_claims"]]
     if bad:
         console.print(_windows(bad, _words(figures)))
-    for line in (*warnings, verdict(figures)):
+    for line in (*(f"warning: {remark}" for remark in remarks(figures)), verdict(figures)):
         console.print(line, highlight=False)
 
 
@@ -174,6 +174,8 @@ def _consistency(found: Figures) -> str:
     text = f"mean {_number(mean)} of {found['n']} scans {found['apart_m']:g} m apart"
     if mean is None or low is None or high is None:
         return text
+    if found["n"] < FEW:
+        return f"{text}: too few to judge"
     if low <= mean <= high:
         return f"{text}: stated errors are right"
     fit = "too large" if mean < low else "too small"
