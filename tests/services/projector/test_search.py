@@ -393,6 +393,7 @@ def test_as_many_hypotheses_as_are_asked_for_are_published(published: int, least
     seen = observe(scan_at(free_poses(1, 7, grid)[0], grid=grid))
     found = find_candidates(built, built.view(seen.sensor), seen, ProjectorSettings(published=published))
     assert least <= len(found.poses) <= published
+    assert found.cut == (len(found.poses) == published)
 
 
 def test_what_fits_best_by_ranges_or_by_end_points_is_refined() -> None:

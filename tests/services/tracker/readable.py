@@ -8,7 +8,7 @@ import numpy as np
 from eigenscan.geometry.circle import wrap
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, within_gate
-from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere, emerges
+from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere, emerges, missed
 from eigenscan.tracker.covariance import (
     determinant,
     fuse,
@@ -32,7 +32,6 @@ from eigenscan.tracker.evidence import (
     MOST,
     NEAR_M,
     NEAR_RAD,
-    SHOWN_YET_MISSED,
     SHOWS,
     SLIP_M,
     SLIP_RAD,
@@ -119,7 +118,7 @@ class Readable(Belief):
         new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], begun[k], frame, seen.stamp)
         self.tracks = share_aliases(join([others, grown, new]))
         if not share.in_part:
-            rest.log_weight[frame] += np.log1p(np.expm1(SHOWN_YET_MISSED) * emerging)
+            rest.log_weight[frame] += np.log1p(np.expm1(missed(seen)) * emerging)
             left = (1.0 - rest.searched[frame, source]) * (1.0 - (1.0 - MISSES) * share.weight)
             rest.searched[frame, source] = 1.0 - left
         normalise(self)
@@ -383,7 +382,7 @@ def branch(
     origin = np.concatenate([np.arange(count), pairs.track])
     # a projector of a part of the site is no evidence on tracks elsewhere
     silent = (old.evidence[:, source] == 0.0) & share.in_part
-    fit = np.concatenate([np.where(silent, 0.0, SHOWN_YET_MISSED), worth])
+    fit = np.concatenate([np.where(silent, 0.0, missed(seen)), worth])
     total, preference = np.full(count, -np.inf), np.full(count, -np.inf)
     np.logaddexp.at(total, origin, fit)
     # which of several hypotheses is the track's: scans from one place repeat each other's preference

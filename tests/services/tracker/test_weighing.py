@@ -62,7 +62,7 @@ def some_list(rng: np.random.Generator, count: int, source: int) -> Observation:
     unlisted = float(rng.choice([0.0, 5.0, -3.0]))
     return Observation(
         99, f"front/{source}", "front", "map", near_spots(rng, count), spread(rng, count),
-        rng.normal(10.0, 6.0, count), unlisted, 400.0, True,
+        rng.normal(10.0, 6.0, count), unlisted, 400.0, True, cut=bool(rng.integers(2)),
     )  # fmt: skip
 
 

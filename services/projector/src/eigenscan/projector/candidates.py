@@ -44,7 +44,7 @@ class Candidates:
     """n poses of the sensor, most likely first. `region` (n,): the region that proposed each.
 
     `ordinary`: support of a place that merely looks similar. `waiting` (R,): regions left to later scans, if
-    there are any.
+    there are any. `cut`: as many as are published at most: others as likely may be missing.
     """
 
     poses: Array
@@ -58,4 +58,5 @@ class Candidates:
     ordinary: float
     waiting: NDArray[np.bool_] | None = None
     surfaces: Surfaces = SURFACES_UNSPECIFIED
+    cut: bool = False
     """Of thick walls, those that the poses fit."""

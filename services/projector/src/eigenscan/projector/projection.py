@@ -346,6 +346,7 @@ def _weigh_promising(
         float(likelihood.min(initial=0.0)) if site.parts == 1 and scope.regions is None else 0.0,
         ordinary,
         surfaces=reading.surfaces,
+        cut=len(kept) == settings.published,
     )
 
 

@@ -106,6 +106,7 @@ def hypotheses_message(
         searched_area_m2=site.area(_searched(scope, found)),
         search=SEARCH_WHOLE,
         surfaces=found.surfaces,
+        cut=found.cut,
     )
     projected, alike = found.projected, _blanks(found.projected.coefficients.shape[1])
     message.MergeFromString(

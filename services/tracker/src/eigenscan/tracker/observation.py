@@ -69,6 +69,8 @@ class Observation:
     """rad of the place's surroundings that the scan does not show: turning by as much shows all of them."""
     range_gains: Mapping[RangeError, float] | None = None
     """Nats by which the scan is likelier if its ranges have such an error; None: not checked."""
+    cut: bool = False
+    """Whether places as likely as the last one may be missing."""
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -118,6 +120,7 @@ def observe(
         message.surfaces,
         TURN * max(0.0, 1.0 - message.used_beams / ALL_AROUND),
         gains(message.range_check) if message.HasField("range_check") else None,
+        message.cut,
     )
 
 
