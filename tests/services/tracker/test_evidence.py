@@ -49,7 +49,7 @@ SLIP_RAD = 0.1
 SLIP_SHARE = 1.0
 SLIPS = 0.02
 SLIPPED = 1.0 - np.exp(-SLIPS)
-ALIASES = 0.015
+ALIASES = 0.02
 
 R = np.diag([0.05, 0.05, 0.02]) ** 2
 
