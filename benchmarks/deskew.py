@@ -31,7 +31,7 @@ from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import POSE, SCAN, SCAN_RAW, TRUTH
-from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
@@ -119,7 +119,7 @@ def judged(models: Packed, stages: list[Stage], times: float) -> dict[str, Any]:
                 published += loop.receive(timed.envelope)
         orders += [deskew.order for deskew in deskews(ingest).values()]
         for pose in (e.open(PoseEstimate) for e in published if e.channel is POSE):
-            at = pose.timestamp.ToNanoseconds()
+            at = nanoseconds(pose.timestamp)
             turned = between(stage.pose_at(at - HALF_NS), stage.pose_at(at + HALF_NS))[2]
             if pose.state == STATE_LOCALIZED and abs(turned) > 2e-9 * HALF_NS * TURNING:
                 errors.append(between(stage.pose_at(at), from_message(pose.pose)))

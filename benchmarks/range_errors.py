@@ -83,6 +83,7 @@ def main() -> None:
 
 
 def site_of(case: Case, way: str) -> Site:
+    """What the projector searches on a log's map, made worse in this way. Exits if it refuses the model."""
     worse, _ = worsened(case, way, SEED)
     core = ProjectorCore(ProjectorSettings())
     for model in MapbuilderCore(MapbuilderSettings(), build_site(worse.grid, Plan())).start():

@@ -19,15 +19,10 @@ from eigenscan.schemas.scan_pb2 import RawScan, ScanMotion
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.services.scan_ingest import room
+from tests.services.scan_ingest.room import MOUNT
+
 BEAMS, FIRST, STEP = 361, -math.pi / 2, math.radians(0.5)
-MOUNT = (0.2, 0.05, 0.1)
-WALLS = np.array(
-    [
-        *((-3.0, -2.0, 5.0, -2.0), (5.0, -2.0, 5.0, 2.5), (5.0, 2.5, 1.0, 2.5), (1.0, 2.5, 1.0, 3.5)),
-        *((1.0, 3.5, -3.0, 3.5), (-3.0, 3.5, -3.0, -2.0), (2.0, -0.5, 3.0, -0.5), (3.0, -0.5, 3.0, 0.5)),
-    ]
-)
-"""x, y to x, y [m]: a room with a niche and a table."""
 
 
 def composed(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float]:
@@ -36,18 +31,9 @@ def composed(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, 
 
 
 def seen(base: tuple[float, ...], rng: np.random.Generator, noise: float = 0.01) -> np.ndarray:
-    """Ranges from a base pose, by rays against WALLS."""
-    x, y, heading = composed(base, MOUNT)
-    angles = heading + FIRST + STEP * np.arange(BEAMS)
-    along = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None]
-    start, end = WALLS[:, :2] - (x, y), WALLS[:, 2:] - (x, y)
-    wall = end - start
-    across = along[..., 0] * wall[:, 1] - along[..., 1] * wall[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = (start[:, 0] * wall[:, 1] - start[:, 1] * wall[:, 0]) / across
-        part = (start[:, 0] * along[..., 1] - start[:, 1] * along[..., 0]) / across
-    hit = (reach > 0.0) & (part >= 0.0) & (part <= 1.0)
-    return np.where(hit, reach, np.inf).min(axis=1) + noise * rng.standard_normal(BEAMS)
+    """Ranges from a base pose, with noise."""
+    bases, bearings = np.broadcast_to(base, (BEAMS, 3)), FIRST + STEP * np.arange(BEAMS)
+    return room.seen(bases, bearings) + noise * rng.standard_normal(BEAMS)
 
 
 @given(st.integers(0, 1000), st.floats(-0.25, 0.25), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5))

@@ -16,7 +16,8 @@ import numpy as np
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.inner import inner
 from eigenscan.geometry.normalize import GRAZING, SURFACE_NOISE, Ranges, Sweep
-from eigenscan.ingest.motion import Points, Pose, motion_between, points_of
+from eigenscan.geometry.pose import transform
+from eigenscan.ingest.motion import Points, Pose, motion_between, moved_in, points_of
 from numba import njit, types
 from scipy.spatial import KDTree
 
@@ -93,8 +94,8 @@ class Deskew:
         if before is None or not 0.0 < seconds <= APART_S:
             self.velocity = None
             return
-        moved = motion_between(before, points, _over(self.velocity or (0.0, 0.0, 0.0), seconds))
-        self.velocity = _over(moved.delta, 1.0 / seconds) if moved.fits else None
+        moved = motion_between(before, points, moved_in(self.velocity or (0.0, 0.0, 0.0), seconds))
+        self.velocity = moved_in(moved.delta, 1.0 / seconds) if moved.fits else None
 
     def _find_order(self, sweep: Sweep, timing: Timing, mount: Pose, seconds: float) -> None:
         """Compares the scan before this one, whose velocity is known by now, with one of another turn."""
@@ -220,16 +221,9 @@ def _misfit(one: tuple[Sweep, Pose], other: tuple[Sweep, Pose], timing: Timing, 
     moved = motion_between(before, after, (0.0, 0.0, 0.0))
     if not moved.fits:
         return FAR_M
-    x, y, turn = moved.delta
-    points = after.xy[after.ranged] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]] + (x, y)
-    off, _ = KDTree(before.xy[before.ranged]).query(points)
+    off, _ = KDTree(before.xy[before.ranged]).query(transform(moved.delta, after.xy[after.ranged]))
     return float(np.minimum(off, FAR_M).mean())
 
 
 def _grid(sweep: Sweep) -> tuple[float, float]:
     return sweep.angle_min, sweep.angle_increment
-
-
-def _over(velocity: Pose, seconds: float) -> Pose:
-    x, y, turn = velocity
-    return x * seconds, y * seconds, turn * seconds

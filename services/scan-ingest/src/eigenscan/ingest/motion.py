@@ -104,6 +104,12 @@ class Motion:
 NOTHING_IN_COMMON = Motion((0.0, 0.0, 0.0), np.zeros((3, 3)), 0.0)
 
 
+def moved_in(velocity: Pose, seconds: float) -> Pose:
+    """Motion at a velocity, m/s, m/s, rad/s, in some seconds."""
+    x, y, turn = velocity
+    return x * seconds, y * seconds, turn * seconds
+
+
 def points_of(ranges: Array, angle_min: float, step: float, mount: Pose, stamp: int) -> Points:
     """The end points of a canonical scan's beams, without missing ranges (NaN or infinite)."""
     known = np.where(np.isinf(ranges), np.nan, ranges)

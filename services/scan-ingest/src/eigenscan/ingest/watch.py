@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import hypot
 
 import numpy as np
-from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, points_of
+from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, moved_in, points_of
 from eigenscan.schemas.channels import FOLLOWS
 from numba import njit, types
 from numpy.typing import NDArray
@@ -113,12 +113,12 @@ class Watch:
         self.longest_step = max(self.longest_step, (stamp - self._compared) * 1e-9)
         self._compared = stamp
         seconds = max(stamp - reference.stamp, MATCH_EVERY_NS) * 1e-9
-        moved = motion_between(reference, points, _over(self._velocity, seconds))
+        moved = motion_between(reference, points, moved_in(self._velocity, seconds))
         x, y, turn = moved.delta
         if moved.fits and moved.explained < FOLLOWS and last is not None and reference.stamp != before:
             # what passes between them is no sign that the scan does not follow from the one before
             neighbour = points_of(last.astype(np.float64), angle_min, step, mount, before)
-            alone = motion_between(neighbour, points, _over(self._velocity, (stamp - before) * 1e-9))
+            alone = motion_between(neighbour, points, moved_in(self._velocity, (stamp - before) * 1e-9))
             moved = replace(moved, explained=max(moved.explained, alone.explained))
         self._velocity = (x / seconds, y / seconds, turn / seconds) if moved.fits else (0.0, 0.0, 0.0)
         far = hypot(x, y) >= STEP_M or abs(turn) >= STEP_RAD or stamp - reference.stamp >= STEP_NS
@@ -148,11 +148,6 @@ def alike(before: Ranges, after: Ranges, turned: int) -> float:
     A much cheaper look than a match, for a lidar that hardly moves in between.
     """
     return float(_alike(before, after, turned)) if before.shape == after.shape else 0.0
-
-
-def _over(velocity: Pose, seconds: float) -> Pose:
-    x, y, turn = velocity
-    return x * seconds, y * seconds, turn * seconds
 
 
 _RANGES = types.Array(types.float32, 1, "A", readonly=True)
